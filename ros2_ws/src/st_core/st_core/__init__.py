@@ -1,0 +1,1 @@
+"""Single-track vehicle models, prediction and evaluation. Pure Python: no ROS, no clock, no files in the equations."""

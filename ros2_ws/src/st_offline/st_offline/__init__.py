@@ -1,0 +1,1 @@
+"""The st command: demo, live, logs, benchmarks."""

@@ -1,0 +1,31 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'st_predictor'
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={'': ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/st_predictor']),
+        ('share/st_predictor', ['package.xml']),
+        ('share/st_predictor/launch', glob('launch/*.launch.py')),
+    ],
+    install_requires=['setuptools'],
+    extras_require={'test': ['pytest']},
+    zip_safe=False,
+    maintainer='The single-track authors',
+    maintainer_email='single-track@example.org',
+    description='Predictor, evaluator and recorder nodes and the launch files of the suite.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'predictor = st_predictor.nodes.predictor:main',
+            'evaluator = st_predictor.nodes.evaluator:main',
+            'recorder = st_predictor.nodes.recorder:main',
+        ],
+    },
+)

@@ -1,0 +1,1 @@
+"""Predictor, evaluator and recorder nodes and the launch files of the suite."""

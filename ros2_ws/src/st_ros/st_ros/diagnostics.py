@@ -1,0 +1,60 @@
+"""The /diagnostics of one node: a list of named checks once a second and at once when a level changes."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+OK, WARN, ERROR, STALE = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of /diagnostics. level: OK, WARN, ERROR or STALE; values: shown beside it, in order."""
+
+    name: str
+    level: int
+    message: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Diagnostics:
+    """Publishes what `collect()` returns; `collect` is called once a second on the node's clock."""
+
+    def __init__(self, node: Node, hardware_id: str, collect: Callable[[], list[Check]], period: float = 1.0):
+        self._node = node
+        self._hardware_id = hardware_id
+        self._collect = collect
+        self._levels: dict[str, int] = {}
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._timer = node.create_timer(period, self.publish)
+
+    def publish(self) -> None:
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        for check in self._collect():
+            status = DiagnosticStatus(name=f"{self._node.get_name()}: {check.name}", message=check.message,
+                                      hardware_id=self._hardware_id, level=bytes([check.level]))
+            status.values = [KeyValue(key=str(k), value=_text(v)) for k, v in check.values.items()]
+            message.status.append(status)
+            self._log_change(check)
+        self._publisher.publish(message)
+
+    def _log_change(self, check: Check) -> None:
+        before = self._levels.get(check.name, OK)
+        if check.level == before:
+            return
+        self._levels[check.name] = check.level
+        line = f"{check.name}: {check.message}"
+        if check.level == OK:
+            self._node.get_logger().info(line)
+        elif check.level == WARN:
+            self._node.get_logger().warning(line)
+        else:
+            self._node.get_logger().error(line)
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,114 @@
+"""Node parameters declared once: type, default, unit, range. A misspelt, mistyped or out-of-range one stops the start-up."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import yaml
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.parameter import parameter_value_to_python
+
+# Declared by rclpy itself on every node.
+BUILT_IN = ("use_sim_time", "start_type_description_service")
+
+
+class ConfigurationError(ValueError):
+    """A parameter, file or device that makes a start impossible. Its text is the one line a user sees."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One node parameter.
+
+    name: as in the YAML file. default: its type is the parameter's type; a float takes an integer too.
+    unit: SI, or as the suffix of the name says. minimum, maximum: inclusive. choices: allowed values.
+    """
+
+    name: str
+    default: Any
+    description: str
+    unit: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    choices: tuple[Any, ...] = ()
+
+    def limit(self) -> str:
+        if self.choices:
+            return "one of " + ", ".join(map(str, self.choices))
+        return f"{self.minimum:g} to {self.maximum:g}" + (f" {self.unit}" if self.unit else "")
+
+    def check(self, value: Any) -> Any:
+        """The value in the declared type; raises ConfigurationError naming key and limit."""
+        expected = type(self.default)
+        if expected is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if expected in (list, tuple):
+            if not isinstance(value, Sequence) or isinstance(value, str):
+                raise ConfigurationError(f"{self.name}: {value!r} is not a list")
+            return [str(v) for v in value] if all(isinstance(d, str) for d in self.default) else list(value)
+        if not isinstance(value, expected):
+            raise ConfigurationError(f"{self.name}: {value!r} is a {type(value).__name__}, {expected.__name__} wanted")
+        if self.choices and value not in self.choices:
+            raise ConfigurationError(f"{self.name}: {value!r} is not {self.limit()}")
+        numeric = isinstance(value, int | float) and not isinstance(value, bool)
+        if numeric and not (math.isnan(value) and math.isnan(self.default)) and not self.minimum <= value <= self.maximum:
+            raise ConfigurationError(f"{self.name}: {value} is outside {self.limit()}")
+        return value
+
+
+def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
+    """Declare all on the node and return their checked values as attributes.
+
+    Raises ConfigurationError naming the parameter file (if one was given), the key and the limit; also for an
+    override that no parameter answers to.
+    """
+    overrides = dict(node._parameter_overrides)
+    origin = _origin(node)
+    known = {p.name for p in parameters}
+    unknown = [name for name in overrides if name not in known and name not in BUILT_IN and not name.startswith("qos_overrides.")]
+    if unknown:
+        raise ConfigurationError(f"{origin}{node.get_name()}: unknown parameter {unknown[0]}; known are {', '.join(sorted(known))}")
+    values = SimpleNamespace()
+    for parameter in parameters:
+        try:
+            given = overrides[parameter.name].value if parameter.name in overrides else parameter.default
+            value = parameter.check(given)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{origin}{node.get_name()}.{error}") from None
+        override = {parameter.name: RosParameter(parameter.name, value=value)} if value != [] else {}
+        node._parameter_overrides.update(override)
+        # Read only: a node reads its parameters at start; a changed file is taken over by a restart.
+        description = parameter.description + (f" [{parameter.unit}]" if parameter.unit else "")
+        descriptor = ParameterDescriptor(description=description, read_only=True, dynamic_typing=True)
+        node.declare_parameter(parameter.name, value if value != [] else [""], descriptor)
+        setattr(values, parameter.name, value)
+    return values
+
+
+def read_yaml_parameters(path: Path, node_name: str) -> dict[str, Any]:
+    """The ros__parameters of one node in a parameter file; for tools that show a configuration without a node."""
+    document = yaml.safe_load(path.read_text()) or {}
+    merged: dict[str, Any] = {}
+    for section in ("/**", node_name):
+        merged.update((document.get(section) or {}).get("ros__parameters") or {})
+    return merged
+
+
+def _origin(node: Node) -> str:
+    arguments = list(node.context._cli_args) if getattr(node.context, "_cli_args", None) else _process_arguments()
+    files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
+    return f"{files[-1]}: " if files else ""
+
+
+def _process_arguments() -> list[str]:
+    import sys
+
+    return sys.argv
+
+
+__all__ = ["ConfigurationError", "Parameter", "declare", "parameter_value_to_python", "read_yaml_parameters"]
