@@ -11,7 +11,6 @@ import yaml
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.parameter import parameter_value_to_python
 
 # Declared by rclpy itself on every node.
 BUILT_IN = ("use_sim_time", "start_type_description_service")
@@ -111,4 +110,3 @@ def _process_arguments() -> list[str]:
     return sys.argv
 
 
-__all__ = ["ConfigurationError", "Parameter", "declare", "parameter_value_to_python", "read_yaml_parameters"]
