@@ -1,26 +1,26 @@
 from setuptools import find_packages, setup
 
-package_name = 'st_offline'
+package_name = "st_offline"
 
 setup(
     name=package_name,
-    version='0.1.0',
-    packages=find_packages(exclude=['test']),
-    package_data={'': ['py.typed']},
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed"]},
     data_files=[
-        ('share/ament_index/resource_index/packages', ['resource/st_offline']),
-        ('share/st_offline', ['package.xml']),
+        ("share/ament_index/resource_index/packages", ["resource/st_offline"]),
+        ("share/st_offline", ["package.xml"]),
     ],
-    install_requires=['setuptools'],
-    extras_require={'test': ['pytest']},
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
-    maintainer='The single-track authors',
-    maintainer_email='single-track@example.org',
-    description='The st command: demo, live, logs, benchmarks.',
-    license='Apache-2.0',
+    maintainer="The single-track authors",
+    maintainer_email="single-track@example.org",
+    description="The st command: demo, live, logs, benchmarks.",
+    license="Apache-2.0",
     entry_points={
-        'console_scripts': [
-            'st = st_offline.cli:main',
+        "console_scripts": [
+            "st = st_offline.cli:main",
         ],
     },
 )

@@ -1,1 +1,29 @@
-print("st")
+"""The `st` command: one function per verb, each in a file of its own under verbs/."""
+
+import typer
+
+from .verbs import bench, demo, develop, live, ncom, recover
+
+app = typer.Typer(
+    name="st",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_show_locals=False,
+    help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that?",
+)
+app.command()(demo.demo)
+app.command()(live.live)
+app.command()(ncom.ncom)
+app.command()(recover.recover)
+app.command()(bench.bench)
+app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.test)
+app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.shell)
+
+
+def main() -> None:
+    app(prog_name="st")
+
+
+if __name__ == "__main__":
+    main()

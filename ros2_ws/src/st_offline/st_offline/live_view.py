@@ -1,0 +1,83 @@
+"""The terminal during a run: a progress line, the running error table, and what is wrong at the moment."""
+
+import math
+import time
+
+from rich.console import Group, RenderableType
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from .node import Heard
+from .style import MODEL_COLOUR
+
+LEVELS = ("ok", "warning", "error", "stale")
+FORGET_AFTER = 5.0  # s without hearing of a diagnostic before it is shown as silent
+
+
+def view(heard: Heard, elapsed: float, duration: float | None, title: str) -> RenderableType:
+    """elapsed, duration in s; duration None: runs until stopped."""
+    line = Table.grid(padding=(0, 1))
+    if duration:
+        line.add_row(
+            title,
+            ProgressBar(total=duration, completed=min(elapsed, duration), width=40),
+            f"{elapsed:4.0f} / {duration:.0f} s",
+        )
+    else:
+        line.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
+    return Group(line, error_table(heard), ticks(heard), health(heard))
+
+
+def error_table(heard: Heard) -> Table:
+    """Mean | max | RMSE over the horizon means so far, one row per model and mode."""
+    table = Table(box=None, padding=(0, 2))
+    for column in (
+        "model",
+        "mode",
+        "starts",
+        "longitudinal error, m\nmean | max | RMSE",
+        "lateral error, m\nmean | max | RMSE",
+    ):
+        table.add_column(column, justify="left" if column in ("model", "mode") else "right")
+    for s in heard.summary.statistics if heard.summary else []:
+        table.add_row(
+            Text(s.model, style=MODEL_COLOUR.get(s.model, "")),
+            s.mode,
+            str(s.n_starts),
+            _triple(s.longitudinal_mean, s.longitudinal_max, s.longitudinal_rmse),
+            _triple(s.lateral_mean, s.lateral_max, s.lateral_rmse),
+        )
+    if table.row_count == 0:
+        table.add_row("waiting for the first complete horizon", "", "", "", "", style="dim")
+    return table
+
+
+def ticks(heard: Heard) -> Text:
+    t = heard.ticks
+    if t is None:
+        return Text("predictor: not heard yet", style="dim")
+    skipped = t.skipped_stale + t.skipped_overrun + t.skipped_slow
+    text = Text(f"ticks {t.due}, predicted {t.predicted}, skipped {skipped}")
+    if t.reason:
+        text.append(f"  ({t.reason})", style="yellow")
+    return text
+
+
+def health(heard: Heard) -> Text:
+    """Everything that is not ok, worst first; one word when all is well."""
+    now = time.monotonic()
+    text = Text()
+    for status in sorted(heard.health.values(), key=lambda s: (-s.level, s.name)):
+        silent = now - status.heard_at > FORGET_AFTER
+        if status.level == 0 and not silent:
+            continue
+        level = "silent" if silent else LEVELS[min(status.level, 3)]
+        text.append(
+            f"{level}: {status.name}: {status.message}\n", style="red" if status.level >= 2 or silent else "yellow"
+        )
+    return text if text else Text("all nodes well" if heard.health else "", style="green")
+
+
+def _triple(*values: float) -> str:
+    return " | ".join("-" if math.isnan(v) else f"{v:6.2f}" for v in values)

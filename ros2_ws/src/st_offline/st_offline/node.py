@@ -1,0 +1,85 @@
+"""What the terminal shows of a running suite, heard over DDS: statistics, tick counts, diagnostics."""
+
+import threading
+import time
+from dataclasses import dataclass, field
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from st_msgs.msg import ErrorSummary, PredictorStatus
+
+
+@dataclass(frozen=True)
+class Status:
+    """One diagnostic line. level: 0 ok, 1 warning, 2 error, 3 stale."""
+
+    name: str
+    level: int
+    message: str
+    heard_at: float  # s, monotonic
+
+
+@dataclass
+class Heard:
+    summary: ErrorSummary | None = None
+    ticks: PredictorStatus | None = None
+    health: dict[str, Status] = field(default_factory=dict)
+
+
+class Monitor:
+    """Listens in a thread of its own; `heard` is replaced, never changed, so reading needs no lock."""
+
+    def __init__(self, domain_id: int | None = None):
+        self.heard = Heard()
+        self._context = rclpy.Context()
+        rclpy.init(
+            context=self._context, domain_id=domain_id, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO
+        )
+        self._node = Node("st_monitor", context=self._context)
+        self._node.create_subscription(ErrorSummary, "evaluator/summary", self._on_summary, 10)
+        self._node.create_subscription(PredictorStatus, "predictor/status", self._on_ticks, 10)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin, name="monitor", daemon=True)
+        self._thread.start()
+
+    def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
+        """Wait until all are in the graph; returns those still missing."""
+        end = time.monotonic() + timeout
+        while missing := names - set(self._node.get_node_names()):
+            if time.monotonic() > end:
+                break
+            time.sleep(0.05)
+        return missing
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self._thread.join()
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def __enter__(self) -> "Monitor":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            pass
+
+    def _on_summary(self, message: ErrorSummary) -> None:
+        self.heard = Heard(message, self.heard.ticks, self.heard.health)
+
+    def _on_ticks(self, message: PredictorStatus) -> None:
+        self.heard = Heard(self.heard.summary, message, self.heard.health)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        now = time.monotonic()
+        news = {s.name: Status(s.name, int.from_bytes(s.level, "little"), s.message, now) for s in message.status}
+        self.heard = Heard(self.heard.summary, self.heard.ticks, {**self.heard.health, **news})

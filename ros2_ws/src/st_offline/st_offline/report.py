@@ -1,0 +1,44 @@
+"""The end of a run: summary.json, paths.png, the table in the terminal, and the exit status."""
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from .figures import paths_figure
+from .results import read_results, summarise, write_summary
+from .session import Outcome
+from .tables import error_table, finding
+
+
+def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
+    """Write and show what the run found; 0 when every process ended well and something was scored."""
+    if outcome.problem:
+        console.print(f"[red]{outcome.problem}[/red]", highlight=False)
+    failed = {name: status for name, status in outcome.statuses.items() if status}
+    if failed:
+        console.print(
+            "[red]ended with an error: "
+            + ", ".join(f"{n} (status {s})" for n, s in failed.items())
+            + f"; see {folder / 'logs'}[/red]"
+        )
+    results = read_results(folder)
+    summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
+    write_summary(folder / "summary.json", summary)
+    paths_figure(results, f"{about['what']}: {finding(summary)}", folder / "paths.png")
+    console.print(error_table(summary, f"{about['what']}: error over each 5 s horizon, at the INS point"))
+    ticks = summary["ticks"]
+    console.print(f"ticks {ticks['due']}, predicted {ticks['predicted']}, skipped {ticks['skipped']}")
+    for name, what in (
+        ("bag", "what was sent and measured"),
+        ("errors", "every score"),
+        ("summary.json", "this table"),
+        ("paths.png", "the picture"),
+    ):
+        console.print(f"  {folder / name}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
+    scored = any(modes["hindsight"]["n_starts"] for modes in summary["models"].values())
+    if not scored:
+        console.print(
+            "[yellow]nothing was scored: the run was shorter than a horizon, or an input was missing (see above)[/yellow]"
+        )
+    return 0 if outcome.ok and (scored or outcome.interrupted) else 1

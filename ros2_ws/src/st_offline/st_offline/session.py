@@ -1,0 +1,186 @@
+"""One run of the live suite, with the virtual Leaf or the real car at the other end of the wires."""
+
+import json
+import os
+import select
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+
+from . import live_view
+from .node import Monitor
+from .paths import config
+from .suite import Child, Parameters, Suite, SuiteError, free_domain_id, merge
+
+NODES = (  # package, executable: in the order they start; the listeners come first so that nothing is missed
+    ("st_predictor", "recorder"),
+    ("st_predictor", "evaluator"),
+    ("st_predictor", "predictor"),
+    ("oxts_bridge", "oxts_bridge"),
+    ("canedge_bridge", "canedge_bridge"),
+)
+# Ends in this order: what talks first, then what scores it, then what records the last word of both.
+STOP_ORDER = ("virtual_leaf", "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder")
+START_TIMEOUT = 30.0  # s for all nodes to appear in the graph
+QUIET_REFRESH = 10.0  # s between lines where the output is no terminal
+
+
+@dataclass(frozen=True)
+class Outcome:
+    statuses: dict[str, int]
+    interrupted: bool
+    problem: str = ""
+
+    @property
+    def ok(self) -> bool:
+        return not self.problem and not any(self.statuses.values())
+
+
+def output_folder(given: Path | None, name: str) -> Path:
+    """The folder of a run; never one that already holds something."""
+    folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
+    if folder.exists() and any(folder.iterdir()):
+        raise SuiteError(f"{folder} is not empty: name another --output (nothing is ever overwritten)")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder.absolute()
+
+
+def node_parameters(folder: Path, vehicle: Path, bridges: Parameters) -> Parameters:
+    """config/nodes.yaml with what this run decides on top."""
+    return merge(
+        config("nodes.yaml"),
+        {
+            **bridges,
+            "predictor": {"vehicle_file": str(vehicle)},
+            "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors")},
+            "recorder": {"output_directory": str(folder / "bag")},
+        },
+    )
+
+
+def run(
+    folder: Path,
+    parameters: Parameters,
+    title: str,
+    duration: float | None,
+    source: Callable[[Suite], Child] | None = None,
+    console: Console | None = None,
+) -> Outcome:
+    """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
+
+    duration in s; None: until Ctrl-C. Raises SuiteError when a node does not come up.
+    """
+    console = console or Console()
+    # A demo must not be heard by, or hear, another suite on this machine; the car uses the user's own domain.
+    chosen = os.environ.get("ROS_DOMAIN_ID")
+    domain = int(chosen) if chosen else (free_domain_id() if source else 0)
+    stop = _StopRequest()
+    problem = ""
+    with stop, Suite(folder, parameters, domain) as suite, Monitor(domain) as monitor:
+        for package, executable in NODES:
+            suite.start_node(package, executable)
+        _wait_for_nodes(suite, monitor, stop)
+        console.print(f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}")
+        leaf = source(suite) if source else None
+        try:
+            _watch(suite, monitor, console, title, duration, leaf, stop)
+        except SuiteError as error:
+            problem = str(error)
+        statuses = {}
+        for name in STOP_ORDER:
+            statuses.update(suite.stop(name))
+            if name == "evaluator":
+                _settle()
+    return Outcome(statuses, stop.requested, problem)
+
+
+def wait_until_sending(leaf: Child, timeout: float = 20.0) -> None:
+    """The virtual Leaf says on its standard output when data flow."""
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        for line in leaf.log.read_text().splitlines():
+            if line.startswith("{") and json.loads(line).get("state") == "sending":
+                return
+        if leaf.process.poll() is not None:
+            break
+        time.sleep(0.05)
+    raise SuiteError(f"the virtual Leaf did not start: {leaf.last_lines() or 'no output'}")
+
+
+def _wait_for_nodes(suite: Suite, monitor: Monitor, stop: "_StopRequest") -> None:
+    names = {executable for _, executable in NODES}
+    end = time.monotonic() + START_TIMEOUT
+    while missing := monitor.wait_for_nodes(names, 0.5):
+        suite.check()
+        if stop.requested:
+            return
+        if time.monotonic() > end:
+            raise SuiteError(
+                f"not up after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))} (logs in {suite.folder / 'logs'})"
+            )
+
+
+def _watch(
+    suite: Suite,
+    monitor: Monitor,
+    console: Console,
+    title: str,
+    duration: float | None,
+    leaf: Child | None,
+    stop: "_StopRequest",
+) -> None:
+    """Until the time is over, the virtual Leaf is done, or somebody pressed Ctrl-C. A node that dies ends the run."""
+    started = time.monotonic()
+    last_line = started
+    with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:
+        while not stop.wait(0.25):
+            elapsed = time.monotonic() - started
+            if leaf is not None and leaf.process.poll() is not None:
+                if leaf.process.returncode:
+                    suite.check()
+                return
+            if leaf is None and duration is not None and elapsed > duration:
+                return
+            suite.check()
+            if console.is_terminal:
+                live.update(live_view.view(monitor.heard, elapsed, duration, title), refresh=True)
+            elif time.monotonic() - last_line >= QUIET_REFRESH:
+                last_line = time.monotonic()
+                console.print(f"{title}: {elapsed:.0f} s; {live_view.ticks(monitor.heard)}")
+
+
+def _settle() -> None:
+    """Let the recorder hear the last summary before it is ended."""
+    time.sleep(0.5)
+
+
+class _StopRequest:
+    """Ctrl-C or SIGTERM as a flag, so that the run ends in its own order."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._read, self._write = os.pipe()
+
+    def wait(self, seconds: float) -> bool:
+        select.select([self._read], [], [], seconds)
+        return self.requested
+
+    def _request(self, *_: object) -> None:
+        self.requested = True
+        os.write(self._write, b"x")
+
+    def __enter__(self) -> "_StopRequest":
+        self._before = {s: signal.signal(s, self._request) for s in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        os.close(self._read)
+        os.close(self._write)

@@ -1,0 +1,156 @@
+"""The suite as processes: start the nodes with one parameter file, watch them, stop them in order.
+
+Nodes are started through their console scripts, which exist with and without `ros2 run`. Each child leaves the
+terminal's process group, so Ctrl-C reaches only this process, which then ends the children one after another;
+should this process be killed, the kernel interrupts the children (PR_SET_PDEATHSIG).
+"""
+
+import ctypes
+import os
+import shutil
+import signal
+import socket
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+STOP_TIMEOUT = 10.0  # s until a child that ignores SIGINT is killed
+PR_SET_PDEATHSIG = 1
+_libc = ctypes.CDLL(None)
+
+Parameters = Mapping[str, Mapping[str, Any]]
+
+
+class SuiteError(RuntimeError):
+    """A process of the suite could not be started or died; the text says which and where its log is."""
+
+
+@dataclass(frozen=True)
+class Child:
+    name: str
+    process: subprocess.Popen
+    log: Path
+
+    def last_lines(self, count: int = 5) -> str:
+        return "\n".join(self.log.read_text(errors="replace").strip().splitlines()[-count:])
+
+
+class Suite:
+    """Processes of one run. Leave the `with` block and they have ended."""
+
+    def __init__(self, folder: Path, parameters: Parameters, domain_id: int | None = None):
+        """folder: gets parameters.yaml and logs/. parameters: {node: {name: value}}, complete."""
+        self.folder = folder
+        self.children: list[Child] = []
+        self.environment = dict(os.environ)
+        if domain_id is not None:
+            self.environment["ROS_DOMAIN_ID"] = str(domain_id)
+        self.environment["ROS_LOG_DIR"] = str(folder / "logs" / "ros")
+        (folder / "logs").mkdir(parents=True, exist_ok=True)
+        self.parameter_file = folder / "parameters.yaml"
+        document = {node: {"ros__parameters": dict(values)} for node, values in parameters.items()}
+        self.parameter_file.write_text(yaml.safe_dump(document, sort_keys=False))
+
+    def start_node(self, package: str, executable: str) -> Child:
+        return self.start(
+            executable, [find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)]
+        )
+
+    def start(self, name: str, command: list[str]) -> Child:
+        log = self.folder / "logs" / f"{name}.log"
+        with log.open("ab") as stream:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                env=self.environment,
+                start_new_session=True,
+                preexec_fn=_follow_parent,
+            )
+        child = Child(name, process, log)
+        self.children.append(child)
+        return child
+
+    def dead(self) -> list[Child]:
+        return [child for child in self.children if child.process.poll() is not None]
+
+    def check(self) -> None:
+        """Raises SuiteError naming the first child that ended by itself."""
+        for child in self.dead():
+            raise SuiteError(
+                f"{child.name} ended with status {child.process.returncode}: {child.last_lines() or 'no output'}\n(log: {child.log})"
+            )
+
+    def stop(self, name: str | None = None) -> dict[str, int]:
+        """End one child, or all in the order they were started; returns exit statuses."""
+        statuses = {}
+        for child in [c for c in self.children if name in (None, c.name)]:
+            statuses[child.name] = _end(child.process)
+            self.children.remove(child)
+        return statuses
+
+    def __enter__(self) -> "Suite":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+
+def _end(process: subprocess.Popen) -> int:
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+    return process.returncode
+
+
+def _follow_parent() -> None:
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+
+
+def find_executable(package: str, executable: str) -> str:
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        candidate = Path(prefix) / "lib" / package / executable
+        if candidate.exists():
+            return str(candidate)
+    found = shutil.which(executable)
+    if found:
+        return found
+    raise SuiteError(
+        f"{executable} of package {package} not found: start with ./st, or source ros2_ws/install/setup.bash"
+    )
+
+
+def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
+    """Node parameters of a file with overrides on top; the file's sections are node names."""
+    document = yaml.safe_load(base.read_text())
+    merged = {node: dict(section["ros__parameters"]) for node, section in document.items()}
+    for node, values in overrides.items():
+        merged.setdefault(node, {}).update(values)
+    return merged
+
+
+def free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def free_domain_id() -> int:
+    """A ROS domain nobody on this machine uses: its first discovery port can be bound (DDS: 7400 + 250 * domain)."""
+    for domain in range(101, 0, -1):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain + 10))
+            except OSError:
+                continue
+            return domain
+    raise SuiteError("no free ROS domain: set ROS_DOMAIN_ID")

@@ -1,0 +1,73 @@
+"""`st bench`: list and run the measurements under bench/."""
+
+import importlib.util
+import json
+import platform
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ..paths import project_root, source_version
+
+
+def bench(
+    name: str | None = typer.Argument(None, help="One of the listed names; without it they are listed."),
+    json_file: Path | None = typer.Option(None, "--json", help="Also write the result here."),
+) -> None:
+    """List the benchmarks, or run one and print its figures."""
+    files = {
+        path.stem: path for path in sorted((project_root() / "bench").glob("*.py")) if not path.stem.startswith("_")
+    }
+    console = Console()
+    if name is None:
+        table = Table("name", "what it measures", box=None)
+        for stem, path in files.items():
+            table.add_row(stem, (_load(path).__doc__ or "").strip().splitlines()[0])
+        console.print(table)
+        return
+    if name not in files:
+        typer.echo(f"st bench: no benchmark {name!r}; there are {', '.join(files)}", err=True)
+        raise typer.Exit(2)
+    result = _load(files[name]).run()
+    _show(console, name, result)
+    if json_file:
+        machine = {
+            "python": platform.python_version(),
+            "machine": platform.machine(),
+            "cpu": _cpu(),
+            "version": source_version(),
+        }
+        json_file.write_text(json.dumps({"bench": name, "machine": machine, "result": result}, indent=2) + "\n")
+
+
+def _load(path: Path) -> ModuleType:
+    sys.path.insert(0, str(path.parent))
+    specification = importlib.util.spec_from_file_location(f"bench_{path.stem}", path)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def _show(console: Console, name: str, result: dict) -> None:
+    table = Table("measure", "value", title=name, box=None, title_justify="left")
+    for key, value in _flatten(result):
+        table.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+    console.print(table)
+
+
+def _flatten(result: dict, prefix: str = "") -> list[tuple[str, object]]:
+    rows: list[tuple[str, object]] = []
+    for key, value in result.items():
+        rows += _flatten(value, f"{prefix}{key}.") if isinstance(value, dict) else [(prefix + key, value)]
+    return rows
+
+
+def _cpu() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.processor()

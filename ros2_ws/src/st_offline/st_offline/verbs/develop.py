@@ -1,0 +1,35 @@
+"""`st test` and `st shell`: the tools of somebody who works on the suite, or with ROS commands beside it."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import typer
+
+from ..paths import project_root
+
+
+def test(
+    context: typer.Context,
+    fast: bool = typer.Option(False, "--fast", help="Leave out tests marked slow."),
+) -> None:
+    """Run every test. Further arguments go to pytest: ./st test -k ncom."""
+    root = project_root()
+    # -rs lists each skipped test with its reason; cores are few, so tests run one after another.
+    command = [sys.executable, "-m", "pytest", "-rs", "-q", *(["-m", "not slow"] if fast else []), *context.args]
+    with tempfile.TemporaryDirectory(prefix="st-test-") as logs:
+        environment = {**os.environ, "ROS_LOG_DIR": logs, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        raise typer.Exit(subprocess.run(command, cwd=root, env=environment, check=False).returncode)
+
+
+def shell(context: typer.Context) -> None:
+    """Open a shell with everything sourced (or run one command in it: ./st shell -- python)."""
+    if context.args:
+        os.execvp(context.args[0], context.args)
+    bash = Path(os.environ.get("SHELL", "/bin/bash")).name == "bash"
+    os.environ["PS1"] = "(st) \\w \\$ "
+    if bash:
+        os.execvp("bash", ["bash", "--norc"])
+    os.execvp(os.environ["SHELL"], [os.environ["SHELL"]])

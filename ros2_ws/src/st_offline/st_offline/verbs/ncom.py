@@ -1,0 +1,19 @@
+"""`st ncom`: what the unit said, as CSV."""
+
+from pathlib import Path
+
+import typer
+from oxts_bridge.export import write_csv
+
+
+def ncom(
+    file: Path = typer.Argument(..., help="Recorded NCOM stream (.ncom).", exists=True, dir_okay=False),
+    csv: Path = typer.Option(..., "--csv", help="Navigation values, one row per packet."),
+    status: Path | None = typer.Option(None, "--status", help="Status fields, one row per change."),
+) -> None:
+    """Write an NCOM file as CSV: time, acceleration, rates, position, velocity, attitude, and what follows from them."""
+    try:
+        write_csv(file, csv, status)
+    except (OSError, ValueError) as error:
+        typer.echo(f"st ncom: {error}", err=True)
+        raise typer.Exit(2) from None
