@@ -13,7 +13,9 @@ from st_offline.suite import Suite, find_executable, free_domain_id, free_udp_po
 
 
 @contextmanager
-def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full", scenario: str = "S6") -> Iterator[Suite]:
+def running_suite(
+    duration: float, ncom_rate: int = 250, can_rate: str = "full", scenario: str = "S6"
+) -> Iterator[Suite]:
     """Nodes up and data flowing; everything ended and deleted afterwards."""
     with tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         folder = Path(name)

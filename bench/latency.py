@@ -1,5 +1,6 @@
 """From the UDP datagram at the socket to the three paths published, at 250 Hz NCOM and full CAN rate."""
 
+import contextlib
 import os
 import threading
 import time
@@ -19,15 +20,14 @@ class Listener(Node):
 
     def __init__(self) -> None:
         super().__init__("latency_listener")
-        self.received: dict[int, int] = {}  # measured_at of the packet (ms grid) -> kernel receive time, ns
+        self.received: list[int] = []  # kernel receive time of each packet, ns
         self.predictions: list[tuple[int, str, int, int]] = []
         self.create_subscription(Ncom, "ins/ncom", self._on_ncom, 500)
         for model in MODELS:
             self.create_subscription(Prediction, f"predictor/{model}/prediction", self._on_prediction, 100)
 
     def _on_ncom(self, message: Ncom) -> None:
-        milliseconds = int(message.raw_packet[1]) | int(message.raw_packet[2]) << 8
-        self.received[milliseconds] = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        self.received.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
 
     def _on_prediction(self, message: Prediction) -> None:
         measured = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
@@ -45,10 +45,8 @@ def run() -> dict:
         executor.add_node(node)
 
         def spin() -> None:
-            try:
+            with contextlib.suppress(ExternalShutdownException):
                 executor.spin()
-            except ExternalShutdownException:
-                pass
 
         thread = threading.Thread(target=spin)
         thread.start()
@@ -61,7 +59,7 @@ def run() -> dict:
 
 
 def _evaluate(node: Listener) -> dict:
-    times = np.array(sorted(node.received.values()))
+    times = np.array(sorted(node.received))
     issued: dict[int, list[int]] = {}
     heard: dict[int, list[int]] = {}
     for measured, _, out, arrived in node.predictions:
@@ -71,7 +69,7 @@ def _evaluate(node: Listener) -> dict:
     for measured, out in issued.items():
         if len(out) != len(MODELS):
             continue
-        # The start state is at or before the newest packet; that packet is the first received after the instant measured.
+        # The packet that made this start state known is the first one received after the instant it describes.
         k = int(np.searchsorted(times, measured))
         if k < len(times):
             to_published.append((max(out) - times[k]) * 1e-6)

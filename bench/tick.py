@@ -30,7 +30,12 @@ def run() -> dict:
             predictor.run(start, model)
         times.append((time.process_time() - begin) * 1e3)
     p50, p99 = np.percentile(times, (50, 99))
-    return {"ticks": TICKS, "cpu_ms_p50": float(p50), "cpu_ms_p99": float(p99), "share_of_a_core_at_10_hz": float(p50) / 100}
+    return {
+        "ticks": TICKS,
+        "cpu_ms_p50": float(p50),
+        "cpu_ms_p99": float(p99),
+        "share_of_a_core_at_10_hz": float(p50) / 100,
+    }
 
 
 if __name__ == "__main__":

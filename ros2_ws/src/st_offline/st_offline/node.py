@@ -1,5 +1,6 @@
 """What the terminal shows of a running suite, heard over DDS: statistics, tick counts, diagnostics."""
 
+import contextlib
 import threading
 import time
 from dataclasses import dataclass, field
@@ -68,10 +69,8 @@ class Monitor:
         self.close()
 
     def _spin(self) -> None:
-        try:
+        with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
-        except ExternalShutdownException:
-            pass
 
     def _on_summary(self, message: ErrorSummary) -> None:
         self.heard = Heard(message, self.heard.ticks, self.heard.health)

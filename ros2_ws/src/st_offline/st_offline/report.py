@@ -39,6 +39,6 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
     scored = any(modes["hindsight"]["n_starts"] for modes in summary["models"].values())
     if not scored:
         console.print(
-            "[yellow]nothing was scored: the run was shorter than a horizon, or an input was missing (see above)[/yellow]"
+            "[yellow]nothing was scored: shorter than a horizon, or an input was missing (see above)[/yellow]"
         )
     return 0 if outcome.ok and (scored or outcome.interrupted) else 1

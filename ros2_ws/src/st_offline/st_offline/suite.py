@@ -2,10 +2,9 @@
 
 Nodes are started through their console scripts, which exist with and without `ros2 run`. Each child leaves the
 terminal's process group, so Ctrl-C reaches only this process, which then ends the children one after another;
-should this process be killed, the kernel interrupts the children (PR_SET_PDEATHSIG).
+should this process be killed, the kernel interrupts the children (parent-death signal, set by util-linux' setpriv).
 """
 
-import ctypes
 import os
 import shutil
 import signal
@@ -19,8 +18,6 @@ from typing import Any
 import yaml
 
 STOP_TIMEOUT = 10.0  # s until a child that ignores SIGINT is killed
-PR_SET_PDEATHSIG = 1
-_libc = ctypes.CDLL(None)
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
@@ -62,6 +59,8 @@ class Suite:
 
     def start(self, name: str, command: list[str]) -> Child:
         log = self.folder / "logs" / f"{name}.log"
+        if shutil.which("setpriv"):
+            command = ["setpriv", "--pdeathsig", "INT", *command]
         with log.open("ab") as stream:
             process = subprocess.Popen(
                 command,
@@ -70,7 +69,6 @@ class Suite:
                 stderr=subprocess.STDOUT,
                 env=self.environment,
                 start_new_session=True,
-                preexec_fn=_follow_parent,
             )
         child = Child(name, process, log)
         self.children.append(child)
@@ -82,9 +80,8 @@ class Suite:
     def check(self) -> None:
         """Raises SuiteError naming the first child that ended by itself."""
         for child in self.dead():
-            raise SuiteError(
-                f"{child.name} ended with status {child.process.returncode}: {child.last_lines() or 'no output'}\n(log: {child.log})"
-            )
+            status, words = child.process.returncode, child.last_lines() or "no output"
+            raise SuiteError(f"{child.name} ended with status {status}: {words}\n(log: {child.log})")
 
     def stop(self, name: str | None = None) -> dict[str, int]:
         """End one child, or all in the order they were started; returns exit statuses."""
@@ -110,10 +107,6 @@ def _end(process: subprocess.Popen) -> int:
             process.kill()
             process.wait()
     return process.returncode
-
-
-def _follow_parent() -> None:
-    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGINT)
 
 
 def find_executable(package: str, executable: str) -> str:

@@ -7,7 +7,7 @@ from oxts_bridge.export import write_csv
 
 
 def ncom(
-    file: Path = typer.Argument(..., help="Recorded NCOM stream (.ncom).", exists=True, dir_okay=False),
+    file: Path = typer.Argument(..., help="NCOM recording.", exists=True, dir_okay=False),
     csv: Path = typer.Option(..., "--csv", help="Navigation values, one row per packet."),
     status: Path | None = typer.Option(None, "--status", help="Status fields, one row per change."),
 ) -> None:

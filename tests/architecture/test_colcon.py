@@ -1,0 +1,39 @@
+"""colcon test runs real tests in every package: a run of zero tests is a failure."""
+
+import os
+import re
+import subprocess
+
+import pytest
+from support import ROOT
+
+pytestmark = [pytest.mark.slow, pytest.mark.ros]
+pytest.importorskip("colcon_core", reason="colcon is not installed")
+
+
+@pytest.mark.parametrize("package", ["st_core", "canedge_bridge"])
+def test_colcon_test_counts(package: str, tmp_path) -> None:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
+    run = subprocess.run(
+        [
+            "colcon",
+            "--log-base",
+            str(tmp_path / "log"),
+            "test",
+            "--packages-select",
+            package,
+            "--test-result-base",
+            str(tmp_path / "results"),
+            "--return-code-on-test-failure",
+            "--event-handlers",
+            "console_direct+",
+        ],
+        cwd=ROOT / "ros2_ws",
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
+    assert run.returncode == 0, run.stdout[-3000:]
+    counts = [int(n) for n in re.findall(r"(\d+) passed", run.stdout)]
+    assert counts and counts[0] > 10, run.stdout[-2000:]
