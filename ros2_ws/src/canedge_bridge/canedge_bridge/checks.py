@@ -1,0 +1,104 @@
+"""Counters and checksums of CAN messages, for decoding and for encoding."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Mode(StrEnum):
+    """What a wrong counter or checksum does: nothing; pass on as not valid; drop, as if the frame had never come."""
+
+    OFF = "off"
+    WARN = "warn"
+    DROP = "drop"
+
+
+def xor_nibble(data: bytes, arbitration_id: int) -> int:
+    """The nibble that makes the exclusive-or of all nibbles of the frame 0; `data` with the check nibble itself at 0.
+
+    Source: 1963 recorded frames of 0x002, all of one steering angle.
+    """
+    value = 0
+    for byte in data:
+        value ^= byte
+    return (value >> 4) ^ (value & 0xF)
+
+
+def sum8_id(data: bytes, arbitration_id: int) -> int:
+    """Low byte of the sum of all bytes and of the two bytes of the identifier; `data` with the check byte itself at 0.
+
+    Source: 3247 recorded frames of 0x284 at up to 100 km/h, 2035 of 0x284 and 0x285 at rest.
+    """
+    return (sum(data) + (arbitration_id >> 8) + (arbitration_id & 0xFF)) & 0xFF
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A checksum rule: how many bits it fills, and its value for (data with those bits at 0, arbitration id)."""
+
+    bits: int
+    value: Callable[[bytes, int], int]
+
+
+RULES = {"xor_nibble": Rule(4, xor_nibble), "sum8_id": Rule(8, sum8_id)}
+
+
+@dataclass(frozen=True)
+class Field:
+    """Where an unsigned counter or checksum of at most 8 bits lies in a frame; a field never crosses a byte border.
+
+    byte: index in the payload. shift: bits to the right of the field inside that byte. bits: its width.
+    """
+
+    byte: int
+    shift: int
+    bits: int
+
+    @property
+    def mask(self) -> int:
+        return (1 << self.bits) - 1
+
+    def read(self, data: bytes) -> int:
+        return (data[self.byte] >> self.shift) & self.mask
+
+    def written(self, data: bytes, value: int) -> bytes:
+        changed = bytearray(data)
+        changed[self.byte] = changed[self.byte] & ~(self.mask << self.shift) & 0xFF | (value & self.mask) << self.shift
+        return bytes(changed)
+
+
+def checksum_of(rule: Rule, field: Field, data: bytes, arbitration_id: int) -> int:
+    return rule.value(field.written(data, 0), arbitration_id)
+
+
+class CounterCheck:
+    """Follows the counter of one message.
+
+    Every step other than +1 is a fault. A step of k > 1 also means k - 1 frames lost (modulo the counter's range);
+    a repeated value means the sender is stuck or the frame came twice. The received value becomes the new reference
+    either way, so that one lost frame costs one fault. The first frame, and the first after a gap longer than
+    `restart_after_ns`, are not judged.
+    """
+
+    def __init__(self, field: Field, restart_after_ns: int):
+        self._field = field
+        self._restart_after_ns = restart_after_ns
+        self._last: int | None = None
+        self._last_ns = 0
+        self.lost = 0
+
+    def accepts(self, data: bytes, time_ns: int) -> bool:
+        value = self._field.read(data)
+        last, last_ns = self._last, self._last_ns
+        self._last, self._last_ns = value, time_ns
+        if last is None or not 0 <= time_ns - last_ns <= self._restart_after_ns:
+            return True
+        step = (value - last) & self._field.mask
+        self.lost += max(step - 1, 0)
+        return step == 1
+
+    def pass_over(self, time_ns: int) -> None:
+        """A frame came whose content is not to be believed: count it as the next one without reading it."""
+        if self._last is not None:
+            self._last = (self._last + 1) & self._field.mask
+            self._last_ns = time_ns

@@ -1,0 +1,216 @@
+"""CAN frames to checked signals under our names in SI, and back to frames for a simulated car."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import can
+from cantools.database.can import Signal as DbcSignal
+
+from . import gps_time
+from .checks import CounterCheck, Mode, checksum_of
+from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
+from .table_reader import TableError
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """One good frame.
+
+    values: our names, SI. valid: False where a counter or checksum set to `warn` was wrong; fault says which.
+    """
+
+    message: str
+    time_ns: int
+    values: Mapping[str, float]
+    valid: bool = True
+    fault: str = ""
+
+
+@dataclass
+class MessageStatistics:
+    """What became of the frames of one message. last_seen_ns: of the last one that was not dropped; None before it."""
+
+    good: int = 0
+    wrong_length: int = 0
+    wrong_checksum: int = 0
+    wrong_counter: int = 0
+    not_finite: int = 0
+    dropped: int = 0
+    lost: int = 0
+    last_seen_ns: int | None = None
+
+
+@dataclass
+class FrameStatistics:
+    """Frames that are none of ours."""
+
+    unknown: int = 0
+    error: int = 0
+    remote: int = 0
+
+
+@dataclass
+class _Row:
+    spec: MessageSpec
+    counter: CounterCheck | None
+    statistics: MessageStatistics = field(default_factory=MessageStatistics)
+
+
+class Decoder:
+    """Decodes the messages of one signal table; see `load_table` for the files and what it refuses.
+
+    A bad frame (wrong length, counter or checksum wrong and set to drop, not finite) updates nothing, not even the time
+    the message was last seen. `decode` raises for nothing that can be on a bus.
+    """
+
+    def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = (),
+                 checks: Mapping[str, str] | None = None):
+        """checks: overrides of the table, `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
+        self.table: SignalTable = load_table(dbc_file, signals_file, needed)
+        self.modes = _modes(self.table, checks or {})
+        self.frames = FrameStatistics()
+        self._rows = {
+            spec.key: _Row(spec, CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None)
+            for spec in self.table.messages.values()
+        }
+        self._by_name = {row.spec.name: row for row in self._rows.values()}
+
+    @property
+    def keys(self) -> list[tuple[int, bool]]:
+        """(arbitration id, 29-bit?) of every message of the table: what a bus filter must let through."""
+        return list(self._rows)
+
+    def statistics(self, message: str) -> MessageStatistics:
+        return self._by_name[message].statistics
+
+    def decode(self, frame: can.Message, time_ns: int | None = None) -> Decoded | None:
+        """The signals of a frame; None for one that is not in the table or is bad.
+
+        time_ns: when the frame was received [ns since 1970]; without it, the frame's own timestamp.
+        """
+        if frame.is_error_frame:
+            self.frames.error += 1
+            return None
+        if frame.is_remote_frame:
+            self.frames.remote += 1
+            return None
+        row = self._rows.get((frame.arbitration_id, frame.is_extended_id))
+        if row is None:
+            self.frames.unknown += 1
+            return None
+        return self._decode(row, bytes(frame.data), round(frame.timestamp * 1e9) if time_ns is None else time_ns)
+
+    def _decode(self, row: _Row, data: bytes, time_ns: int) -> Decoded | None:
+        spec, statistics = row.spec, row.statistics
+        if len(data) != spec.dbc.length:
+            statistics.wrong_length += 1
+            return None
+        fault, dropped = self._check(row, data, time_ns)
+        if dropped:
+            statistics.dropped += 1
+            return None
+        physical = spec.dbc.decode(data, decode_choices=False)
+        values = {s.name: s.to_si(physical[s.dbc.name]) for s in spec.signals}
+        if not all(map(math.isfinite, values.values())):
+            statistics.not_finite += 1
+            return None
+        if "gps_time" in values:
+            values["ins_unix_time"] = gps_time.from_milli_time(values)
+        elif "gps_century" in values:
+            values["ins_unix_time"] = gps_time.from_date_time(values)
+        statistics.good += 1
+        statistics.last_seen_ns = time_ns
+        return Decoded(spec.name, time_ns, values, not fault, fault)
+
+    def _check(self, row: _Row, data: bytes, time_ns: int) -> tuple[str, bool]:
+        """(what is wrong, whether to drop the frame)"""
+        spec, statistics = row.spec, row.statistics
+        counter_mode, checksum_mode = self.modes[spec.name]
+        if spec.checksum is not None and checksum_mode is not Mode.OFF:
+            found = spec.checksum.field.read(data)
+            expected = checksum_of(spec.checksum.rule, spec.checksum.field, data, spec.dbc.frame_id)
+            if found != expected:
+                statistics.wrong_checksum += 1
+                if row.counter is not None:
+                    row.counter.pass_over(time_ns)
+                return f"{spec.checksum.signal} is {found:#x}, {expected:#x} expected", checksum_mode is Mode.DROP
+        if row.counter is not None and counter_mode is not Mode.OFF:
+            right = row.counter.accepts(data, time_ns)
+            statistics.lost = row.counter.lost
+            if not right:
+                statistics.wrong_counter += 1
+                return f"{spec.counter.signal} did not rise by 1", counter_mode is Mode.DROP
+        return "", False
+
+    def encode(self, message: str, values: Mapping[str, float], counter: int = 0) -> can.Message:
+        """A frame with counter and checksum filled in.
+
+        message: any message of the DBC. values: our names in SI, or DBC signals in their own unit; `ins_unix_time`
+        fills a time frame. Signals not given take the table's `fill`, else raw 0. A value beyond the signal's range is
+        sent as its end, as a sensor does; angles of the INS are wrapped into the range.
+        Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
+        """
+        dbc = self.table.database.get_message_by_name(message)
+        spec = self.table.messages.get(message)
+        raw = dict.fromkeys((s.name for s in dbc.signals), 0)
+        given = dict(values)
+        if spec is not None:
+            raw.update(spec.fill)
+            if "ins_unix_time" in given and "ins_unix_time" in spec.gives:
+                names = {s.name for s in spec.signals}
+                to_parts = gps_time.to_milli_time if "gps_time" in names else gps_time.to_date_time
+                given.update(to_parts(given.pop("ins_unix_time")))
+        ours = {s.name: s for s in spec.signals} if spec is not None else {}
+        by_name = {s.name: s for s in dbc.signals}
+        for name, value in given.items():
+            if not math.isfinite(value):
+                raise ValueError(f"{message}.{name}: {value} cannot be sent")
+            if name in ours:
+                raw[ours[name].dbc.name] = _raw_of(ours[name], value)
+            elif name in by_name:
+                raw[name] = _to_raw(by_name[name], value)
+            else:
+                raise KeyError(f"{message} has no signal {name}")
+        if spec is not None and spec.counter is not None:
+            raw[spec.counter.signal] = counter & spec.counter.field.mask
+        data = dbc.encode(raw, scaling=False, strict=False)
+        if spec is not None and spec.checksum is not None:
+            check = spec.checksum
+            data = check.field.written(data, checksum_of(check.rule, check.field, data, dbc.frame_id))
+        return can.Message(arbitration_id=dbc.frame_id, is_extended_id=dbc.is_extended_frame, data=data)
+
+
+def _raw_of(spec: SignalSpec, si: float) -> float:
+    physical = spec.to_physical(si)
+    if spec.name in ANGLES and spec.dbc.minimum is not None:
+        turn = 2 * math.pi / abs(spec.gain)
+        step = abs(spec.dbc.scale)
+        # Rounded first: 359.996 deg is sent as 0, not as 360.00, which the unit never sends.
+        physical = spec.dbc.minimum + (round(physical / step) * step - spec.dbc.minimum + step / 4) % turn - step / 4
+    return _to_raw(spec.dbc, physical)
+
+
+def _to_raw(signal: DbcSignal, physical: float) -> float:
+    if signal.is_float:
+        return (physical - signal.offset) / signal.scale
+    low = -(2 ** (signal.length - 1)) if signal.is_signed else 0
+    high = low + 2**signal.length - 1
+    return min(max(round((physical - signal.offset) / signal.scale), low), high)
+
+
+def _modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[Mode, Mode]]:
+    """Per message: (counter, checksum). Raises TableError for an override of something that is not there."""
+    modes = {m.name: {"counter": m.counter.mode if m.counter else Mode.OFF,
+                      "checksum": m.checksum.mode if m.checksum else Mode.OFF} for m in table.messages.values()}
+    for key, text in overrides.items():
+        message, _, kind = key.partition(".")
+        if message not in modes or kind not in ("", "counter", "checksum"):
+            raise TableError(f"check {key}: MESSAGE, MESSAGE.counter or MESSAGE.checksum wanted; messages are "
+                             f"{', '.join(modes)}")
+        if text not in list(Mode):
+            raise TableError(f"check {key}: {text!r} is not one of {', '.join(Mode)}")
+        for name in [kind] if kind else ["counter", "checksum"]:
+            modes[message][name] = Mode(text)
+    return {message: (m["counter"], m["checksum"]) for message, m in modes.items()}

@@ -1,0 +1,142 @@
+"""A CAN bus for simulations: python-can's `udp_multicast` wire format, confined to the loopback interface."""
+
+import select
+import socket
+import struct
+from typing import Any
+
+import can
+import msgpack
+from can.interfaces.udp_multicast.utils import pack_message
+
+DEFAULT_PORT = 43113  # python-can's
+_LOOPBACK = socket.inet_aton("127.0.0.1")
+_SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
+_IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
+_TIMESPEC = struct.Struct("@ll")
+_LARGEST_DATAGRAM = 4096
+_RECEIVE_BUFFER = 1 << 20
+
+
+class LoopbackMulticastBus(can.BusABC):
+    """Processes of this machine on one multicast group form a bus; nothing leaves the machine.
+
+    A class of its own because python-can's joins the group on whatever interface the routing table names, takes
+    datagrams of every group that shares the port, hands senders their own frames, and builds a message object before
+    looking at the filter. Datagrams are the same, so a python-can program whose multicast goes through loopback can
+    take part.
+    """
+
+    def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):
+        """channel: IPv4 "group" or "group:port"; ValueError for anything else, OSError if it cannot be opened."""
+        group, port = parse_channel(channel)
+        self.channel_info = f"udp_multicast {group}:{port} on loopback"
+        self._destination = (group, port)
+        self._accepted: frozenset[tuple[int, bool]] | None = None
+        self.filtered = 0
+        self.malformed = 0
+        self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        # A separate socket for sending has a port of its own, by which own frames are told from others.
+        self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._set_up(group, port)
+        except OSError:
+            self._receiver.close()
+            self._sender.close()
+            raise
+        self._own_port = self._sender.getsockname()[1]
+        self._can_protocol = can.CanProtocol.CAN_FD
+        super().__init__(channel=channel, can_filters=can_filters, **kwargs)
+
+    def _set_up(self, group: str, port: int) -> None:
+        receiver, sender = self._receiver, self._sender
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        receiver.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        receiver.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+        # Bound to the group, not to all addresses: unicast from outside cannot reach it either.
+        receiver.bind((group, port))
+        receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + _LOOPBACK)
+        receiver.setblocking(False)
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, _LOOPBACK)
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+        sender.bind(("127.0.0.1", 0))
+
+    def _apply_filters(self, filters: Any) -> None:
+        """Exact identifiers are looked up in a set; any other mask is left to python-can's own matching."""
+        self._accepted = None
+        if filters and all(f["can_mask"] in (0x7FF, 0x1FFFFFFF) for f in filters):
+            self._accepted = frozenset((f["can_id"], bool(f.get("extended", False))) for f in filters)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        # Reading first saves the select() of every frame of a burst.
+        datagram = self._read()
+        if datagram is None:
+            ready, _, _ = select.select([self._receiver], [], [], timeout)
+            datagram = self._read() if ready else None
+        if datagram is None:
+            return None, False
+        data, timestamp = datagram
+        if data is None:
+            return None, True
+        message = self._unpack(data, timestamp)
+        return message, self._accepted is not None
+
+    def _read(self) -> tuple[bytes | None, float] | None:
+        """(datagram, kernel receive time); (None, 0) for one's own; None when nothing waits."""
+        try:
+            data, ancillary, _, address = self._receiver.recvmsg(_LARGEST_DATAGRAM, socket.CMSG_SPACE(_TIMESPEC.size))
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise can.CanOperationError(f"receive: {error.strerror}", error.errno) from error
+        if address[1] == self._own_port:
+            return None, 0.0
+        seconds, nanoseconds = _TIMESPEC.unpack(ancillary[0][2])
+        return data, seconds + nanoseconds * 1e-9
+
+    def _unpack(self, data: bytes, timestamp: float) -> can.Message | None:
+        """None for a frame that the filter holds back or that is not one; anybody can send anything to a group."""
+        try:
+            fields = msgpack.unpackb(data, raw=False)
+            if (self._accepted is not None and not fields["is_error_frame"]
+                    and (fields["arbitration_id"], fields["is_extended_id"]) not in self._accepted):
+                self.filtered += 1
+                return None
+            fields["timestamp"] = timestamp
+            fields["channel"] = self._destination[0]
+            return can.Message(check=True, **fields)
+        except Exception:  # msgpack and Message raise a dozen types for malformed input; all mean the same here.
+            self.malformed += 1
+            return None
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        try:
+            self._sender.sendto(pack_message(msg), self._destination)
+        except OSError as error:
+            raise can.CanOperationError(f"send: {error.strerror}", error.errno) from error
+
+    def fileno(self) -> int:
+        return self._receiver.fileno()
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self._receiver.close()
+        self._sender.close()
+
+
+def parse_channel(channel: str) -> tuple[str, int]:
+    """("239.74.163.2", 43113) from "239.74.163.2" or "239.74.163.2:43113". Raises ValueError naming the limit."""
+    group, _, port_text = channel.partition(":")
+    try:
+        multicast = 224 <= socket.inet_aton(group)[0] <= 239 and group.count(".") == 3
+    except OSError:
+        multicast = False
+    if not multicast:
+        raise ValueError(f"{channel!r} is not an IPv4 multicast group (224.0.0.0 to 239.255.255.255, :port may follow)")
+    port = DEFAULT_PORT if not port_text else int(port_text) if port_text.isdigit() else 0
+    if not 1 <= port <= 65535:
+        raise ValueError(f"{channel!r}: the port is outside 1 to 65535")
+    return group, port

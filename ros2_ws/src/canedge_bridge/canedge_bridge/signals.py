@@ -1,0 +1,291 @@
+"""The table that maps DBC signals to our names, sign and SI unit, read from YAML and checked against the DBC."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cantools
+import yaml
+from cantools.database.can import Message as DbcMessage
+from cantools.database.can import Signal as DbcSignal
+
+from . import gps_time
+from .checks import RULES, Field, Mode, Rule
+from .table_reader import Entry, TableError
+
+# Our signal names and their SI unit. Angles named in ANGLES are wrapped to [-pi, pi).
+OUR_SIGNALS = {
+    "steering_wheel_angle": "rad",
+    "wheel_speed_front_left": "m/s", "wheel_speed_front_right": "m/s",
+    "wheel_speed_rear_left": "m/s", "wheel_speed_rear_right": "m/s", "vehicle_speed": "m/s",
+    "ins_velocity_x": "m/s", "ins_velocity_y": "m/s", "ins_yaw": "rad", "ins_yaw_rate": "rad/s", "ins_unix_time": "s",
+    "gps_year_of_century": "", "gps_century": "", "gps_month": "", "gps_day": "",
+    "gps_hour": "h", "gps_minute": "min", "gps_second": "s", "gps_second_fraction": "s",
+    "gps_time": "s", "gps_utc_offset": "s",
+}
+ANGLES = frozenset({"ins_yaw"})
+
+# DBC unit -> (our unit, factor).
+UNITS = {
+    "": ("", 1.0), "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "deg/s": ("rad/s", math.pi / 180),
+    "rad/s": ("rad/s", 1.0), "km/h": ("m/s", 1 / 3.6), "m/s": ("m/s", 1.0), "s": ("s", 1.0), "ms": ("s", 1e-3),
+    "min": ("min", 1.0), "h": ("h", 1.0),
+}
+
+
+@dataclass(frozen=True)
+class SignalSpec:
+    """One DBC signal and what we make of it: si = gain * physical + bias, physical in the DBC's unit.
+
+    minimum, maximum: what is physically possible; max_rate: how fast it can change [per s]. All three are for ours in
+    the DBC's unit: sign * scale * physical + offset.
+    """
+
+    dbc: DbcSignal
+    name: str
+    unit: str
+    gain: float
+    bias: float
+    factor: float
+    minimum: float
+    maximum: float
+    max_rate: float
+
+    def to_si(self, physical: float) -> float:
+        value = self.gain * physical + self.bias
+        return wrap(value) if self.name in ANGLES else value
+
+    def to_physical(self, si: float) -> float:
+        return (si - self.bias) / self.gain
+
+
+def wrap(angle: float) -> float:
+    """To [-pi, pi)."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+@dataclass(frozen=True)
+class CheckSpec:
+    signal: str
+    field: Field
+    mode: Mode
+    rule: Rule | None
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A recorded frame and what one signal must decode to, in the unit of the DBC, whatever the sign."""
+
+    data: bytes
+    signal: str
+    value: float
+
+
+@dataclass(frozen=True)
+class MessageSpec:
+    """One row of the table. period, timeout in seconds; fill: raw values of undecoded signals for frames made here."""
+
+    dbc: DbcMessage
+    needed: bool
+    period: float
+    timeout: float
+    signals: tuple[SignalSpec, ...]
+    counter: CheckSpec | None
+    checksum: CheckSpec | None
+    fill: Mapping[str, int]
+    samples: tuple[Sample, ...]
+
+    @property
+    def name(self) -> str:
+        return self.dbc.name
+
+    @property
+    def key(self) -> tuple[int, bool]:
+        """(arbitration id, 29-bit?)"""
+        return self.dbc.frame_id, self.dbc.is_extended_frame
+
+    @property
+    def gives(self) -> frozenset[str]:
+        """Our names in a decoded frame."""
+        names = frozenset(s.name for s in self.signals)
+        return names | {"ins_unix_time"} if any(n.startswith("gps_") for n in names) else names
+
+
+@dataclass(frozen=True)
+class SignalTable:
+    """messages: rows whose message the DBC has. absent: rows, not needed, that the DBC does not have."""
+
+    dbc_file: Path
+    signals_file: Path
+    database: Any
+    messages: Mapping[str, MessageSpec]
+    absent: tuple[str, ...] = field(default=())
+
+    @property
+    def needed(self) -> tuple[MessageSpec, ...]:
+        return tuple(m for m in self.messages.values() if m.needed)
+
+    def source_of(self, name: str) -> tuple[MessageSpec, SignalSpec] | None:
+        """The message and signal that give one of our names; a needed message first."""
+        rows = sorted(self.messages.values(), key=lambda m: not m.needed)
+        return next(((m, s) for m in rows for s in m.signals if s.name == name), None)
+
+
+def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = ()) -> SignalTable:
+    """Read both files and check one against the other.
+
+    needed: message names that replace the table's own `needed` (for a bus that carries only some of the messages).
+    Raises TableError, one line naming file, key and limit: unreadable file, misspelt key, unit other than the DBC's, a
+    needed message or signal that the DBC lacks, a layout that cannot hold what the signal is, a sample that decodes to
+    something else.
+    """
+    dbc_path, table_path = Path(dbc_file), Path(signals_file)
+    database = load_dbc(dbc_path)
+    root = _read_yaml(table_path)
+    root.only("messages")
+    rows = root.entry("messages")
+    wanted = tuple(needed)
+    for name in wanted:
+        if name not in rows:
+            raise TableError(f"{table_path}: needed message {name} is not in the table; it has {', '.join(rows)}")
+    known = {m.name: m for m in database.messages}
+    messages, absent = {}, []
+    for name in rows:
+        row = rows.entry(name)
+        is_needed = name in wanted if wanted else row.boolean("needed")
+        if name in known:
+            messages[name] = replace(_message(row, known[name], dbc_path), needed=is_needed)
+        elif is_needed:
+            raise TableError(f"{dbc_path}: has no message {name}, which {table_path} marks as needed")
+        else:
+            absent.append(name)
+    return SignalTable(dbc_path, table_path, database, messages, tuple(absent))
+
+
+def load_dbc(path: Path) -> Any:
+    """Raises TableError for a file that cantools, in strict mode, does not take."""
+    try:
+        return cantools.database.load_file(path, strict=True)
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read: {error.strerror}") from None
+    except Exception as error:  # cantools lets errors of its parsers through; all of them mean the same to the user.
+        raise TableError(f"{path}: is not a valid DBC: {' '.join(str(error).split())}") from None
+
+
+def _read_yaml(path: Path) -> Entry:
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
+    return Entry(str(path), "", document)
+
+
+def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
+    row.only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
+    if dbc.is_multiplexed() or dbc.is_container:
+        raise TableError(f"{dbc_path}: {dbc.name} is multiplexed or a container; the table takes plain messages only")
+    rows = row.entry("signals")
+    signals = tuple(_signal(rows.entry(name), _find(dbc, name, dbc_path, row), dbc_path) for name in rows)
+    _check_time_parts(rows, signals)
+    counter = row.optional("counter")
+    checksum = row.optional("checksum")
+    fill = row.optional("fill")
+    return MessageSpec(
+        dbc=dbc, needed=row.boolean("needed"), signals=signals,
+        period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
+        counter=_check(counter, dbc, dbc_path, row) if counter else None,
+        checksum=_check(checksum, dbc, dbc_path, row, with_rule=True) if checksum else None,
+        fill={name: fill.integer(name, 0, 2 ** _find(dbc, name, dbc_path, row).length - 1) for name in fill or ()},
+        samples=tuple(_sample(s, dbc, signals, dbc_path) for s in row.entries("samples")),
+    )
+
+
+def _find(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
+    for signal in dbc.signals:
+        if signal.name == name:
+            return signal
+    raise TableError(f"{dbc_path}: {dbc.name} has no signal {name}, which {row.origin} asks for; "
+                     f"it has {', '.join(s.name for s in dbc.signals)}")
+
+
+def _signal(entry: Entry, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
+    entry.only("name", "unit", "sign", "scale", "offset", "range", "max_rate")
+    name = entry.choice("name", OUR_SIGNALS)
+    unit = entry.choice("unit", UNITS)
+    if unit != (dbc.unit or ""):
+        raise TableError(f"{entry.origin}: {entry.path}.unit: {unit!r}, but {dbc_path} gives {dbc.unit or ''!r}")
+    si_unit, factor = UNITS[unit]
+    if si_unit != OUR_SIGNALS[name]:
+        raise TableError(f"{entry.origin}: {entry.path}.unit: {unit!r} cannot become {OUR_SIGNALS[name]!r} ({name})")
+    sign = entry.choice("sign", (1, -1))
+    scale = entry.number("scale", 0.01, 100.0, default=1.0)
+    offset = entry.number("offset", -1e6, 1e6, default=0.0)
+    low, high = entry.interval("range", default=(-math.inf, math.inf))
+    spec = SignalSpec(dbc=dbc, name=name, unit=unit, gain=sign * scale * factor, bias=offset * factor, factor=factor,
+                      minimum=low, maximum=high, max_rate=entry.number("max_rate", 0.0, 1e9, default=math.inf))
+    _check_span(spec, entry, dbc_path)
+    return spec
+
+
+def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
+    """A signal that is given a range must reach both sides of it: an unsigned layout of a wheel cannot turn right."""
+    if not math.isfinite(spec.maximum) or spec.dbc.is_float:
+        return
+    raw_low = -(2 ** (spec.dbc.length - 1)) if spec.dbc.is_signed else 0
+    raw_high = raw_low + 2**spec.dbc.length - 1
+    ends = [(spec.gain * spec.dbc.conversion.raw_to_scaled(raw, decode_choices=False) + spec.bias) / spec.factor
+            for raw in (raw_low, raw_high)]
+    # Half of the range: some sensors stop short of what is physically possible, none stops at straight ahead.
+    if min(ends) > spec.minimum / 2 or max(ends) < spec.maximum / 2:
+        order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
+        raise TableError(
+            f"{dbc_path}: {spec.dbc.name} can only decode to {min(ends):g} .. {max(ends):g} {spec.unit}, but "
+            f"{entry.origin} ({entry.path}.range) expects {spec.minimum:g} .. {spec.maximum:g}: its layout "
+            f"({spec.dbc.length} bits, {order}, {'signed' if spec.dbc.is_signed else 'unsigned'}, "
+            f"factor {spec.dbc.scale:g}) makes nonsense of it")
+
+
+def _check_time_parts(rows: Entry, signals: tuple[SignalSpec, ...]) -> None:
+    parts = {s.name for s in signals if s.name.startswith("gps_")}
+    if parts and parts not in (set(gps_time.DATE_TIME_PARTS), set(gps_time.MILLI_TIME_PARTS)):
+        raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(gps_time.MILLI_TIME_PARTS)} "
+                         f"or all of {', '.join(gps_time.DATE_TIME_PARTS)}")
+
+
+def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule: bool = False) -> CheckSpec:
+    entry.only(*(("signal", "rule", "check") if with_rule else ("signal", "check")))
+    signal = _find(dbc, entry.text("signal"), dbc_path, row)
+    rule = RULES[entry.choice("rule", RULES)] if with_rule else None
+    shift = signal.start % 8 - (signal.length - 1 if signal.byte_order == "big_endian" else 0)
+    if signal.is_signed or signal.is_float or shift < 0 or shift + signal.length > 8:
+        raise TableError(f"{dbc_path}: {signal.name} cannot be a counter or checksum: it must be unsigned, in one byte")
+    if rule is not None and rule.bits != signal.length:
+        raise TableError(f"{entry.origin}: {entry.path}.rule: is {rule.bits} bits, {signal.name} {signal.length}")
+    mode = Mode(entry.choice("check", [str(m) for m in Mode]))
+    return CheckSpec(signal.name, Field(signal.start // 8, shift, signal.length), mode, rule)
+
+
+def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> Sample:
+    """Raises TableError when the recorded frame decodes to something else than it must."""
+    entry.only("data", "signal", "value", "unit")
+    try:
+        data = bytes.fromhex(entry.text("data"))
+    except ValueError:
+        raise TableError(f"{entry.origin}: {entry.path}.data: not hexadecimal bytes") from None
+    spec = {s.dbc.name: s for s in signals}[entry.choice("signal", [s.dbc.name for s in signals])]
+    expected = entry.number("value", -1e9, 1e9)
+    entry.choice("unit", (spec.unit,))
+    shown = f"the recorded frame {data.hex(' ').upper()} of {dbc.name}"
+    if len(data) != dbc.length:
+        raise TableError(f"{entry.origin}: {entry.path}.data: {shown} has {len(data)} bytes, the DBC says {dbc.length}")
+    physical = dbc.decode(data, decode_choices=False)[spec.dbc.name]
+    value = (spec.gain * physical + spec.bias) / spec.factor
+    # The sign is left to steering_sign: which way the sensor counts is a property of the car, byte order is not.
+    if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
+        raise TableError(f"{dbc_path}: {spec.dbc.name} makes nonsense of {shown}: {value:g} {spec.unit} instead of "
+                         f"{expected:g} ({entry.origin}: {entry.path}); its byte order, start bit or factor is wrong")
+    return Sample(data, spec.dbc.name, expected)

@@ -1,0 +1,108 @@
+"""Checked access to a YAML document: every complaint is one line with file, key and limit."""
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+
+class TableError(ValueError):
+    """A DBC or signal table that cannot be used. Its text is the one line a user sees."""
+
+
+class Entry:
+    """One mapping of the document. origin: the file, as shown in errors. path: dotted key."""
+
+    def __init__(self, origin: str, path: str, value: Any):
+        self.origin = origin
+        self.path = path
+        if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+            raise TableError(f"{origin}: {path or 'the document'}: a mapping of names wanted")
+        self._value = value
+
+    def _fail(self, key: str, what: str) -> TableError:
+        return TableError(f"{self.origin}: {self._at(key)}: {what}")
+
+    def _at(self, key: str) -> str:
+        return f"{self.path}.{key}" if self.path else key
+
+    def _get(self, key: str) -> Any:
+        if key not in self._value:
+            raise self._fail(key, "missing")
+        return self._value[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._value)
+
+    def only(self, *known: str) -> None:
+        for key in self._value:
+            if key not in known:
+                raise self._fail(key, f"unknown key; known are {', '.join(known)}")
+
+    def entry(self, key: str) -> "Entry":
+        return Entry(self.origin, self._at(key), self._get(key))
+
+    def optional(self, key: str) -> "Entry | None":
+        return self.entry(key) if key in self._value else None
+
+    def entries(self, key: str) -> list["Entry"]:
+        values = self._value.get(key, [])
+        if not isinstance(values, list):
+            raise self._fail(key, "a list wanted")
+        return [Entry(self.origin, f"{self._at(key)}[{i}]", value) for i, value in enumerate(values)]
+
+    def text(self, key: str) -> str:
+        value = self._get(key)
+        if not isinstance(value, str):
+            raise self._fail(key, f"{value!r} is not text")
+        return value
+
+    def boolean(self, key: str) -> bool:
+        value = self._get(key)
+        if not isinstance(value, bool):
+            raise self._fail(key, f"{value!r} is not true or false")
+        return value
+
+    def choice(self, key: str, allowed: Iterable[Any]) -> Any:
+        value = self._get(key)
+        # YAML reads a bare `off` as false.
+        value = "off" if value is False else value
+        options = list(allowed)
+        if isinstance(value, bool) or value not in options:
+            raise self._fail(key, f"{value!r} is not one of {', '.join(str(o) or repr(o) for o in options)}")
+        return value
+
+    def number(self, key: str, minimum: float, maximum: float, default: float | None = None) -> float:
+        if key not in self._value and default is not None:
+            return default
+        return self._number(key, self._get(key), minimum, maximum)
+
+    def integer(self, key: str, minimum: int, maximum: int) -> int:
+        value = self._get(key)
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise self._fail(key, f"{value!r} is not a whole number")
+        return int(self._number(key, value, minimum, maximum))
+
+    def quantity(self, key: str, unit: str, minimum: float, maximum: float) -> float:
+        """`key: {value: 1.0, unit: s}`"""
+        entry = self.entry(key)
+        entry.only("value", "unit")
+        entry.choice("unit", (unit,))
+        return entry.number("value", minimum, maximum)
+
+    def interval(self, key: str, default: tuple[float, float]) -> tuple[float, float]:
+        if key not in self._value:
+            return default
+        value = self._value[key]
+        if not isinstance(value, list) or len(value) != 2:
+            raise self._fail(key, "[minimum, maximum] wanted")
+        low, high = (self._number(key, v, -math.inf, math.inf) for v in value)
+        if not low < high:
+            raise self._fail(key, f"{low:g} is not below {high:g}")
+        return low, high
+
+    def _number(self, key: str, value: Any, minimum: float, maximum: float) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise self._fail(key, f"{value!r} is not a number")
+        if not minimum <= value <= maximum:
+            raise self._fail(key, f"{value:g} is outside {minimum:g} to {maximum:g}")
+        return float(value)
