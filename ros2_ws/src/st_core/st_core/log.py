@@ -1,0 +1,117 @@
+"""One recorded drive, ready for evaluation and identification: INS and steering on one clock, SI, no gaps filled."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from .errors import StCoreError
+from .vehicle import VehicleParameters
+
+INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
+OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
+
+
+@dataclass(frozen=True, eq=False)
+class DriveLog:
+    """Measurements of one drive, each on its own time base. Arrays are read-only.
+
+    ins_time_ns, steering_time_ns: int64 UTC nanoseconds since the Unix epoch, both on the INS clock, strictly rising.
+    A gap in the measurement is a step in time; nothing is interpolated and nothing is NaN.
+
+    x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].
+    velocity_x, velocity_y: body axes, forward and left, at the INS point [m/s]. yaw_rate: left turn + [rad/s].
+    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]; None if not there.
+
+    road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as the sensor says, left +, offset not
+    removed [rad]; None where the source holds only the road wheel angle.
+
+    Raises StCoreError, naming the log and the signal, when an array breaks these rules.
+    """
+
+    name: str
+    ins_time_ns: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    yaw: np.ndarray
+    velocity_x: np.ndarray
+    velocity_y: np.ndarray
+    yaw_rate: np.ndarray
+    steering_time_ns: np.ndarray
+    road_wheel_angle: np.ndarray
+    steering_wheel_angle: np.ndarray | None = None
+    acceleration_x: np.ndarray | None = None
+    acceleration_y: np.ndarray | None = None
+
+    def __post_init__(self):
+        for base, signals in (
+            ("ins_time_ns", (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)),
+            ("steering_time_ns", ("road_wheel_angle", "steering_wheel_angle")),
+        ):
+            time = np.asarray(getattr(self, base))
+            if time.ndim != 1 or time.dtype.kind != "i":
+                raise StCoreError(f"{self.name}: {base} must be a row of whole nanoseconds")
+            if len(time) > 1 and not (np.diff(time) > 0).all():
+                raise StCoreError(f"{self.name}: {base} does not rise strictly")
+            self._keep(base, time, np.int64)
+            for signal in signals:
+                value = getattr(self, signal)
+                if value is None and signal in (*OPTIONAL_INS_SIGNALS, "steering_wheel_angle"):
+                    continue
+                value = np.asarray(value, dtype=float)
+                if value.shape != time.shape:
+                    raise StCoreError(f"{self.name}: {signal} has {value.size} values, {base} has {len(time)}")
+                if not np.isfinite(value).all():
+                    raise StCoreError(f"{self.name}: {signal} holds values that are not finite")
+                self._keep(signal, value, float)
+
+    def _keep(self, field: str, value: np.ndarray, dtype: type) -> None:
+        view = np.ascontiguousarray(value, dtype=dtype).view()
+        view.flags.writeable = False
+        object.__setattr__(self, field, view)
+
+    @property
+    def start_ns(self) -> int:
+        """First measurement [ns]; 0 for an empty log."""
+        return min((int(t[0]) for t in (self.ins_time_ns, self.steering_time_ns) if len(t)), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Last measurement [ns]; 0 for an empty log."""
+        return max((int(t[-1]) for t in (self.ins_time_ns, self.steering_time_ns) if len(t)), default=0)
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last INS measurement [s]; 0 with fewer than two."""
+        return (int(self.ins_time_ns[-1]) - int(self.ins_time_ns[0])) * 1e-9 if len(self.ins_time_ns) else 0.0
+
+    @property
+    def overlap(self) -> float:
+        """For how long both INS and steering were measured [s]; 0 when never."""
+        if not len(self.ins_time_ns) or not len(self.steering_time_ns):
+            return 0.0
+        start = max(int(self.ins_time_ns[0]), int(self.steering_time_ns[0]))
+        end = min(int(self.ins_time_ns[-1]), int(self.steering_time_ns[-1]))
+        return max(end - start, 0) * 1e-9
+
+    def slice(self, start_ns: int, end_ns: int, name: str | None = None) -> "DriveLog":
+        """The measurements with start_ns <= time <= end_ns, of both time bases."""
+        span = (start_ns, end_ns + 1)
+        ins, steering = (slice(*np.searchsorted(t, span).tolist()) for t in (self.ins_time_ns, self.steering_time_ns))
+        parts = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                parts[field.name] = value[steering if "steering" in field.name or "wheel" in field.name else ins]
+        return replace(self, name=name or self.name, **parts)
+
+    def with_steering(self, vehicle: VehicleParameters) -> "DriveLog":
+        """The same drive with the road wheel angle of another steering calibration.
+
+            road_wheel_angle = (steering_wheel_angle - steering_wheel_offset) / steering_ratio      [rad, left +]
+
+        Raises StCoreError for a log without steering_wheel_angle.
+        """
+        if self.steering_wheel_angle is None:
+            raise StCoreError(f"{self.name}: no steering wheel angle to recompute the road wheel angle from")
+        angle = (self.steering_wheel_angle - vehicle.steering_wheel_offset) / vehicle.steering_ratio
+        return replace(self, road_wheel_angle=angle)
