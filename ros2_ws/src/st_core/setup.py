@@ -16,6 +16,7 @@ setup(
     zip_safe=False,
     maintainer='The single-track authors',
     maintainer_email='single-track@example.org',
-    description='Single-track vehicle models, prediction and evaluation. Pure Python: no ROS, no clock, no files in the equations.',
+    description='Single-track vehicle models, prediction and evaluation. '
+                'Pure Python: no ROS, no clock, no files in the equations.',
     license='Apache-2.0',
 )

@@ -1,0 +1,78 @@
+"""What was measured lately: INS and steering on one time axis, with the filtered forward acceleration."""
+
+import math
+
+import numpy as np
+
+from .filtering import NANOSECOND, advance
+from .timeseries import TimeSeries
+from .types import ControlInput, InputSequence, InsSample
+
+INS_COLUMNS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "filtered_velocity_x", "velocity_x_dot")
+YAW, VELOCITY_X, FILTERED, DERIVATIVE = 2, 3, 6, 7
+
+
+class MeasurementHistory:
+    """Time-ordered INS and steering samples of the last `span` seconds.
+
+    Samples that come out of order are put in their place; late ones (over half a second), repeated ones and those with a
+    NaN are refused and counted (`ins.counters`, `steering.counters`). Whatever the order of arrival within half a
+    second, the content is the same, the filtered acceleration included. When the INS time jumps back (a replay that
+    starts over) both signals begin anew; `generation` counts that. Between samples further apart than maximum_gap
+    nothing is known.
+
+    span, maximum_gap [s]; filter_cutoff [Hz], see filtering.py for the definition and delay of velocity_x_dot.
+    """
+
+    def __init__(self, span: float, maximum_gap: float, filter_cutoff: float):
+        self._cutoff = filter_cutoff
+        self.ins = TimeSeries(INS_COLUMNS, span, maximum_gap, angles=("yaw",))
+        self.steering = TimeSeries(("road_wheel_angle",), span, maximum_gap)
+        self.generation = 0
+
+    def add_ins(self, sample: InsSample) -> bool:
+        """Take an INS sample (INS point, see InsSample). False if it was refused."""
+        position, jumped = self.ins.add(sample.time_ns, sample[1:])
+        if jumped:
+            self.steering.clear()
+            self.generation += 1
+        if position is None:
+            return False
+        self._filter_from(position)
+        return True
+
+    def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
+        """Take a road wheel angle [rad], left +, measured at time_ns. False if it was refused."""
+        position, _ = self.steering.add(time_ns, (road_wheel_angle,))
+        return position is not None
+
+    def _filter_from(self, position: int) -> None:
+        # One pass in the usual case of the newest sample; a late one changes all after it.
+        times, rows = self.ins.times, self.ins.rows
+        if position == 0:
+            rows[0, FILTERED], rows[0, DERIVATIVE] = rows[0, VELOCITY_X], math.nan
+            position = 1
+        for i in range(position, len(times)):
+            spacing_ns = int(times[i] - times[i - 1])
+            now = float(rows[i, VELOCITY_X])
+            if spacing_ns > self.ins.maximum_gap_ns:
+                rows[i, FILTERED], rows[i, DERIVATIVE] = now, math.nan
+            else:
+                filtered, before = float(rows[i - 1, FILTERED]), float(rows[i - 1, VELOCITY_X])
+                rows[i, FILTERED], rows[i, DERIVATIVE] = advance(filtered, before, now, spacing_ns * NANOSECOND, self._cutoff)
+
+    def ins_at(self, time_ns: int) -> InsSample | None:
+        """The INS sample at an instant, interpolated; None where not known."""
+        row = self.ins.at(time_ns)
+        return None if row is None else InsSample(time_ns, *row[:6])
+
+    def inputs_at(self, time_ns: int) -> ControlInput | None:
+        """Both inputs at an instant, interpolated; None where one is not known."""
+        ins, steering = self.ins.at(time_ns), self.steering.at(time_ns)
+        if ins is None or steering is None or math.isnan(ins[DERIVATIVE]):
+            return None
+        return ControlInput(steering[0], ins[DERIVATIVE])
+
+    def inputs_over(self, times_ns: np.ndarray) -> InputSequence:
+        """Measured inputs at the given instants [ns]; NaN where not known."""
+        return InputSequence(self.steering.sample(times_ns)[:, 0], self.ins.sample(times_ns)[:, DERIVATIVE])

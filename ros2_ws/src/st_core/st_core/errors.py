@@ -1,0 +1,9 @@
+"""The exceptions of st_core; everything it raises on purpose is one of these."""
+
+
+class StCoreError(ValueError):
+    """Base of all errors raised by st_core."""
+
+
+class ConfigurationError(StCoreError):
+    """A vehicle file or setting that makes a start impossible. Its text is one line for the user."""

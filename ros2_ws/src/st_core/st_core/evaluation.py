@@ -1,0 +1,245 @@
+"""Predictions against what was then measured: error along, across and in yaw over the horizon, and their statistics."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from . import frames
+from .alignment import DERIVATIVE, YAW, MeasurementHistory
+from .filtering import NANOSECOND
+from .prediction import PredictionSettings, predict
+from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
+from .vehicle import VehicleParameters
+
+Mode = Literal["forecast", "hindsight"]
+
+
+@dataclass(frozen=True)
+class Score:
+    """Error of one prediction of one model, predicted minus measured, at the INS point.
+
+    mode: forecast = the trajectory as issued, inputs held; hindsight = re-simulated from the same start with the
+    measured inputs (the paper's protocol). start_ns: measured_at of the start [ns]. horizon: [s] after it, 0 first.
+    longitudinal [m]: + predicted ahead, lateral [m]: + predicted to the left, both along the measured heading at each
+    point; yaw [rad] in [-pi, pi): + predicted further to the left. NaN where not scored.
+    *_mean: mean over all points of the horizon, the start included; NaN unless complete.
+    """
+
+    model: str
+    mode: Mode
+    start_ns: int
+    complete: bool
+    incomplete_reason: str
+    horizon: np.ndarray
+    longitudinal: np.ndarray
+    lateral: np.ndarray
+    yaw: np.ndarray
+    longitudinal_mean: float
+    lateral_mean: float
+    yaw_mean: float
+
+
+def position_errors(trajectory: Trajectory, x, y, yaw, cg_to_ins_x: float, cg_to_ins_y: float = 0.0):
+    """Errors (longitudinal [m], lateral [m], yaw [rad]) of each point against the measured INS point x, y [m], yaw [rad].
+
+        (e_lon, e_lat) = R(-yaw_measured) (p_predicted - p_measured),  p at the INS point
+
+    Source: paper, section on the comparison. NaN where the measurement is NaN.
+    """
+    t = trajectory
+    predicted_x, predicted_y = frames.cg_to_ins_position(t.x, t.y, t.yaw, cg_to_ins_x, cg_to_ins_y)
+    longitudinal, lateral = frames.map_to_body(predicted_x - x, predicted_y - y, yaw)
+    return longitudinal, lateral, frames.wrap_angle(t.yaw - yaw)
+
+
+def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Sequence[np.ndarray],
+               reason: str = "") -> Score:
+    """A score from the three errors; it is complete when every one of them is finite."""
+    longitudinal, lateral, yaw = errors
+    finite = bool(np.isfinite(longitudinal).all() and np.isfinite(lateral).all() and np.isfinite(yaw).all())
+    means = [float(np.mean(e)) if finite else math.nan for e in errors]
+    return Score(model, mode, start_ns, finite, "" if finite else reason or "the prediction is not finite",
+                 step * np.arange(len(longitudinal)), longitudinal, lateral, yaw, *means)
+
+
+@dataclass
+class _Pending:
+    start: VehicleState
+    model: str
+    trajectory: Trajectory
+
+
+class Evaluator:
+    """Scores every prediction once its horizon has passed in the measurements.
+
+    span [s]: how much measurement is kept; at least two horizons. Memory is bounded: by the span, and by MAXIMUM_PENDING
+    predictions waiting (the oldest then end incomplete).
+    """
+
+    # After the end of a horizon this long is waited for a signal that lags behind [s].
+    PATIENCE = 1.0
+    MAXIMUM_PENDING = 3000
+
+    def __init__(self, vehicle: VehicleParameters, settings: PredictionSettings | None = None, span: float = 30.0):
+        self.vehicle = vehicle
+        self.settings = settings or PredictionSettings()
+        span = max(span, 2.0 * self.settings.horizon + self.PATIENCE)
+        self._span_ns = round(span / NANOSECOND)
+        self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
+        self._waiting: dict[tuple[int, int, float], list[_Pending]] = {}
+        self._overtaken: list[Score] = []
+
+    @property
+    def pending(self) -> int:
+        """Predictions not scored yet."""
+        return sum(len(group) for group in self._waiting.values())
+
+    def add_ins(self, sample: InsSample) -> bool:
+        """Take an INS sample; False if it was refused. When its time jumps back, what was waiting ends incomplete."""
+        generation = self.history.generation
+        accepted = self.history.add_ins(sample)
+        if self.history.generation != generation:
+            self._give_up(list(self._waiting), "the measurement's time jumped back")
+        return accepted
+
+    def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
+        """Take a road wheel angle [rad], left +; False if it was refused."""
+        return self.history.add_steering(time_ns, road_wheel_angle)
+
+    def add_prediction(self, model: str, start_ns: int, start: VehicleState, inputs: ControlInput,
+                       trajectory: Trajectory) -> None:
+        """Take an issued prediction: start state (CG), held inputs and trajectory."""
+        del inputs  # the forecast is scored as issued; hindsight takes the measured ones
+        key = (start_ns, len(trajectory.states) - 1, trajectory.step)
+        self._waiting.setdefault(key, []).append(_Pending(start, model, trajectory))
+        if self.pending > self.MAXIMUM_PENDING:
+            self._give_up([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions waiting")
+
+    def poll(self, newest_ns: int | None = None) -> list[Score]:
+        """Scores of all predictions whose horizon has passed in both signals.
+
+        newest_ns: the present on the clock of the stamps; a prediction whose horizon ended PATIENCE before it is scored
+        with what there is. None: the newest measurement is taken for the present.
+        """
+        scores, self._overtaken = self._overtaken, []
+        newest = [s.newest for s in (self.history.ins, self.history.steering)]
+        present = max([n for n in (newest_ns, *newest) if n is not None], default=None)
+        if present is None:
+            return scores
+        both = min(n if n is not None else -(2**62) for n in newest)
+        for key in sorted(self._waiting):
+            end = _end_ns(key)
+            if end <= both or end + round(self.PATIENCE / NANOSECOND) <= present:
+                scores += self._score(key, self._waiting.pop(key))
+        return scores
+
+    def flush(self) -> list[Score]:
+        """Scores of everything still waiting: the end of the data. Horizons that reach beyond it are incomplete."""
+        scores, self._overtaken = self._overtaken, []
+        for key in sorted(self._waiting):
+            scores += self._score(key, self._waiting[key])
+        self._waiting.clear()
+        return scores
+
+    def _give_up(self, keys: Sequence[tuple[int, int, float]], reason: str) -> None:
+        for key in keys:
+            start_ns, steps, step = key
+            nothing = [np.full(steps + 1, math.nan)] * 3
+            for pending in self._waiting.pop(key):
+                for mode in ("forecast", "hindsight"):
+                    self._overtaken.append(make_score(pending.model, mode, start_ns, step, nothing, reason))
+        # Nobody may ask for them: the scores wait for `poll`, bounded like the predictions they came from.
+        del self._overtaken[:-2 * self.MAXIMUM_PENDING]
+
+    def _score(self, key: tuple[int, int, float], group: Sequence[_Pending]) -> list[Score]:
+        start_ns, steps, step = key
+        times = start_ns + np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
+        ins = self.history.ins.sample(times)
+        angle = self.history.steering.sample(times)[:, 0]
+        measured = ins[::2, 0], ins[::2, 1], ins[::2, YAW]
+        inputs = InputSequence(angle, ins[:, DERIVATIVE])
+        no_position = self._why("INS", self.history.ins, times[::2], measured[0], start_ns)
+        no_inputs = (self._why("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
+                     or self._why("steering", self.history.steering, times, angle, start_ns))
+        scores = []
+        for pending in group:
+            again = predict(pending.model, self.vehicle, pending.start, inputs, steps * step, step)
+            issued = pending.trajectory
+            for mode, trajectory, reason in (("forecast", issued, no_position), ("hindsight", again, no_inputs)):
+                errors = position_errors(trajectory, *measured, self.vehicle.cg_to_ins_x, self.vehicle.cg_to_ins_y)
+                scores.append(make_score(pending.model, mode, start_ns, step, errors, reason))
+        return scores
+
+    @staticmethod
+    def _why(name: str, series, times: np.ndarray, values: np.ndarray, start_ns: int) -> str:
+        unknown = np.flatnonzero(~np.isfinite(values))
+        if not len(unknown):
+            return ""
+        time_ns = int(times[unknown[0]])
+        reason = series.why_unknown(time_ns) if series.at(time_ns) is None else "acceleration not known after a gap"
+        return f"{name}: {reason} at {(time_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
+
+
+def _end_ns(key: tuple[int, int, float]) -> int:
+    start_ns, steps, step = key
+    return start_ns + round(steps * step / NANOSECOND)
+
+
+@dataclass
+class Statistic:
+    """Running mean, largest magnitude and root mean square of a number. NaN before the first."""
+
+    count: int = 0
+    _sum: float = 0.0
+    _squares: float = 0.0
+    _largest: float = 0.0
+
+    def add(self, values: float | np.ndarray) -> None:
+        values = np.atleast_1d(values)
+        self.count += values.size
+        self._sum += float(values.sum())
+        self._squares += float(np.square(values).sum())
+        self._largest = max(self._largest, float(np.abs(values).max(initial=0.0)))
+
+    @property
+    def mean(self) -> float:
+        return self._sum / self.count if self.count else math.nan
+
+    @property
+    def max(self) -> float:
+        """Largest magnitude."""
+        return self._largest if self.count else math.nan
+
+    @property
+    def rmse(self) -> float:
+        return math.sqrt(self._squares / self.count) if self.count else math.nan
+
+
+@dataclass
+class ErrorStatistics:
+    """Statistics of the scores of one model and mode; incomplete scores are counted and enter nothing else.
+
+    longitudinal, lateral [m], yaw [rad]: over the horizon means, as in the paper's table.
+    *_samples: over all points of all horizons.
+    """
+
+    n_starts: int = 0
+    n_incomplete: int = 0
+    longitudinal: Statistic = field(default_factory=Statistic)
+    lateral: Statistic = field(default_factory=Statistic)
+    yaw: Statistic = field(default_factory=Statistic)
+    longitudinal_samples: Statistic = field(default_factory=Statistic)
+    lateral_samples: Statistic = field(default_factory=Statistic)
+    yaw_samples: Statistic = field(default_factory=Statistic)
+
+    def add(self, score: Score) -> None:
+        if not score.complete:
+            self.n_incomplete += 1
+            return
+        self.n_starts += 1
+        for name in ("longitudinal", "lateral", "yaw"):
+            getattr(self, name).add(getattr(score, f"{name}_mean"))
+            getattr(self, f"{name}_samples").add(getattr(score, name))

@@ -1,0 +1,97 @@
+"""Frames and lever arms: ENU and NED, body axes, INS point and centre of gravity, angle wrapping.
+
+Functions of angles and positions take floats or arrays and return the same.
+"""
+
+import math
+
+import numpy as np
+
+from .types import InsSample, VehicleState
+
+TWO_PI = 2.0 * math.pi
+
+
+def wrap_angle(angle):
+    """The same angle in [-pi, pi) [rad]; NaN stays NaN."""
+    return (angle + math.pi) % TWO_PI - math.pi
+
+
+def heading_to_yaw(heading):
+    """yaw = pi/2 - heading [rad], in [-pi, pi): from east counter-clockwise, of a heading from north clockwise."""
+    return wrap_angle(0.5 * math.pi - heading)
+
+
+def yaw_to_heading(yaw):
+    """Heading from north clockwise [rad], in [0, 2 pi), of a yaw from east counter-clockwise [rad]."""
+    return (0.5 * math.pi - yaw) % TWO_PI
+
+
+def ned_to_enu(north, east, down):
+    """(east, north, up) of a vector given as north, east, down; its own inverse with the names exchanged."""
+    return east, north, -down
+
+
+def frd_to_flu(x, y, z):
+    """Body vector forward, right, down to forward, left, up; its own inverse."""
+    return x, -y, -z
+
+
+def body_to_map(x, y, yaw):
+    """Map components of a body vector: rotation by yaw counter-clockwise."""
+    return x * np.cos(yaw) - y * np.sin(yaw), x * np.sin(yaw) + y * np.cos(yaw)
+
+
+def map_to_body(x, y, yaw):
+    """Forward and left components of a map vector: rotation by -yaw."""
+    return x * np.cos(yaw) + y * np.sin(yaw), y * np.cos(yaw) - x * np.sin(yaw)
+
+
+def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> VehicleState:
+    """State at the CG of a rigid car whose INS point was measured.
+
+        p_cg = p_ins - R(yaw) d,    v_x,cg = v_x,ins + r d_y,    v_y,cg = v_y,ins - r d_x
+
+    d = (cg_to_ins_x, cg_to_ins_y) [m] is the INS point seen from the CG, forward and left; behind the CG d_x < 0.
+    Source: paper, eq. of the sensor offset (its d points the other way). Checked by: test_frames.py.
+    """
+    cosine, sine = math.cos(sample.yaw), math.sin(sample.yaw)
+    return VehicleState(
+        x=sample.x - cosine * cg_to_ins_x + sine * cg_to_ins_y,
+        y=sample.y - sine * cg_to_ins_x - cosine * cg_to_ins_y,
+        velocity_x=sample.velocity_x + sample.yaw_rate * cg_to_ins_y,
+        velocity_y=sample.velocity_y - sample.yaw_rate * cg_to_ins_x,
+        yaw=sample.yaw,
+        yaw_rate=sample.yaw_rate,
+    )
+
+
+def cg_to_ins(state: VehicleState, time_ns: int, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> InsSample:
+    """What the INS point measures when the CG is in `state`: the inverse of `ins_to_cg`."""
+    cosine, sine = math.cos(state.yaw), math.sin(state.yaw)
+    return InsSample(
+        time_ns=time_ns,
+        x=state.x + cosine * cg_to_ins_x - sine * cg_to_ins_y,
+        y=state.y + sine * cg_to_ins_x + cosine * cg_to_ins_y,
+        yaw=state.yaw,
+        velocity_x=state.velocity_x - state.yaw_rate * cg_to_ins_y,
+        velocity_y=state.velocity_y + state.yaw_rate * cg_to_ins_x,
+        yaw_rate=state.yaw_rate,
+    )
+
+
+def cg_to_ins_position(x, y, yaw, cg_to_ins_x, cg_to_ins_y=0.0):
+    """Map position [m] of the INS point, (x, y) each like the input, for CG positions x, y [m] and yaw [rad]."""
+    forward, left = body_to_map(cg_to_ins_x, cg_to_ins_y, yaw)
+    return x + forward, y + left
+
+
+def ins_to_cg_acceleration(acceleration_x, acceleration_y, yaw_rate, yaw_acceleration, cg_to_ins_x, cg_to_ins_y=0.0):
+    """Acceleration at the CG [m/s^2], body axes, from the one at the INS point.
+
+        a_x,cg = a_x,ins + r^2 d_x + r_dot d_y,    a_y,cg = a_y,ins - r_dot d_x + r^2 d_y
+
+    d as in `ins_to_cg`; yaw_rate r [rad/s], yaw_acceleration r_dot [rad/s^2].
+    """
+    return (acceleration_x + yaw_rate * yaw_rate * cg_to_ins_x + yaw_acceleration * cg_to_ins_y,
+            acceleration_y - yaw_acceleration * cg_to_ins_x + yaw_rate * yaw_rate * cg_to_ins_y)

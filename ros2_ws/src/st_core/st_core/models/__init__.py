@@ -1,0 +1,19 @@
+"""The single-track models by name: kinematic, linear, nonlinear. One model, one file."""
+
+from ..errors import ConfigurationError
+from . import kinematic, linear_tyre, nonlinear_tyre
+from ._base import Model
+
+MODELS: dict[str, Model] = {m.name: m for m in (kinematic.MODEL, linear_tyre.MODEL, nonlinear_tyre.MODEL)}
+
+
+def get_model(model: str | Model) -> Model:
+    """The model of that name (a Model is handed back); raises ConfigurationError naming the known ones."""
+    if isinstance(model, Model):
+        return model
+    if model not in MODELS:
+        raise ConfigurationError(f"unknown model {model!r}; known are {', '.join(MODELS)}")
+    return MODELS[model]
+
+
+__all__ = ["MODELS", "Model", "get_model"]

@@ -1,0 +1,44 @@
+"""Dynamic single-track model with linear tyres: F_y = -C alpha per axle. Source: paper, dynamic model.
+
+The slip angles are exact (arc tangent, full steering geometry); only the tyre is linear.
+"""
+
+from typing import NamedTuple
+
+from ..ops import cos, sin
+from ..tyres import linear_force
+from ..vehicle import VehicleParameters
+from ._base import Model
+from ._dynamic import axle_slip_angles, motion
+
+
+class Parameters(NamedTuple):
+    """kg, kg m^2, m, N/rad per axle, m/s."""
+
+    mass: float
+    yaw_inertia: float
+    cg_to_front_axle: float
+    cg_to_rear_axle: float
+    cornering_stiffness_front: float
+    cornering_stiffness_rear: float
+    minimum_slip_speed: float
+
+
+def parameters(vehicle: VehicleParameters) -> Parameters:
+    return Parameters(*(getattr(vehicle, name) for name in Parameters._fields))
+
+
+def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
+    """(sin delta, cos delta, velocity_x_dot [m/s^2])."""
+    return sin(road_wheel_angle), cos(road_wheel_angle), velocity_x_dot
+
+
+def rhs(state, w, p: Parameters):
+    _, _, velocity_x, velocity_y, _, yaw_rate = state
+    sine, cosine, velocity_x_dot = w
+    slip_front, slip_rear = axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p)
+    return motion(state, linear_force(slip_front, p.cornering_stiffness_front),
+                  linear_force(slip_rear, p.cornering_stiffness_rear), cosine, velocity_x_dot, p)
+
+
+MODEL = Model("linear", parameters, inputs, rhs)

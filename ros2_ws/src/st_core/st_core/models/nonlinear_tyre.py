@@ -1,0 +1,59 @@
+"""Dynamic single-track model with Magic Formula tyres and quasi-static longitudinal load transfer.
+
+    F_z,f = m / l (g l_r - a_x h),  F_z,r = m / l (g l_f + a_x h),  a_x = v_x_dot (the input)
+
+The formula is evaluated for one tyre at half the axle load and the force doubled. Source: paper, dynamic model and
+appendix.
+"""
+
+from typing import NamedTuple
+
+from ..ops import cos, sin
+from ..tyres import GRAVITY, MagicFormula, magic_formula_coefficients, magic_formula_force
+from ..vehicle import VehicleParameters
+from ._base import Model
+from ._dynamic import axle_slip_angles, motion
+
+
+class Parameters(NamedTuple):
+    """kg, kg m^2, m, m/s; tyres of one wheel, lambda_ky filled in."""
+
+    mass: float
+    yaw_inertia: float
+    cg_to_front_axle: float
+    cg_to_rear_axle: float
+    cg_height: float
+    minimum_slip_speed: float
+    tyre_front: MagicFormula
+    tyre_rear: MagicFormula
+
+
+def parameters(vehicle: VehicleParameters) -> Parameters:
+    return Parameters(*(getattr(vehicle, name) for name in Parameters._fields))
+
+
+def axle_loads(velocity_x_dot, p: Parameters):
+    """Normal loads (front, rear) of the axles [N] at a forward acceleration [m/s^2]; their sum is m g."""
+    per_length = p.mass / (p.cg_to_front_axle + p.cg_to_rear_axle)
+    transfer = per_length * velocity_x_dot * p.cg_height
+    return per_length * GRAVITY * p.cg_to_rear_axle - transfer, per_length * GRAVITY * p.cg_to_front_axle + transfer
+
+
+def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
+    """(sin delta, cos delta, velocity_x_dot, B, 2 D, E of the front tyre, B, 2 D, E of the rear tyre)."""
+    load_front, load_rear = axle_loads(velocity_x_dot, p)
+    b_front, d_front, e_front = magic_formula_coefficients(0.5 * load_front, p.tyre_front)
+    b_rear, d_rear, e_rear = magic_formula_coefficients(0.5 * load_rear, p.tyre_rear)
+    return (sin(road_wheel_angle), cos(road_wheel_angle), velocity_x_dot,
+            b_front, 2.0 * d_front, e_front, b_rear, 2.0 * d_rear, e_rear)
+
+
+def rhs(state, w, p: Parameters):
+    _, _, velocity_x, velocity_y, _, yaw_rate = state
+    sine, cosine, velocity_x_dot, b_front, d_front, e_front, b_rear, d_rear, e_rear = w
+    slip_front, slip_rear = axle_slip_angles(velocity_x, velocity_y, yaw_rate, sine, cosine, p)
+    return motion(state, magic_formula_force(slip_front, b_front, d_front, e_front, p.tyre_front),
+                  magic_formula_force(slip_rear, b_rear, d_rear, e_rear, p.tyre_rear), cosine, velocity_x_dot, p)
+
+
+MODEL = Model("nonlinear", parameters, inputs, rhs)

@@ -1,0 +1,103 @@
+"""The small vocabulary the equations are written in: one function per operation, for every kind of number.
+
+A Python float takes the `math` function, a numpy array or scalar the numpy function. Any other type must be registered
+with `register`, which the module that brings that kind of number (a symbolic framework, a compiler) does itself:
+nothing is imported here for it. On floats no function raises: outside its domain the answer is NaN, as in numpy. NaN in
+gives NaN out.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+_sin, _cos, _tan, _atan = math.sin, math.cos, math.tan, math.atan
+_NAN = math.nan
+_NUMPY = {"sin": np.sin, "cos": np.cos, "tan": np.tan, "atan": np.arctan, "sign": np.sign,
+          "absolute": np.abs, "maximum": np.maximum, "minimum": np.minimum}
+NAMES = tuple(_NUMPY)
+_registered: dict[type, Mapping[str, Callable]] = {}
+
+
+def register(kind: type, functions: Mapping[str, Callable]) -> None:
+    """Teach the vocabulary one more kind of number: a function for each of NAMES.
+
+    Raises KeyError naming the first operation that is missing.
+    """
+    for name in NAMES:
+        functions[name]
+    _registered[kind] = functions
+
+
+def _other(name: str, *arguments: Any):
+    for argument in arguments:
+        functions = _registered.get(type(argument))
+        if functions is not None:
+            return functions[name](*arguments)
+    return _NUMPY[name](*arguments)
+
+
+def sin(x):
+    """Sine of x [rad]."""
+    if type(x) is float:
+        try:
+            return _sin(x)
+        except ValueError:  # infinite
+            return _NAN
+    return _other("sin", x)
+
+
+def cos(x):
+    """Cosine of x [rad]."""
+    if type(x) is float:
+        try:
+            return _cos(x)
+        except ValueError:
+            return _NAN
+    return _other("cos", x)
+
+
+def tan(x):
+    """Tangent of x [rad]."""
+    if type(x) is float:
+        try:
+            return _tan(x)
+        except ValueError:
+            return _NAN
+    return _other("tan", x)
+
+
+def atan(x):
+    """Arc tangent [rad]."""
+    if type(x) is float:
+        return _atan(x)
+    return _other("atan", x)
+
+
+def sign(x):
+    """-1, 0 or 1."""
+    if type(x) is float:
+        return 1.0 if x > 0.0 else -1.0 if x < 0.0 else x
+    return _other("sign", x)
+
+
+def absolute(x):
+    """Magnitude."""
+    if type(x) is float:
+        return -x if x < 0.0 else x
+    return _other("absolute", x)
+
+
+def maximum(x, limit):
+    """The larger of the two; NaN if x is NaN. `limit` is a number."""
+    if type(x) is float:
+        return limit if x < limit else x
+    return _other("maximum", x, limit)
+
+
+def minimum(x, limit):
+    """The smaller of the two; NaN if x is NaN. `limit` is a number."""
+    if type(x) is float:
+        return limit if x > limit else x
+    return _other("minimum", x, limit)

@@ -1,0 +1,226 @@
+"""From a state and inputs to a trajectory; live, from the newest measurements. No clock: the caller passes time in."""
+
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from . import frames, integrate
+from .alignment import MeasurementHistory
+from .errors import ConfigurationError, StCoreError
+from .filtering import NANOSECOND
+from .models import Model, get_model
+from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
+from .vehicle import VehicleParameters
+
+
+def step_count(horizon: float, step: float) -> int:
+    """Steps in a horizon; both [s]. Raises ConfigurationError unless the horizon is a whole number (>= 1) of steps."""
+    if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
+        raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0")
+    steps = round(horizon / step)
+    if steps < 1 or abs(steps * step - horizon) > 1.0e-9 * horizon:
+        raise ConfigurationError(f"horizon: {horizon:g} s is not a whole number of steps of {step:g} s; change one")
+    return steps
+
+
+@dataclass(frozen=True)
+class PredictionSettings:
+    """How predictions are made. Raises ConfigurationError naming the key and the limit.
+
+    horizon, step [s]. minimum_speed [m/s]: none is made below. stale_after [s]: none is made from older inputs.
+    maximum_gap [s]: nothing is interpolated across a longer one. filter_cutoff [Hz]: of the forward speed.
+    """
+
+    horizon: float = 5.0
+    step: float = 0.05
+    minimum_speed: float = 0.5
+    stale_after: float = 0.2
+    maximum_gap: float = 0.1
+    filter_cutoff: float = 5.0
+
+    def __post_init__(self):
+        limits = {"horizon": (0.01, 60.0, "s"), "step": (0.001, 1.0, "s"), "minimum_speed": (0.0, 50.0, "m/s"),
+                  "stale_after": (0.001, 10.0, "s"), "maximum_gap": (0.001, 10.0, "s"),
+                  "filter_cutoff": (0.01, 1000.0, "Hz")}
+        for key, (low, high, unit) in limits.items():
+            value = getattr(self, key)
+            if not low <= value <= high:
+                raise ConfigurationError(f"{key}: {value:g} {unit} is outside {low:g} to {high:g} {unit}")
+        step_count(self.horizon, self.step)
+
+    @property
+    def steps(self) -> int:
+        return step_count(self.horizon, self.step)
+
+
+def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings) -> str:
+    """sha256 (hex) of everything a prediction depends on besides its inputs: vehicle values and settings."""
+    values = {key: float(value).hex() for key, value in asdict(settings).items()}
+    return hashlib.sha256(json.dumps([vehicle.hash, values], sort_keys=True).encode()).hexdigest()
+
+
+def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState, inputs: ControlInput | InputSequence,
+            horizon: float = 5.0, step: float = 0.05) -> Trajectory:
+    """Trajectory of one model from one state: RK4 with a fixed step.
+
+    inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
+    horizon, step [s]: horizon a whole number of steps. Returns steps + 1 states, the start first.
+    NaN in the state or an input gives NaN from there on; a step too long for the stiffness at hand gives large or
+    non-finite numbers, never an exception. Raises StCoreError for inputs of the wrong length.
+    """
+    model = get_model(model)
+    p = model.parameters(vehicle)
+    grid = _grid(model, p, inputs, step_count(horizon, step))
+    return Trajectory(step, np.array(integrate.rk4(model.rhs, state.as_tuple(), grid, p, step)))
+
+
+def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int) -> list[tuple]:
+    if isinstance(inputs, ControlInput):
+        return [model.inputs(float(inputs.road_wheel_angle), float(inputs.velocity_x_dot), p)] * (2 * steps + 1)
+    angle, acceleration = (np.asarray(a, float) for a in (inputs.road_wheel_angle, inputs.velocity_x_dot))
+    for name, values in (("road_wheel_angle", angle), ("velocity_x_dot", acceleration)):
+        if values.shape != (2 * steps + 1,):
+            raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},): half-step grid of {steps} steps")
+    fields = (np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p))
+    return list(zip(*fields, strict=True))
+
+
+def predict_batch(model: str | Model, vehicle: VehicleParameters, states: np.ndarray, road_wheel_angle: np.ndarray,
+                  velocity_x_dot: np.ndarray, horizon: float = 5.0, step: float = 0.05) -> np.ndarray:
+    """Many predictions in one numpy pass: (n, steps + 1, 6), equal to `predict` one by one.
+
+    states: (n, 6), columns as STATE_NAMES. Inputs: (n,) held, or (n, 2 * steps + 1) on the half-step grid.
+    """
+    model = get_model(model)
+    p = model.parameters(vehicle)
+    steps = step_count(horizon, step)
+    states = np.asarray(states, float)
+    count = 2 * steps + 1
+    angle, acceleration = (np.asarray(a, float) for a in (road_wheel_angle, velocity_x_dot))
+    for name, values in (("road_wheel_angle", angle), ("velocity_x_dot", acceleration)):
+        if values.shape not in ((len(states),), (len(states), count)):
+            raise StCoreError(f"{name}: shape {values.shape}, expected ({len(states)},) or ({len(states)}, {count})")
+    if angle.ndim == acceleration.ndim == 1:
+        grid = [model.inputs(angle, acceleration, p)] * count
+    else:
+        angle, acceleration = (a.T if a.ndim == 2 else np.broadcast_to(a, (count, a.size)) for a in (angle, acceleration))
+        fields = [np.broadcast_to(w, angle.shape) for w in model.inputs(angle, acceleration, p)]
+        grid = list(zip(*fields, strict=True))
+    with np.errstate(all="ignore"):
+        columns = integrate.rk4(model.rhs, tuple(np.ascontiguousarray(states.T)), grid, p, step)
+    return np.array(columns).transpose(2, 0, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a prediction starts: measured_at [ns], the CG state then and the inputs then."""
+
+    time_ns: int
+    state: VehicleState
+    inputs: ControlInput
+
+
+@dataclass(frozen=True, slots=True)
+class Skip:
+    """No prediction this time. kind: stale (an input is missing, stale or invalid) or slow. reason: for a person."""
+
+    kind: Literal["stale", "slow"]
+    reason: str
+
+
+class Predictor:
+    """The live prediction: measurements in, a start and its trajectories out.
+
+    models: names. Raises ConfigurationError for an unknown or no model.
+    """
+
+    # Kept so that a late sample still finds its place and the filter its past.
+    SPAN = 2.0
+
+    def __init__(self, vehicle: VehicleParameters, models: Sequence[str], settings: PredictionSettings | None = None):
+        self.vehicle = vehicle
+        self.settings = settings or PredictionSettings()
+        if not models:
+            raise ConfigurationError("models: empty; name at least one")
+        self._models = {name: get_model(name) for name in models}
+        span = max(self.SPAN, 2.0 * self.settings.stale_after + 2.0 * self.settings.maximum_gap)
+        self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        return tuple(self._models)
+
+    def add_ins(self, sample: InsSample) -> bool:
+        """Take an INS sample; False if it was refused (see MeasurementHistory)."""
+        return self.history.add_ins(sample)
+
+    def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
+        """Take a road wheel angle [rad], left +; False if it was refused."""
+        return self.history.add_steering(time_ns, road_wheel_angle)
+
+    def ages(self, now_ns: int) -> dict[str, float]:
+        """Age [s] of the newest sample of each signal; infinite when there is none."""
+        series = {"INS": self.history.ins, "steering": self.history.steering}
+        return {name: math.inf if s.newest is None else (now_ns - s.newest) * NANOSECOND for name, s in series.items()}
+
+    def start(self, now_ns: int) -> Start | Skip:
+        """The newest instant at which both INS and steering are known, or why there is no prediction now.
+
+        now_ns: the present, on the clock the samples are stamped with. A sample further in the future than stale_after
+        means that two clocks disagree; it is treated like a stale one.
+        """
+        limit = self.settings.stale_after
+        for name, age in self.ages(now_ns).items():
+            if age == math.inf:
+                return Skip("stale", f"{name}: nothing received yet")
+            if age > limit:
+                return Skip("stale", f"{name}: newest sample is {age:.2f} s old (limit {limit:g} s)")
+            if age < -limit:
+                return Skip("stale", f"{name}: newest sample is {-age:.2f} s in the future; the clocks disagree")
+        return self._start_at(now_ns)
+
+    def _start_at(self, now_ns: int) -> Start | Skip:
+        time_ns = self._newest_common()
+        limit = self.settings.stale_after
+        if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
+            return Skip("stale", self._why_apart(now_ns, time_ns))
+        inputs = self.history.inputs_at(time_ns)
+        if inputs is None:
+            return Skip("stale", "INS: forward acceleration not known yet, one sample since a gap")
+        sample = self.history.ins_at(time_ns)
+        state = frames.ins_to_cg(sample, self.vehicle.cg_to_ins_x, self.vehicle.cg_to_ins_y)
+        speed = abs(state.velocity_x)
+        if speed < self.settings.minimum_speed:
+            return Skip("slow", f"speed {speed:.2f} m/s is below {self.settings.minimum_speed:g} m/s")
+        return Start(time_ns, state, inputs)
+
+    def _newest_common(self) -> int | None:
+        time_ns: int | None = min(self.history.ins.newest, self.history.steering.newest)
+        while time_ns is not None:
+            both = self.history.ins.known_until(time_ns)
+            both = None if both is None else self.history.steering.known_until(both)
+            if both == time_ns:
+                return time_ns
+            time_ns = both
+        return None
+
+    def _why_apart(self, now_ns: int, time_ns: int | None) -> str:
+        ins, steering = self.history.ins, self.history.steering
+        wanted = min(ins.newest, steering.newest)
+        for name, series in (("INS", ins), ("steering", steering)):
+            if series.known_until(wanted) != wanted:
+                old = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
+                return f"{name}: {series.why_unknown(wanted)} at the newest common instant{old}"
+        return "INS and steering: no common instant"
+
+    def run(self, start: Start, model: str) -> Trajectory:
+        """The trajectory of one model from a start, its inputs held."""
+        if model not in self._models:
+            raise ConfigurationError(f"model {model!r} is not configured; there are {', '.join(self._models)}")
+        settings = self.settings
+        return predict(self._models[model], self.vehicle, start.state, start.inputs, settings.horizon, settings.step)

@@ -1,0 +1,197 @@
+"""One signal in time: samples kept in order of their own time, interpolated, never across a gap."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .filtering import NANOSECOND
+from .frames import wrap_angle
+
+# A sample this much older than the newest is put in its place; an older one is late and dropped ...
+REORDER_WINDOW_NS = 500_000_000
+# ... unless so many in a row say the same: then time itself has jumped back and they are the new beginning.
+JUMP_SAMPLES = 5
+MAXIMUM_SAMPLES = 200_000
+
+
+@dataclass
+class Counters:
+    """What became of the samples offered to a series."""
+
+    accepted: int = 0
+    invalid: int = 0  # not finite
+    duplicate: int = 0
+    reordered: int = 0  # accepted, put in their place
+    late: int = 0  # dropped
+    jumps: int = 0  # time went back: the series began anew
+
+
+class TimeSeries:
+    """Rows of numbers by time in integer nanoseconds, the last `span` seconds of them.
+
+    columns: names, in row order. angles: columns interpolated the short way round. span, maximum_gap [s].
+    Memory is bounded by the span, and by MAXIMUM_SAMPLES whatever the rate.
+    """
+
+    def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):
+        self.columns = tuple(columns)
+        self.counters = Counters()
+        self.maximum_gap_ns = round(maximum_gap / NANOSECOND)
+        self._span_ns = round(span / NANOSECOND)
+        self._angles = [self.columns.index(name) for name in angles]
+        self._late: list[tuple[int, Sequence[float]]] = []
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all samples; counters stay."""
+        self._times = np.empty(256, np.int64)
+        self._rows = np.empty((256, len(self.columns)))
+        self._first = self._end = 0
+        self._late.clear()
+
+    def __len__(self) -> int:
+        return self._end - self._first
+
+    @property
+    def times(self) -> np.ndarray:
+        """Sample times [ns], increasing. A view: valid until the next `add`."""
+        return self._times[self._first:self._end]
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Samples, (n, columns). A view: valid until the next `add`."""
+        return self._rows[self._first:self._end]
+
+    @property
+    def newest(self) -> int | None:
+        """Time of the newest sample [ns]."""
+        return int(self._times[self._end - 1]) if len(self) else None
+
+    @property
+    def oldest(self) -> int | None:
+        """Time of the oldest sample kept [ns]."""
+        return int(self._times[self._first]) if len(self) else None
+
+    def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
+        """Take a sample. Returns (its position in `rows` or None if it was refused, whether time jumped back).
+
+        After a jump the series holds only the samples after it and the position is 0.
+        """
+        if not np.isfinite(row).all():
+            self.counters.invalid += 1
+            return None, False
+        if len(self) and time_ns <= self.newest:
+            return self._add_old(time_ns, row)
+        self._late.clear()
+        return self._insert(len(self), time_ns, row), False
+
+    def _add_old(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
+        if self.newest - time_ns > REORDER_WINDOW_NS:
+            return self._add_late(time_ns, row)
+        position = int(np.searchsorted(self.times, time_ns))
+        if self.times[position] == time_ns:
+            self.counters.duplicate += 1
+            return None, False
+        self.counters.reordered += 1
+        return self._insert(position, time_ns, row), False
+
+    def _add_late(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
+        self.counters.late += 1
+        if self._late and not 0 < time_ns - self._late[-1][0] <= REORDER_WINDOW_NS:
+            self._late.clear()
+        self._late.append((time_ns, tuple(row)))
+        if len(self._late) < JUMP_SAMPLES:
+            return None, False
+        restart = list(self._late)
+        self.clear()
+        for number, (time, values) in enumerate(restart):
+            self._insert(number, time, values)
+        self.counters.late -= len(restart)
+        self.counters.jumps += 1
+        return 0, True
+
+    def _insert(self, position: int, time_ns: int, row: Sequence[float]) -> int:
+        if self._end == len(self._times):
+            self._make_room()
+        at = self._first + position
+        if at < self._end:
+            self._times[at + 1:self._end + 1] = self._times[at:self._end].copy()
+            self._rows[at + 1:self._end + 1] = self._rows[at:self._end].copy()
+        self._times[at] = time_ns
+        self._rows[at, :len(row)] = row
+        self._rows[at, len(row):] = np.nan
+        self._end += 1
+        self.counters.accepted += 1
+        before = self._first
+        self._trim()
+        return max(position - (self._first - before), 0)
+
+    def _trim(self) -> None:
+        limit = self._times[self._end - 1] - self._span_ns
+        while self._times[self._first] < limit or self._end - self._first > MAXIMUM_SAMPLES:
+            self._first += 1
+
+    def _make_room(self) -> None:
+        # Move to the front when that frees half the room, else double it.
+        count = len(self)
+        capacity = len(self._times) if 2 * count <= len(self._times) else 2 * len(self._times)
+        times, rows = np.empty(capacity, np.int64), np.empty((capacity, len(self.columns)))
+        times[:count], rows[:count] = self.times, self.rows
+        self._times, self._rows, self._first, self._end = times, rows, 0, count
+
+    def at(self, time_ns: int) -> tuple[float, ...] | None:
+        """The row at an instant, interpolated linearly; None where it is not known."""
+        times = self.times
+        after = int(np.searchsorted(times, time_ns))
+        if after == len(times):
+            return None
+        if times[after] == time_ns:
+            return tuple(self.rows[after].tolist())
+        if after == 0 or times[after] - times[after - 1] > self.maximum_gap_ns:
+            return None
+        rows = self.rows[after - 1:after + 1]
+        fraction = (time_ns - int(times[after - 1])) / int(times[after] - times[after - 1])
+        change = rows[1] - rows[0]
+        change[self._angles] = wrap_angle(change[self._angles])
+        return tuple((rows[0] + fraction * change).tolist())
+
+    def sample(self, times_ns: np.ndarray) -> np.ndarray:
+        """Rows at many instants, (n, columns); NaN where not known. The same numbers as `at`."""
+        times, wanted = self.times, np.asarray(times_ns, np.int64)
+        result = np.full((len(wanted), len(self.columns)), np.nan)
+        if not len(times):
+            return result
+        after = np.minimum(np.searchsorted(times, wanted), len(times) - 1)
+        exact = times[after] == wanted
+        before = np.maximum(after - 1, 0)
+        spacing = times[after] - times[before]
+        inside = (wanted > times[before]) & (wanted < times[after]) & (spacing <= self.maximum_gap_ns)
+        low, high = before[inside], after[inside]
+        fraction = (wanted[inside] - times[low]) / (times[high] - times[low])
+        change = self.rows[high] - self.rows[low]
+        change[:, self._angles] = wrap_angle(change[:, self._angles])
+        result[inside] = self.rows[low] + fraction[:, None] * change
+        result[exact] = self.rows[after[exact]]
+        return result
+
+    def known_until(self, time_ns: int) -> int | None:
+        """The newest instant at or before `time_ns` at which the signal is known [ns]; None if there is none."""
+        times = self.times
+        after = int(np.searchsorted(times, time_ns))
+        if after < len(times) and (times[after] == time_ns
+                                   or (after > 0 and times[after] - times[after - 1] <= self.maximum_gap_ns)):
+            return int(time_ns)
+        return int(times[after - 1]) if after > 0 else None
+
+    def why_unknown(self, time_ns: int) -> str:
+        """Why there is no value at an instant, for a reader: what is around it."""
+        times = self.times
+        if not len(times):
+            return "no samples"
+        after = int(np.searchsorted(times, time_ns))
+        if after == len(times):
+            return f"ends {(time_ns - int(times[-1])) * NANOSECOND:.3f} s before"
+        if after == 0 and times[0] != time_ns:
+            return f"begins {(int(times[0]) - time_ns) * NANOSECOND:.3f} s after"
+        return f"gap of {int(times[after] - times[after - 1]) * NANOSECOND:.3f} s"

@@ -1,0 +1,91 @@
+"""Axle and tyre force laws, stateless: slip angle and load in, lateral force out.
+
+Sign, once for the whole package: a slip angle is positive when the wheel slides to its left, so the force that opposes
+it is negative. Linear: F_y = -C alpha with C > 0. The Magic Formula table keeps its SAE sign, p_ky1 < 0, which makes
+its stiffness K negative and its force oppose alpha as it stands.
+"""
+
+from typing import NamedTuple
+
+from .ops import absolute, atan, maximum, minimum, sign, sin
+
+GRAVITY = 9.81  # m/s^2, as in the paper
+
+# The load enters as a divisor. A car lifts an axle long after the model has stopped to hold, but a jump in the measured
+# speed can ask for that; one newton keeps the force finite and next to zero.
+MINIMUM_LOAD = 1.0  # N, of one tyre
+
+
+class MagicFormula(NamedTuple):
+    """Pure lateral slip parameters of one tyre, names as in the paper's table, SAE sign (p_ky1 < 0).
+
+    nominal_load: F_z0 [N]; all others [1]. lambda_ky scales the stiffness, lambda_cy the shape, lambda_muy friction.
+    """
+
+    nominal_load: float
+    p_cy1: float
+    p_dy1: float
+    p_dy2: float
+    p_ey1: float
+    p_ey2: float
+    p_ey3: float
+    p_ky1: float
+    p_ky2: float
+    p_ky4: float
+    lambda_ky: float = 1.0
+    lambda_cy: float = 1.0
+    lambda_muy: float = 1.0
+
+
+def slip_angle(velocity_lateral, velocity_forward, minimum_speed):
+    """alpha = atan(v_sy / max(|v_x|, v_eps)) [rad], in wheel axes; + when the wheel slides to its left.
+
+    velocity_lateral, velocity_forward: of the wheel, in wheel axes [m/s]. minimum_speed: v_eps [m/s], > 0; below it the
+    angle is too small on purpose. Source: paper, slip angle equation.
+    """
+    return atan(velocity_lateral / maximum(absolute(velocity_forward), minimum_speed))
+
+
+def linear_force(slip, cornering_stiffness):
+    """F_y = -C alpha [N] of an axle; C > 0 per axle [N/rad]."""
+    return -cornering_stiffness * slip
+
+
+def magic_formula_stiffness(load, tyre: MagicFormula):
+    """K = p_ky1 F_z0 sin(p_ky4 atan(F_z / (p_ky2 F_z0))) lambda_ky [N/rad] of one tyre at load [N]; negative (SAE)."""
+    return (tyre.p_ky1 * tyre.nominal_load * tyre.lambda_ky
+            * sin(tyre.p_ky4 * atan(load / (tyre.p_ky2 * tyre.nominal_load))))
+
+
+def magic_formula_coefficients(load, tyre: MagicFormula):
+    """(B, D, E) of one tyre at load [N]: what depends on the load alone.
+
+        D = (p_dy1 + p_dy2 df) lambda_muy F_z,  B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0
+
+    Held within its range: F_z >= 1 N; E <= 1, beyond which the curve folds back (Pacejka, Tire and Vehicle Dynamics,
+    eq. 4.E24); neither limit is reached below 8 m/s^2 of braking on the Leaf.
+    """
+    load = maximum(load, MINIMUM_LOAD)
+    increment = load / tyre.nominal_load - 1.0
+    peak = (tyre.p_dy1 + tyre.p_dy2 * increment) * tyre.lambda_muy * load
+    stiffness_factor = magic_formula_stiffness(load, tyre) / (tyre.p_cy1 * tyre.lambda_cy * peak)
+    return stiffness_factor, peak, minimum(tyre.p_ey1 + tyre.p_ey2 * increment, 1.0)
+
+
+def magic_formula_force(slip, stiffness_factor, peak, curvature, tyre: MagicFormula):
+    """F_y = D sin(C atan(B a - E (1 - p_ey3 sgn a) (B a - atan(B a)))) [N], a = slip angle [rad].
+
+    B, D, E from `magic_formula_coefficients` (D may be given for both tyres of an axle). With p_ky1 < 0 the force
+    opposes the slip angle. Source: paper, appendix. Checked by: test_tyres.py.
+    """
+    x = stiffness_factor * slip
+    e = curvature * (1.0 - tyre.p_ey3 * sign(slip))
+    return peak * sin(tyre.p_cy1 * tyre.lambda_cy * atan(x - e * (x - atan(x))))
+
+
+def stiffness_scale(cornering_stiffness: float, static_load: float, tyre: MagicFormula) -> float:
+    """lambda_ky = C / (2 |K|) [1], K at lambda_ky = 1 and the static load of ONE tyre [N]; C of the AXLE [N/rad].
+
+    Paper, eq. of lambda_Ky; it gives 0.423 front and 0.959 rear for the Leaf. Checked by: test_tyres.py.
+    """
+    return cornering_stiffness / (2.0 * abs(magic_formula_stiffness(static_load, tyre._replace(lambda_ky=1.0))))

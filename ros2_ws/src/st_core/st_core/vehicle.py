@@ -1,0 +1,296 @@
+"""Vehicle parameters: read, check, save. Every value in the YAML carries its unit and its source."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
+
+import yaml
+
+from .errors import ConfigurationError
+from .tyres import GRAVITY, MagicFormula, stiffness_scale
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One key of the file: allowed units with their factor to SI, and limits in SI (inclusive)."""
+
+    units: Mapping[str, float]
+    minimum: float
+    maximum: float
+    required: bool = True
+
+    @property
+    def si_unit(self) -> str:
+        return next(iter(self.units))
+
+    def limit(self) -> str:
+        return f"{self.minimum:g} to {self.maximum:g} {self.si_unit}"
+
+
+def _quantity(unit: str, minimum: float, maximum: float, required: bool = True) -> Quantity:
+    return Quantity({unit: 1.0}, minimum, maximum, required)
+
+
+# Limits are wide on purpose: they catch a wrong unit or a slipped digit, from a go-kart to a loaded truck.
+VEHICLE_QUANTITIES = {
+    "mass": _quantity("kg", 50.0, 60000.0),
+    "yaw_inertia": _quantity("kg m^2", 10.0, 1.0e6),
+    "wheelbase": _quantity("m", 0.5, 15.0),
+    "cg_to_front_axle": _quantity("m", 0.1, 14.0),
+    "cg_height": _quantity("m", 0.0, 4.0),
+    "cg_to_ins_x": _quantity("m", -15.0, 15.0),
+    "cg_to_ins_y": _quantity("m", -3.0, 3.0),
+    "steering_ratio": _quantity("1", 1.0, 60.0),
+    "steering_wheel_offset": Quantity({"rad": 1.0, "deg": math.pi / 180.0}, -math.pi, math.pi),
+    "cornering_stiffness_front": _quantity("N/rad", 1000.0, 5.0e6),
+    "cornering_stiffness_rear": _quantity("N/rad", 1000.0, 5.0e6),
+    "minimum_slip_speed": _quantity("m/s", 0.1, 20.0),
+    "length": _quantity("m", 0.5, 30.0),
+    "width": _quantity("m", 0.3, 4.0),
+}
+TYRE_QUANTITIES = {
+    "nominal_load": _quantity("N", 100.0, 1.0e5),
+    "p_cy1": _quantity("1", 0.5, 3.0),
+    "p_dy1": _quantity("1", 0.05, 3.0),
+    "p_dy2": _quantity("1", -1.0, 1.0),
+    "p_ey1": _quantity("1", -20.0, 1.0),
+    "p_ey2": _quantity("1", -20.0, 20.0),
+    "p_ey3": _quantity("1", -5.0, 5.0),
+    "p_ky1": _quantity("1", -200.0, -1.0),  # SAE: negative
+    "p_ky2": _quantity("1", 0.1, 20.0),
+    "p_ky4": _quantity("1", 0.1, 4.0),
+    "lambda_ky": _quantity("1", 0.01, 10.0, required=False),
+    "lambda_cy": _quantity("1", 0.1, 10.0, required=False),
+    "lambda_muy": _quantity("1", 0.01, 10.0, required=False),
+}
+TYRES = ("tyre_front", "tyre_rear")
+
+
+@dataclass(frozen=True)
+class VehicleParameters:
+    """One car, in SI units.
+
+    mass [kg], yaw_inertia [kg m^2] about the CG; wheelbase, cg_to_front_axle, cg_height [m]. cg_to_ins_x, cg_to_ins_y:
+    the INS point seen from the CG, forward and left [m]; behind the CG is negative. steering_ratio [1];
+    steering_wheel_offset [rad]: reading of the steering wheel sensor when driving straight, left +.
+    cornering_stiffness_front/_rear: per axle, > 0 [N/rad]. minimum_slip_speed: v_eps [m/s]. tyre_front, tyre_rear: one
+    tyre each, lambda_ky filled in. length, width [m]: of the body, for drawing. sources: where each value comes from,
+    by key ("tyre_front.p_cy1" for the tyres).
+
+    Raises ConfigurationError, naming the key and the limit, for a value out of bounds or lengths that contradict.
+    """
+
+    name: str
+    mass: float
+    yaw_inertia: float
+    wheelbase: float
+    cg_to_front_axle: float
+    cg_height: float
+    cg_to_ins_x: float
+    cg_to_ins_y: float
+    steering_ratio: float
+    steering_wheel_offset: float
+    cornering_stiffness_front: float
+    cornering_stiffness_rear: float
+    minimum_slip_speed: float
+    length: float
+    width: float
+    tyre_front: MagicFormula
+    tyre_rear: MagicFormula
+    sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
+
+    def __post_init__(self):
+        for key, quantity in VEHICLE_QUANTITIES.items():
+            _check_bounds(key, getattr(self, key), quantity)
+        if not self.cg_to_front_axle < self.wheelbase:
+            raise ConfigurationError(f"cg_to_front_axle: {self.cg_to_front_axle:g} m is not below wheelbase "
+                                     f"{self.wheelbase:g} m; the CG lies between the axles, correct one of the two")
+        for tyre in TYRES:
+            for key, quantity in TYRE_QUANTITIES.items():
+                _check_bounds(f"{tyre}.{key}", getattr(getattr(self, tyre), key), quantity)
+
+    @property
+    def cg_to_rear_axle(self) -> float:
+        """l_r = wheelbase - cg_to_front_axle [m]."""
+        return self.wheelbase - self.cg_to_front_axle
+
+    @property
+    def static_tyre_load_front(self) -> float:
+        """m g l_r / l / 2 [N]: one front tyre at rest."""
+        return 0.5 * self.mass * GRAVITY * self.cg_to_rear_axle / self.wheelbase
+
+    @property
+    def static_tyre_load_rear(self) -> float:
+        """m g l_f / l / 2 [N]: one rear tyre at rest."""
+        return 0.5 * self.mass * GRAVITY * self.cg_to_front_axle / self.wheelbase
+
+    def road_wheel_angle(self, steering_wheel_angle):
+        """delta = (measured - offset) / ratio [rad], left +, from the measured steering wheel angle [rad], left +."""
+        return (steering_wheel_angle - self.steering_wheel_offset) / self.steering_ratio
+
+    def steering_wheel_angle(self, road_wheel_angle):
+        """What the steering wheel sensor reads [rad] at a road wheel angle [rad]: the inverse of `road_wheel_angle`."""
+        return road_wheel_angle * self.steering_ratio + self.steering_wheel_offset
+
+    @classmethod
+    def from_yaml(cls, text: str, origin: str = "vehicle") -> "VehicleParameters":
+        """Parameters from the text of a vehicle file.
+
+        origin: name shown in errors, usually the path. lambda_ky of a tyre that does not give it is derived from the
+        axle's cornering stiffness at the static load of one tyre (`tyres.stiffness_scale`).
+        Raises ConfigurationError, one line: origin, key, what is wrong, the limit and what to do.
+        """
+        try:
+            return cls._from_document(_load(text))
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{origin}: {error}") from None
+
+    @classmethod
+    def _from_document(cls, document: Any) -> "VehicleParameters":
+        if not isinstance(document, dict):
+            raise ConfigurationError("not a list of `key: {value, unit, source}`; see config/vehicle/leaf.yaml")
+        _check_keys("", document, ["name", *VEHICLE_QUANTITIES, *TYRES], required=["name", *VEHICLE_QUANTITIES, *TYRES])
+        name = document["name"]
+        if not isinstance(name, str) or not name.strip():
+            raise ConfigurationError(f"name: {name!r} is not a text; write the name of the car")
+        sources: dict[str, str] = {}
+        values = _read("", document, VEHICLE_QUANTITIES, sources)
+        tyres = {}
+        for tyre in TYRES:
+            section = document[tyre]
+            if not isinstance(section, dict):
+                raise ConfigurationError(f"{tyre}: not a section of `key: {{value, unit, source}}`")
+            required = [key for key, quantity in TYRE_QUANTITIES.items() if quantity.required]
+            _check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
+            tyres[tyre] = MagicFormula(**_read(f"{tyre}.", section, TYRE_QUANTITIES, sources))
+        vehicle = cls(name=name, **values, **tyres, sources=sources)
+        return _with_derived_scales(vehicle, document)
+
+    def to_yaml(self) -> str:
+        """A vehicle file, SI units, that `from_yaml` reads back to the same parameters (and hash)."""
+        lines = [f"name: {_scalar(self.name)}"]
+        lines += [self._line(key, getattr(self, key), quantity, "") for key, quantity in VEHICLE_QUANTITIES.items()]
+        for tyre in TYRES:
+            lines.append(f"{tyre}:")
+            lines += ["  " + self._line(key, getattr(getattr(self, tyre), key), quantity, f"{tyre}.")
+                      for key, quantity in TYRE_QUANTITIES.items()]
+        return "\n".join(lines) + "\n"
+
+    def _line(self, key: str, value: float, quantity: Quantity, prefix: str) -> str:
+        source = self.sources.get(prefix + key, "default" if not quantity.required else "not stated")
+        return f"{key}: {{value: {_number(value)}, unit: {_scalar(quantity.si_unit)}, source: {_scalar(source)}}}"
+
+    @cached_property
+    def hash(self) -> str:
+        """sha256 (hex) of all values in SI; name and sources do not enter."""
+        values = {key: getattr(self, key) for key in VEHICLE_QUANTITIES}
+        values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}
+        text = json.dumps({key: float(value).hex() for key, value in sorted(values.items())})
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _with_derived_scales(vehicle: VehicleParameters, document: Mapping[str, Any]) -> VehicleParameters:
+    axles = (("tyre_front", vehicle.cornering_stiffness_front, vehicle.static_tyre_load_front),
+             ("tyre_rear", vehicle.cornering_stiffness_rear, vehicle.static_tyre_load_rear))
+    changes: dict[str, Any] = {}
+    sources = dict(vehicle.sources)
+    for name, stiffness, load in axles:
+        if "lambda_ky" not in document[name]:
+            tyre = getattr(vehicle, name)
+            changes[name] = tyre._replace(lambda_ky=stiffness_scale(stiffness, load, tyre))
+            sources[f"{name}.lambda_ky"] = "derived: C / (2 abs(K)) at the static load of one tyre"
+    values = {f.name: getattr(vehicle, f.name) for f in fields(vehicle)}
+    return VehicleParameters(**(values | changes | {"sources": sources}))
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses a key given twice; YAML itself keeps the last one without a word."""
+
+    def construct_mapping(self, node, deep=False):
+        seen = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, str):
+                raise ConfigurationError(f"{key!r}: a key must be a text (line {key_node.start_mark.line + 1})")
+            if key in seen:
+                raise ConfigurationError(f"{key}: given twice (line {key_node.start_mark.line + 1}); remove one")
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def _load(text: str) -> Any:
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f", line {mark.line + 1}" if mark else ""
+        raise ConfigurationError(f"not valid YAML{place}: {getattr(error, 'problem', None) or error}") from None
+
+
+def _check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], required: list[str]) -> None:
+    for key in section:
+        if key not in known:
+            near = _nearest(str(key), known)
+            raise ConfigurationError(f"{prefix}{key}: unknown key{near}; known are {', '.join(known)}")
+    for key in required:
+        if key not in section:
+            raise ConfigurationError(f"{prefix}{key}: missing; add it")
+
+
+def _nearest(key: str, known: list[str]) -> str:
+    import difflib
+
+    near = difflib.get_close_matches(key, known, n=1)
+    return f", did you mean {near[0]}?" if near else ""
+
+
+def _read(prefix: str, section: Mapping[str, Any], quantities: Mapping[str, Quantity],
+          sources: dict[str, str]) -> dict[str, float]:
+    values = {}
+    for key, quantity in quantities.items():
+        if key in section:
+            values[key], sources[prefix + key] = _read_one(prefix + key, section[key], quantity)
+    return values
+
+
+def _read_one(key: str, entry: Any, quantity: Quantity) -> tuple[float, str]:
+    units = " or ".join(quantity.units)
+    example = f"write `{key.rpartition('.')[2]}: {{value: ..., unit: \"{quantity.si_unit}\", source: \"...\"}}`"
+    if not isinstance(entry, dict):
+        raise ConfigurationError(f"{key}: {entry!r} has no unit and source; {example}")
+    for part in entry:
+        if part not in ("value", "unit", "source"):
+            raise ConfigurationError(f"{key}.{part}: unknown key; {example}")
+    for part in ("value", "unit", "source"):
+        if part not in entry:
+            raise ConfigurationError(f"{key}: {part} is missing; {example}")
+    # An unquoted 1 is a number in YAML and still the unit "1".
+    unit = str(entry["unit"])
+    if unit not in quantity.units:
+        raise ConfigurationError(f"{key}: unit {unit!r} is not {units}; convert the value and write unit: {units}")
+    value = entry["value"]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigurationError(f"{key}: {value!r} is not a number (1.0e+3, not 1e3); limit {quantity.limit()}")
+    if not isinstance(entry["source"], str) or not entry["source"].strip():
+        raise ConfigurationError(f"{key}: source {entry['source']!r} is not a text; say where the value comes from")
+    si = float(value) * quantity.units[unit]
+    _check_bounds(key, si, quantity)
+    return si, entry["source"]
+
+
+def _check_bounds(key: str, value: float, quantity: Quantity) -> None:
+    if not quantity.minimum <= value <= quantity.maximum:  # NaN is outside too
+        raise ConfigurationError(f"{key}: {value:g} is outside {quantity.limit()}; check value and unit")
+
+
+def _number(value: float) -> str:
+    text = repr(float(value))
+    return text if "e" not in text or "." in text else text.replace("e", ".0e")
+
+
+def _scalar(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
