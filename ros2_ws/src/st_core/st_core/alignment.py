@@ -15,8 +15,8 @@ YAW, VELOCITY_X, FILTERED, DERIVATIVE = 2, 3, 6, 7
 class MeasurementHistory:
     """Time-ordered INS and steering samples of the last `span` seconds.
 
-    Samples that come out of order are put in their place; late ones (over half a second), repeated ones and those with a
-    NaN are refused and counted (`ins.counters`, `steering.counters`). Whatever the order of arrival within half a
+    Samples that come out of order are put in their place; late ones (over half a second), repeated ones and those with
+    a NaN are refused and counted (`ins.counters`, `steering.counters`). Whatever the order of arrival within half a
     second, the content is the same, the filtered acceleration included. When the INS time jumps back (a replay that
     starts over) both signals begin anew; `generation` counts that. Between samples further apart than maximum_gap
     nothing is known.
@@ -59,7 +59,8 @@ class MeasurementHistory:
                 rows[i, FILTERED], rows[i, DERIVATIVE] = now, math.nan
             else:
                 filtered, before = float(rows[i - 1, FILTERED]), float(rows[i - 1, VELOCITY_X])
-                rows[i, FILTERED], rows[i, DERIVATIVE] = advance(filtered, before, now, spacing_ns * NANOSECOND, self._cutoff)
+                spacing = spacing_ns * NANOSECOND
+                rows[i, FILTERED], rows[i, DERIVATIVE] = advance(filtered, before, now, spacing, self._cutoff)
 
     def ins_at(self, time_ns: int) -> InsSample | None:
         """The INS sample at an instant, interpolated; None where not known."""

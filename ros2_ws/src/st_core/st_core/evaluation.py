@@ -14,6 +14,8 @@ from .prediction import PredictionSettings, predict
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 
+_NEVER = -(2**62)  # before all times
+
 Mode = Literal["forecast", "hindsight"]
 
 
@@ -43,7 +45,7 @@ class Score:
 
 
 def position_errors(trajectory: Trajectory, x, y, yaw, cg_to_ins_x: float, cg_to_ins_y: float = 0.0):
-    """Errors (longitudinal [m], lateral [m], yaw [rad]) of each point against the measured INS point x, y [m], yaw [rad].
+    """Errors (longitudinal [m], lateral [m], yaw [rad]) of each point; x, y [m], yaw [rad]: the measured INS point.
 
         (e_lon, e_lat) = R(-yaw_measured) (p_predicted - p_measured),  p at the INS point
 
@@ -75,8 +77,8 @@ class _Pending:
 class Evaluator:
     """Scores every prediction once its horizon has passed in the measurements.
 
-    span [s]: how much measurement is kept; at least two horizons. Memory is bounded: by the span, and by MAXIMUM_PENDING
-    predictions waiting (the oldest then end incomplete).
+    span [s]: how much measurement is kept; at least two horizons. Memory is bounded: by the span, and by
+    MAXIMUM_PENDING predictions waiting (the oldest then end incomplete).
     """
 
     # After the end of a horizon this long is waited for a signal that lags behind [s].
@@ -122,17 +124,14 @@ class Evaluator:
         """Scores of all predictions whose horizon has passed in both signals.
 
         newest_ns: the present on the clock of the stamps; a prediction whose horizon ended PATIENCE before it is scored
-        with what there is. None: the newest measurement is taken for the present.
+        with what there is. None: the newest INS sample is taken for the present.
         """
         scores, self._overtaken = self._overtaken, []
-        newest = [s.newest for s in (self.history.ins, self.history.steering)]
-        present = max([n for n in (newest_ns, *newest) if n is not None], default=None)
-        if present is None:
-            return scores
-        both = min(n if n is not None else -(2**62) for n in newest)
+        ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
+        late = (ins if newest_ns is None else newest_ns) - round(self.PATIENCE / NANOSECOND)
         for key in sorted(self._waiting):
-            end = _end_ns(key)
-            if end <= both or end + round(self.PATIENCE / NANOSECOND) <= present:
+            end = _grid_ns(key, 2 * key[1])
+            if end <= min(ins, steering) or end <= late:
                 scores += self._score(key, self._waiting.pop(key))
         return scores
 
@@ -156,7 +155,7 @@ class Evaluator:
 
     def _score(self, key: tuple[int, int, float], group: Sequence[_Pending]) -> list[Score]:
         start_ns, steps, step = key
-        times = start_ns + np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
+        times = np.array([_grid_ns(key, half_steps) for half_steps in range(2 * steps + 1)], np.int64)
         ins = self.history.ins.sample(times)
         angle = self.history.steering.sample(times)[:, 0]
         measured = ins[::2, 0], ins[::2, 1], ins[::2, YAW]
@@ -183,9 +182,9 @@ class Evaluator:
         return f"{name}: {reason} at {(time_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
 
 
-def _end_ns(key: tuple[int, int, float]) -> int:
-    start_ns, steps, step = key
-    return start_ns + round(steps * step / NANOSECOND)
+def _grid_ns(key: tuple[int, int, float], half_steps: int) -> int:
+    start_ns, _, step = key
+    return start_ns + round(half_steps * 0.5 * step / NANOSECOND)
 
 
 @dataclass

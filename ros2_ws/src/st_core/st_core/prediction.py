@@ -108,7 +108,8 @@ def predict_batch(model: str | Model, vehicle: VehicleParameters, states: np.nda
     if angle.ndim == acceleration.ndim == 1:
         grid = [model.inputs(angle, acceleration, p)] * count
     else:
-        angle, acceleration = (a.T if a.ndim == 2 else np.broadcast_to(a, (count, a.size)) for a in (angle, acceleration))
+        angle, acceleration = (a.T if a.ndim == 2 else np.broadcast_to(a, (count, len(a)))
+                               for a in (angle, acceleration))
         fields = [np.broadcast_to(w, angle.shape) for w in model.inputs(angle, acceleration, p)]
         grid = list(zip(*fields, strict=True))
     with np.errstate(all="ignore"):

@@ -30,15 +30,16 @@ class Counters:
 class TimeSeries:
     """Rows of numbers by time in integer nanoseconds, the last `span` seconds of them.
 
-    columns: names, in row order. angles: columns interpolated the short way round. span, maximum_gap [s].
-    Memory is bounded by the span, and by MAXIMUM_SAMPLES whatever the rate.
+    columns: names, in row order; a row may be shorter, the rest is NaN until filled in by the owner. angles: columns
+    interpolated the short way round. span [s]: at least one second is kept. maximum_gap [s]. Memory is bounded by
+    the span, and by MAXIMUM_SAMPLES whatever the rate.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):
         self.columns = tuple(columns)
         self.counters = Counters()
         self.maximum_gap_ns = round(maximum_gap / NANOSECOND)
-        self._span_ns = round(span / NANOSECOND)
+        self._span_ns = max(round(span / NANOSECOND), 2 * REORDER_WINDOW_NS)
         self._angles = [self.columns.index(name) for name in angles]
         self._late: list[tuple[int, Sequence[float]]] = []
         self.clear()
