@@ -10,6 +10,7 @@ from cantools.database.can import Signal as DbcSignal
 
 from . import gps_time
 from .checks import CounterCheck, Mode, checksum_of
+from .plausibility import Plausibility
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
 
@@ -37,6 +38,7 @@ class MessageStatistics:
     wrong_checksum: int = 0
     wrong_counter: int = 0
     not_finite: int = 0
+    implausible: int = 0
     dropped: int = 0
     lost: int = 0
     last_seen_ns: int | None = None
@@ -55,14 +57,15 @@ class FrameStatistics:
 class _Row:
     spec: MessageSpec
     counter: CounterCheck | None
+    plausibility: tuple[tuple[str, Plausibility], ...]
     statistics: MessageStatistics = field(default_factory=MessageStatistics)
 
 
 class Decoder:
     """Decodes the messages of one signal table; see `load_table` for the files and what it refuses.
 
-    A bad frame (wrong length, counter or checksum wrong and set to drop, not finite) updates nothing, not even the time
-    the message was last seen. `decode` raises for nothing that can be on a bus.
+    A bad frame (wrong length, counter or checksum wrong and set to drop, not finite, not plausible) updates nothing,
+    not even the time the message was last seen. `decode` raises for nothing that can be on a bus.
     """
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = (),
@@ -71,10 +74,7 @@ class Decoder:
         self.table: SignalTable = load_table(dbc_file, signals_file, needed)
         self.modes = _modes(self.table, checks or {})
         self.frames = FrameStatistics()
-        self._rows = {
-            spec.key: _Row(spec, CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None)
-            for spec in self.table.messages.values()
-        }
+        self._rows = {spec.key: _row(spec) for spec in self.table.messages.values()}
         self._by_name = {row.spec.name: row for row in self._rows.values()}
 
     @property
@@ -116,6 +116,8 @@ class Decoder:
         if not all(map(math.isfinite, values.values())):
             statistics.not_finite += 1
             return None
+        if row.plausibility and not self._plausible(row, values, time_ns):
+            return None
         if "gps_time" in values:
             values["ins_unix_time"] = gps_time.from_milli_time(values)
         elif "gps_century" in values:
@@ -123,6 +125,18 @@ class Decoder:
         statistics.good += 1
         statistics.last_seen_ns = time_ns
         return Decoded(spec.name, time_ns, values, not fault, fault)
+
+    def _plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
+        """False as well while a signal as a whole is nonsense: then a possible value is possible by chance only."""
+        possible = [check.accepts(values[name], time_ns) for name, check in row.plausibility]
+        if not all(possible):
+            row.statistics.implausible += 1
+            return False
+        return not any(check.nonsense for _, check in row.plausibility)
+
+    def nonsense(self) -> list[str]:
+        """For every signal that at present decodes to nonsense and is held back: a sentence that says so."""
+        return [text for row in self._rows.values() for _, check in row.plausibility if (text := check.nonsense)]
 
     def _check(self, row: _Row, data: bytes, time_ns: int) -> tuple[str, bool]:
         """(what is wrong, whether to drop the frame)"""
@@ -180,6 +194,12 @@ class Decoder:
             check = spec.checksum
             data = check.field.written(data, checksum_of(check.rule, check.field, data, dbc.frame_id))
         return can.Message(arbitration_id=dbc.frame_id, is_extended_id=dbc.is_extended_frame, data=data)
+
+
+def _row(spec: MessageSpec) -> _Row:
+    counter = CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None
+    judged = [s for s in spec.signals if math.isfinite(s.maximum) or math.isfinite(s.max_rate)]
+    return _Row(spec, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in judged))
 
 
 def _raw_of(spec: SignalSpec, si: float) -> float:

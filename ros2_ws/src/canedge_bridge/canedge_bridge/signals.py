@@ -262,7 +262,8 @@ def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule:
     rule = RULES[entry.choice("rule", RULES)] if with_rule else None
     shift = signal.start % 8 - (signal.length - 1 if signal.byte_order == "big_endian" else 0)
     if signal.is_signed or signal.is_float or shift < 0 or shift + signal.length > 8:
-        raise TableError(f"{dbc_path}: {signal.name} cannot be a counter or checksum: it must be unsigned, in one byte")
+        raise TableError(f"{entry.origin}: {entry.path}.signal: {signal.name} cannot be a counter or checksum: "
+                         f"in {dbc_path} it is not unsigned and inside one byte")
     if rule is not None and rule.bits != signal.length:
         raise TableError(f"{entry.origin}: {entry.path}.rule: is {rule.bits} bits, {signal.name} {signal.length}")
     mode = Mode(entry.choice("check", [str(m) for m in Mode]))

@@ -1,11 +1,14 @@
 """Opening a CAN bus: live SocketCAN, the loopback bus of the simulation, or any other python-can interface."""
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import can
 
 from .loopback_bus import LoopbackMulticastBus, parse_channel
+
+_IFF_UP = 1
 
 
 def check_channel(interface: str, channel: str) -> None:
@@ -36,3 +39,11 @@ def open_bus(interface: str, channel: str, filters: list[dict[str, Any]] | None 
         return LoopbackMulticastBus(channel, can_filters=filters)
     options: dict[str, Any] = {"bitrate": bitrate} if bitrate else {}
     return can.Bus(interface=interface, channel=channel, can_filters=filters, **options)
+
+
+def link_is_up(name: str) -> bool | None:
+    """Whether a network interface of this machine is switched on; None if there is no such interface."""
+    try:
+        return bool(int(Path("/sys/class/net", name, "flags").read_text(), 16) & _IFF_UP) if name else None
+    except (OSError, ValueError):
+        return None

@@ -1,0 +1,96 @@
+"""What the node says about itself on /diagnostics."""
+
+import time
+from collections.abc import Callable
+
+from st_ros.diagnostics import ERROR, OK, WARN, Check
+
+from .decode import Decoder
+from .error_frames import BusState
+from .receiver import ReceiverStatus
+
+_LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN, BusState.BUS_OFF: ERROR,
+           BusState.DOWN: ERROR, BusState.GONE: ERROR}
+# After the start a bus is given this long before a missing signal is an error.
+_GRACE = 1.0
+
+
+class Health:
+    """Builds the checks from the counts of the decoder and the receiver; the rates are since the call before."""
+
+    def __init__(self, bus_name: str, decoder: Decoder, receiver_status: Callable[[], ReceiverStatus],
+                 now_ns: Callable[[], int]):
+        """now_ns: the clock that the frames are stamped with [ns since 1970]."""
+        self._bus_name = bus_name
+        self._decoder = decoder
+        self._receiver_status = receiver_status
+        self._now_ns = now_ns
+        self._started = self._before = time.monotonic()
+        self._frames_before = 0
+        self._rate = 0.0
+        self._bad_before = 0
+
+    def checks(self) -> list[Check]:
+        return [self._bus(), self._needed(), self._frames(), self._plausibility()]
+
+    def _bus(self) -> Check:
+        status = self._receiver_status()
+        now = time.monotonic()
+        # Called out of turn when the bus changes: a rate over a few milliseconds would be noise.
+        if now - self._before > 0.5:
+            self._rate = (status.frames - self._frames_before) / (now - self._before)
+            self._before, self._frames_before = now, status.frames
+        values = {
+            "state": status.state, "rate [frames/s]": self._rate, "frames": status.frames,
+            "error frames": status.error_frames, "last error frame": status.last_error, "times opened": status.opened,
+            "failures": status.failures, "frames not handled": status.callback_errors,
+            "receive delay median [ms]": 1e3 * status.delay, "receive delay maximum [ms]": 1e3 * status.delay_maximum,
+        }
+        what = f"{self._bus_name} {status.state}" + (f": {status.reason}" if status.reason else "")
+        return Check("bus", _LEVELS[status.state], what, values)
+
+    def _needed(self) -> Check:
+        now_ns = self._now_ns()
+        values, missing, stale = {}, [], []
+        for message in self._decoder.table.messages.values():
+            seen = self._decoder.statistics(message.name).last_seen_ns
+            age = None if seen is None else (now_ns - seen) * 1e-9
+            for signal in message.signals:
+                values[f"{signal.name} ({message.name}) age [s]"] = "never seen" if age is None else age
+            names = ", ".join(s.name for s in message.signals)
+            late = "no frame yet" if age is None else f"no good frame for {age:.1f} s"
+            if age is None and message.needed:
+                missing.append(f"{names} ({message.name}): {late}")
+            elif age is not None and age > message.timeout:
+                (missing if message.needed else stale).append(f"{names} ({message.name}): {late}")
+        if missing and time.monotonic() - self._started > _GRACE:
+            return Check("signals", ERROR, "; ".join(missing), values)
+        if stale:
+            return Check("signals", WARN, "; ".join(stale), values)
+        return Check("signals", OK, "waiting for the first frames" if missing else "needed signals are fresh", values)
+
+    def _frames(self) -> Check:
+        values, bad = {}, 0
+        for name in self._decoder.table.messages:
+            counts = self._decoder.statistics(name)
+            values[f"{name} good"] = counts.good
+            for what, count in (("lost", counts.lost), ("wrong counter", counts.wrong_counter),
+                                ("wrong checksum", counts.wrong_checksum), ("wrong length", counts.wrong_length),
+                                ("not finite", counts.not_finite), ("implausible", counts.implausible),
+                                ("dropped", counts.dropped)):
+                if count:
+                    values[f"{name} {what}"] = count
+            bad += (counts.wrong_counter + counts.wrong_checksum + counts.wrong_length + counts.not_finite
+                    + counts.implausible)
+        values["unknown identifiers"] = self._decoder.frames.unknown
+        values["remote frames"] = self._decoder.frames.remote
+        new, self._bad_before = bad - self._bad_before, bad
+        if new:
+            return Check("frames", WARN, f"{new} bad frames since the last report, {bad} since start", values)
+        return Check("frames", OK, f"no bad frame since the last report, {bad} since start", values)
+
+    def _plausibility(self) -> Check:
+        nonsense = self._decoder.nonsense()
+        if nonsense:
+            return Check("plausibility", ERROR, "; ".join(nonsense) + "; the signal is held back")
+        return Check("plausibility", OK, "decoded signals are possible")

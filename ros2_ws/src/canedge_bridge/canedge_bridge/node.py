@@ -1,0 +1,181 @@
+"""canedge_bridge: CAN frames of a car, live, to ROS topics."""
+
+import logging
+import math
+import threading
+import time
+from pathlib import Path
+
+import can
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from st_core.errors import StCoreError
+from st_core.vehicle import VehicleParameters
+from st_msgs.msg import CanFrame, CanFrames, InsOnCan, Steering, WheelSpeeds
+from st_ros import parameters, spin
+from st_ros.diagnostics import Diagnostics
+from st_ros.parameters import ConfigurationError, Parameter
+
+from .convert import to_can_frame, to_can_frames, to_ins_on_can, to_steering, to_wheel_speeds
+from .decode import Decoded, Decoder
+from .error_frames import BusState
+from .health import Health
+from .receiver import Receiver
+from .steering import SteeringCalibration
+from .table_reader import TableError
+from .transport import check_channel, id_filters, open_bus
+
+QOS = QoSProfile(depth=50, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+FRAMES_PERIOD = 0.02
+
+PARAMETERS = (
+    Parameter("interface", "socketcan", "python-can interface: socketcan, udp_multicast (loopback only), ..."),
+    Parameter("channel", "can0", "can0 for socketcan, group or group:port for udp_multicast"),
+    Parameter("bitrate", 0, "for interfaces that set it themselves, 0: leave it", "bit/s", 0, 8_000_000),
+    Parameter("dbc_file", "", "DBC of the bus"),
+    Parameter("signals_file", "", "table from DBC signals to our names, signs, units and checks"),
+    Parameter("vehicle_file", "", "vehicle parameters, for steering_ratio and steering_wheel_offset"),
+    Parameter("needed_messages", [], "messages whose absence is an error, instead of those the table marks"),
+    Parameter("checks", [], "MESSAGE=off|warn|drop, or MESSAGE.counter=..., MESSAGE.checksum=..., over the table"),
+    Parameter("steering_sign", 1, "+1: decoded sensor is left positive; -1: right positive", choices=(1, -1)),
+    Parameter("steering_ratio", math.nan, "steering wheel to road wheel; NaN: from vehicle_file", "1", 1.0, 60.0),
+    Parameter("steering_wheel_offset", math.nan, "signed sensor reading when driving straight, left +; NaN: from "
+              "vehicle_file", "rad", -math.pi, math.pi),
+    Parameter("steering_latency", 0.0, "from the turn of the wheel to the frame on this host", "s", 0.0, 1.0),
+    Parameter("silence_after", 1.0, "an open bus without a frame for this long counts as silent", "s", 0.05, 60.0),
+    Parameter("publish_frames", False, "publish every raw frame on can/frames"),
+)
+
+
+class CanedgeBridge(Node):
+    """Publishes from the receive thread: one frame in, at most one message out, without a turn through the executor."""
+
+    def __init__(self) -> None:
+        super().__init__("canedge_bridge")
+        self._settings = settings = parameters.declare(self, PARAMETERS)
+        self._decoder = _make_decoder(settings)
+        self._calibration = self._make_calibration()
+        self._latency_ns = round(settings.steering_latency * 1e9)
+        self._steering = self.create_publisher(Steering, "vehicle/steering", QOS)
+        self._wheel_speeds = self.create_publisher(WheelSpeeds, "vehicle/wheel_speeds", QOS)
+        self._ins_on_can = self.create_publisher(InsOnCan, "vehicle/ins_on_can", QOS)
+        self._frames: list[CanFrame] = []
+        self._frames_lock = threading.Lock()
+        if settings.publish_frames:
+            self._can_frames = self.create_publisher(CanFrames, "can/frames", QOS)
+            self._frames_timer = self.create_timer(FRAMES_PERIOD, self._publish_frames)
+        self._receiver = Receiver(
+            self._open, self._on_frame, on_state=self._on_state, on_trouble=self._on_trouble,
+            silence=settings.silence_after,
+            network_interface=settings.channel if settings.interface == "socketcan" else "")
+        bus_name = f"{settings.interface}:{settings.channel}"
+        self._health = Health(bus_name, self._decoder, self._receiver.status, time.time_ns)
+        self._diagnostics = Diagnostics(self, bus_name, self._health.checks)
+        # A change of the bus is worth telling at once, but only the executor's thread may publish diagnostics.
+        self._bus_changed = self.create_guard_condition(self._diagnostics.publish)
+        self._report_start(bus_name)
+        self._receiver.start()
+
+    def close(self) -> None:
+        self._receiver.stop()
+
+    def _make_calibration(self) -> SteeringCalibration | None:
+        if self._decoder.table.source_of("steering_wheel_angle") is None:
+            return None
+        settings = self._settings
+        ratio, offset = settings.steering_ratio, settings.steering_wheel_offset
+        if settings.vehicle_file:
+            vehicle = _read_vehicle(settings.vehicle_file)
+            ratio = ratio if math.isfinite(ratio) else vehicle.steering_ratio
+            offset = offset if math.isfinite(offset) else vehicle.steering_wheel_offset
+        for name, value in (("steering_ratio", ratio), ("steering_wheel_offset", offset)):
+            if not math.isfinite(value):
+                raise ConfigurationError(f"canedge_bridge.{name}: not given; set it, or vehicle_file that has it")
+        return SteeringCalibration(settings.steering_sign, offset, ratio)
+
+    def _open(self) -> can.BusABC:
+        settings = self._settings
+        # A raw recording wants every frame, everything else only what the table decodes.
+        filters = None if settings.publish_frames else id_filters(self._decoder.keys)
+        return open_bus(settings.interface, settings.channel, filters, settings.bitrate)
+
+    def _on_frame(self, frame: can.Message, time_ns: int) -> None:
+        if self._settings.publish_frames:
+            with self._frames_lock:
+                self._frames.append(to_can_frame(frame, time_ns))
+        decoded = self._decoder.decode(frame, time_ns)
+        if decoded is not None:
+            self._publish(decoded)
+
+    def _publish(self, decoded: Decoded) -> None:
+        sensor = decoded.values.get("steering_wheel_angle")
+        if sensor is not None and self._calibration is not None:
+            calibration = self._calibration
+            self._steering.publish(to_steering(
+                decoded.time_ns - self._latency_ns, calibration.steering_wheel_angle(sensor),
+                calibration.road_wheel_angle(sensor), decoded.valid))
+        wheel_speeds = to_wheel_speeds(decoded)
+        if wheel_speeds is not None:
+            self._wheel_speeds.publish(wheel_speeds)
+        ins = to_ins_on_can(decoded)
+        if ins is not None:
+            self._ins_on_can.publish(ins)
+
+    def _publish_frames(self) -> None:
+        with self._frames_lock:
+            frames, self._frames = self._frames, []
+        if frames:
+            self._can_frames.publish(to_can_frames(frames, f"{self._settings.interface}:{self._settings.channel}"))
+
+    def _on_state(self, state: BusState, reason: str) -> None:
+        if rclpy.ok():
+            self._bus_changed.trigger()
+
+    def _on_trouble(self, error: Exception) -> None:
+        # At the end the context goes before the thread does; what fails then is no news.
+        if rclpy.ok():
+            self.get_logger().error(f"a frame could not be handled: {error!r}", throttle_duration_sec=5.0)
+
+    def _report_start(self, bus_name: str) -> None:
+        logger, table = self.get_logger(), self._decoder.table
+        needed = ", ".join(m.name for m in table.needed) or "nothing"
+        absent = f"; not in the DBC: {', '.join(table.absent)}" if table.absent else ""
+        logger.info(f"bus {bus_name}, {table.dbc_file} with {table.signals_file}: "
+                    f"decodes {len(table.messages)} messages, needs {needed}{absent}")
+        if self._calibration is not None:
+            logger.info(self._calibration.formula())
+
+
+def _make_decoder(settings) -> Decoder:
+    for name in ("dbc_file", "signals_file"):
+        if not getattr(settings, name):
+            raise ConfigurationError(f"canedge_bridge.{name}: not given")
+    try:
+        check_channel(settings.interface, settings.channel)
+        checks = dict(_split_check(text) for text in settings.checks)
+        return Decoder(settings.dbc_file, settings.signals_file, settings.needed_messages, checks)
+    except (TableError, ValueError) as error:
+        raise ConfigurationError(f"canedge_bridge: {error}") from None
+
+
+def _split_check(text: str) -> tuple[str, str]:
+    key, equals, mode = text.partition("=")
+    if not equals:
+        raise ValueError(f"checks: {text!r} is not MESSAGE=off|warn|drop")
+    return key.strip(), mode.strip()
+
+
+def _read_vehicle(file: str) -> VehicleParameters:
+    try:
+        return VehicleParameters.from_yaml(Path(file).read_text(encoding="utf-8"), file)
+    except OSError as error:
+        raise ConfigurationError(f"canedge_bridge.vehicle_file: {file}: cannot be read: {error.strerror}") from None
+    except (StCoreError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"canedge_bridge.vehicle_file: {error}") from None
+
+
+def main() -> int:
+    # python-can logs every failed attempt to open a bus; the node tells it once, through its diagnostics.
+    logging.getLogger("can").setLevel(logging.CRITICAL)
+    return spin.run(CanedgeBridge)

@@ -1,0 +1,216 @@
+"""The receive side of a CAN bus: one supervised thread that opens, reads, notices trouble, and comes back by itself.
+
+python-can's Notifier is not used: its thread ends at the first exception, and with it the data, for good.
+"""
+
+import errno
+import statistics
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import can
+
+from .error_frames import BusState, describe
+from .transport import link_is_up
+
+BACK_OFF_FIRST, BACK_OFF_LAST = 0.1, 5.0
+# How long recv may block: bounds how late stop(), silence and a vanished interface are noticed.
+_POLL = 0.2
+# Controllers report entering error-passive, not all report leaving it: this long without an error frame counts as left.
+_PASSIVE_FOR = 5.0
+# Some adapters stamp with the time since they were powered; a stamp this far from the host's clock is not the host's.
+_FOREIGN_CLOCK_NS = 86_400 * 10**9
+
+
+@dataclass
+class ReceiverStatus:
+    """A snapshot: state, reason (one line, empty when all is well) and counts since start.
+
+    last_frame_ns: receive stamp of the newest frame [ns since 1970], None before the first.
+    delay, delay_maximum: from the receive stamp until the frame was handed over [s], median and maximum of the last
+    frames; NaN before the first.
+    """
+
+    state: BusState = BusState.GONE
+    reason: str = "not opened yet"
+    frames: int = 0
+    error_frames: int = 0
+    last_error: str = ""
+    opened: int = 0
+    failures: int = 0
+    callback_errors: int = 0
+    last_frame_ns: int | None = None
+    delay: float = float("nan")
+    delay_maximum: float = float("nan")
+
+
+class Receiver:
+    """Calls `on_frame(frame, time_ns)` in its own thread for every frame, data and error frames alike.
+
+    open_bus: opens the bus; called again, after 0.1 s doubling to 5 s, as long as it raises.
+    on_state(state, reason): called in the same thread at every change of state or reason.
+    silence: seconds without a frame after which an open bus counts as silent.
+    network_interface: its name, to see that it is switched off or gone where the socket does not say so; "" for a bus
+    that has none.
+    An exception in `on_frame` is counted, passed to `on_trouble` and does not end the thread.
+    """
+
+    def __init__(self, open_bus: Callable[[], can.BusABC], on_frame: Callable[[can.Message, int], None], *,
+                 on_state: Callable[[BusState, str], None] = lambda state, reason: None,
+                 on_trouble: Callable[[Exception], None] = lambda error: None,
+                 silence: float = 1.0, network_interface: str = ""):
+        self._open_bus = open_bus
+        self._on_frame = on_frame
+        self._on_state = on_state
+        self._on_trouble = on_trouble
+        self._silence = silence
+        self._network_interface = network_interface
+        self._status = ReceiverStatus()
+        self._delays: deque[int] = deque(maxlen=512)
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._bus: can.BusABC | None = None
+        self._back_off = BACK_OFF_FIRST
+        self._heard = 0.0
+        self._last_error_frame = 0.0
+        self._thread = threading.Thread(target=self._run, name="can receiver", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends the thread and closes the bus; returns when both are done. May be called twice."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def status(self) -> ReceiverStatus:
+        with self._lock:
+            status, delays = replace(self._status), list(self._delays)
+        if delays:
+            status.delay, status.delay_maximum = statistics.median(delays) * 1e-9, max(delays) * 1e-9
+        return status
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                if self._bus is None:
+                    self._open()
+                else:
+                    self._receive()
+            except Exception as error:  # The supervisor: whatever a driver raises, the thread lives on.
+                self._failed(error)
+        self._close()
+
+    def _open(self) -> None:
+        self._bus = self._open_bus()
+        self._heard = time.monotonic()
+        with self._lock:
+            self._status.opened += 1
+        self._set(BusState.SILENT, "no frame yet")
+
+    def _close(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            try:
+                bus.shutdown()
+            except Exception as error:  # A vanished device may not even let itself be closed.
+                self._on_trouble(error)
+
+    def _receive(self) -> None:
+        frame = self._bus.recv(_POLL)
+        if frame is None:
+            self._nothing_came()
+            return
+        now_ns = time.time_ns()
+        # python-can hands the kernel's nanoseconds over as a float: exact to 0.24 us.
+        time_ns = round(frame.timestamp * 1e9)
+        if abs(now_ns - time_ns) > _FOREIGN_CLOCK_NS:
+            time_ns = now_ns
+        self._back_off = BACK_OFF_FIRST
+        if frame.is_error_frame:
+            self._error_frame(frame)
+        else:
+            self._data_frame(time_ns, now_ns)
+        try:
+            self._on_frame(frame, time_ns)
+        except Exception as error:
+            with self._lock:
+                self._status.callback_errors += 1
+            self._on_trouble(error)
+
+    def _data_frame(self, time_ns: int, now_ns: int) -> None:
+        status = self._status
+        self._heard = time.monotonic()
+        with self._lock:
+            self._delays.append(now_ns - time_ns)
+            status.frames += 1
+            status.last_frame_ns = time_ns
+        passive = status.state is BusState.ERROR_PASSIVE and self._errors_are_recent()
+        if status.state is not BusState.OK and not passive:
+            self._set(BusState.OK, "")
+
+    def _error_frame(self, frame: can.Message) -> None:
+        error = describe(frame)
+        self._last_error_frame = time.monotonic()
+        with self._lock:
+            self._status.error_frames += 1
+            self._status.last_error = error.text
+        if error.state is BusState.OK:
+            if self._status.state in (BusState.BUS_OFF, BusState.ERROR_PASSIVE):
+                self._set(BusState.SILENT, f"{error.text}, no frame yet")
+        elif error.state is not None:
+            self._set(error.state, error.text)
+
+    def _errors_are_recent(self) -> bool:
+        return time.monotonic() - self._last_error_frame < _PASSIVE_FOR
+
+    def _nothing_came(self) -> None:
+        state = self._status.state
+        up = link_is_up(self._network_interface)
+        if up is None and self._network_interface:
+            raise can.CanOperationError(f"interface {self._network_interface} has vanished", errno.ENODEV)
+        if up is False:
+            self._set(BusState.DOWN, f"interface {self._network_interface} is down")
+            return
+        self._back_off = BACK_OFF_FIRST
+        quiet = time.monotonic() - self._heard > self._silence
+        if state is BusState.DOWN:
+            self._set(BusState.SILENT, "interface is up again, no frame yet")
+        elif quiet and (state is BusState.OK or (state is BusState.ERROR_PASSIVE and not self._errors_are_recent())):
+            self._set(BusState.SILENT, f"no frame for more than {self._silence:g} s")
+
+    def _failed(self, error: Exception) -> None:
+        """A network that is down comes back to the same socket; anything else needs a new one."""
+        with self._lock:
+            self._status.failures += 1
+        if _errno(error) == errno.ENETDOWN and self._bus is not None:
+            self._set(BusState.DOWN, f"interface is down: {_line(error)}")
+        else:
+            self._close()
+            self._set(BusState.GONE, _line(error))
+        self._stop.wait(self._back_off)
+        self._back_off = min(2 * self._back_off, BACK_OFF_LAST)
+
+    def _set(self, state: BusState, reason: str) -> None:
+        changed = (self._status.state, self._status.reason) != (state, reason)
+        with self._lock:
+            self._status.state, self._status.reason = state, reason
+        if changed:
+            self._on_state(state, reason)
+
+
+def _errno(error: BaseException) -> int | None:
+    """python-can puts the errno in `error_code`; an OSError has its own; a wrapper may have it in its cause."""
+    for candidate in (error, error.__cause__, error.__context__):
+        code = getattr(candidate, "error_code", None) or getattr(candidate, "errno", None)
+        if code:
+            return int(code)
+    return None
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

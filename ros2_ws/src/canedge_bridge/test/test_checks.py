@@ -1,0 +1,74 @@
+"""Checksum rules on recorded bytes, and what the counter makes of a sequence."""
+
+import pytest
+from canedge_bridge.checks import RULES, CounterCheck, Field, checksum_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+HIGH_NIBBLE = Field(4, 4, 4)
+LAST_BYTE = Field(7, 0, 8)
+SECOND = 1_000_000_000
+
+
+def test_check_nibble_of_a_recorded_steering_frame():
+    data = bytes.fromhex("1D000007B0")
+    assert checksum_of(RULES["xor_nibble"], HIGH_NIBBLE, data, 0x002) == 0xB
+
+
+def test_sum_by_hand():
+    # 0x3C + 6 + 0x3C + 0x2B + 0x1D + 0x10 + 7 = 0xDD; + 0x02 + 0x84 = 0x163
+    data = bytes.fromhex("3C063C2B1D100700")
+    assert checksum_of(RULES["sum8_id"], LAST_BYTE, data, 0x284) == 0x63
+    assert checksum_of(RULES["sum8_id"], LAST_BYTE, data, 0x285) == 0x64
+
+
+@given(data=st.binary(min_size=5, max_size=5), bit=st.integers(0, 39))
+def test_the_nibble_sees_every_single_bit_error(data, bit):
+    data = HIGH_NIBBLE.written(data, checksum_of(RULES["xor_nibble"], HIGH_NIBBLE, data, 2))
+    hit = bytearray(data)
+    hit[bit // 8] ^= 1 << bit % 8
+    assert checksum_of(RULES["xor_nibble"], HIGH_NIBBLE, bytes(hit), 2) != HIGH_NIBBLE.read(bytes(hit))
+
+
+@given(data=st.binary(min_size=8, max_size=8), value=st.integers(0, 15), byte=st.integers(0, 7),
+       shift=st.integers(0, 4))
+def test_a_field_touches_only_its_own_bits(data, value, byte, shift):
+    field = Field(byte, shift, 4)
+    written = field.written(data, value)
+    assert field.read(written) == value
+    assert field.written(written, field.read(data)) == data
+
+
+def counts(values, step_ns=10_000_000, bits=4):
+    check = CounterCheck(Field(0, 0, bits), SECOND)
+    return [check.accepts(bytes([v]), i * step_ns) for i, v in enumerate(values)], check.lost
+
+
+@pytest.mark.parametrize(("values", "verdicts", "lost"), [
+    ([13, 14, 15, 0, 1], [True] * 5, 0),
+    ([3, 4, 7, 8], [True, True, False, True], 2),
+    ([3, 3, 4], [True, False, True], 0),
+    ([15, 1], [True, False], 1),
+    ([5, 4, 5], [True, False, True], 14),
+])
+def test_counter(values, verdicts, lost):
+    assert counts(values) == (verdicts, lost)
+
+
+def test_a_stream_that_returns_is_not_judged_by_its_past():
+    assert counts([3, 9], step_ns=2 * SECOND) == ([True, True], 0)
+
+
+def test_a_clock_set_back_is_not_a_fault_of_the_counter():
+    check = CounterCheck(Field(0, 0, 4), SECOND)
+    assert check.accepts(b"\x03", 10 * SECOND)
+    assert check.accepts(b"\x09", 0)
+    assert check.accepts(b"\x0a", 1000)
+
+
+def test_a_frame_passed_over_counts_as_come():
+    check = CounterCheck(Field(0, 0, 4), SECOND)
+    check.accepts(b"\x03", 0)
+    check.pass_over(1)
+    assert check.accepts(b"\x05", 2)
+    assert check.lost == 0

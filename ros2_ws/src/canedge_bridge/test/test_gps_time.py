@@ -1,0 +1,33 @@
+"""GPS to UTC at the leap seconds."""
+
+import math
+
+import pytest
+from canedge_bridge import gps_time
+
+
+@pytest.mark.parametrize(("unix_time", "leap"), [
+    (1_136_073_600, 14), (1_230_767_999, 14), (1_230_768_000, 15), (1_341_100_800, 16), (1_435_708_800, 17),
+    (1_483_228_799, 17), (1_483_228_800, 18), (1_900_000_000, 18), (0, 14)])
+def test_leap_seconds(unix_time, leap):
+    assert gps_time.leap_seconds(unix_time) == leap
+
+
+def test_the_packet_of_the_ncom_notes():
+    """GPS 1440936034.560 s is 2025-09-03T12:00:16.560 UTC."""
+    unix_time = gps_time.from_milli_time({"gps_time": 1_440_936_034.560, "gps_utc_offset": 0})
+    assert unix_time == pytest.approx(1_756_900_816.560, abs=1e-6)
+
+
+@pytest.mark.parametrize("around", [1_483_228_800, 1_435_708_800])
+@pytest.mark.parametrize("difference", [-2.5, -0.5, 0.0, 0.5, 2.5])
+def test_there_and_back_across_a_leap_second(around, difference):
+    unix_time = around + difference
+    assert gps_time.from_date_time(gps_time.to_date_time(unix_time)) == pytest.approx(unix_time, abs=0.005)
+    assert gps_time.from_milli_time(gps_time.to_milli_time(unix_time)) == pytest.approx(unix_time, abs=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [{"gps_month": 0}, {"gps_month": 13}, {"gps_day": 31, "gps_month": 2},
+                                   {"gps_hour": 24}, {"gps_minute": 60}])
+def test_no_date_is_no_time(wrong):
+    assert math.isnan(gps_time.from_date_time(gps_time.to_date_time(1.7e9) | wrong))

@@ -1,0 +1,170 @@
+"""The table against the DBC: what is refused, and that the sentence names file, key and limit."""
+
+import math
+
+import pytest
+import yaml
+from canedge_bridge.signals import load_table, wrap
+from canedge_bridge.table_reader import TableError
+
+
+def test_every_row_of_the_shipped_table_is_in_the_shipped_dbc(dbc_file, signals_file):
+    table = load_table(dbc_file, signals_file)
+    assert table.absent == ()
+    assert {m.name: m.dbc.frame_id for m in table.messages.values()} == {
+        "Leaf_Steering": 0x002, "Leaf_WheelSpeedFront": 0x284, "Leaf_WheelSpeedRear": 0x285, "RT_DateTime": 0x600,
+        "RT_MilliTime": 0x630, "RT_VelocityLevel": 0x604, "RT_HeadingPitchRoll": 0x607, "RT_RateVehicle": 0x608,
+        "RT_IsoOrientation": 0x633, "RT_IsoVsVelocity": 0x634, "RT_IsoVsAngularVelocity": 0x636}
+    assert [m.name for m in table.needed] == ["Leaf_Steering"]
+
+
+def put(path, value):
+    """An edit that sets, or with value None deletes, one key of the table."""
+
+    def edit(messages):
+        *parents, last = path.split("/")
+        entry = messages
+        for key in parents:
+            entry = entry[key]
+        if value is None:
+            del entry[last]
+        else:
+            entry[last] = value
+
+    return edit
+
+
+WHEEL = "Leaf_Steering/signals/SteeringWheelAngle"
+
+
+@pytest.mark.parametrize(("edit", "message"), [
+    (put("Leaf_Steering/time_out", 1), "messages.Leaf_Steering.time_out: unknown key; known are needed, period"),
+    (put("Leaf_Steering/needed", None), "messages.Leaf_Steering.needed: missing"),
+    (put("Leaf_Steering/needed", "yes please"), "messages.Leaf_Steering.needed: 'yes please' is not true or false"),
+    (put("Leaf_Steering/timeout", {"value": 0, "unit": "s"}), "timeout.value: 0 is outside 0.001 to 600"),
+    (put("Leaf_Steering/timeout", {"value": 100, "unit": "ms"}), "timeout.unit: 'ms' is not one of s"),
+    (put("Leaf_Steering/timeout", {"value": 0.1}), "timeout.unit: missing"),
+    (put("Leaf_Steering/timeout", {"value": math.nan, "unit": "s"}), "timeout.value: nan is not a number"),
+    (put("Leaf_Steering/checksum/rule", "crc8"), "checksum.rule: 'crc8' is not one of xor_nibble, sum8_id"),
+    (put("Leaf_Steering/checksum/rule", "sum8_id"), "checksum.rule: is 8 bits, SteeringXorNibble 4"),
+    (put("Leaf_Steering/checksum/check", "refuse"), "checksum.check: 'refuse' is not one of off, warn, drop"),
+    (put("Leaf_Steering/counter/signal", "SteeringWheelAngle"), "cannot be a counter"),
+    (put("Leaf_Steering/fill", {"SteeringConst07": 256}), "fill.SteeringConst07: 256 is outside 0 to 255"),
+    (put("Leaf_Steering/fill", {"SteeringConst07": 1.5}), "fill.SteeringConst07: 1.5 is not a whole number"),
+    (put(WHEEL + "/name", "wheel_angle"), "SteeringWheelAngle.name: 'wheel_angle' is not one of steering_wheel_angle"),
+    (put(WHEEL + "/unit", None), "SteeringWheelAngle.unit: missing"),
+    (put(WHEEL + "/unit", "rad"), "SteeringWheelAngle.unit: 'rad', but"),
+    (put(WHEEL + "/name", "vehicle_speed"), "unit: 'deg' cannot become 'm/s'"),
+    (put(WHEEL + "/sign", 2), "SteeringWheelAngle.sign: 2 is not one of 1, -1"),
+    (put(WHEEL + "/scale", 1000), "SteeringWheelAngle.scale: 1000 is outside 0.01 to 100"),
+    (put(WHEEL + "/range", [900, -900]), "SteeringWheelAngle.range: 900 is not below -900"),
+    (put(WHEEL + "/range", 900), "SteeringWheelAngle.range: [minimum, maximum] wanted"),
+    (put("Leaf_Steering/signals/Wheel", {}), "Leaf_Steering has no signal Wheel"),
+    (put("Leaf_Steering/samples", [{"data": "1D00", "signal": "SteeringWheelAngle", "value": 0, "unit": "deg"}]),
+     "has 2 bytes, the DBC says 5"),
+    (put("Leaf_Steering/samples", [{"data": "xyz", "signal": "SteeringWheelAngle", "value": 0, "unit": "deg"}]),
+     "samples[0].data: not hexadecimal bytes"),
+    (put("RT_MilliTime/signals/UtcOffset", None), "GPS time needs all of gps_time, gps_utc_offset"),
+    (put("Leaf_Brake", {"needed": True}), "has no message Leaf_Brake"),
+    (put("Leaf_Steering", []), "messages.Leaf_Steering: a mapping of names wanted"),
+])
+def test_refused_with_one_line(edit, message, dbc_file, changed_table):
+    path = changed_table(edit)
+    with pytest.raises(TableError) as refusal:
+        load_table(dbc_file, path)
+    text = str(refusal.value)
+    assert message in text and str(path) in text and "\n" not in text
+
+
+def test_a_check_switched_off_survives_yaml(dbc_file, changed_table):
+    """YAML reads a bare off as false."""
+    path = changed_table(put("Leaf_Steering/checksum/check", False))
+    assert load_table(dbc_file, path).messages["Leaf_Steering"].checksum.mode == "off"
+
+
+ANGLE = 'SG_ SteeringWheelAngle : 0|16@1- (-0.1,0) [-3276.7|3276.8] "deg"'
+
+
+@pytest.mark.parametrize(("layout", "message"), [
+    # As in a public DBC of the car: high byte first, unsigned.
+    ('SG_ SteeringWheelAngle : 7|16@0+ (0.1,0) [0|6553.5] "deg"', "can only decode to 0 .. 6553.5 deg"),
+    ('SG_ SteeringWheelAngle : 0|16@1+ (0.1,0) [0|6553.5] "deg"', "16 bits, low byte first, unsigned"),
+    ('SG_ SteeringWheelAngle : 0|8@1- (-0.1,0) [-12.8|12.7] "deg"', "can only decode to -12.7 .. 12.8 deg"),
+    # Signed and wide enough, so only the recorded frame shows it: 742.4 deg at rest.
+    ('SG_ SteeringWheelAngle : 7|16@0- (-0.1,0) [-3276.7|3276.8] "deg"', "1D 00 00 07 B0 of Leaf_Steering: -742.4 deg"),
+    ('SG_ SteeringWheelAngle : 0|16@1- (-0.2,0) [-3276.7|3276.8] "deg"', "-5.8 deg instead of -2.9"),
+])
+def test_a_dbc_that_makes_nonsense_of_the_wheel_is_refused(layout, message, changed_dbc, signals_file):
+    path = changed_dbc(ANGLE, layout)
+    with pytest.raises(TableError, match="nonsense") as refusal:
+        load_table(path, signals_file)
+    assert message in str(refusal.value) and str(path) in str(refusal.value)
+
+
+def test_a_sensor_that_counts_the_other_way_is_not_nonsense(changed_dbc, signals_file):
+    """Sign is what steering_sign is for."""
+    path = changed_dbc(ANGLE, ANGLE.replace("-0.1", "0.1"))
+    assert "Leaf_Steering" in load_table(path, signals_file).messages
+
+
+def test_a_dbc_without_the_needed_message_is_refused(changed_dbc, signals_file):
+    with pytest.raises(TableError, match=r"has no message Leaf_Steering, which .* marks as needed"):
+        load_table(changed_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 Something_Else:"), signals_file)
+
+
+def test_a_dbc_without_the_needed_signal_is_refused(changed_dbc, signals_file):
+    with pytest.raises(TableError, match="Leaf_Steering has no signal SteeringWheelAngle"):
+        load_table(changed_dbc("SG_ SteeringWheelAngle :", "SG_ Wheel :"), signals_file)
+
+
+def test_a_dbc_without_a_message_that_is_not_needed_is_taken(changed_dbc, signals_file):
+    table = load_table(changed_dbc("BO_ 1584 RT_MilliTime:", "BO_ 1584 Other:"), signals_file)
+    assert table.absent == ("RT_MilliTime",)
+
+
+def test_needed_can_be_replaced(dbc_file, signals_file):
+    table = load_table(dbc_file, signals_file, ["RT_VelocityLevel"])
+    assert [m.name for m in table.needed] == ["RT_VelocityLevel"]
+    with pytest.raises(TableError, match="needed message Nobody is not in the table"):
+        load_table(dbc_file, signals_file, ["Nobody"])
+
+
+@pytest.mark.parametrize("text", ["", "not a dbc at all", "BO_ 2 A: 8 X\n SG_ S : 0|16@1- (1", "\0\1\2\3"])
+def test_a_file_that_is_no_dbc(text, tmp_path, signals_file):
+    path = tmp_path / "bad.dbc"
+    path.write_text(text)
+    with pytest.raises(TableError) as refusal:
+        load_table(path, signals_file)
+    assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_overlapping_signals_are_refused(changed_dbc, signals_file):
+    with pytest.raises(TableError, match="not a valid DBC"):
+        load_table(changed_dbc("SteeringWheelRateRaw : 16|8", "SteeringWheelRateRaw : 8|8"), signals_file)
+
+
+def test_missing_files(dbc_file, signals_file, tmp_path):
+    with pytest.raises(TableError, match=r"none\.dbc: cannot be read: No such file"):
+        load_table(tmp_path / "none.dbc", signals_file)
+    with pytest.raises(TableError, match=r"none\.yaml: cannot be read: No such file"):
+        load_table(dbc_file, tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("text", ["messages: [", "[]", "messages: 3", "", "message: {}"])
+def test_a_file_that_is_no_table(text, dbc_file, tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(TableError) as refusal:
+        load_table(dbc_file, path)
+    assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_the_table_says_for_every_signal_what_unit_it_has(signals_file):
+    messages = yaml.safe_load(signals_file.read_text())["messages"]
+    assert all({"name", "unit", "sign"} <= set(s) for m in messages.values() for s in m["signals"].values())
+
+
+@pytest.mark.parametrize(("angle", "wrapped"), [(0.0, 0.0), (math.pi, -math.pi), (3 * math.pi / 2, -math.pi / 2),
+                                                (-3 * math.pi / 2, math.pi / 2), (7.0, 7.0 - 2 * math.pi)])
+def test_wrap(angle, wrapped):
+    assert wrap(angle) == pytest.approx(wrapped, abs=1e-12)
