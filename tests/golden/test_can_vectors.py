@@ -1,0 +1,135 @@
+"""CAN vectors: a made-up drive and a real CANedge2 file, both as MF4, against what other programs read from them."""
+
+import csv
+from collections import defaultdict
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from canedge_bridge.decode import Decoder
+from canedge_bridge.log_decode import EXTENDED, decode_log
+from canedge_bridge.signals import load_dbc
+from support import ROOT, shared
+
+asammdf = pytest.importorskip("asammdf", reason="asammdf is an offline requirement")
+
+DBC = ROOT / "config" / "can" / "leaf_ze0.dbc"
+TABLE = ROOT / "config" / "can" / "leaf_ze0.yaml"
+REAL = "canedge2_2F6913DB_00000004_00000001"
+
+
+def frames_of(path: Path) -> dict[str, np.ndarray]:
+    """All data frames of an MF4 file, merged by time: time, and the CAN_DataFrame members without their prefix."""
+    parts = defaultdict(list)
+    with asammdf.MDF(path) as file:
+        for index, group in enumerate(file.groups):
+            if group.channel_group.cycles_nr and any(c.name == "CAN_DataFrame" for c in group.channels):
+                signal = file.get("CAN_DataFrame", group=index)
+                parts["time"].append(signal.timestamps)
+                for name in ("BusChannel", "ID", "IDE", "DLC", "DataLength", "DataBytes", "Dir"):
+                    parts[name].append(np.array(signal.samples[f"CAN_DataFrame.{name}"]))
+    merged = {name: np.concatenate(values) for name, values in parts.items()}
+    order = np.argsort(merged["time"], kind="stable")
+    return {name: values[order] for name, values in merged.items()}
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return frames_of(shared("vectors/can/synthetic_leaf_rt.mf4"))
+
+
+@pytest.fixture(scope="module")
+def samples():
+    """signal -> [(seconds, value)], every tenth of the drive"""
+    with shared("vectors/can/synthetic_leaf_rt.decoded.csv").open() as file:
+        table = defaultdict(list)
+        for row in csv.DictReader(file):
+            table[row["signal"]].append((float(row["t_s"]), float(row["value"])))
+    assert sum(map(len, table.values())) == 3600
+    return table
+
+
+def assert_every_tenth(times, values, expected):
+    assert len(values[::10]) == len(expected)
+    expected_times, expected_values = np.array(expected).T
+    assert np.abs(times[::10] - expected_times).max() < 1e-6
+    # The values in the file are rounded to the resolution of the signal.
+    assert np.abs(values[::10] - expected_values).max() < 1e-9
+
+
+def test_whole_log_decoder_on_the_drive(drive, samples):
+    columns = decode_log(load_dbc(DBC), drive["ID"], drive["DataBytes"], drive["DataLength"])
+    by_signal = {name: (c.rows, values) for c in columns.values() for name, values in c.signals.items()}
+    for name, expected in samples.items():
+        rows, values = by_signal[name]
+        assert_every_tenth(drive["time"][rows], values, expected)
+
+
+# Our name, its source message, what one unit of the DBC is in SI (sign included), and the DBC signal of the vector.
+LIVE = [
+    ("Leaf_Steering", "steering_wheel_angle", np.pi / 180, "SteeringWheelAngle"),
+    ("Leaf_WheelSpeedFront", "vehicle_speed", 1 / 3.6, "VehicleSpeedABS"),
+    ("Leaf_WheelSpeedFront", "wheel_speed_front_left", 1 / 3.6, "WheelSpeedFL"),
+    ("RT_VelocityLevel", "ins_velocity_x", 1.0, "VelForward"),
+    ("RT_RateVehicle", "ins_yaw_rate", -np.pi / 180, "AngRateZ"),
+    ("RT_IsoVsVelocity", "ins_velocity_x", 1.0, "IsoVsLongitudinalVelocity"),
+]
+
+
+def test_live_decoder_on_the_drive(drive, samples):
+    """Every frame of the drive through the decoder of the node: all good, none lost, and the values of the vector."""
+    decoder = Decoder(DBC, TABLE)
+    decoded = defaultdict(list)
+    for time, identifier, data, length in zip(drive["time"], drive["ID"], drive["DataBytes"], drive["DataLength"],
+                                              strict=True):
+        frame = can.Message(arbitration_id=int(identifier), is_extended_id=False, data=bytes(data[:length]))
+        result = decoder.decode(frame, round(time * 1e9))
+        assert result is not None and result.valid
+        for name, value in result.values.items():
+            decoded[result.message, name].append((time, value))
+    assert decoder.frames.unknown == 0 and len(drive["ID"]) == 42000
+    for message, name, scale, signal in LIVE:
+        times, values = np.array(decoded[message, name]).T
+        assert_every_tenth(times, values / scale, samples[signal])
+    yaw = np.array(decoded["RT_IsoOrientation", "ins_yaw"])[::10, 1]
+    error = np.degrees(yaw) - np.array(samples["IsoYawAngle"])[:, 1]
+    assert np.abs((error + 180) % 360 - 180).max() < 1e-9
+
+
+def test_both_axes_conventions_say_the_same(drive):
+    """604 is right-positive, 607 clockwise from north: in our axes they must equal 634 and 633 within rounding."""
+    decoder = Decoder(DBC, TABLE)
+    yaws = defaultdict(list)
+    for identifier, data, length in zip(drive["ID"], drive["DataBytes"], drive["DataLength"], strict=True):
+        if identifier in (0x607, 0x633):
+            frame = can.Message(arbitration_id=int(identifier), is_extended_id=False, data=bytes(data[:length]))
+            yaws[int(identifier)].append(decoder.decode(frame, 0).values["ins_yaw"])
+    difference = np.degrees(np.array(yaws[0x607]) - np.array(yaws[0x633]))
+    assert np.abs((difference + 180) % 360 - 180).max() < 0.011
+
+
+def test_real_canedge2_file_frame_by_frame():
+    read = frames_of(shared(f"vectors/can/{REAL}.MF4"))
+    with shared(f"vectors/can/{REAL}.frames.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 5588
+    assert np.abs(read["time"] - [float(r["t_rel_s"]) for r in rows]).max() < 1e-6
+    for name, column, base in (("BusChannel", "bus", 10), ("Dir", "dir_tx", 10), ("IDE", "ide", 10),
+                               ("ID", "id_hex", 16), ("DLC", "dlc", 10), ("DataLength", "len", 10)):
+        assert (read[name] == [int(r[column], base) for r in rows]).all(), name
+    for data, length, row in zip(read["DataBytes"], read["DataLength"], rows, strict=True):
+        assert bytes(data[:length]).hex().upper() == row["data_hex"]
+
+
+def test_nothing_of_the_real_file_is_taken_for_a_leaf_message():
+    """Its GNSS frames share the identifier 0x002 with the steering angle; their length tells them apart."""
+    read = frames_of(shared(f"vectors/can/{REAL}.MF4"))
+    ids = read["ID"] | (read["IDE"].astype(np.uint32) * EXTENDED)
+    assert decode_log(load_dbc(DBC), ids, read["DataBytes"], read["DataLength"]) == {}
+    decoder = Decoder(DBC, TABLE)
+    for identifier, extended, data, length in zip(read["ID"], read["IDE"], read["DataBytes"], read["DataLength"],
+                                                  strict=True):
+        frame = can.Message(arbitration_id=int(identifier), is_extended_id=bool(extended), data=bytes(data[:length]))
+        assert decoder.decode(frame, 0) is None
+    assert decoder.statistics("Leaf_Steering").wrong_length == (read["ID"] == 0x002).sum() == 44
