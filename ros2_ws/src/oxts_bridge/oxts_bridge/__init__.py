@@ -1,1 +1,1 @@
-"""OxTS NCOM (UDP or file) to ROS 2 topics: codec, converter, lifecycle node."""
+"""OxTS NCOM: codec (free of ROS), conversion to ROS messages, and the lifecycle node that publishes them."""
