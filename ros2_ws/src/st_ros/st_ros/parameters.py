@@ -1,4 +1,4 @@
-"""Node parameters declared once: type, default, unit, range. A misspelt, mistyped or out-of-range one stops the start-up."""
+"""Node parameters declared once: type, default, unit, range. A wrong name, type or value stops the start-up."""
 
 import math
 from collections.abc import Sequence
@@ -55,7 +55,8 @@ class Parameter:
         if self.choices and value not in self.choices:
             raise ConfigurationError(f"{self.name}: {value!r} is not {self.limit()}")
         numeric = isinstance(value, int | float) and not isinstance(value, bool)
-        if numeric and not (math.isnan(value) and math.isnan(self.default)) and not self.minimum <= value <= self.maximum:
+        unset = numeric and math.isnan(value) and math.isnan(self.default)
+        if numeric and not unset and not self.minimum <= value <= self.maximum:
             raise ConfigurationError(f"{self.name}: {value} is outside {self.limit()}")
         return value
 
@@ -69,9 +70,10 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
     overrides = dict(node._parameter_overrides)
     origin = _origin(node)
     known = {p.name for p in parameters}
-    unknown = [name for name in overrides if name not in known and name not in BUILT_IN and not name.startswith("qos_overrides.")]
-    if unknown:
-        raise ConfigurationError(f"{origin}{node.get_name()}: unknown parameter {unknown[0]}; known are {', '.join(sorted(known))}")
+    for name in overrides:
+        if name not in known and name not in BUILT_IN and not name.startswith("qos_overrides."):
+            raise ConfigurationError(
+                f"{origin}{node.get_name()}: unknown parameter {name}; known are {', '.join(sorted(known))}")
     values = SimpleNamespace()
     for parameter in parameters:
         try:

@@ -1,29 +1,44 @@
 """Start a node, spin it, and leave nothing behind: exit 0 on SIGINT or SIGTERM, 2 on a wrong configuration."""
 
+import signal
 import sys
 from collections.abc import Callable
+from types import FrameType
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.signals import SignalHandlerOptions
 
 from .parameters import ConfigurationError
+
+# How long a signal may wait for the executor to come back [s].
+WAKE_PERIOD = 0.1
 
 
 def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> int:
     """Spin the node until it is told to stop.
 
-    A node may have `exit_status: int` (read at the end) and `close()` (called once before it is destroyed).
+    A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
+    once before it is destroyed; it can still publish).
     """
-    rclpy.init(args=arguments)
+    stop = _StopRequest()
     node = None
     status = 0
+    try:
+        # rclpy's own handlers shut the context down at once: no last word could be published.
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy has no public base class; a parameter file that does not parse ends here
+        print(f"start refused: {_one_line(error)}", file=sys.stderr, flush=True)
+        return 2
     try:
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while rclpy.ok() and not getattr(node, "finished", False):
-            executor.spin_once(timeout_sec=0.5)
+        while not stop.requested and rclpy.ok() and not getattr(node, "finished", False):
+            executor.spin_once(timeout_sec=WAKE_PERIOD)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except ConfigurationError as error:
@@ -37,3 +52,25 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
             node.destroy_node()
         rclpy.try_shutdown()
     return status
+
+
+def settle(*publishers: Publisher, seconds: float = 0.5) -> None:
+    """For `close()`: wait until the subscribers have what was published, at most `seconds` each."""
+    for publisher in publishers:
+        publisher.wait_for_all_acked(Duration(seconds=seconds))
+
+
+class _StopRequest:
+    """SIGINT and SIGTERM as a flag; later ones change nothing, so that closing is not cut short."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._request)
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        self.requested = True
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,154 @@
+"""metadata.yaml of a rosbag2 directory (version 9, what ROS 2 Jazzy writes)."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+FILE_NAME = "metadata.yaml"
+INFINITE_NS = 2**63 - 1
+# Longer texts stay in the MCAP metadata records only.
+CUSTOM_DATA_LIMIT = 200
+
+
+@dataclass(frozen=True)
+class Qos:
+    """Quality of service as offered by a publisher, in rosbag2's words. Durations in ns, INFINITE_NS = not set."""
+
+    reliability: str = "reliable"  # or best_effort
+    durability: str = "volatile"  # or transient_local
+    history: str = "keep_last"
+    depth: int = 50
+    deadline_ns: int = INFINITE_NS
+    lifespan_ns: int = INFINITE_NS
+    liveliness: str = "automatic"
+    liveliness_lease_ns: int = INFINITE_NS
+
+    def to_entry(self) -> dict[str, Any]:
+        return {
+            "history": self.history,
+            "depth": self.depth,
+            "reliability": self.reliability,
+            "durability": self.durability,
+            "deadline": _duration(self.deadline_ns),
+            "lifespan": _duration(self.lifespan_ns),
+            "liveliness": self.liveliness,
+            "liveliness_lease_duration": _duration(self.liveliness_lease_ns),
+            "avoid_ros_namespace_conventions": False,
+        }
+
+
+def qos_text(qos: Sequence[Qos]) -> str:
+    """The same entries as the text rosbag2 keeps in the metadata of an MCAP channel."""
+    return yaml.safe_dump([q.to_entry() for q in qos], sort_keys=False).strip() if qos else ""
+
+
+@dataclass
+class Topic:
+    """One line of a bag's contents. qos: entries as in metadata.yaml."""
+
+    name: str
+    type_name: str
+    type_hash: str
+    qos: list[dict[str, Any]]
+    count: int = 0
+
+
+@dataclass
+class BagFile:
+    """One storage file. start_ns, end_ns: first and last log time [ns since the epoch], both 0 while count is 0."""
+
+    name: str
+    count: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+
+
+@dataclass
+class BagInformation:
+    files: list[BagFile]
+    topics: list[Topic]
+    custom: Mapping[str, str] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        filled = [f for f in self.files if f.count]
+        # rosbag2 marks an empty bag with the largest time.
+        start = min((f.start_ns for f in filled), default=INFINITE_NS)
+        end = max((f.end_ns for f in filled), default=INFINITE_NS)
+        return {
+            "rosbag2_bagfile_information": {
+                "version": 9,
+                "storage_identifier": "mcap",
+                "duration": {"nanoseconds": end - start},
+                "starting_time": {"nanoseconds_since_epoch": start},
+                "message_count": sum(f.count for f in self.files),
+                "topics_with_message_count": [
+                    {
+                        "topic_metadata": {
+                            "name": t.name,
+                            "type": t.type_name,
+                            "serialization_format": "cdr",
+                            "offered_qos_profiles": t.qos,
+                            "type_description_hash": t.type_hash,
+                        },
+                        "message_count": t.count,
+                    }
+                    for t in self.topics
+                ],
+                "compression_format": "",
+                "compression_mode": "",
+                "relative_file_paths": [f.name for f in self.files],
+                "files": [
+                    {
+                        "path": f.name,
+                        "starting_time": {"nanoseconds_since_epoch": f.start_ns if f.count else INFINITE_NS},
+                        "duration": {"nanoseconds": f.end_ns - f.start_ns},
+                        "message_count": f.count,
+                    }
+                    for f in self.files
+                ],
+                "custom_data": dict(self.custom) or None,
+                "ros_distro": "jazzy",
+            }
+        }
+
+    def text(self) -> str:
+        return yaml.dump(self.document(), Dumper=_NoAliases, sort_keys=False)
+
+    def save(self, directory: Path) -> None:
+        """Replaces metadata.yaml in one step: a reader sees the old or the new one, never half. Raises OSError."""
+        temporary = directory / (FILE_NAME + ".new")
+        try:
+            with temporary.open("w") as stream:
+                stream.write(self.text())
+                stream.flush()
+                os.fsync(stream.fileno())
+            temporary.replace(directory / FILE_NAME)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+class _NoAliases(yaml.SafeDumper):
+    """Every topic written out in full, as rosbag2 does, even where two share their QoS."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _duration(nanoseconds: int) -> dict[str, int]:
+    if nanoseconds >= INFINITE_NS:
+        return {"sec": 9223372036, "nsec": 854775807}
+    return dict(zip(("sec", "nsec"), divmod(nanoseconds, 1_000_000_000), strict=True))
+
+
+def short_entries(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """What of a bag's metadata records (name -> {key: text}) goes into `custom_data` of metadata.yaml: "name.key"."""
+    return {
+        f"{name}.{key}": value
+        for name, entries in records.items() if name != "rosbag2"
+        for key, value in entries.items() if len(value) <= CUSTOM_DATA_LIMIT and "\n" not in value
+    }

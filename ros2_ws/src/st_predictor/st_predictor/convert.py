@@ -1,0 +1,142 @@
+"""Between the messages of the predictor's topics and the plain values of st_core."""
+
+import math
+from array import array
+from collections.abc import Sequence
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
+from st_core.evaluation import ErrorStatistics as Statistics
+from st_core.evaluation import Score
+from st_core.frames import cg_to_ins_position
+from st_core.prediction import Start
+from st_core.types import ControlInput, InsSample, Trajectory, VehicleState
+from st_core.vehicle import VehicleParameters
+from st_msgs.msg import ErrorStatistics, Prediction, PredictionError
+from st_ros.stamps import from_nanoseconds, to_nanoseconds
+
+from .bag_metadata import INFINITE_NS, Qos
+
+# A unit quaternion that went through float32 is off by 1e-7; one that was never set has length 0.
+QUATERNION_TOLERANCE = 0.01
+# rmw's own value for "never"; rclpy turns it into this many nanoseconds or more.
+_NEVER_NS = 9_223_372_036 * 1_000_000_000
+
+
+def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
+    """The INS sample of an odometry message (REP 103/105), or why it cannot be used.
+
+    Pose of the INS point in the map frame (ENU), twist in body axes (forward, left, up) at that point.
+    """
+    if message.header.frame_id != map_frame:
+        return f"header.frame_id is {message.header.frame_id!r}, {map_frame!r} wanted (parameter map_frame)"
+    q, position = message.pose.pose.orientation, message.pose.pose.position
+    linear, yaw_rate = message.twist.twist.linear, message.twist.twist.angular.z
+    norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    if not all(map(math.isfinite, (position.x, position.y, norm, linear.x, linear.y, yaw_rate))):
+        return "NaN or infinite values"
+    if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+        return f"orientation is not a unit quaternion (squared length {norm:.3g})"
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return InsSample(to_nanoseconds(message.header.stamp), position.x, position.y, yaw, linear.x, linear.y, yaw_rate)
+
+
+class PathBuilder:
+    """One nav_msgs/Path that is filled again and again: making 101 poses anew costs ten times as much."""
+
+    def __init__(self, map_frame: str, points: int):
+        self.message = PathMessage(poses=[PoseStamped() for _ in range(points)])
+        for header in (self.message.header, *(pose.header for pose in self.message.poses)):
+            header.frame_id = map_frame
+
+    def fill(self, start_ns: int, trajectory: Trajectory, vehicle: VehicleParameters) -> PathMessage:
+        """The trajectory at the INS point; each pose is stamped with the instant it is predicted for."""
+        x, y = cg_to_ins_position(trajectory.x, trajectory.y, trajectory.yaw, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
+        half = 0.5 * trajectory.yaw
+        self.message.header.stamp = from_nanoseconds(start_ns)
+        times = start_ns + np.round(trajectory.time * 1e9).astype(np.int64)
+        seconds, nanoseconds = np.divmod(times, 1_000_000_000)
+        columns = (c.tolist() for c in (x, y, np.sin(half), np.cos(half), seconds, nanoseconds))
+        for pose, px, py, qz, qw, sec, nanosec in zip(self.message.poses, *columns, strict=True):
+            position, orientation, stamp = pose.pose.position, pose.pose.orientation, pose.header.stamp
+            position.x, position.y, orientation.z, orientation.w = px, py, qz, qw
+            stamp.sec, stamp.nanosec = sec, nanosec
+        return self.message
+
+
+def prediction_message(
+    start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters, map_frame: str,
+    configuration_hash: str,
+) -> Prediction:
+    """All but issued_at and compute_time, which the publisher of it knows."""
+    message = Prediction(
+        model=model, step=trajectory.step, configuration_hash=configuration_hash,
+        road_wheel_angle=float(start.inputs.road_wheel_angle), velocity_x_dot=float(start.inputs.velocity_x_dot),
+        cg_to_ins_x=float(vehicle.cg_to_ins_x), cg_to_ins_y=float(vehicle.cg_to_ins_y),
+    )
+    message.header.stamp = from_nanoseconds(start.time_ns)
+    message.header.frame_id = map_frame
+    message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate = map(
+        _float64, trajectory.states.T)
+    return message
+
+
+def read_prediction(message: Prediction) -> tuple[int, VehicleState, ControlInput, Trajectory] | str:
+    """(start_ns, start state, held inputs, trajectory) of a prediction message, or why it cannot be used."""
+    columns = [message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate]
+    if len({len(c) for c in columns}) != 1 or len(message.x) < 2:
+        return "its arrays are of different or too small length"
+    if not (math.isfinite(message.step) and message.step > 0.0):
+        return f"its step is {message.step:g} s"
+    states = np.array(columns).T
+    if not np.isfinite(states[0]).all():
+        return "its start state is not finite"
+    inputs = ControlInput(message.road_wheel_angle, message.velocity_x_dot)
+    start = VehicleState(*states[0].tolist())
+    return to_nanoseconds(message.header.stamp), start, inputs, Trajectory(message.step, states)
+
+
+def error_message(score: Score, map_frame: str, configuration_hash: str) -> PredictionError:
+    message = PredictionError(
+        model=score.model, mode=score.mode, complete=score.complete, incomplete_reason=score.incomplete_reason,
+        longitudinal_mean=float(score.longitudinal_mean), lateral_mean=float(score.lateral_mean),
+        yaw_mean=float(score.yaw_mean), configuration_hash=configuration_hash,
+    )
+    message.header.stamp = from_nanoseconds(score.start_ns)
+    message.header.frame_id = map_frame
+    message.horizon, message.longitudinal, message.lateral, message.yaw = map(
+        _float64, (score.horizon, score.longitudinal, score.lateral, score.yaw))
+    return message
+
+
+def statistics_message(model: str, mode: str, statistics: Statistics) -> ErrorStatistics:
+    counts = {"n_starts": statistics.n_starts, "n_incomplete": statistics.n_incomplete}
+    message = ErrorStatistics(model=model, mode=mode, **counts)
+    for axis in ("longitudinal", "lateral", "yaw"):
+        for kind in ("mean", "max", "rmse"):
+            setattr(message, f"{axis}_{kind}", float(getattr(getattr(statistics, axis), kind)))
+    return message
+
+
+def recorded_qos(profile: QoSProfile) -> Qos:
+    """A publisher's QoS in the words of a bag."""
+    return Qos(
+        reliability=profile.reliability.name.lower(), durability=profile.durability.name.lower(),
+        history=profile.history.name.lower(), depth=profile.depth, liveliness=profile.liveliness.name.lower(),
+        deadline_ns=_nanoseconds(profile.deadline), lifespan_ns=_nanoseconds(profile.lifespan),
+        liveliness_lease_ns=_nanoseconds(profile.liveliness_lease_duration),
+    )
+
+
+def _nanoseconds(duration: Duration) -> int:
+    # 0 is rmw's "not specified", which offers the same as never.
+    return duration.nanoseconds if 0 < duration.nanoseconds < _NEVER_NS else INFINITE_NS
+
+
+def _float64(values: Sequence[float] | np.ndarray) -> array:
+    """array('d') is the one type rosidl takes without looking at each element."""
+    return array("d", np.ascontiguousarray(values, np.float64).tobytes())

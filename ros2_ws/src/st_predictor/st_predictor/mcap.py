@@ -1,0 +1,249 @@
+"""Writes a bag: a directory NAME/ with NAME_0.mcap and metadata.yaml, as `ros2 bag record` of ROS 2 Jazzy makes it.
+
+No ROS import; message definitions come from the installed interface packages (definitions.py) or from the caller.
+`recover` (recovery.py) repairs a bag whose writer was killed.
+"""
+
+import contextlib
+import errno
+import fcntl
+import os
+import struct
+import time
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Header, MessageIndex, Schema
+
+from . import definitions
+from .bag_metadata import BagFile, BagInformation, Qos, Topic, qos_text, short_entries
+from .mcap_contents import MAGIC, Contents
+from .recovery import RecoveryError, RecoveryReport, recover
+
+__all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
+
+# A chunk is the unit that is compressed and the unit that a kill can cost.
+CHUNK_SIZE = 256 * 1024
+# Half of the second that a kill may cost, so that the other half remains for the caller's own delays.
+FLUSH_PERIOD = 0.5
+# A full disk: chunks are given up, newest first, until the index fits. Any other error: everything written is kept.
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+MOST_CHUNKS_GIVEN_UP = 100
+_MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+_MESSAGE_HEAD = 22  # of which inside the record
+
+
+class BagWriter:
+    """One bag being written.
+
+    A full or failing disk does not raise: the bag ends at its last whole chunk, is closed there, `error` says why, and
+    later messages are counted in `lost`.
+    """
+
+    def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None):
+        """Creates the directory, the file and a first metadata.yaml.
+
+        Args:
+            directory: must not exist, or be empty; nothing is ever overwritten.
+            records: MCAP metadata records, name -> {key: text}; short one-line texts also go to `custom_data` of
+                metadata.yaml as "name.key".
+
+        Raises:
+            OSError: cannot be created, or (FileExistsError) holds something already.
+        """
+        self.directory = Path(directory).absolute()
+        self.error = ""
+        self.lost = 0
+        self.closed = False
+        self._custom = short_entries(records or {})
+        self._topics: list[Topic] = []
+        self._schemas: dict[str, int] = {}
+        if self.directory.is_dir() and any(self.directory.iterdir()):
+            raise FileExistsError(f"{self.directory} holds files already and is not overwritten; name another one")
+        self.directory.mkdir(parents=True, exist_ok=True)
+        self.path = self.directory / f"{self.directory.name}_0.mcap"
+        self._bag_file = BagFile(self.path.name)
+        self._contents = Contents()
+        self._compressor = zstandard.ZstdCompressor()
+        self._start_chunk()
+        self._information().save(self.directory)
+        self._file = _WholeWrites(self.path)
+        header = RecordBuilder()
+        Header(profile="ros2", library="st_predictor").write(header)
+        self._file.write(MAGIC + header.end())
+        self._header_length = self._file.tell()
+        for name, entries in (records or {}).items():
+            self._contents.append_metadata(self._file, name, dict(entries))
+        self._next_flush = time.monotonic() + FLUSH_PERIOD
+
+    @property
+    def message_count(self) -> int:
+        return self._bag_file.count
+
+    def add_topic(
+        self, name: str, type_name: str, qos: Sequence[Qos] = (Qos(),), definition: str = "", type_hash: str = ""
+    ) -> int:
+        """Announces a topic of type "pkg/msg/Type" and returns its id for `write`.
+
+        definition, type_hash: default to those of the installed package; raises UnknownTypeError where there is none.
+        """
+        definition = definition or definitions.definition(type_name)
+        type_hash = type_hash or definitions.type_hash(type_name)
+        if type_name not in self._schemas:
+            schema = Schema(id=len(self._schemas) + 1, name=type_name, encoding="ros2msg", data=definition.encode())
+            schema.write(self._chunk)
+            self._schemas[type_name] = schema.id
+            self._contents.schemas[schema.id] = schema
+        self._topics.append(Topic(name, type_name, type_hash, [q.to_entry() for q in qos]))
+        channel = Channel(id=len(self._topics), topic=name, message_encoding="cdr", schema_id=self._schemas[type_name],
+                          metadata={"offered_qos_profiles": qos_text(qos), "topic_type_hash": type_hash})
+        channel.write(self._chunk)
+        self._contents.channels[channel.id] = channel
+        return channel.id
+
+    def write(self, topic: int, data: bytes, log_time_ns: int, publish_time_ns: int | None = None) -> None:
+        """One serialised (CDR) message. log_time_ns: when received; publish_time_ns: when sent, default the same."""
+        if self.closed or self.error:
+            self.lost += 1
+            return
+        index = self._messages.get(topic)
+        if index is None:
+            index = self._messages[topic] = MessageIndex(topic, [])
+        index.records.append((log_time_ns, self._chunk.count))
+        publish_time_ns = log_time_ns if publish_time_ns is None else publish_time_ns
+        length = _MESSAGE_HEAD + len(data)
+        self._chunk.write(_MESSAGE_RECORD.pack(Opcode.MESSAGE, length, topic, 0, log_time_ns, publish_time_ns))
+        self._chunk.write(data)
+        bag_file = self._bag_file
+        bag_file.start_ns = min(bag_file.start_ns, log_time_ns) if bag_file.count else log_time_ns
+        bag_file.end_ns = max(bag_file.end_ns, log_time_ns)
+        bag_file.count += 1
+        self._topics[topic - 1].count += 1
+        if self._chunk.count > CHUNK_SIZE:
+            self.flush()
+        else:
+            self.flush_when_due()
+
+    def flush_when_due(self) -> None:
+        """Call this at least twice a second: it hands the messages of the last FLUSH_PERIOD to the operating system.
+
+        From then on they survive the end of this process. (Not the loss of power: the system writes them out later.)
+        """
+        if time.monotonic() >= self._next_flush:
+            self.flush()
+
+    def flush(self) -> None:
+        """Ends the chunk and writes it to the file."""
+        self._next_flush = time.monotonic() + FLUSH_PERIOD
+        if self._messages and not (self.closed or self.error):
+            try:
+                self._write_chunk()
+            except OSError as error:
+                self._stop(error)
+
+    def close(self) -> None:
+        """Writes index and metadata.yaml. Safe to call twice."""
+        if not (self.closed or self.error):
+            try:
+                if self._messages:
+                    self._write_chunk()
+                description = {"serialized_metadata": self._information().text()}
+                self._contents.append_metadata(self._file, "rosbag2", description)
+                self._finish()
+                self._file.close()
+            except OSError as error:
+                self._stop(error)
+        self.closed = True
+
+    def _start_chunk(self) -> None:
+        self._chunk = RecordBuilder()
+        self._messages: dict[int, MessageIndex] = {}
+
+    def _write_chunk(self) -> None:
+        data, messages = self._chunk.end(), self._messages
+        self._start_chunk()
+        times = [record[0] for index in messages.values() for record in index.records]
+        chunk = Chunk(compression="zstd", data=self._compressor.compress(data), message_start_time=min(times),
+                      message_end_time=max(times), uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data))
+        self._contents.append_chunk(self._file, chunk, messages)
+
+    def _information(self) -> BagInformation:
+        return BagInformation([self._bag_file], self._topics, self._custom)
+
+    def _finish(self) -> None:
+        self._contents.finish(self._file)
+        self._file.sync()
+        self._information().save(self.directory)
+
+    def _stop(self, error: OSError) -> None:
+        """Closes the bag at its last whole chunk, giving up further chunks until index and metadata.yaml find room."""
+        self.error = f"recording stopped: {error.strerror or error} ({self.path})"
+        written = self.message_count
+        length = max(self._header_length, self._contents.end_offset())
+        for _ in range(MOST_CHUNKS_GIVEN_UP):
+            try:
+                self._file.cut(length)
+                self._contents.drop_after(length)
+                self._recount()
+                self._finish()
+                break
+            except OSError as again:
+                last = self._contents.last_chunk_offset()
+                if last is None or again.errno not in NO_ROOM:
+                    self._leave_without_index(length, again)
+                    break
+                length = last
+        else:
+            self._leave_without_index(length, error)
+        self.lost += written - self.message_count
+        self._file.close()
+
+    def _leave_without_index(self, length: int, error: OSError) -> None:
+        self.error += f"; its index could not be written either ({error.strerror}): repair the bag with `recover`"
+        with contextlib.suppress(OSError):
+            self._file.cut(length)
+
+    def _recount(self) -> None:
+        counts = self._contents.counts()
+        for channel_id, topic in enumerate(self._topics, start=1):
+            topic.count = counts[channel_id]
+        start_ns, end_ns = self._contents.times()
+        self._bag_file = BagFile(self.path.name, counts.total(), start_ns, end_ns)
+
+
+class _WholeWrites:
+    """The file of a bag: unbuffered, so that an error comes from the call that caused it, and locked."""
+
+    def __init__(self, path: Path):
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+        # Held until the process ends, however it ends: `recover` refuses a bag that is still being written.
+        # Some network and USB file systems know no locks; the recording matters more.
+        with contextlib.suppress(OSError):
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._length = 0
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:
+            written = os.write(self._descriptor, view)
+            self._length += written
+            view = view[written:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self._length
+
+    def cut(self, length: int) -> None:
+        os.ftruncate(self._descriptor, length)
+        os.lseek(self._descriptor, length, os.SEEK_SET)
+        self._length = length
+
+    def sync(self) -> None:
+        os.fsync(self._descriptor)
+
+    def close(self) -> None:
+        os.close(self._descriptor)

@@ -1,0 +1,279 @@
+"""What an MCAP file holds, gathered record by record, and the index section that a closed file ends with.
+
+The layout is that of https://mcap.dev/spec. Used where the library's writer cannot help: a file cut by a crash or by a
+full disk has all its chunks but no index.
+"""
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import BinaryIO, NamedTuple, Protocol
+
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.stream_reader import get_chunk_data_stream
+
+MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+
+
+class Record(NamedTuple):
+    """One record of a file: opcode, where it starts, and its content without the 9 bytes of opcode and length."""
+
+    opcode: int
+    offset: int
+    content: bytes
+
+    @property
+    def raw(self) -> bytes:
+        return _HEAD.pack(self.opcode, len(self.content)) + self.content
+
+
+class WritableStream(Protocol):
+    def write(self, data: bytes, /) -> int: ...
+    def tell(self) -> int: ...
+
+
+class DamagedError(ValueError):
+    """A record is whole in length but not in content."""
+
+
+def read_records(stream: BinaryIO, size: int) -> Iterator[Record]:
+    """The whole records of a file of `size` bytes, first to last; ends without a word where the file is cut."""
+    offset = len(MAGIC)
+    stream.seek(offset)
+    while offset + _HEAD.size <= size:
+        opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
+        if opcode == 0 or offset + _HEAD.size + length > size:
+            return
+        yield Record(opcode, offset, stream.read(length))
+        offset += _HEAD.size + length
+
+
+@dataclass
+class _ChunkEntry:
+    index: ChunkIndex
+    messages: dict[int, MessageIndex]  # by channel
+    counts: dict[int, int]
+
+
+class Contents:
+    """The running inventory of one file: what its index section will say. Times are log times [ns]."""
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self._chunks: list[_ChunkEntry] = []
+        self._loose: Counter[int] = Counter()  # messages outside chunks, by channel
+        self._loose_times: list[int] = []  # first and last of them
+        self._metadata_indexes: list[MetadataIndex] = []
+        self._attachment_indexes: list[AttachmentIndex] = []
+
+    def counts(self) -> Counter[int]:
+        """Messages by channel id."""
+        total = Counter(self._loose)
+        for entry in self._chunks:
+            total.update(entry.counts)
+        return total
+
+    def times(self) -> tuple[int, int]:
+        """First and last log time; (0, 0) without messages."""
+        filled = [entry.index for entry in self._chunks if entry.counts]
+        times = self._loose_times + [t for i in filled for t in (i.message_start_time, i.message_end_time)]
+        return (min(times), max(times)) if times else (0, 0)
+
+    def add(self, record: Record, offset: int) -> None:
+        """Takes in one record of the data section; `offset`: where it lies in the file the index is for.
+
+        Raises DamagedError where the content cannot be right; nothing is taken in then.
+        """
+        try:
+            self._add(record, offset)
+        except DamagedError:
+            raise
+        except Exception as error:  # a decoder may meet any bytes here and answer with any exception
+            raise DamagedError(f"{type(error).__name__}: {error}") from error
+
+    def _add(self, record: Record, offset: int) -> None:
+        stream = ReadDataStream(BytesIO(record.content))
+        length = _HEAD.size + len(record.content)
+        if record.opcode == Opcode.CHUNK:
+            self._read_chunk(Chunk.read(stream), offset, length)
+        elif record.opcode == Opcode.MESSAGE_INDEX:
+            if self._chunks:
+                self._add_message_index(self._chunks[-1], MessageIndex.read(stream).channel_id, offset, length)
+        elif record.opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream)
+            self.schemas[schema.id] = schema
+        elif record.opcode == Opcode.CHANNEL:
+            channel = Channel.read(stream)
+            self.channels[channel.id] = channel
+        elif record.opcode == Opcode.MESSAGE:
+            channel_id, _, log_time, _ = _MESSAGE.unpack_from(record.content)
+            if channel_id not in self.channels:
+                raise DamagedError(f"message of unknown channel {channel_id}")
+            self._loose[channel_id] += 1
+            self._loose_times = [min([log_time, *self._loose_times]), max([log_time, *self._loose_times])]
+        elif record.opcode == Opcode.METADATA:
+            entry = Metadata.read(stream)
+            self.metadata[entry.name] = entry.metadata
+            self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=entry.name))
+        elif record.opcode == Opcode.ATTACHMENT:
+            self._attachment_indexes.append(_attachment_index(stream, offset, length))
+
+    def _read_chunk(self, chunk: Chunk, offset: int, length: int) -> None:
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        data = stream.read(size)
+        if len(data) != chunk.uncompressed_size:
+            raise DamagedError(f"chunk holds {len(data)} bytes, {chunk.uncompressed_size} announced")
+        schemas, channels = dict(self.schemas), dict(self.channels)
+        messages: dict[int, MessageIndex] = {}
+        position = 0
+        while position < size:
+            opcode, inner = _HEAD.unpack_from(data, position)
+            start, end = position + _HEAD.size, position + _HEAD.size + inner
+            if end > size:
+                raise DamagedError("record reaches beyond its chunk")
+            if opcode == Opcode.MESSAGE:
+                channel_id, _, log_time, _ = _MESSAGE.unpack_from(data, start)
+                if channel_id not in channels:
+                    raise DamagedError(f"message of unknown channel {channel_id}")
+                messages.setdefault(channel_id, MessageIndex(channel_id, [])).records.append((log_time, position))
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(ReadDataStream(BytesIO(data[start:end])))
+                schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(ReadDataStream(BytesIO(data[start:end])))
+                channels[channel.id] = channel
+            position = end
+        self.schemas, self.channels = schemas, channels
+        self._add_chunk(chunk, messages, offset, length)
+
+    def _add_chunk(self, chunk: Chunk, messages: dict[int, MessageIndex], offset: int, length: int) -> None:
+        if self._chunks:
+            self._chunks[-1].messages = {}  # its index is in the file; only the newest may still have to be completed
+        index = ChunkIndex(
+            chunk_length=length, chunk_start_offset=offset,
+            compression=chunk.compression, compressed_size=len(chunk.data),
+            message_end_time=chunk.message_end_time, message_index_length=0, message_index_offsets={},
+            message_start_time=chunk.message_start_time, uncompressed_size=chunk.uncompressed_size,
+        )
+        self._chunks.append(_ChunkEntry(index, messages, {i: len(m.records) for i, m in messages.items()}))
+
+    @staticmethod
+    def _add_message_index(entry: _ChunkEntry, channel_id: int, offset: int, length: int) -> None:
+        entry.index.message_index_offsets[channel_id] = offset
+        entry.index.message_index_length += length
+
+    def append_chunk(self, stream: WritableStream, chunk: Chunk, messages: dict[int, MessageIndex]) -> None:
+        """Writes a new chunk with its message indexes; on OSError nothing is taken in."""
+        builder = RecordBuilder()
+        chunk.write(builder)
+        offset, length = stream.tell(), builder.count
+        message_offsets = {}
+        for channel_id, message_index in messages.items():
+            message_offsets[channel_id] = offset + builder.count
+            message_index.write(builder)
+        total = builder.count
+        stream.write(builder.end())
+        self._add_chunk(chunk, messages, offset, length)
+        self._chunks[-1].index.message_index_offsets = message_offsets
+        self._chunks[-1].index.message_index_length = total - length
+
+    def append_metadata(self, stream: WritableStream, name: str, entries: dict[str, str]) -> None:
+        builder = RecordBuilder()
+        Metadata(name=name, metadata=entries).write(builder)
+        index = MetadataIndex(offset=stream.tell(), length=builder.count, name=name)
+        stream.write(builder.end())
+        self.metadata[name] = entries
+        self._metadata_indexes.append(index)
+
+    def drop_after(self, length: int) -> None:
+        """Forgets what lies beyond the first `length` bytes of the file."""
+        self._chunks = [e for e in self._chunks if e.index.chunk_start_offset < length]
+        self._metadata_indexes = [i for i in self._metadata_indexes if i.offset < length]
+
+    def end_offset(self) -> int:
+        """End of the newest chunk (with its message indexes) or metadata record; 0 without any."""
+        last = [e.index for e in self._chunks[-1:]]
+        ends = [i.chunk_start_offset + i.chunk_length + i.message_index_length for i in last]
+        return max([0, *ends, *(i.offset + i.length for i in self._metadata_indexes)])
+
+    def last_chunk_offset(self) -> int | None:
+        """Where the newest chunk starts; None without chunks."""
+        return self._chunks[-1].index.chunk_start_offset if self._chunks else None
+
+    def finish(self, stream: WritableStream) -> None:
+        """Appends what is missing after the last record: index of the last chunk, end of data, summary, footer."""
+        if self._chunks:
+            self._complete_last_index(stream)
+        end = RecordBuilder()
+        DataEnd(0).write(end)
+        stream.write(end.end())
+        stream.write(self._summary(stream.tell()) + MAGIC)
+
+    def _complete_last_index(self, stream: WritableStream) -> None:
+        last = self._chunks[-1]
+        for channel_id in last.messages.keys() - last.index.message_index_offsets.keys():
+            builder = RecordBuilder()
+            last.messages[channel_id].write(builder)
+            self._add_message_index(last, channel_id, stream.tell(), builder.count)
+            stream.write(builder.end())
+
+    def _summary(self, summary_start: int) -> bytes:
+        counts, (start_ns, end_ns) = self.counts(), self.times()
+        statistics = Statistics(
+            attachment_count=len(self._attachment_indexes), channel_count=len(self.channels),
+            channel_message_counts=counts, chunk_count=len(self._chunks), message_count=counts.total(),
+            metadata_count=len(self._metadata_indexes), message_start_time=start_ns, message_end_time=end_ns,
+            schema_count=len(self.schemas),
+        )
+        groups = {
+            Opcode.SCHEMA: list(self.schemas.values()),
+            Opcode.CHANNEL: list(self.channels.values()),
+            Opcode.STATISTICS: [statistics],
+            Opcode.CHUNK_INDEX: [entry.index for entry in self._chunks],
+            Opcode.ATTACHMENT_INDEX: self._attachment_indexes,
+            Opcode.METADATA_INDEX: self._metadata_indexes,
+        }
+        builder, offsets = RecordBuilder(), []
+        for opcode, records in groups.items():
+            group_start = builder.count
+            for record in records:
+                record.write(builder)
+            if records:
+                offsets.append(SummaryOffset(opcode, summary_start + group_start, builder.count - group_start))
+        offset_start = summary_start + builder.count
+        for offset in offsets:
+            offset.write(builder)
+        summary = builder.end()
+        footer = RecordBuilder()
+        crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(summary))
+        Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc).write(footer)
+        return summary + footer.end()
+
+
+def _attachment_index(stream: ReadDataStream, offset: int, length: int) -> AttachmentIndex:
+    log_time, create_time = stream.read8(), stream.read8()
+    name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
+    return AttachmentIndex(offset=offset, length=length, log_time=log_time, create_time=create_time,
+                           data_size=stream.read8(), name=name, media_type=media_type)

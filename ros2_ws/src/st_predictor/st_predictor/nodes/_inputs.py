@@ -1,0 +1,77 @@
+"""The two inputs that predictor and evaluator share: odometry and steering, taken when the node has time for them."""
+
+from collections.abc import Callable
+
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from st_core.types import InsSample
+from st_msgs.msg import Steering
+from st_ros import diagnostics
+from st_ros.diagnostics import Check
+from st_ros.polling import PolledSubscription
+from st_ros.stamps import to_nanoseconds
+
+from .. import convert
+
+# Waiting messages per topic: four seconds at 250 Hz, so that a busy moment loses nothing.
+QUEUE_DEPTH = 1000
+
+
+class Inputs:
+    """Hands every usable sample to `add_ins` and `add_steering` and remembers why the others were refused."""
+
+    def __init__(
+        self, node: Node, map_frame: str,
+        add_ins: Callable[[InsSample], bool], add_steering: Callable[[int, float], bool],
+    ):
+        qos = QoSProfile(depth=QUEUE_DEPTH)
+        self._map_frame = map_frame
+        self._add_ins, self._add_steering = add_ins, add_steering
+        self._odometry = PolledSubscription(node, Odometry, "ins/odometry", qos)
+        self._steering = PolledSubscription(node, Steering, "vehicle/steering", qos)
+        self.received = {"INS": 0, "steering": 0}
+        self.refused = {"INS": 0, "steering": 0}
+        self.last_refusal = {"INS": "", "steering": ""}  # empty while the newest message was usable
+
+    def drain(self) -> None:
+        """Take what is waiting."""
+        for message, _, _ in self._odometry.take(QUEUE_DEPTH):
+            sample = convert.ins_sample(message, self._map_frame)
+            if isinstance(sample, str):
+                self._refuse("INS", sample)
+            else:
+                self._note("INS", self._add_ins(sample))
+        for message, _, _ in self._steering.take(QUEUE_DEPTH):
+            if not message.valid:
+                self._refuse("steering", "marked invalid by the bridge (counter or checksum)")
+            else:
+                time_ns = to_nanoseconds(message.header.stamp)
+                self._note("steering", self._add_steering(time_ns, message.road_wheel_angle))
+
+    def why(self, reason: str) -> str:
+        """A reason for no prediction, with what is wrong with the messages that do arrive."""
+        for signal, refusal in self.last_refusal.items():
+            if refusal and reason.startswith(signal):
+                return f"{reason}; messages arrive but are refused: {refusal}"
+        return reason
+
+    def checks(self) -> list[Check]:
+        return [
+            Check(f"input {signal}", diagnostics.WARN if self.last_refusal[signal] else diagnostics.OK,
+                  f"refused: {self.last_refusal[signal]}" if self.last_refusal[signal] else "usable",
+                  {"received": self.received[signal], "refused": self.refused[signal]})
+            for signal in self.received
+        ]
+
+    def _note(self, signal: str, accepted: bool) -> None:
+        if accepted:
+            self.received[signal] += 1
+            self.last_refusal[signal] = ""
+        else:
+            self._refuse(signal, "not finite, repeated, or older than what came before")
+
+    def _refuse(self, signal: str, reason: str) -> None:
+        self.received[signal] += 1
+        self.refused[signal] += 1
+        self.last_refusal[signal] = reason

@@ -1,0 +1,161 @@
+"""Node evaluator: scores every prediction once its horizon has passed, publishes the errors and records them."""
+
+from pathlib import Path
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+from st_core.evaluation import ErrorStatistics, Evaluator, Score
+from st_core.models import get_model
+from st_core.prediction import predict
+from st_msgs.msg import ErrorSummary, Prediction, PredictionError
+from st_ros import diagnostics, parameters, spin
+from st_ros.diagnostics import Check, Diagnostics
+from st_ros.polling import PolledSubscription
+
+from .. import convert, params
+from ..mcap import BagWriter, Qos
+from ._bag import open_bag, recording_check
+from ._inputs import Inputs
+
+WORK_PERIOD = 0.05
+SUMMARY_PERIOD = 1.0
+MODES = ("forecast", "hindsight")
+# Twice the longest horizon a predictor may be set to [s].
+SPAN = 125.0
+# Scores at the end of a run come all at once: the last horizon of every model, twice.
+ERROR_DEPTH = 1000
+# Two computers may round differently; another vehicle file differs by centimetres within a second [SI].
+SAME_TRAJECTORY = 1.0e-6
+
+
+class EvaluatorNode(Node):
+    def __init__(self) -> None:
+        super().__init__("evaluator")
+        values = parameters.declare(self, params.EVALUATOR)
+        self._vehicle = params.load_vehicle(values.vehicle_file)
+        self._models = [params.checked(lambda name=name: get_model(name)).name for name in values.models]
+        settings = params.prediction_settings(values)
+        self._core = Evaluator(self._vehicle, settings, span=SPAN)
+        self._map_frame = values.map_frame
+        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
+        self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
+        self._hashes: dict[int, str] = {}  # of the predictions waiting, by start
+        self._other_configuration: dict[tuple[str, str], bool] = {}  # by hash and model
+        self._refused = ""
+        self._bag, self._bag_topics = self._open_bag(values, settings)
+        self._predictions = {
+            model: PolledSubscription(self, Prediction, f"predictor/{model}/prediction", QoSProfile(depth=500))
+            for model in self._models
+        }
+        error_qos = QoSProfile(depth=ERROR_DEPTH)
+        self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", latched)
+        # Steady clock: what has arrived is worked off and written also while a replay's clock stands still.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(WORK_PERIOD, self._work, clock=steady)
+        self.create_timer(SUMMARY_PERIOD, self._publish_summary, clock=steady)
+        self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
+
+    def _open_bag(self, values, settings) -> tuple[BagWriter | None, dict[str, int]]:
+        if not values.output_directory:
+            return None, {}
+        configuration = {
+            "vehicle": self._vehicle.to_yaml(), "vehicle_name": self._vehicle.name, "vehicle_hash": self._vehicle.hash,
+            "vehicle_file": Path(values.vehicle_file).name,
+            "maximum_gap": f"{settings.maximum_gap:g}", "filter_cutoff": f"{settings.filter_cutoff:g}",
+        }
+        bag = open_bag(values.output_directory, {"configuration": configuration})
+        errors = bag.add_topic(self.resolve_topic_name("evaluator/errors"), "st_msgs/msg/PredictionError")
+        summary = bag.add_topic(self.resolve_topic_name("evaluator/summary"), "st_msgs/msg/ErrorSummary",
+                                (Qos(durability="transient_local", depth=1),))
+        return bag, {"errors": errors, "summary": summary}
+
+    def _work(self) -> None:
+        self._inputs.drain()
+        for model, subscription in self._predictions.items():
+            for message, _, _ in subscription.take():
+                self._add(model, message)
+        self._publish_scores(self._core.poll())
+        if self._bag:
+            self._bag.flush_when_due()
+
+    def _add(self, model: str, message: Prediction) -> None:
+        content = convert.read_prediction(message)
+        if message.model != model or message.header.frame_id != self._map_frame:
+            content = f"it is of model {message.model!r} in frame {message.header.frame_id!r}"
+        if isinstance(content, str):
+            self._refused = f"prediction on predictor/{model}/prediction refused: {content}"
+            return
+        self._refused = ""
+        start_ns, start, inputs, trajectory = content
+        key = (message.configuration_hash, model)
+        if key not in self._other_configuration:
+            # Once per configuration: hindsight is only fair with the vehicle the forecast was made with.
+            horizon = trajectory.step * (len(trajectory.states) - 1)
+            again = predict(model, self._vehicle, start, inputs, horizon, trajectory.step)
+            self._other_configuration[key] = not np.allclose(
+                again.states, trajectory.states, rtol=0.0, atol=SAME_TRAJECTORY, equal_nan=True)
+        self._hashes[start_ns] = message.configuration_hash
+        self._core.add_prediction(model, start_ns, start, inputs, trajectory)
+
+    def _publish_scores(self, scores: list[Score]) -> None:
+        for score in scores:
+            self._statistics[score.model, score.mode].add(score)
+            message = convert.error_message(score, self._map_frame, self._hashes.get(score.start_ns, ""))
+            self._error_publisher.publish(message)
+            self._record("errors", message)
+        for start_ns in {score.start_ns for score in scores}:
+            self._hashes.pop(start_ns, None)
+
+    def _publish_summary(self) -> None:
+        message = ErrorSummary(pending=self._core.pending)
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = self._map_frame
+        message.statistics = [
+            convert.statistics_message(*key, statistics) for key, statistics in self._statistics.items()
+        ]
+        self._summary_publisher.publish(message)
+        self._record("summary", message)
+
+    def _record(self, topic: str, message: PredictionError | ErrorSummary) -> None:
+        if self._bag:
+            self._bag.write(self._bag_topics[topic], serialize_message(message), self.get_clock().now().nanoseconds)
+
+    def _checks(self) -> list[Check]:
+        complete = sum(s.n_starts for s in self._statistics.values())
+        incomplete = sum(s.n_incomplete for s in self._statistics.values())
+        pending = self._core.pending
+        values = {"scores complete": complete, "scores incomplete": incomplete, "pending predictions": pending}
+        others = sorted({model for (_, model), other in self._other_configuration.items() if other})
+        level, text = diagnostics.OK, "scoring" if complete or incomplete or pending else "no prediction yet"
+        if self._refused:
+            level, text = diagnostics.WARN, self._refused
+        elif others:
+            level = diagnostics.WARN
+            text = f"predictions of {', '.join(others)} were made with another vehicle or model than this node has"
+        off = Check("recording", diagnostics.OK, "off (output_directory is empty)")
+        recording = recording_check(self._bag) if self._bag else off
+        return [Check("scoring", level, text, values), recording, *self._inputs.checks()]
+
+    @property
+    def exit_status(self) -> int:
+        """1 when the recording is not whole."""
+        return int(self._bag is not None and bool(self._bag.error))
+
+    def close(self) -> None:
+        self._work()
+        self._publish_scores(self._core.flush())
+        self._publish_summary()
+        spin.settle(self._error_publisher, self._summary_publisher)
+        if self._bag:
+            self._bag.close()
+            if self._bag.error:
+                self.get_logger().error(self._bag.error)
+
+
+def main() -> int:
+    return spin.run(EvaluatorNode)

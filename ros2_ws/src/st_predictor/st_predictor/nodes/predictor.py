@@ -1,0 +1,127 @@
+"""Node predictor: at each tick, from the newest instant at which INS and steering are known, one path per model."""
+
+import math
+import time
+
+import numpy as np
+from nav_msgs.msg import Path as PathMessage
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from st_core.prediction import Predictor, Skip, Start, configuration_hash
+from st_msgs.msg import Prediction, PredictorStatus
+from st_ros import diagnostics, parameters, spin
+from st_ros.diagnostics import Check, Diagnostics
+
+from .. import convert, params
+from ..ticks import TickCounter
+from ._inputs import Inputs
+
+# Inputs are taken this often between ticks, so that a tick finds only a few milliseconds of them waiting [s].
+DRAIN_PERIOD = 0.02
+STATUS_PERIOD = 1.0
+# A prediction rarely needs more than this share of a tick; above it the machine is too slow or too busy.
+BUSY_SHARE = 0.5
+
+
+class PredictorNode(Node):
+    def __init__(self) -> None:
+        super().__init__("predictor")
+        values = parameters.declare(self, params.PREDICTOR)
+        self._vehicle = params.load_vehicle(values.vehicle_file)
+        settings = params.prediction_settings(values)
+        self._core = params.checked(lambda: Predictor(self._vehicle, values.models, settings))
+        self._hash = configuration_hash(self._vehicle, settings)
+        self._map_frame = values.map_frame
+        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
+        self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
+        qos = QoSProfile(depth=50)
+        self._outputs: dict[str, tuple[Publisher, Publisher]] = {
+            model: (self.create_publisher(PathMessage, f"predictor/{model}/path", qos),
+                    self.create_publisher(Prediction, f"predictor/{model}/prediction", qos))
+            for model in self._core.models
+        }
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", latched)
+        self._counter = TickCounter()
+        self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
+        self._not_finite: set[str] = set()
+        self._slowest_tick = 0.0
+        self._period = 1.0 / values.rate
+        self.create_timer(DRAIN_PERIOD, self._inputs.drain, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = self.create_timer(self._period, self._tick)
+        self.create_timer(STATUS_PERIOD, self._publish_status)
+        self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
+        self.get_logger().info(
+            f"{', '.join(self._core.models)} of {self._vehicle.name}: {settings.horizon:g} s in steps of "
+            f"{settings.step:g} s at {values.rate:g} Hz, configuration {self._hash[:12]}")
+
+    def _tick(self) -> None:
+        began = time.perf_counter()
+        now_ns = self.get_clock().now().nanoseconds
+        missed = self._counter.missed(now_ns + self._timer.time_until_next_call(), round(self._period * 1e9))
+        self._inputs.drain()
+        start = self._core.start(now_ns)
+        before, self._skip = self._skip, start if isinstance(start, Skip) else None
+        self._counter.count(missed, self._skip.kind if self._skip else None)
+        if isinstance(start, Start):
+            self._predict(start)
+        if (before and before.kind) != (self._skip and self._skip.kind):
+            self._diagnostics.publish()
+        self._slowest_tick = max(self._slowest_tick, time.perf_counter() - began)
+
+    def _predict(self, start: Start) -> None:
+        for model, (path_publisher, prediction_publisher) in self._outputs.items():
+            began = time.perf_counter()
+            trajectory = self._core.run(start, model)
+            compute_time = time.perf_counter() - began
+            if np.isfinite(trajectory.states).all():
+                path_publisher.publish(self._path.fill(start.time_ns, trajectory, self._vehicle))
+                self._not_finite.discard(model)
+            else:
+                # A viewer cannot draw it; the evaluator counts it as incomplete.
+                self._not_finite.add(model)
+            message = convert.prediction_message(start, model, trajectory, self._vehicle, self._map_frame, self._hash)
+            message.compute_time = compute_time
+            message.issued_at = self.get_clock().now().to_msg()
+            prediction_publisher.publish(message)
+
+    def _publish_status(self) -> None:
+        message = PredictorStatus(reason=self._reason(), **self._counter.as_dict())
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = self._map_frame
+        self._status_publisher.publish(message)
+
+    def _reason(self) -> str:
+        return self._inputs.why(self._skip.reason) if self._skip else ""
+
+    def _checks(self) -> list[Check]:
+        counts = self._counter.as_dict()
+        level, text = diagnostics.OK, "predicting"
+        if self._skip and self._skip.kind == "slow":
+            text = f"no prediction: {self._reason()}"
+        elif self._skip:
+            level, text = diagnostics.ERROR, f"no prediction: {self._reason()}"
+        elif self._not_finite:
+            level, text = diagnostics.WARN, f"not finite, no path: {', '.join(sorted(self._not_finite))}"
+        ages = self._core.ages(self.get_clock().now().nanoseconds)
+        shown = {f"age {signal} [s]": age for signal, age in ages.items() if math.isfinite(age)}
+        slowest, self._slowest_tick = self._slowest_tick, 0.0
+        overrun = self._counter.new_overruns()
+        late = overrun > 0 or slowest > BUSY_SHARE * self._period
+        timing = f"slowest tick {slowest * 1e3:.1f} ms" + (f", {overrun} ticks skipped by overrun" if overrun else "")
+        return [
+            Check("prediction", level, text, {**counts, **shown}),
+            Check("timing", diagnostics.WARN if late else diagnostics.OK, timing,
+                  {"slowest tick [ms]": slowest * 1e3, "period [ms]": self._period * 1e3}),
+            *self._inputs.checks(),
+        ]
+
+    def close(self) -> None:
+        self._publish_status()
+        spin.settle(self._status_publisher)
+
+
+def main() -> int:
+    return spin.run(PredictorNode)

@@ -1,0 +1,156 @@
+"""Node recorder: writes topics, as their bytes arrive, into a rosbag2 directory (MCAP)."""
+
+import hashlib
+import importlib
+import json
+import time
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from st_ros import diagnostics, parameters, spin
+from st_ros.diagnostics import Check, Diagnostics
+from st_ros.parameters import ConfigurationError
+from st_ros.polling import PolledSubscription
+
+from .. import convert, params
+from ..definitions import UnknownTypeError
+from ._bag import open_bag, recording_check
+
+# The queues are emptied this often; each message carries the time it arrived.
+WORK_PERIOD = 0.05
+LOOK_PERIOD = 0.25
+# Waiting messages per topic: four seconds at 250 Hz, should the disk be slow.
+QUEUE_DEPTH = 1000
+
+
+class RecorderNode(Node):
+    def __init__(self) -> None:
+        super().__init__("recorder")
+        values = parameters.declare(self, params.RECORDER)
+        if not values.output_directory:
+            raise ConfigurationError("output_directory: not given; name a new directory for the bag")
+        self._patterns = [self._absolute(topic) for topic in values.topics]
+        records = metadata_records(values.configuration_files, values.metadata_json)
+        self._bag = open_bag(values.output_directory, records)
+        self._subscriptions: dict[str, tuple[PolledSubscription, int]] = {}
+        self._refused: dict[str, str] = {}
+        self._simulated_time = self.get_parameter("use_sim_time").value
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(WORK_PERIOD, self._work, clock=steady)
+        self.create_timer(LOOK_PERIOD, self._look, clock=steady)
+        self._diagnostics = Diagnostics(self, str(self._bag.directory), self._checks)
+        self._look()
+        self.get_logger().info(f"recording into {self._bag.directory}")
+
+    def _absolute(self, pattern: str) -> str:
+        return pattern if pattern.startswith("/") else f"{self.get_namespace().rstrip('/')}/{pattern}"
+
+    def _look(self) -> None:
+        """Subscribe to what has appeared and is wanted."""
+        for topic, types in self.get_topic_names_and_types():
+            if topic in self._subscriptions or topic in self._refused:
+                continue
+            if any(fnmatchcase(topic, pattern) for pattern in self._patterns):
+                publishers = self.get_publishers_info_by_topic(topic)
+                if publishers:
+                    self._subscribe(topic, types, publishers)
+
+    def _subscribe(self, topic: str, types: list[str], publishers: list[TopicEndpointInfo]) -> None:
+        if len(types) != 1:
+            self._refused[topic] = f"published with {len(types)} types: {', '.join(types)}"
+            return
+        try:
+            message_type = message_class(types[0])
+            number = self._bag.add_topic(topic, types[0], [convert.recorded_qos(p.qos_profile) for p in publishers])
+        except UnknownTypeError as error:
+            self._refused[topic] = str(error)
+            return
+        subscription = PolledSubscription(self, message_type, topic, matching_qos(publishers), raw=True)
+        self._subscriptions[topic] = (subscription, number)
+
+    def _work(self) -> None:
+        write = self._bag.write
+        for subscription, number in self._subscriptions.values():
+            for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
+                log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
+                write(number, data, log_ns, sent_ns or log_ns)
+        self._bag.flush_when_due()
+
+    def _checks(self) -> list[Check]:
+        level, text = diagnostics.OK, f"{len(self._subscriptions)} recorded"
+        if self._refused:
+            level = diagnostics.WARN
+            text = "not recorded: " + "; ".join(f"{topic}: {why}" for topic, why in self._refused.items())
+        elif not self._subscriptions:
+            level, text = diagnostics.WARN, "none of the topics has a publisher yet"
+        return [recording_check(self._bag), Check("topics", level, text, {"topics": len(self._subscriptions)})]
+
+    @property
+    def exit_status(self) -> int:
+        """1 when the recording is not whole."""
+        return int(bool(self._bag.error))
+
+    def close(self) -> None:
+        self._work()
+        self._bag.close()
+        if self._bag.error:
+            self.get_logger().error(self._bag.error)
+
+
+def metadata_records(files: Iterable[str], metadata_json: str) -> dict[str, dict[str, str]]:
+    """What the bag says about the run: texts and hashes of the configuration files, then the caller's own entries.
+
+    Raises ConfigurationError naming the file or the parameter.
+    """
+    records: dict[str, dict[str, str]] = {"recording": {"recorder": "st_predictor", "started_ns": str(time.time_ns())}}
+    texts = {}
+    for name in filter(None, files):
+        try:
+            texts[Path(name).name] = Path(name).read_text()
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "not a text file"
+            raise ConfigurationError(f"configuration_files: {name}: {reason}") from None
+    if texts:
+        joined = "".join(f"{name}\n{text}" for name, text in sorted(texts.items()))
+        records["configuration"] = {**texts, "hash": hashlib.sha256(joined.encode()).hexdigest()}
+    if metadata_json:
+        try:
+            given = json.loads(metadata_json)
+        except ValueError as error:
+            raise ConfigurationError(f"metadata_json: {error}") from None
+        if not isinstance(given, dict) or not all(isinstance(entries, dict) for entries in given.values()):
+            raise ConfigurationError('metadata_json: {"record": {"key": "text"}} wanted')
+        for name, entries in given.items():
+            texts = {k: v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()}
+            records.setdefault(name, {}).update(texts)
+    return records
+
+
+def message_class(type_name: str) -> type:
+    """The Python class of "pkg/msg/Type". Raises UnknownTypeError."""
+    package, _, name = type_name.replace("/msg/", "/").partition("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        raise UnknownTypeError(f"message type {type_name} is not installed") from None
+
+
+def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
+    """Reliable and transient local only where every publisher is: the strictest that hears all of them."""
+    profiles = [p.qos_profile for p in publishers]
+    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+    return QoSProfile(
+        depth=QUEUE_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def main() -> int:
+    return spin.run(RecorderNode)

@@ -1,0 +1,83 @@
+"""Parameters of predictor, evaluator and recorder, declared once: name, default, unit, range."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TypeVar
+
+from st_core import errors as core_errors
+from st_core.prediction import PredictionSettings
+from st_core.vehicle import VehicleParameters
+from st_ros.parameters import ConfigurationError, Parameter
+
+T = TypeVar("T")
+
+MODELS = ["kinematic", "linear", "nonlinear"]
+_DEFAULTS = PredictionSettings()
+
+_VEHICLE_FILE = Parameter("vehicle_file", "", "vehicle parameters, a file of config/vehicle/; required")
+_MAP_FRAME = Parameter("map_frame", "map", "frame the odometry must be in; odometry in another one is refused")
+_MAXIMUM_GAP = Parameter(
+    "maximum_gap", _DEFAULTS.maximum_gap, "nothing is interpolated between samples further apart", "s", 0.001, 10.0)
+_FILTER_CUTOFF = Parameter(
+    "filter_cutoff", _DEFAULTS.filter_cutoff, "of the low-pass before v_x is differentiated", "Hz", 0.01, 1000.0)
+
+PREDICTOR = (
+    _VEHICLE_FILE,
+    Parameter("models", MODELS, "models to predict with, in this order"),
+    Parameter("horizon", _DEFAULTS.horizon, "how far ahead; a whole number of steps", "s", 0.01, 60.0),
+    Parameter("step", _DEFAULTS.step, "of integration and of the published points", "s", 0.001, 1.0),
+    Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
+    Parameter("minimum_speed", _DEFAULTS.minimum_speed, "no prediction below it", "m/s", 0.0, 50.0),
+    Parameter("stale_after", _DEFAULTS.stale_after, "no prediction from inputs older than this", "s", 0.001, 10.0),
+    _MAXIMUM_GAP,
+    _FILTER_CUTOFF,
+    _MAP_FRAME,
+)
+
+EVALUATOR = (
+    _VEHICLE_FILE,
+    Parameter("models", MODELS, "models whose predictions are scored"),
+    _MAXIMUM_GAP,
+    _FILTER_CUTOFF,
+    _MAP_FRAME,
+    Parameter("output_directory", "", "bag of errors and summaries, a new or empty directory; empty: none is written"),
+)
+
+TOPICS = [
+    "ins/*", "vehicle/*", "can/*", "predictor/*", "evaluator/*", "/tf", "/tf_static", "/diagnostics", "/rosout",
+]
+RECORDER = (
+    Parameter("output_directory", "", "the bag, a new or empty directory; required"),
+    Parameter("topics", TOPICS, "topics to record; * and ? stand for any characters; relative to the node's namespace"),
+    Parameter("configuration_files", [], "files whose text goes into the bag: vehicle, node parameters"),
+    Parameter("metadata_json", "", 'more for the bag: {"record": {"key": "text"}}'),
+)
+
+
+def load_vehicle(path: str) -> VehicleParameters:
+    """The vehicle of a `vehicle_file` parameter. Raises ConfigurationError naming the file and the key."""
+    if not path:
+        raise ConfigurationError("vehicle_file: not given; name a file of config/vehicle/")
+    try:
+        return VehicleParameters.from_yaml(Path(path).read_text(), origin=path)
+    except OSError as error:
+        raise ConfigurationError(f"vehicle_file: {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"vehicle_file: {path} is not a text file") from None
+    except core_errors.ConfigurationError as error:
+        raise ConfigurationError(str(error)) from None
+
+
+def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
+    """The st_core settings among a node's parameters. Raises ConfigurationError where two of them do not fit."""
+    names = PredictionSettings.__dataclass_fields__.keys() & vars(values).keys()
+    return checked(lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
+
+
+def checked(make: Callable[[], T]) -> T:
+    """What `make` returns; a ConfigurationError of st_core becomes the one that ends a start with status 2."""
+    try:
+        return make()
+    except core_errors.ConfigurationError as error:
+        raise ConfigurationError(str(error)) from None

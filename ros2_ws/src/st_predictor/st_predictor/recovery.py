@@ -1,0 +1,274 @@
+"""Repairs a bag or an MCAP file that was cut by a crash, a kill or a full disk.
+
+Every whole chunk is kept byte for byte; what is missing behind it (indexes, summary, footer, metadata.yaml) is made
+anew. The original stays beside the repaired file as NAME.mcap.cut. A bag that needs no repair is left alone.
+"""
+
+import contextlib
+import fcntl
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+import yaml
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Footer
+
+from .bag_metadata import FILE_NAME, BagFile, BagInformation, Topic, short_entries
+from .mcap_contents import MAGIC, Contents, DamagedError, read_records
+
+FOOTER_LENGTH = 29
+
+
+class RecoveryError(ValueError):
+    """Nothing could be repaired; the original is as it was. The text is one line for the user."""
+
+
+@dataclass
+class FileReport:
+    """What was found in one file. messages, bytes: kept; lost_bytes: cut or damaged, not kept."""
+
+    path: Path
+    whole: bool = False  # has a good end and no damage: left as it is
+    messages: int = 0
+    kept_bytes: int = 0
+    lost_bytes: int = 0
+    damaged_records: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+    original: Path | None = None  # where the cut file went
+
+
+@dataclass
+class RecoveryReport:
+    """path: the repaired bag directory or file. changed: whether anything had to be written."""
+
+    path: Path
+    files: list[FileReport] = field(default_factory=list)
+    topics: dict[str, int] = field(default_factory=dict)
+    metadata_rebuilt: bool = False
+
+    @property
+    def changed(self) -> bool:
+        return self.metadata_rebuilt or any(not f.whole for f in self.files)
+
+    @property
+    def messages(self) -> int:
+        return sum(f.messages for f in self.files)
+
+    def __str__(self) -> str:
+        """One line per file, for a terminal."""
+        lines = []
+        for found in self.files:
+            seconds = (found.end_ns - found.start_ns) / 1e9
+            state = "whole, left as it is" if found.whole else f"repaired, {found.lost_bytes} bytes could not be kept"
+            damage = f", {found.damaged_records} damaged records left out" if found.damaged_records else ""
+            original = f", the original is {found.original.name}" if found.original else ""
+            span = f"{found.messages} messages over {seconds:.1f} s"
+            lines.append(f"{found.path.name}: {span}, {state}{damage}{original}")
+        if self.metadata_rebuilt:
+            lines.append(f"{FILE_NAME}: written anew")
+        return "\n".join(lines)
+
+
+def recover(path: Path | str, output: Path | str | None = None) -> RecoveryReport:
+    """Makes a cut bag directory or .mcap file readable again.
+
+    Args:
+        path: bag directory or one .mcap file (metadata.yaml beside it is left alone then).
+        output: new directory or file to write instead of repairing in place; must not exist. The original is untouched.
+
+    Raises:
+        RecoveryError: no MCAP file there, still being recorded, output exists, or no room; the original is untouched.
+    """
+    path = Path(path)
+    target = Path(output) if output is not None else path
+    try:
+        if output is not None and target.exists():
+            raise RecoveryError(f"{target} exists already; a recovery never overwrites")
+        if path.is_dir():
+            return _recover_directory(path, target)
+        if not path.is_file():
+            raise RecoveryError(f"{path} does not exist")
+        report = RecoveryReport(target)
+        contents = _recover_file(path, target, report)
+        report.topics = _topic_counts([contents])
+        return report
+    except OSError as error:
+        name = error.filename or target
+        raise RecoveryError(f"{name}: {error.strerror or error}; the original is untouched") from error
+
+
+def _recover_directory(source: Path, target: Path) -> RecoveryReport:
+    files = sorted(source.glob("*.mcap"), key=_number)
+    if not files:
+        raise RecoveryError(f"{source} holds no .mcap file")
+    report = RecoveryReport(target)
+    if target != source:
+        target.mkdir(parents=True)
+    contents = [_recover_file(file, target / file.name, report) for file in files]
+    report.topics = _topic_counts(contents)
+    information = _information(report.files, contents, source)
+    if not _says_the_same(target / FILE_NAME, information):
+        information.save(target)
+        report.metadata_rebuilt = True
+    return report
+
+
+def _number(path: Path) -> tuple[int, str]:
+    """NAME_10 comes after NAME_9."""
+    match = re.search(r"_(\d+)$", path.stem)
+    return (int(match.group(1)) if match else -1, path.name)
+
+
+def _recover_file(source: Path, target: Path, report: RecoveryReport) -> Contents:
+    with source.open("rb") as stream:
+        size = os.fstat(stream.fileno()).st_size
+        _check(stream, source, size)
+        contents, found = Contents(), FileReport(target)
+        kept = sum(map(len, _good_records(stream, size, contents, found)))
+        found.whole = _is_closed(stream, size) and not found.damaged_records
+        found.kept_bytes = kept
+        if not (found.whole and target == source):
+            contents = _write_repaired(stream, size, source, target, found)
+    found.messages = contents.counts().total()
+    found.start_ns, found.end_ns = contents.times()
+    report.files.append(found)
+    return contents
+
+
+def _check(stream: BinaryIO, source: Path, size: int) -> None:
+    try:
+        fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise RecoveryError(f"{source} is still being recorded; stop the recorder first") from None
+    except OSError:
+        pass  # a file system without locks
+    if stream.read(len(MAGIC)) != MAGIC:
+        raise RecoveryError(f"{source} is not an MCAP file, or was cut within its first 8 bytes")
+    first = next(read_records(stream, size), None)
+    if first is None or first.opcode != Opcode.HEADER:
+        raise RecoveryError(f"{source} was cut before anything was recorded")
+
+
+def _is_closed(stream: BinaryIO, size: int) -> bool:
+    """Whether the file ends as a closed one does: footer that points at a summary, then the magic bytes."""
+    stream.seek(max(0, size - FOOTER_LENGTH - len(MAGIC)))
+    end = stream.read()
+    if len(end) < FOOTER_LENGTH + len(MAGIC) or not end.endswith(MAGIC) or end[0] != Opcode.FOOTER:
+        return False
+    footer = Footer.read(ReadDataStream(BytesIO(end[9:])))
+    return 0 < footer.summary_start < size
+
+
+def _good_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:
+    """The undamaged records of the data section, taken into `contents` at the place they get in a new file."""
+    kept = end = len(MAGIC)
+    found.damaged_records = 0
+    chunk_left_out = False
+    for record in read_records(stream, size):
+        if record.opcode == Opcode.DATA_END:
+            size = record.offset
+            break
+        raw = record.raw
+        end = record.offset + len(raw)
+        if chunk_left_out and record.opcode == Opcode.MESSAGE_INDEX:
+            continue
+        try:
+            contents.add(record, kept)
+        except DamagedError:
+            found.damaged_records += 1
+            chunk_left_out = record.opcode == Opcode.CHUNK
+            continue
+        chunk_left_out = False
+        kept += len(raw)
+        yield raw
+    found.lost_bytes = max(size, end) - kept
+
+
+def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, found: FileReport) -> Contents:
+    contents = Contents()
+    temporary = target.with_name(target.name + ".recovering")
+    try:
+        with temporary.open("wb") as out:
+            out.write(MAGIC)
+            out.writelines(_good_records(stream, size, contents, found))
+            contents.finish(out)
+            out.flush()
+            os.fsync(out.fileno())
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+    _put_in_place(source, target, temporary, found)
+    return contents
+
+
+def _put_in_place(source: Path, target: Path, temporary: Path, found: FileReport) -> None:
+    if target == source:
+        found.original = _free_name(source)
+        try:
+            os.link(source, found.original)  # so that NAME.mcap exists at every moment
+        except OSError:
+            source.rename(found.original)  # no hard links on this file system
+    temporary.replace(target)
+
+
+def _free_name(source: Path) -> Path:
+    for number in range(1, 1000):
+        name = source.with_name(f"{source.name}.cut{number if number > 1 else ''}")
+        if not name.exists():
+            return name
+    raise RecoveryError(f"{source}: too many .cut files beside it")
+
+
+def _topic_counts(contents: list[Contents]) -> dict[str, int]:
+    total: Counter[str] = Counter()
+    for one in contents:
+        counts = one.counts()
+        for channel in one.channels.values():
+            total[channel.topic] += counts[channel.id]
+    return dict(total)
+
+
+def _information(files: list[FileReport], contents: list[Contents], source: Path) -> BagInformation:
+    topics: dict[tuple[str, str], Topic] = {}
+    custom: dict[str, str] = {}
+    for one in contents:
+        counts = one.counts()
+        custom.update(short_entries(one.metadata))
+        for channel in one.channels.values():
+            schema = one.schemas.get(channel.schema_id)
+            type_name = schema.name if schema else ""
+            topic = topics.setdefault((channel.topic, type_name), Topic(
+                channel.topic, type_name, channel.metadata.get("topic_type_hash", ""),
+                yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []))
+            topic.count += counts[channel.id]
+    with contextlib.suppress(OSError, yaml.YAMLError, AttributeError, KeyError, TypeError):
+        earlier = yaml.safe_load((source / FILE_NAME).read_text())["rosbag2_bagfile_information"]["custom_data"]
+        custom = {**{str(k): str(v) for k, v in earlier.items()}, **custom}
+    bag_files = [BagFile(f.path.name, f.messages, f.start_ns, f.end_ns) for f in files]
+    return BagInformation(bag_files, list(topics.values()), custom)
+
+
+def _says_the_same(path: Path, information: BagInformation) -> bool:
+    """Whether a metadata.yaml names the same files, topics and counts (the rest may be another recorder's)."""
+    wanted = information.document()["rosbag2_bagfile_information"]
+    try:
+        there = yaml.safe_load(path.read_text())["rosbag2_bagfile_information"]
+        counts = {t["topic_metadata"]["name"]: t["message_count"] for t in there["topics_with_message_count"]}
+        return (
+            counts == {t["topic_metadata"]["name"]: t["message_count"] for t in wanted["topics_with_message_count"]}
+            and there["message_count"] == wanted["message_count"]
+            and there["relative_file_paths"] == wanted["relative_file_paths"]
+            and there["duration"] == wanted["duration"]
+        )
+    except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError):
+        return False
+
+

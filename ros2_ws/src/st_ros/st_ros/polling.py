@@ -1,0 +1,60 @@
+"""A subscription that is emptied by the node itself (usually from a timer) instead of waking the executor per message.
+
+rclpy rebuilds its wait set for every wake-up: at 250 Hz on several topics that costs more than the messages do.
+Messages wait in the middleware's queue (`depth` per topic), in order, each with the time it arrived.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+
+class _NeverReady(CallbackGroup):
+    """Keeps its subscriptions out of the executor's wait set."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        raise AssertionError("a polled subscription is never executed")
+
+
+class PolledSubscription:
+    """raw=True hands out the serialised bytes instead of messages."""
+
+    def __init__(self, node: Node, message_type: type, topic: str, qos: QoSProfile, raw: bool = False):
+        self._node = node
+        self._group = _NeverReady()
+        self.subscription = node.create_subscription(
+            message_type, topic, _unused, qos, callback_group=self._group, raw=raw)
+        self._take = self.subscription.handle.take_message
+        self._arguments = (message_type, raw)
+
+    @property
+    def topic(self) -> str:
+        return self.subscription.topic_name
+
+    def take(self, limit: int = 1000) -> Iterator[tuple[Any, int, int]]:
+        """At most `limit` waiting messages, oldest first, as (message, received_ns, sent_ns).
+
+        received_ns: host UTC when it arrived here; sent_ns: when it was published (0: unknown).
+        """
+        for _ in range(limit):
+            taken = self._take(*self._arguments)
+            if taken is None:
+                return
+            message, info = taken
+            yield message, info["received_timestamp"], info["source_timestamp"]
+
+    def destroy(self) -> None:
+        self._node.destroy_subscription(self.subscription)
+
+
+def _unused(message: Any) -> None:
+    raise AssertionError("a polled subscription has no callback")
