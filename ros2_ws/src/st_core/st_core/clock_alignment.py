@@ -1,0 +1,370 @@
+"""The clocks of two recordings put on one time: by the unit's own time in the other recording, or by shared signals.
+
+    t_reference = t_other + offset + drift (t_other - t_0)
+
+`reference` is the INS recording, `other` the CAN log. Every result says how sure it is and why.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+
+from .clock_correlation import LONGEST_GAP, STEP, resample
+from .clock_fit import DRIFT_PRIOR_PPM, Fit, Pair, coarse_offset, fit
+from .clock_steps import clock_step, window_lags
+
+CUTOFFS = (0.5, 4.0)  # Hz: the first for a drift that has not been found yet, the second for the result
+STAMP_GRID = 50e-6  # s; loggers do not stamp finer than this, so no result is surer
+LONGEST_SPAN = 48 * 3600.0  # s; a recording that spans more has a clock that was set while it ran
+GOOD_PEAK, USABLE_PEAK = 0.95, 0.80
+AMBIGUOUS = 0.9  # second peak over the first
+SHORT_OVERLAP = 20.0  # s
+AGREEMENT = 0.005  # s between signals
+GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s
+UNUSUAL_DRIFT_PPM = 200.0
+STEP_SEARCH = 5.0, 40.0  # s; the second where one offset does not fit the whole
+STEP_TOO_LARGE = 0.05  # s
+
+
+class Verdict(StrEnum):
+    """good: use it. doubtful: look at the picture first. refused: this is not an alignment."""
+
+    GOOD = "good"
+    DOUBTFUL = "doubtful"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True)
+class SharedSignal:
+    """One quantity in both recordings, each on its own clock. NaN where it should not be used (standstill, not ready).
+
+    times: int64 ns, strictly increasing. Values share sign and, up to a gain and a bias, scale.
+    latency: the other recording stamps the value this late after the instant it was true [s], with its uncertainty.
+    smallest: standard deviation below which the signal is taken as constant [unit of the values].
+    """
+
+    name: str
+    reference_time_ns: np.ndarray
+    reference: np.ndarray
+    other_time_ns: np.ndarray
+    other: np.ndarray
+    latency: float = 0.0
+    latency_uncertainty: float = 0.0
+    smallest: float = 0.0
+
+
+@dataclass(frozen=True)
+class SignalLag:
+    """One signal by itself: its offset minus the common one [s], deviation [s], residual over spread, correlation."""
+
+    name: str
+    difference: float
+    deviation: float
+    residual: float
+    correlation: float
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How to turn the other clock into the reference clock.
+
+    at_ns: instant on the other clock at which `offset_ns` holds. drift_ppm: how much faster the reference clock runs.
+    offset_deviation [s], drift_deviation [ppm]: one standard deviation; the offset's includes that of the latency.
+    method: "time frame", "shared signals", "by hand" or "none". overlap: common time [s].
+    peak, second_peak: (offset in s, correlation) of the coarse search, None without one.
+    """
+
+    at_ns: int
+    offset_ns: int
+    drift_ppm: float
+    offset_deviation: float
+    drift_deviation: float
+    method: str
+    verdict: Verdict
+    reasons: tuple[str, ...] = ()
+    signals: tuple[SignalLag, ...] = ()
+    peak: tuple[float, float] | None = None
+    second_peak: tuple[float, float] | None = None
+    overlap: float = 0.0
+
+    def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray | int:
+        """Time on the other clock -> time on the reference clock [ns], in whole nanoseconds."""
+        since = np.asarray(other_ns, dtype=np.int64) - self.at_ns
+        mapped = since + self.at_ns + self.offset_ns + np.round(since * (self.drift_ppm * 1e-6)).astype(np.int64)
+        return mapped if mapped.ndim else int(mapped)
+
+    def offset_at_ns(self, other_ns: int) -> int:
+        """Reference time minus other time at an instant of the other clock [ns]."""
+        return int(self.to_reference_ns(other_ns)) - other_ns
+
+    def doubted(self, *reasons: str) -> "Alignment":
+        """The same, at most doubtful, with further reasons."""
+        if not reasons:
+            return self
+        verdict = Verdict.DOUBTFUL if self.verdict is Verdict.GOOD else self.verdict
+        return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
+
+
+def by_hand(offset_ns: int, at_ns: int, drift_ppm: float = 0.0) -> Alignment:
+    """An offset somebody measured: reference minus other clock. Its uncertainty is not known (NaN)."""
+    return Alignment(at_ns, offset_ns, drift_ppm, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
+                     ("the offset was given by hand and not checked",))
+
+
+def none_needed(at_ns: int = 0) -> Alignment:
+    """Both recordings are on one clock already."""
+    return Alignment(at_ns, 0, 0.0, 0.0, 0.0, "none", Verdict.GOOD)
+
+
+def refused(*reasons: str) -> Alignment:
+    """No alignment at all."""
+    return Alignment(0, 0, 0.0, float("inf"), float("inf"), "none", Verdict.REFUSED, reasons)
+
+
+def align(signals: Sequence[SharedSignal], minimum_overlap: float | None = None,
+          search: tuple[float, float] | None = None) -> Alignment:
+    """Offset and drift from the signals that both recordings hold.
+
+    Coarse: masked normalised cross-correlation, the mean over the signals, at all lags. Fine: robust joint fit of
+    offset and drift (clock_fit.fit). Then the checks that make the verdict: height of the peak, a second one like it,
+    enough variation, agreement between the signals, steps of a clock.
+
+    Args:
+        minimum_overlap: [s]; default 40 % of the shorter recording, and where nothing fits then, 20 s.
+        search: bounds of reference minus other time [s]; default everywhere.
+
+    Never raises for what is in a recording: an alignment that is refused says why. Holds for drifts of a few hundred
+    ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
+    simulated clocks in test_clock_alignment.py (the standard deviations too).
+    """
+    usable, reasons = _usable(signals)
+    if not usable:
+        return refused(*reasons)
+    pairs = _pairs(usable)
+    fine = pairs[CUTOFFS[-1]]
+    if not fine:
+        return refused(*reasons, "the shared signals are known for a few seconds only")
+    if minimum_overlap is not None:
+        return _attempt(fine, pairs, usable, reasons, minimum_overlap, search)
+    shorter = min(max(side.known.sum() for side in sides) * STEP
+                  for sides in ([p.reference for p in fine], [p.other for p in fine]))
+    result = _attempt(fine, pairs, usable, reasons, max(0.4 * shorter, 10.0), search)
+    if result.verdict is Verdict.REFUSED and max((s.correlation for s in result.signals), default=0.0) < USABLE_PEAK:
+        short = _attempt(fine, pairs, usable, reasons, SHORT_OVERLAP, search)
+        if short.verdict is not Verdict.REFUSED:
+            return short.doubted(f"the recordings share only {short.overlap:.0f} s")
+    return result
+
+
+def _attempt(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal],
+             reasons: Sequence[str], needed: float, search: tuple[float, float] | None) -> Alignment:
+    r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
+    epoch = (r0 - o0) * 1e-9  # what lies between the two origins; taken out of the floats, put back at the end
+    span = tuple(s - epoch for s in search) if search else (-np.inf, np.inf)
+    coarse = coarse_offset(fine, needed, 2.0, span)
+    if coarse is None:
+        return refused(*reasons, f"at no offset do the recordings share {needed:.0f} s of like motion")
+    (first, second), (r_first, r_second) = coarse
+    # The fit is centred in the overlap, where offset and drift hardly correlate.
+    low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - first)
+    high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - first)
+    middle = (low + high) / 2
+    solution = None
+    try:
+        for cutoff in CUTOFFS:
+            start, drift = (solution.offset, solution.drift) if solution else (first, 0.0)
+            solution = fit(pairs[cutoff], start, middle, drift)
+    except ValueError as error:
+        return refused(*reasons, str(error))
+    singles = _single_signals(fine, solution)
+    at_ns = o0 + round(middle * 1e9)
+    result = Alignment(
+        at_ns=at_ns, offset_ns=r0 - o0 + round(solution.offset * 1e9), drift_ppm=solution.drift * 1e6,
+        offset_deviation=_offset_deviation(solution, singles, usable), drift_deviation=_drift_deviation(solution, high - low),
+        method="shared signals", verdict=Verdict.GOOD, reasons=tuple(reasons), signals=singles,
+        peak=(first + epoch, r_first), second_peak=(second + epoch, r_second), overlap=max(high - low, 0.0),
+    )
+    return _judged(result, solution, fine, o0)
+
+
+def _usable(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal], list[str]]:
+    usable, reasons = [], []
+    for signal in signals:
+        known = [np.isfinite(v) for v in (signal.reference, signal.other)]
+        if min(k.sum() for k in known) < 2:
+            reasons.append(f"{signal.name} is missing on one side")
+            continue
+        spans = [float(t[-1] - t[0]) * 1e-9 for t in (signal.reference_time_ns, signal.other_time_ns)]
+        if max(spans) > LONGEST_SPAN:
+            reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days: a clock was set during the recording")
+            continue
+        spread = min(float(np.std(v[k])) for v, k in zip((signal.reference, signal.other), known, strict=True))
+        if spread <= signal.smallest:
+            reasons.append(f"{signal.name} hardly varies (standard deviation {spread:.3g})")
+            continue
+        usable.append(signal)
+    return usable, reasons or ([] if usable else ["the recordings share no signal"])
+
+
+def _pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
+    """Per cut-off: every signal of which something is left at all. Times count from the first signal's first."""
+    rows = []
+    reference_ns, other_ns = int(signals[0].reference_time_ns[0]), int(signals[0].other_time_ns[0])
+    for signal in signals:
+        reference = (signal.reference_time_ns - reference_ns) * 1e-9
+        other = (signal.other_time_ns - other_ns) * 1e-9 - signal.latency
+        row = [Pair(signal.name, resample(reference, signal.reference, cutoff), resample(other, signal.other, cutoff))
+               for cutoff in CUTOFFS]
+        if all(side.known.any() for pair in row for side in (pair.reference, pair.other)):
+            rows.append(row)
+    return {cutoff: [row[k] for row in rows] for k, cutoff in enumerate(CUTOFFS)}
+
+
+def _single_signals(pairs: Sequence[Pair], solution: Fit) -> tuple[SignalLag, ...]:
+    rows = []
+    for pair, residual, correlation in zip(pairs, solution.residual, solution.correlation, strict=True):
+        alone = fit([pair], solution.offset, solution.middle, solution.drift, free_drift=False)
+        rows.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual, correlation))
+    return tuple(rows)
+
+
+def _offset_deviation(solution: Fit, singles: Sequence[SignalLag], signals: Sequence[SharedSignal]) -> float:
+    """Fit, plus what the signals differ among themselves beyond their own noise, plus the latency."""
+    excess = 0.0
+    if len(singles) > 1:
+        weights = np.array([s.deviation**-2 for s in singles])
+        scatter = float((weights * np.array([s.difference for s in singles]) ** 2).sum() / weights.sum())
+        excess = max(scatter - float(len(singles) / weights.sum()), 0.0)
+    latency = max(s.latency_uncertainty for s in signals)
+    return float(np.sqrt(solution.offset_deviation**2 + excess + latency**2 + STAMP_GRID**2 / 12))
+
+
+def _drift_deviation(solution: Fit, overlap: float) -> float:
+    """[ppm] A straight line through stamps that are all off by a slowly changing part of the grid."""
+    return float(np.hypot(solution.drift_deviation, STAMP_GRID / max(overlap, 1.0))) * 1e6
+
+
+def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
+    refusals, doubts = [], []
+    r_first, r_second = result.peak[1], result.second_peak[1]
+    # After the fit: a drift has smeared the peak of the coarse search, but not these.
+    weakest = min(max(s.correlation, 0.0) for s in result.signals)
+    strongest = max(s.correlation for s in result.signals)
+    if strongest < USABLE_PEAK:
+        refusals.append(f"the signals do not belong together (correlation {strongest:.2f} at best): the recordings do "
+                        "not overlap in time, or are not of the same drive")
+    elif weakest < GOOD_PEAK:
+        worst = min(result.signals, key=lambda s: s.correlation)
+        doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, {GOOD_PEAK} expected")
+    if r_second > AMBIGUOUS * r_first:
+        doubts.append(f"another offset fits nearly as well: {result.second_peak[0]:+.2f} s with correlation "
+                      f"{r_second:.2f} against {result.peak[0]:+.2f} s with {r_first:.2f} (repeated laps?)")
+    if result.offset_deviation > USABLE_DEVIATION:
+        refusals.append(f"too little motion: the offset is only known to {result.offset_deviation * 1e3:.0f} ms")
+    elif result.offset_deviation > GOOD_DEVIATION:
+        doubts.append(f"little motion: the offset is only known to {result.offset_deviation * 1e3:.1f} ms")
+    for row in result.signals:
+        if abs(row.difference) > max(AGREEMENT, 3 * row.deviation):
+            doubts.append(f"{row.name} by itself gives an offset {row.difference * 1e3:+.1f} ms away")
+    if abs(result.drift_ppm) > UNUSUAL_DRIFT_PPM:
+        doubts.append(f"a drift of {result.drift_ppm:.0f} ppm is more than two quartz clocks have")
+    lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_PEAK])
+    step = clock_step(lags)
+    if step:
+        when = other_ns * 1e-9 + step[0] - result.at_ns * 1e-9
+        reason = (f"a clock steps by {step[1] * 1e3:+.0f} ms about {when:+.0f} s from the middle of the common time: "
+                  "align the parts before and after it by themselves")
+        # All other doubts follow from it.
+        refusals, doubts = ([reason], []) if abs(step[1]) > STEP_TOO_LARGE else ([], [reason])
+    if refusals:
+        return replace(result, verdict=Verdict.REFUSED, reasons=(*result.reasons, refusals[0]))
+    return result.doubted(*doubts)
+
+
+def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
+                        latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
+    """Offset and drift from frames in which the unit itself says what time it is.
+
+    Args:
+        other_time_ns: when each frame was logged.
+        reference_time_ns: the time it carried, UTC; frames of an unlocked unit (no time) left out.
+        resolution: of that time [s].
+        latency: a frame is logged this late after the instant it names [s].
+
+    A straight line through one point per frame, medians per second, refitted without what lies off it (soft L1).
+    """
+    if len(other_time_ns) < 2:
+        return refused("the time frames hold no time (the unit had not locked yet?)")
+    if abs(int(other_time_ns[-1]) - int(other_time_ns[0])) * 1e-9 > LONGEST_SPAN:
+        return refused("the log spans days: its clock was set during the recording")
+    o0, r0 = int(other_time_ns[0]), int(reference_time_ns[0])
+    time = (other_time_ns - o0) * 1e-9 - latency
+    offset = (reference_time_ns - r0) * 1e-9 - time
+    time, offset = _medians(time, offset)
+    middle = float(time[0] + time[-1]) / 2
+    design = np.stack([np.ones_like(time), time - middle], axis=1)
+    weight = np.ones_like(time)
+    for _ in range(20):
+        solution = np.linalg.lstsq(design * weight[:, None], offset * weight, rcond=None)[0]
+        residual = offset - design @ solution
+        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-5)
+        weight = (1 + (residual / (2 * scale)) ** 2) ** -0.25
+    weighted = design * weight[:, None]
+    prior = np.diag([0.0, (scale / (DRIFT_PRIOR_PPM * 1e-6)) ** 2])
+    covariance = scale**2 * np.linalg.inv(weighted.T @ weighted + prior)
+    # Truncation to the resolution does not average out when frames and steps beat slowly.
+    rounding = resolution / np.sqrt(12)
+    result = Alignment(
+        at_ns=o0 + round(middle * 1e9), offset_ns=r0 - o0 + round(float(solution[0]) * 1e9),
+        drift_ppm=float(solution[1]) * 1e6,
+        offset_deviation=float(np.sqrt(covariance[0, 0] + rounding**2 + latency_uncertainty**2)),
+        drift_deviation=float(np.sqrt(covariance[1, 1])) * 1e6,
+        method="time frame", verdict=Verdict.GOOD, overlap=float(time[-1] - time[0]),
+    )
+    doubts = []
+    worst = int(np.argmax(np.abs(residual)))
+    if abs(residual[worst]) > 0.02:
+        doubts.append(f"the time frames do not lie on one line: {residual[worst] * 1e3:+.0f} ms at "
+                      f"{time[worst] - middle:+.0f} s from the middle (a clock was set?)")
+    if abs(result.drift_ppm) > UNUSUAL_DRIFT_PPM:
+        doubts.append(f"a drift of {result.drift_ppm:.0f} ppm is more than two quartz clocks have")
+    return result.doubted(*doubts)
+
+
+def _medians(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    second = np.floor(time - time[0]).astype(np.int64)
+    edges = np.nonzero(np.diff(second, prepend=second[0] - 1, append=second[-1] + 1))[0]
+    if len(edges) - 1 > 0.5 * len(time):
+        return time, value
+    groups = list(pairwise(edges))
+    return np.array([np.median(time[a:b]) for a, b in groups]), np.array([np.median(value[a:b]) for a, b in groups])
+
+
+def standstill_masked(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
+                      threshold: float = 0.3, margin: float = 2.0) -> np.ndarray:
+    """The values, NaN where the speed stays below `threshold` [m/s] for `margin` [s] around.
+
+    Standstill tells nothing about time but correlates with every other standstill.
+    """
+    moving_ns = speed_time_ns[np.isfinite(speed) & (np.abs(speed) > threshold)]
+    if not len(moving_ns):
+        return np.full(len(values), np.nan)
+    index = np.searchsorted(moving_ns, time_ns)
+    before = time_ns - moving_ns[np.clip(index - 1, 0, len(moving_ns) - 1)]
+    after = moving_ns[np.clip(index, 0, len(moving_ns) - 1)] - time_ns
+    near = np.minimum(np.abs(before), np.abs(after)) * 1e-9 <= margin
+    return np.where(near, values, np.nan)
+
+
+def rate_of_angle(time_ns: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An angle [rad, wrapped or not] as its rate [rad/s] between the samples: (time in ns, rate), NaN across gaps.
+
+    The unknown zero of an angle drops out this way, and so does a slow error of it.
+    """
+    step = np.diff(time_ns) * 1e-9
+    turned = (np.diff(angle) + np.pi) % (2 * np.pi) - np.pi
+    rate = np.where(step <= LONGEST_GAP, turned / np.maximum(step, 1e-6), np.nan)
+    return time_ns[:-1] + np.diff(time_ns) // 2, rate

@@ -1,0 +1,201 @@
+"""The two searches of clock alignment: coarse offset by correlation, fine offset and drift by a robust joint fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from .clock_correlation import STEP, Resampled, masked_correlation
+
+DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm; a short recording says less than that
+BLOCK = 5.0  # s; residuals further apart than this count as independent
+ITERATIONS = 12
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One shared signal on both grids; time of `other` is already rid of its latency."""
+
+    name: str
+    reference: Resampled
+    other: Resampled
+
+
+@dataclass(frozen=True)
+class Fit:
+    """t_reference = t_other + offset + drift (t_other - middle).
+
+    offset [s] at `middle` [s, other clock], drift [1], with their standard deviations; residual: per signal, rms over
+    the standard deviation of the signal; correlation: per signal, at the solution.
+    """
+
+    offset: float
+    drift: float
+    offset_deviation: float
+    drift_deviation: float
+    middle: float
+    residual: tuple[float, ...]
+    correlation: tuple[float, ...]
+    points: int
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Where one pair is known on both sides under the present mapping."""
+
+    time: np.ndarray
+    reference: np.ndarray
+    slope: np.ndarray
+    other: np.ndarray
+
+
+class _Interpolant:
+    def __init__(self, signal: Resampled):
+        self._spline = CubicSpline(signal.time, signal.values)
+        self._slope = self._spline.derivative()
+        self._signal = signal
+
+    def __call__(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(value, derivative, known)"""
+        index = np.floor((time - self._signal.origin) / STEP).astype(np.int64)
+        inside = (index >= 0) & (index < len(self._signal.values) - 1)
+        index = np.where(inside, index, 0)
+        following = np.minimum(index + 1, len(self._signal.known) - 1)
+        known = inside & self._signal.known[index] & self._signal.known[following]
+        clipped = np.where(known, time, self._signal.origin)
+        return self._spline(clipped), self._slope(clipped), known
+
+
+def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0, free_drift: bool = True) -> Fit:
+    """Gauss-Newton with soft-L1 weights on offset and drift, and a gain and a bias for every signal.
+
+        residual_k(t) = reference_k(t + offset + drift (t - middle)) - gain_k other_k(t) - bias_k,   over its own spread
+
+    The gain takes up a wheel speed that reads some percent high, the bias a gyro offset. The deviations are those of a
+    sandwich estimate over blocks of 5 s, so that autocorrelated residuals do not pass for independent ones. A weak
+    prior on the drift (100 ppm) keeps short recordings from inventing one.
+
+    Raises ValueError when fewer than 2 s are known on both sides.
+    """
+    interpolants = [_Interpolant(p.reference) for p in pairs]
+    parameters = np.array([offset, drift])
+    for _ in range(ITERATIONS):
+        normal, gradient, _, _ = _normal_equations(pairs, interpolants, parameters, middle, free_drift)
+        step = np.linalg.solve(normal, -gradient)
+        # Beyond the width of the correlation peak the linear model says nothing: walk there in several steps.
+        step[0] = np.clip(step[0], -0.3, 0.3)
+        parameters += step
+        if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
+            break
+    normal, _, scales, details = _normal_equations(pairs, interpolants, parameters, middle, free_drift)
+    inverse = np.linalg.inv(normal)
+    covariance = inverse @ _block_scores(details) @ inverse
+    naive = inverse[0, 0] if free_drift else 1.0 / normal[0, 0]
+    return Fit(
+        offset=float(parameters[0]), drift=float(parameters[1]), middle=middle,
+        offset_deviation=float(np.sqrt(max(covariance[0, 0], naive))),
+        drift_deviation=float(np.sqrt(max(covariance[1, 1], inverse[1, 1]))),
+        residual=tuple(float(np.sqrt(np.mean(d.residual**2)) * s / max(d.spread, 1e-12))
+                       for d, s in zip(details, scales, strict=True)),
+        correlation=tuple(float(d.correlation) for d in details),
+        points=sum(len(d.time) for d in details),
+    )
+
+
+@dataclass(frozen=True)
+class _Detail:
+    time: np.ndarray
+    residual: np.ndarray  # over its scale
+    score: np.ndarray  # (n, 2), weighted derivative times residual, nuisance projected out
+    spread: float
+    correlation: float
+
+
+def _normal_equations(pairs: Sequence[Pair], interpolants: Sequence[_Interpolant], parameters: np.ndarray,
+                      middle: float, free_drift: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[_Detail]]:
+    """(normal matrix, gradient, spread of the residuals of each signal, details)"""
+    normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
+    gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
+    details, scales = [], []
+    for pair, interpolant in zip(pairs, interpolants, strict=True):
+        rows = _rows(pair, interpolant, parameters, middle)
+        if len(rows.time) * STEP < 2.0:
+            raise ValueError(f"{pair.name}: less than 2 s of it is known on both sides")
+        nuisance = np.stack([rows.other, np.ones_like(rows.other)], axis=1)
+        weight = np.ones(len(rows.time))
+        for _ in range(2):
+            solution = np.linalg.lstsq(nuisance * weight[:, None], rows.reference * weight, rcond=None)[0]
+            residual = rows.reference - nuisance @ solution
+            spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+            scale = max(spread, 1e-4 * float(rows.reference.std()), 1e-12)
+            weight = (1.0 + (residual / (2 * scale)) ** 2) ** -0.25  # square root of the soft-L1 weight
+        jacobian = np.stack([rows.slope, rows.slope * (rows.time - middle)], axis=1)
+        if not free_drift:
+            jacobian[:, 1] = 0.0
+        weighted = nuisance * weight[:, None]
+        projection = np.linalg.lstsq(weighted, jacobian * weight[:, None], rcond=None)[0]
+        jacobian = (jacobian - nuisance @ projection) * (weight / scale)[:, None]
+        scaled = residual * weight / scale
+        normal += jacobian.T @ jacobian
+        gradient += jacobian.T @ scaled
+        spreads = float(rows.reference.std()), float(rows.other.std())
+        correlation = float(np.corrcoef(rows.reference, rows.other)[0, 1]) if min(spreads) > 0 else 0.0
+        details.append(_Detail(rows.time, residual / scale, jacobian * scaled[:, None], spreads[0], correlation))
+        scales.append(scale)
+    if normal[0, 0] <= 0.0:
+        raise ValueError("the shared signals do not vary")
+    return normal, gradient, np.array(scales), details
+
+
+def _rows(pair: Pair, interpolant: _Interpolant, parameters: np.ndarray, middle: float) -> _Rows:
+    time = pair.other.time
+    reference, slope, known = interpolant(time + parameters[0] + parameters[1] * (time - middle))
+    known &= pair.other.known
+    return _Rows(time[known], reference[known], slope[known], pair.other.values[known])
+
+
+def _block_scores(details: Sequence[_Detail]) -> np.ndarray:
+    """Sum of the outer products of the block sums of the scores, blocks common to all signals."""
+    start = min(float(d.time[0]) for d in details)
+    count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK) + 1
+    sums = np.zeros((count, 2))
+    for detail in details:
+        block = ((detail.time - start) / BLOCK).astype(np.int64)
+        for k in range(2):
+            sums[:, k] += np.bincount(block, weights=detail.score[:, k], minlength=count)
+    used = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
+    return sums.T @ sums * (used / max(used - 4, 1))
+
+
+def coarse_offset(
+    pairs: Sequence[Pair], minimum_overlap: float, exclusion: float, span: tuple[float, float] = (-np.inf, np.inf)
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """The two best offsets [s] by the mean of the signals' correlations: ((first, second), (r_first, r_second)).
+
+    exclusion: the second peak lies at least this far from the first [s], and beyond the valley next to it.
+    None where no lag has enough overlap.
+    """
+    rows = [masked_correlation(p.reference, p.other, minimum_overlap) for p in pairs]
+    low = max(lags[0] for lags, _ in rows)
+    high = min(lags[-1] for lags, _ in rows)
+    lags = np.arange(max(low, span[0]), min(high, span[1]) + STEP / 2, STEP)
+    if not len(lags):
+        return None
+    r = np.mean([np.interp(lags, row_lags, row) for row_lags, row in rows], axis=0)
+    best = int(np.argmax(r))
+    if r[best] <= 0:
+        return None
+    left, right = _valley(r, best, -1), _valley(r, best, +1)
+    reach = int(exclusion / STEP)
+    rest = r.copy()
+    rest[min(left, max(best - reach, 0)) : max(right, best + reach) + 1] = 0.0
+    second = int(np.argmax(rest))
+    return (float(lags[best]), float(lags[second])), (float(r[best]), float(max(rest[second], 0.0)))
+
+
+def _valley(r: np.ndarray, index: int, direction: int) -> int:
+    """Where the correlation stops falling on one side of a peak."""
+    row = r[index:] if direction > 0 else r[index::-1]
+    rising = np.nonzero(np.diff(row) > 0)[0]
+    return index + direction * int(rising[0] if len(rising) else len(row) - 1)

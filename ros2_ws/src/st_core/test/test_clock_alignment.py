@@ -1,0 +1,217 @@
+"""Clock alignment on simulated drives and clocks: a known answer is put in and must come out, as surely as claimed."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, lfilter
+from st_core.clock_alignment import (
+    SharedSignal,
+    Verdict,
+    align,
+    align_by_time_frame,
+    by_hand,
+    none_needed,
+    rate_of_angle,
+    standstill_masked,
+)
+
+EPOCH_NS = 1_700_000_000_000_000_000
+
+
+class Drive:
+    """A made-up drive of some seconds: speed [m/s] and yaw rate [rad/s] as smooth functions of time [s]."""
+
+    def __init__(self, seed: int, duration: float):
+        self.random = np.random.default_rng(seed)
+        time = np.arange(0, duration + 60, 0.05)
+        self.speed = CubicSpline(time, np.abs(10 + 50 * lfilter(*butter(2, 0.015), self._noise(len(time)))))
+        self.yaw_rate = CubicSpline(time, 0.6 * lfilter(*butter(2, 0.06), self._noise(len(time))))
+
+    def _noise(self, n: int) -> np.ndarray:
+        return self.random.standard_normal(n)
+
+    def slow_noise(self, n: int, deviation: float) -> np.ndarray:
+        """Correlated over 100 samples, as the difference between two sensors of one quantity is."""
+        return lfilter([1], [1, -0.99], self._noise(n)) * np.sqrt(1 - 0.99**2) * deviation
+
+
+def nanoseconds(time: np.ndarray) -> np.ndarray:
+    return EPOCH_NS + np.round(time * 1e9).astype(np.int64)
+
+
+def recorded(drive: Drive, duration: float, offset: float, drift: float, disagreement: float = 0.0, step: float = 0.0,
+             jitter: float = 3e-4) -> list[SharedSignal]:
+    """INS at 100 Hz; CAN at 100 Hz with 2 % of the frames missing, rounding, 3 % gain error, on a clock of its own."""
+    ins = np.arange(5, duration + 5, 0.01)
+    can = np.arange(10, duration, 0.01)
+    can = can[drive.random.random(len(can)) > 0.02]
+    stamp = (can - offset) / (1 + drift) + np.where(can > duration / 2, step, 0)
+    stamp += drive.random.normal(0, jitter, len(can))
+    order = np.argsort(stamp)
+    can, stamp = can[order], stamp[order]
+    speed = 1.03 * np.round((drive.speed(can) + drive.slow_noise(len(can), disagreement)) / 0.01) * 0.01
+    rate = drive.yaw_rate(can) + drive.slow_noise(len(can), 0.1 * disagreement) + 0.01
+    return [
+        SharedSignal("speed", nanoseconds(ins), drive.speed(ins), nanoseconds(stamp), speed),
+        SharedSignal("yaw rate", nanoseconds(ins), drive.yaw_rate(ins), nanoseconds(stamp), rate),
+    ]
+
+
+def true_offset(at_ns: int, offset: float, drift: float) -> float:
+    """Reference minus other clock [s] at an instant of the other one: t_ref = t_other (1 + drift) + offset."""
+    return offset + drift * (at_ns - EPOCH_NS) * 1e-9
+
+
+@pytest.mark.parametrize(("offset", "drift"), [(3.217, 40e-6), (-72.4, -30e-6), (0.0, 0.0)])
+def test_known_offset_and_drift_come_back(offset: float, drift: float) -> None:
+    result = align(recorded(Drive(1, 300), 300, offset, drift))
+    assert result.verdict is Verdict.GOOD, result.reasons
+    assert result.offset_ns * 1e-9 == pytest.approx(true_offset(result.at_ns, offset, drift), abs=1e-4)
+    assert result.drift_ppm == pytest.approx(drift * 1e6, abs=1.0)
+
+
+def test_the_mapping_is_exact_to_the_nanosecond() -> None:
+    result = by_hand(3_217_000_001, EPOCH_NS, drift_ppm=40.0)
+    times = EPOCH_NS + np.array([0, 1_000_000_000, -25_000_000_000])
+    assert (result.to_reference_ns(times) - times).tolist() == [3_217_000_001, 3_217_040_001, 3_216_000_001]
+    assert result.to_reference_ns(EPOCH_NS) == EPOCH_NS + 3_217_000_001
+    assert none_needed().to_reference_ns(times).tolist() == times.tolist()
+
+
+def test_the_deviations_are_honest() -> None:
+    """Over many drives, error over claimed deviation has an rms near 1, for disagreeing sensors with memory as well."""
+    for disagreement in (0.0, 0.1):
+        z = []
+        for seed in range(16):
+            result = align(recorded(Drive(seed, 150), 150, 1.5, 20e-6, disagreement))
+            error = result.offset_ns * 1e-9 - true_offset(result.at_ns, 1.5, 20e-6)
+            z.append((error / result.offset_deviation, (result.drift_ppm - 20) / result.drift_deviation))
+        rms = np.sqrt(np.mean(np.square(z), axis=0))
+        assert (rms > 0.3).all() and (rms < 1.6).all(), (disagreement, rms)
+
+
+def test_latency_is_taken_off_and_its_uncertainty_added() -> None:
+    plain = recorded(Drive(2, 120), 120, 0.5, 0.0)
+    late = [SharedSignal(s.name, s.reference_time_ns, s.reference, s.other_time_ns + 4_000_000, s.other, 0.004, 0.002)
+            for s in plain]
+    result = align(late)
+    assert result.offset_ns * 1e-9 == pytest.approx(0.5, abs=2e-4)
+    assert result.offset_deviation == pytest.approx(0.002, rel=0.05)
+
+
+def test_signals_of_different_drives_are_refused() -> None:
+    one, two = recorded(Drive(3, 200), 200, 0, 0), recorded(Drive(4, 200), 200, 0, 0)
+    result = align([SharedSignal(a.name, a.reference_time_ns, a.reference, b.other_time_ns, b.other)
+                    for a, b in zip(one, two, strict=True)])
+    assert result.verdict is Verdict.REFUSED
+    assert "do not overlap in time" in result.reasons[-1]
+
+
+def test_a_short_common_part_is_found_but_doubted() -> None:
+    signals = recorded(Drive(5, 400), 400, 2.0, 0.0)
+    cut = []
+    for s in signals:
+        early, late = s.reference_time_ns < EPOCH_NS + 230 * 10**9, s.other_time_ns > EPOCH_NS + 190 * 10**9
+        cut.append(SharedSignal(s.name, s.reference_time_ns[early], s.reference[early],
+                                s.other_time_ns[late], s.other[late]))
+    result = align(cut)
+    assert result.offset_ns * 1e-9 == pytest.approx(2.0, abs=1e-3)
+    assert result.verdict is Verdict.DOUBTFUL
+    assert "share only" in result.reasons[-1]
+
+
+def test_repeated_laps_are_pointed_out_and_a_bounded_search_settles_them() -> None:
+    drive = Drive(6, 200)
+    time = np.arange(0, 600, 0.01)
+    speed, rate = drive.speed(5 + time % 100), drive.yaw_rate(5 + time % 100)
+    part = slice(5000, 45000)
+    noise = drive.random.normal(0, 0.02, 40000)
+    signals = [
+        SharedSignal("speed", nanoseconds(time), speed, nanoseconds(time[part]), speed[part] + noise),
+        SharedSignal("yaw rate", nanoseconds(time), rate, nanoseconds(time[part]), rate[part] + 0.1 * noise),
+    ]
+    result = align(signals)
+    assert result.verdict is Verdict.DOUBTFUL
+    assert "another offset fits nearly as well" in result.reasons[0]
+    bounded = align(signals, search=(-20, 20))
+    assert (bounded.verdict, round(bounded.offset_ns * 1e-9, 3)) == (Verdict.GOOD, 0.0)
+
+
+@pytest.mark.parametrize(("step", "verdict"), [(0.03, "doubtful"), (2.0, "refused"), (-10.0, "refused")])
+def test_a_clock_that_was_set_on_the_way_is_found(step: float, verdict: str) -> None:
+    result = align(recorded(Drive(7, 600), 600, 1.0, 20e-6, disagreement=0.02, step=step))
+    assert result.verdict == verdict
+    found = re.match(r"a clock steps by ([+-]\d+) ms about ([+-]\d+) s", result.reasons[0])
+    assert float(found[1]) == pytest.approx(-step * 1e3, abs=3)
+    assert abs(float(found[2])) < 30
+
+
+def test_constant_signals_are_refused() -> None:
+    time = nanoseconds(np.arange(0, 100, 0.01))
+    steady = np.full(len(time), 20.0) + np.random.default_rng(8).normal(0, 0.005, len(time))
+    result = align([SharedSignal("speed", time, steady, time, steady, smallest=0.3)])
+    assert result.verdict is Verdict.REFUSED
+    assert "hardly varies" in result.reasons[0]
+    assert align([]).reasons == ("the recordings share no signal",)
+
+
+def test_a_clock_set_by_years_is_refused() -> None:
+    signals = recorded(Drive(9, 100), 100, 0, 0)
+    long_ago = np.where(np.arange(len(signals[0].other)) < 50, 10**18, 0)
+    broken = [SharedSignal(s.name, s.reference_time_ns, s.reference, s.other_time_ns - long_ago, s.other)
+              for s in signals]
+    result = align(broken)
+    assert result.verdict is Verdict.REFUSED
+    assert "a clock was set" in result.reasons[0]
+
+
+def test_gaps_and_standstill_do_no_harm() -> None:
+    signals = recorded(Drive(10, 300), 300, 0.7, 10e-6)
+    holed = []
+    for s in signals:
+        other, reference = s.other.copy(), s.reference.copy()
+        other[8000:9500] = np.nan
+        reference[15000:15400] = np.nan
+        holed.append(SharedSignal(s.name, s.reference_time_ns, reference, s.other_time_ns, other))
+    result = align(holed)
+    assert result.offset_ns * 1e-9 == pytest.approx(true_offset(result.at_ns, 0.7, 10e-6), abs=2e-4)
+    time = nanoseconds(np.arange(0, 30, 0.1))
+    speed = np.where(np.arange(300) < 100, 0.0, 5.0)
+    masked = standstill_masked(time, speed, time, speed)
+    assert np.isnan(masked[:80]).all() and np.isfinite(masked[80:]).all()
+
+
+def test_rate_of_a_wrapped_angle() -> None:
+    time = nanoseconds(np.arange(0, 10, 0.01))
+    angle = (0.8 * np.arange(1000) * 0.01 + np.pi) % (2 * np.pi) - np.pi
+    middle, rate = rate_of_angle(time, angle)
+    np.testing.assert_allclose(rate, 0.8, rtol=1e-6)
+    assert middle[0] == time[0] + 5_000_000
+    holed = np.delete(time, slice(300, 400))
+    assert np.isnan(rate_of_angle(holed, np.delete(angle, slice(300, 400)))[1]).sum() == 1
+
+
+def test_time_frames_give_offset_and_drift() -> None:
+    random = np.random.default_rng(11)
+    logged = np.arange(0, 600, 0.01)
+    unit = np.floor((logged * (1 + 25e-6) + 1.25) * 1000) / 1000  # milliseconds, cut off
+    late = logged + 0.002 + random.exponential(0.0003, len(logged))
+    late[random.integers(0, len(late), 200)] += 0.02  # queueing
+    order = np.argsort(late)
+    result = align_by_time_frame(nanoseconds(late[order]), nanoseconds(unit[order]), latency=0.002,
+                                 latency_uncertainty=0.001)
+    assert result.verdict is Verdict.GOOD, result.reasons
+    assert result.offset_ns * 1e-9 == pytest.approx(true_offset(result.at_ns, 1.25, 25e-6), abs=1e-3)
+    assert result.drift_ppm == pytest.approx(25, abs=0.5)
+    assert result.offset_deviation >= 0.001
+
+
+def test_time_frames_show_a_clock_that_was_set() -> None:
+    logged = np.arange(0, 600, 0.01)
+    jumped = align_by_time_frame(nanoseconds(logged + np.where(logged > 400, 0.5, 0)), nanoseconds(logged))
+    assert jumped.verdict is Verdict.DOUBTFUL
+    assert "do not lie on one line" in jumped.reasons[0]
+    empty = np.zeros(0, dtype=np.int64)
+    assert align_by_time_frame(empty, empty).verdict is Verdict.REFUSED
