@@ -183,7 +183,8 @@ def _attempt(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Seque
     at_ns = o0 + round(middle * 1e9)
     result = Alignment(
         at_ns=at_ns, offset_ns=r0 - o0 + round(solution.offset * 1e9), drift_ppm=solution.drift * 1e6,
-        offset_deviation=_offset_deviation(solution, singles, usable), drift_deviation=_drift_deviation(solution, high - low),
+        offset_deviation=_offset_deviation(solution, singles, usable),
+        drift_deviation=_drift_deviation(solution, high - low),
         method="shared signals", verdict=Verdict.GOOD, reasons=tuple(reasons), signals=singles,
         peak=(first + epoch, r_first), second_peak=(second + epoch, r_second), overlap=max(high - low, 0.0),
     )

@@ -82,14 +82,14 @@ def test_the_mapping_is_exact_to_the_nanosecond() -> None:
 
 def test_the_deviations_are_honest() -> None:
     """Over many drives, error over claimed deviation has an rms near 1, for disagreeing sensors with memory as well."""
-    for disagreement in (0.0, 0.1):
+    for disagreement in (0.02, 0.1):
         z = []
         for seed in range(16):
             result = align(recorded(Drive(seed, 150), 150, 1.5, 20e-6, disagreement))
             error = result.offset_ns * 1e-9 - true_offset(result.at_ns, 1.5, 20e-6)
             z.append((error / result.offset_deviation, (result.drift_ppm - 20) / result.drift_deviation))
         rms = np.sqrt(np.mean(np.square(z), axis=0))
-        assert (rms > 0.3).all() and (rms < 1.6).all(), (disagreement, rms)
+        assert (rms > 0.5).all() and (rms < 1.6).all(), (disagreement, rms)
 
 
 def test_latency_is_taken_off_and_its_uncertainty_added() -> None:
