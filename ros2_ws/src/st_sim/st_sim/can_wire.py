@@ -1,0 +1,159 @@
+"""Readings to CAN frames.
+
+The Leaf's own and what the INS sends on CAN; counters, checksums and signs by the shared codec.
+"""
+
+import math
+from dataclasses import dataclass
+
+import can
+import numpy as np
+from canedge_bridge.decode import Decoder
+
+from .geodesy import Origin
+from .sensors import InsReading, WheelSpeeds
+
+VEHICLE_BUS, INS_BUS = 1, 2
+"""CANedge channels: the car on the first, the INS on the second. On a live bus both share one channel."""
+
+FRAME_TIME = 0.00025
+"""s, about one frame at 500 kbit/s: frames of one instant follow each other on the bus."""
+
+CAR_CAN_RATE = 1750
+"""Frames per second on a Leaf-family Car-CAN (52 identifiers counted in a recording)."""
+
+# Identifiers of that recording that our table does not have, with periods in ms; `full` sends them with made-up
+# contents.
+_BACKGROUND = {
+    0x174: 10,
+    0x176: 10,
+    0x180: 10,
+    0x182: 10,
+    0x1CA: 10,
+    0x1CB: 10,
+    0x1D5: 10,
+    0x1D6: 10,
+    0x215: 10,
+    0x216: 10,
+    0x245: 10,
+    0x260: 10,
+    0x280: 20,
+    0x292: 20,
+    0x2DE: 20,
+    0x300: 20,
+    0x354: 40,
+    0x355: 40,
+    0x358: 100,
+    0x35D: 100,
+    0x385: 100,
+    0x510: 100,
+    0x551: 100,
+    0x5C5: 100,
+    0x5E4: 100,
+    0x60D: 100,
+    0x625: 100,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame for one of the two buses."""
+
+    message: can.Message
+    bus: int
+
+
+class CanWire:
+    """Frames of the DBC. start_ns: UTC of the start of the drive [ns since 1970]."""
+
+    def __init__(self, codec: Decoder, origin: Origin, start_ns: int):
+        self._codec = codec
+        self._origin, self._start_ns = origin, start_ns
+        self._counters: dict[str, int] = {}
+
+    def steering(self, angle: float, rate: float) -> list[Frame]:
+        """angle.
+
+        As the sensor says, left + [rad]; rate at the hand wheel [rad/s], sent without a sign in a unit nobody knows
+        (4 deg/s).
+        """
+        raw = min(round(abs(math.degrees(rate)) / 4), 255)
+        return [self._own("Leaf_Steering", {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
+
+    def wheel_speeds(self, speeds: WheelSpeeds) -> list[Frame]:
+        front_left, front_right, rear_left, rear_right = speeds.wheels
+        return [
+            self._own(
+                "Leaf_WheelSpeedFront",
+                {
+                    "wheel_speed_front_left": front_left,
+                    "wheel_speed_front_right": front_right,
+                    "vehicle_speed": speeds.vehicle,
+                },
+            ),
+            self._own(
+                "Leaf_WheelSpeedRear", {"wheel_speed_rear_left": rear_left, "wheel_speed_rear_right": rear_right}
+            ),
+        ]
+
+    def gear(self, code: int) -> list[Frame]:
+        return [self._own("Leaf_Gear", {"GearCode": code})]
+
+    def ins(self, reading: InsReading) -> list[Frame]:
+        """0x600, 0x601, 0x604, 0x607, 0x608, 0x630, 0x633, 0x634, as an RT3000 sends them once per epoch."""
+        degrees = math.degrees
+        unix_time = (self._start_ns + round(reading.stamp * 1e9)) / 1e9
+        latitude, longitude, _ = self._origin.to_geodetic(reading.x, reading.y, reading.z)
+        forward = {"ins_velocity_x": reading.velocity_x, "ins_velocity_y": reading.velocity_y}
+        pitch, roll = degrees(reading.pitch), degrees(reading.roll)
+        roll_rate, pitch_rate, yaw_rate = reading.rates
+        return [
+            self._ins("RT_DateTime", {"ins_unix_time": unix_time}),
+            self._ins("RT_LatitudeLongitude", {"PosLat": degrees(latitude), "PosLon": degrees(longitude)}),
+            self._ins("RT_VelocityLevel", forward),
+            self._ins("RT_HeadingPitchRoll", {"ins_yaw": reading.yaw, "AnglePitch": pitch, "AngleRoll": roll}),
+            self._ins(
+                "RT_RateVehicle",
+                {"AngRateX": degrees(roll_rate), "AngRateY": -degrees(pitch_rate), "ins_yaw_rate": yaw_rate},
+            ),
+            self._ins("RT_MilliTime", {"ins_unix_time": unix_time}),
+            # ISO 8855 axes: y to the left, so a pitch is positive nose down.
+            self._ins("RT_IsoOrientation", {"ins_yaw": reading.yaw, "IsoPitchAngle": -pitch, "IsoRollAngle": roll}),
+            self._ins("RT_IsoVsVelocity", {**forward, "IsoVsVerticalVelocity": reading.velocity_z}),
+        ]
+
+    def _own(self, message: str, values: dict[str, float]) -> Frame:
+        counter = self._counters.get(message, 0)
+        self._counters[message] = counter + 1
+        return Frame(self._codec.encode(message, values, counter), VEHICLE_BUS)
+
+    def _ins(self, message: str, values: dict[str, float]) -> Frame:
+        return Frame(self._codec.encode(message, values), INS_BUS)
+
+
+class Background:
+    """The other traffic of the Car-CAN, so that filters and queues have something to do.
+
+    With the frames of our table (about 217 per second) it makes CAR_CAN_RATE; the INS comes on top.
+    """
+
+    def __init__(self, seed: int):
+        generator = np.random.default_rng([seed, 6])
+        self._frames = [
+            (
+                period,
+                index % period,
+                Frame(
+                    can.Message(arbitration_id=identifier, is_extended_id=False, data=generator.bytes(8)), VEHICLE_BUS
+                ),
+            )
+            for index, (identifier, period) in enumerate(_BACKGROUND.items())
+        ]
+        own = 100 + 2 * 50 + 1000 / 60
+        listed = sum(1000 / period for period, _, _ in self._frames)
+        # The recording has more identifiers than were taken down; the fastest ones stand in for the rest.
+        self._extra = max(0, round((CAR_CAN_RATE - own - listed) / 100))
+        self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(self._extra)]
+
+    def frames(self, millisecond: int) -> list[Frame]:
+        return [frame for period, phase, frame in self._frames if millisecond % period == phase]

@@ -1,0 +1,139 @@
+"""The car's data from config/vehicle/*.yaml, as the virtual car needs them.
+
+Read here a second time, on purpose without the suite's own reader: a slip in either shows as a disagreement.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from .errors import SimulationError
+
+GRAVITY = 9.81
+"""m/s^2, as everywhere in the suite."""
+
+# Not in the vehicle file because no prediction model has them. Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear.
+TRACK_WIDTH = 1.54
+"""m, both axles."""
+
+_TO_SI = {
+    "rad": 1.0,
+    "deg": math.pi / 180,
+    "kg": 1.0,
+    "kg m^2": 1.0,
+    "m": 1.0,
+    "m/s": 1.0,
+    "N": 1.0,
+    "N/rad": 1.0,
+    "1": 1.0,
+}
+
+_CAR_KEYS = (
+    "mass",
+    "yaw_inertia",
+    "wheelbase",
+    "cg_to_front_axle",
+    "cg_height",
+    "cg_to_ins_x",
+    "cg_to_ins_y",
+    "steering_ratio",
+    "steering_wheel_offset",
+    "cornering_stiffness_front",
+    "cornering_stiffness_rear",
+)
+_TYRE_KEYS = ("nominal_load", "p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ey3", "p_ky1", "p_ky2", "p_ky4")
+
+
+@dataclass(frozen=True)
+class Tyre:
+    """Magic Formula coefficients of one tyre, SAE sign (p_ky1 < 0). lambda_ky: scale of the cornering stiffness."""
+
+    nominal_load: float
+    p_cy1: float
+    p_dy1: float
+    p_dy2: float
+    p_ey1: float
+    p_ey2: float
+    p_ey3: float
+    p_ky1: float
+    p_ky2: float
+    p_ky4: float
+    lambda_ky: float
+
+
+@dataclass(frozen=True)
+class Car:
+    """SI; x forward, y left. cg_to_ins: INS seen from the CG. Stiffness per axle, positive."""
+
+    name: str
+    mass: float
+    yaw_inertia: float
+    wheelbase: float
+    cg_to_front_axle: float
+    cg_height: float
+    cg_to_ins_x: float
+    cg_to_ins_y: float
+    steering_ratio: float
+    steering_wheel_offset: float
+    cornering_stiffness_front: float
+    cornering_stiffness_rear: float
+    tyre_front: Tyre
+    tyre_rear: Tyre
+
+    @property
+    def cg_to_rear_axle(self) -> float:
+        return self.wheelbase - self.cg_to_front_axle
+
+
+def read_car(file: str | Path) -> Car:
+    """Raises SimulationError, one line naming file and key."""
+    path = Path(file)
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SimulationError(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SimulationError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(document, Mapping):
+        raise SimulationError(f"{path}: not a mapping of keys to values")
+    values = {key: _number(document, key, path, "") for key in _CAR_KEYS}
+    front_load = values["mass"] * GRAVITY * (values["wheelbase"] - values["cg_to_front_axle"]) / values["wheelbase"] / 2
+    rear_load = values["mass"] * GRAVITY * values["cg_to_front_axle"] / values["wheelbase"] / 2
+    return Car(
+        name=str(document.get("name", path.stem)),
+        tyre_front=_tyre(document, "tyre_front", path, values["cornering_stiffness_front"], front_load),
+        tyre_rear=_tyre(document, "tyre_rear", path, values["cornering_stiffness_rear"], rear_load),
+        **values,
+    )
+
+
+def _tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness: float, static_load: float) -> Tyre:
+    """lambda_ky from the axle's stiffness at the static load of one tyre, unless the file gives it."""
+    section = document.get(key)
+    if not isinstance(section, Mapping):
+        raise SimulationError(f"{path}: {key} is missing")
+    values = {name: _number(section, name, path, f"{key}.") for name in _TYRE_KEYS}
+    if "lambda_ky" in section:
+        return Tyre(lambda_ky=_number(section, "lambda_ky", path, f"{key}."), **values)
+    unscaled = (
+        values["p_ky1"]
+        * values["nominal_load"]
+        * math.sin(values["p_ky4"] * math.atan(static_load / (values["p_ky2"] * values["nominal_load"])))
+    )
+    return Tyre(lambda_ky=axle_stiffness / (2 * abs(unscaled)), **values)
+
+
+def _number(section: Mapping[str, Any], key: str, path: Path, prefix: str) -> float:
+    entry = section.get(key)
+    if not isinstance(entry, Mapping) or "value" not in entry or "unit" not in entry:
+        raise SimulationError(f"{path}: {prefix}{key} must be {{value: ..., unit: ..., source: ...}}")
+    value, unit = entry["value"], entry["unit"]
+    if unit not in _TO_SI:
+        raise SimulationError(f"{path}: {prefix}{key}: unit {unit!r} is none of {', '.join(_TO_SI)}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise SimulationError(f"{path}: {prefix}{key}: {value!r} is not a number")
+    return float(value) * _TO_SI[unit]

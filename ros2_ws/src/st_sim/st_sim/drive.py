@@ -1,0 +1,95 @@
+"""A real recorded drive as the source of everything: what the car did is played, nothing is simulated.
+
+Between two rows every column is a straight line (yaw unwrapped first). Nothing is smoothed or integrated: position,
+velocity and rates are played as recorded, also where they disagree. The yaw acceleration, needed only where the INS
+is not at the CG, is the slope of the yaw rate between two rows. Columns: t, x, y, yaw, vx, vy, yaw_rate, ax, ay,
+delta (SI; x east, y north, yaw from east, body axes forward and left, delta the road-wheel angle, left +), taken at
+the CG.
+"""
+
+import csv
+import math
+from bisect import bisect_right
+from pathlib import Path
+
+import numpy as np
+
+from .car import Car
+from .errors import SimulationError
+from .truth import DRIVE, Truth
+
+COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "ax", "ay", "delta")
+
+
+class RecordedDrive:
+    """Source of a Stream. Time 0 is the first row; after the last row it stays there."""
+
+    def __init__(self, file: str | Path, car: Car):
+        """Raises SimulationError naming file and line or column."""
+        table = _read(Path(file))
+        self._car = car
+        table[:, COLUMNS.index("yaw")] = np.unwrap(table[:, COLUMNS.index("yaw")])
+        self._times = (table[:, 0] - table[0, 0]).tolist()
+        self._rows = table.tolist()
+        self._time, self._index = 0.0, 0
+        self.duration: float | None = self._times[-1]
+
+    def advance(self, time: float) -> None:
+        self._time = min(time, self._times[-1])
+        self._index = min(max(bisect_right(self._times, self._time) - 1, 0), len(self._rows) - 2)
+
+    def truth(self) -> Truth:
+        a, b = self._rows[self._index], self._rows[self._index + 1]
+        step = self._times[self._index + 1] - self._times[self._index]
+        share = (self._time - self._times[self._index]) / step
+        _, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta = (p + share * (q - p) for p, q in zip(a, b, strict=True))
+        ratio = self._car.steering_ratio
+        return Truth(
+            time=self._time,
+            x=x,
+            y=y,
+            z=0.0,
+            yaw=yaw,
+            velocity_x=vx,
+            velocity_y=vy,
+            yaw_rate=yaw_rate,
+            acceleration_x=ax,
+            acceleration_y=ay,
+            yaw_acceleration=(b[6] - a[6]) / step,
+            steering_wheel_angle=delta * ratio,
+            road_wheel_angle=delta,
+            steering_wheel_rate=(b[9] - a[9]) / step * ratio,
+            wheel_speed=(vx, vx, vx, vx),
+            gear=DRIVE,
+        )
+
+
+def _read(path: Path) -> np.ndarray:
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            reader = csv.DictReader(stream)
+            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                raise SimulationError(f"{path}: column {missing[0]} is missing; wanted are {', '.join(COLUMNS)}")
+            rows = [_numbers(row, path, reader.line_num) for row in reader]
+    except OSError as error:
+        raise SimulationError(f"--drive {path}: cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise SimulationError(f"{path}: is not a CSV file: {error}") from None
+    if len(rows) < 2:
+        raise SimulationError(f"{path}: has {len(rows)} rows, at least 2 are needed")
+    table = np.array(rows)
+    falls = np.flatnonzero(np.diff(table[:, 0]) <= 0)
+    if falls.size:
+        raise SimulationError(f"{path}: line {falls[0] + 3}: t does not rise")
+    return table
+
+
+def _numbers(row: dict[str, str], path: Path, line: int) -> list[float]:
+    try:
+        values = [float(row[name]) for name in COLUMNS]
+    except (TypeError, ValueError):
+        raise SimulationError(f"{path}: line {line}: not all of {', '.join(COLUMNS)} are numbers") from None
+    if not all(map(math.isfinite, values)):
+        raise SimulationError(f"{path}: line {line}: a value is not finite")
+    return values

@@ -1,0 +1,120 @@
+"""The person at the wheel: looks ahead along the road, steers with a hand that has limits, keeps the speed."""
+
+import math
+
+import numpy as np
+
+from .car import Car
+from .environment import normal_stream
+from .path import Pose
+from .plant import RACK, VX, VY, YAW, YAW_RATE, Plant, X, Y
+from .scenarios import Plan
+from .settings import Settings
+
+DECISION = 0.01
+"""s between two decisions."""
+PREVIEW_TIME, SHORTEST_PREVIEW = 0.8, 4.0
+ANTICIPATION = 0.18
+"""s. The bend is steered this much ahead, for what hand, steering and tyres lag behind."""
+HAND_TIME = 0.08
+FASTEST_HAND, FURTHEST_HAND = 8.0, 9.5
+"""rad/s and rad at the hand wheel: 460 deg/s is quick for a person, 540 deg is the lock."""
+UNDERSTEER_FELT = 0.004
+"""rad s^2/m the driver adds from habit; the integral does the rest."""
+TREMOR_TIME = 0.4
+INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03
+SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5
+JERK = 10.0
+HARDEST_BRAKING, HARDEST_DRIVE = 7.0, 3.5
+HOLDING_BRAKE = 2.0
+
+
+class Driver:
+    """Call `advance` before every plant step; then `steering_wheel_angle` [rad, left +, true] and `drive_force` [N]
+    are the inputs.
+    """
+
+    def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
+        self.car, self.plan = car, plan
+        self.steering_wheel_angle = self.drive_force = 0.0
+        self.distance = plan.start
+        self._mass = car.mass * settings["mass_factor"]
+        self._tremor_size = settings["driver_tremor"]
+        self._draw = normal_stream(np.random.default_rng([seed, 2]))
+        self._tremor = self._steer_sum = self._speed_sum = self._pedal = self._wanted = 0.0
+        self._next = -math.inf
+        self._held = False
+
+    def take_seat(self, plant: Plant) -> None:
+        """Hands where the wheel is."""
+        self.steering_wheel_angle = self._wanted = plant.steering_wheel_for
+        self._mass = plant.mass
+
+    def advance(self, plant: Plant, time: float, step: float) -> None:
+        if time >= self._next - 1e-9:
+            # Counted from the first call, so that a drive does not depend on where the clock stands.
+            self._next = time + DECISION
+            self._decide(plant, time)
+        move = (self._wanted + self._tremor - self.steering_wheel_angle) * step / HAND_TIME
+        fastest = FASTEST_HAND * step
+        self.steering_wheel_angle += min(max(move, -fastest), fastest)
+
+    def _decide(self, plant: Plant, time: float) -> None:
+        s = plant.state
+        speed = s[VX]
+        self._track(s[X], s[Y], speed)
+        demand = self.plan.demand(time, self.distance, speed)
+        if demand.steer == "path":
+            if self._held:
+                self._back_on_the_road(s)
+            angle = self._steer_along(s, speed) * self.car.steering_ratio
+            self._wanted = min(max(angle, -FURTHEST_HAND), FURTHEST_HAND)
+        elif demand.steer != "hold":
+            self._wanted = float(demand.steer) * self.car.steering_ratio
+        self._held = demand.steer == "hold"
+        self._pedals(plant, demand.speed, demand.acceleration)
+        if self._tremor_size:
+            memory = math.exp(-DECISION / TREMOR_TIME)
+            self._tremor = memory * self._tremor + self._tremor_size * math.sqrt(1 - memory**2) * self._draw()
+
+    def _track(self, x: float, y: float, speed: float) -> None:
+        """Move `distance` to the point of the road beside the car."""
+        self.distance += speed * DECISION
+        for _ in range(2):
+            road = self.plan.path.pose(self.distance)
+            self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
+
+    def _back_on_the_road(self, s: tuple[float, ...]) -> None:
+        """After hands-still the old road is somewhere else; go on along the same bend from here."""
+        course = s[YAW] + math.atan2(s[VY], max(s[VX], 1.0))
+        self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
+        self._steer_sum = 0.0
+
+    def _steer_along(self, s: tuple[float, ...], speed: float) -> float:
+        """Road-wheel angle [rad]: the bend ahead plus what brings the car back within the preview distance."""
+        road = self.plan.path.pose(self.distance)
+        offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
+        course = math.remainder(s[YAW] + math.atan2(s[VY], max(speed, 1.0)) - road.yaw, 2 * math.pi)
+        preview = max(SHORTEST_PREVIEW, PREVIEW_TIME * speed)
+        if speed > 1.0:
+            self._steer_sum += INTEGRAL_STEER * offset * DECISION
+            self._steer_sum = min(max(self._steer_sum, -INTEGRAL_LIMIT), INTEGRAL_LIMIT)
+        bend = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
+        curvature = bend - 2 * (offset + preview * math.sin(course)) / preview**2 - self._steer_sum
+        return math.atan(self.car.wheelbase * curvature) + UNDERSTEER_FELT * speed**2 * curvature
+
+    def _pedals(self, plant: Plant, wanted: float, acceleration: float) -> None:
+        s = plant.state
+        if plant.parked and acceleration <= 0.0:
+            self.drive_force, self._pedal, self._speed_sum = -HOLDING_BRAKE * self._mass, 0.0, 0.0
+            return
+        error = wanted - s[VX]
+        if abs(acceleration) < 0.5:
+            # Only while cruising: in a braking or a start the sum would fill with what the feed-forward is about to do.
+            self._speed_sum = min(max(self._speed_sum + SPEED_INTEGRAL * error * DECISION, -1.0), 1.0)
+        # What a bend costs: the front tyres pull backwards by their side force times the steer angle.
+        bend = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * plant.to_rear / self.car.wheelbase
+        target = acceleration + SPEED_GAIN * error + self._speed_sum + bend - s[VY] * s[YAW_RATE]
+        target = min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
+        self._pedal += min(max(target - self._pedal, -JERK * DECISION), JERK * DECISION)
+        self.drive_force = self._mass * self._pedal

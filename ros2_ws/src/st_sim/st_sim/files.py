@@ -1,0 +1,251 @@
+"""Files the virtual car writes.
+
+Run.ncom, run.log or run.mf4, truth.mcap. All are complete after `close`, also after Ctrl-C.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import BinaryIO
+
+import can
+import numpy as np
+from can.io.canutils import CanutilsLogWriter
+from mcap.writer import Writer
+
+from .can_wire import INS_BUS, VEHICLE_BUS, Frame
+from .errors import SimulationError
+from .settings import Settings
+from .truth import Truth
+
+TRUTH_TOPIC = "/truth"
+CHUNK = 64 * 1024
+"""bytes, about a second of truth: what a kill -9 may cost."""
+
+_UNITS = {
+    "x": "m",
+    "y": "m",
+    "z": "m",
+    "yaw": "rad",
+    "velocity_x": "m/s",
+    "velocity_y": "m/s",
+    "velocity_z": "m/s",
+    "yaw_rate": "rad/s",
+    "acceleration_x": "m/s^2",
+    "acceleration_y": "m/s^2",
+    "yaw_acceleration": "rad/s^2",
+    "roll": "rad",
+    "pitch": "rad",
+    "steering_wheel_angle": "rad",
+    "road_wheel_angle": "rad",
+    "gear": "code",
+    "wheel_speed": "m/s: FL, FR, RL, RR",
+    "lateral_force_front": "N",
+    "lateral_force_rear": "N",
+    "longitudinal_force_front": "N",
+    "longitudinal_force_rear": "N",
+    "load_front": "N",
+    "load_rear": "N",
+    "slip_angle_front": "rad, mean of both wheels, + slides left",
+    "slip_angle_rear": "rad, mean of both wheels, + slides left",
+    "friction": "1",
+    "bank_angle": "rad",
+    "grade_angle": "rad",
+    "wind_x": "m/s",
+    "wind_y": "m/s",
+}
+TRUTH_SCHEMA = {
+    "type": "object",
+    "title": "Truth",
+    "description": "State at the true CG (map axes ENU, body axes FLU) and what acts on a simulated car.",
+    "properties": {
+        "time": {"type": "number", "description": "s since the start of the drive"},
+        **{name: {"type": "array" if ":" in unit else "number", "description": unit} for name, unit in _UNITS.items()},
+    },
+}
+
+
+def truth_record(truth: Truth) -> dict[str, object]:
+    record: dict[str, object] = {
+        name: getattr(truth, name)
+        for name in (
+            "time",
+            "x",
+            "y",
+            "z",
+            "yaw",
+            "velocity_x",
+            "velocity_y",
+            "velocity_z",
+            "yaw_rate",
+            "acceleration_x",
+            "acceleration_y",
+            "yaw_acceleration",
+            "roll",
+            "pitch",
+            "steering_wheel_angle",
+            "road_wheel_angle",
+            "gear",
+            "wheel_speed",
+        )
+    }
+    forces = truth.forces
+    if forces is not None:
+        for axle, (left, right) in (("front", (0, 1)), ("rear", (2, 3))):
+            record[f"lateral_force_{axle}"] = forces.lateral[left] + forces.lateral[right]
+            record[f"longitudinal_force_{axle}"] = forces.longitudinal[left] + forces.longitudinal[right]
+            record[f"load_{axle}"] = forces.load[left] + forces.load[right]
+            record[f"slip_angle_{axle}"] = (forces.slip_angle[left] + forces.slip_angle[right]) / 2
+    record.update(truth.surroundings)
+    return record
+
+
+class TruthFile:
+    """truth.mcap.
+
+    Channel /truth, JSON with a JSON schema, log time = UTC of the measurement; settings as metadata `settings`.
+    """
+
+    def __init__(self, path: Path, start_ns: int, settings: Settings, about: Mapping[str, object]):
+        self._start_ns = start_ns
+        self._stream = path.open("wb")
+        self._writer = Writer(self._stream, chunk_size=CHUNK)
+        self._writer.start(profile="", library="st_sim")
+        schema = self._writer.register_schema("st_sim/Truth", "jsonschema", json.dumps(TRUTH_SCHEMA).encode())
+        self._channel = self._writer.register_channel(TRUTH_TOPIC, "json", schema)
+        self._writer.add_metadata("settings", {name: repr(value) for name, value in settings.items()})
+        self._writer.add_metadata("run", {name: str(value) for name, value in about.items()})
+
+    def write(self, truth: Truth) -> None:
+        time_ns = self._start_ns + round(truth.time * 1e9)
+        self._writer.add_message(self._channel, time_ns, json.dumps(truth_record(truth)).encode(), time_ns)
+
+    def close(self) -> None:
+        self._writer.finish()
+        self._stream.close()
+
+
+class LogFile:
+    """candump text. can0: the car, can1: the INS."""
+
+    def __init__(self, path: Path):
+        self._writer = CanutilsLogWriter(path)
+
+    def write(self, time_ns: int, frame: Frame) -> None:
+        message = frame.message
+        # A copy: background frames are one object sent again and again.
+        self._writer.on_message_received(
+            can.Message(
+                timestamp=time_ns / 1e9,
+                arbitration_id=message.arbitration_id,
+                is_extended_id=False,
+                data=message.data,
+                channel=frame.bus - 1,
+            )
+        )
+
+    def close(self) -> None:
+        self._writer.stop()
+
+
+class Mf4File:
+    """MDF 4.11 with one bus-logging group per channel (CAN1: the car, CAN2: the INS), as a CANedge's finalised log;
+    50 us time grid.
+
+    Frames are kept until `close`, 30 bytes each.
+    """
+
+    GRID_NS = 50_000
+
+    def __init__(self, path: Path, start_ns: int):
+        try:
+            import asammdf  # noqa: F401
+        except ImportError:
+            raise SimulationError(
+                "--can-format mf4 needs the Python package asammdf; --can-format log does not"
+            ) from None
+        self._path, self._start_ns = path, start_ns
+        self._frames: dict[int, list[tuple[int, int, bytes]]] = {VEHICLE_BUS: [], INS_BUS: []}
+
+    def write(self, time_ns: int, frame: Frame) -> None:
+        self._frames[frame.bus].append(
+            (time_ns - self._start_ns, frame.message.arbitration_id, bytes(frame.message.data))
+        )
+
+    def close(self) -> None:
+        from datetime import UTC, datetime
+
+        from asammdf import MDF
+
+        log = MDF(version="4.11")
+        start = datetime.fromtimestamp(self._start_ns / 1e9, UTC)
+        log.header.start_time = start
+        for bus, frames in self._frames.items():
+            if frames:
+                log.append(
+                    [self._signal(bus, frames)], acq_name=f"CAN{bus}", comment="virtual Leaf", common_timebase=True
+                )
+                log.groups[
+                    -1
+                ].channel_group.flags |= 0x6  # bus event, plain bus event: what bus logging readers look for
+        log.save(self._path, overwrite=True)
+        log.close()
+
+    def _signal(self, bus: int, frames: list[tuple[int, int, bytes]]) -> object:
+        from asammdf import Signal
+        from asammdf.blocks import v4_constants as v4
+        from asammdf.blocks.source_utils import Source
+
+        rows = np.zeros(
+            len(frames),
+            dtype=[
+                (f"CAN_DataFrame.{name}", kind)
+                for name, kind in (
+                    ("BusChannel", "u1"),
+                    ("ID", "<u4"),
+                    ("IDE", "u1"),
+                    ("DLC", "u1"),
+                    ("DataLength", "u1"),
+                    ("DataBytes", "(8,)u1"),
+                    ("Dir", "u1"),
+                    ("EDL", "u1"),
+                    ("BRS", "u1"),
+                    ("ESI", "u1"),
+                )
+            ],
+        )
+        ticks = np.array([t for t, _, _ in frames], dtype=np.int64)
+        times = np.round(ticks / self.GRID_NS) * (self.GRID_NS / 1e9)
+        rows["CAN_DataFrame.BusChannel"] = bus
+        rows["CAN_DataFrame.ID"] = [identifier for _, identifier, _ in frames]
+        lengths = [len(data) for _, _, data in frames]
+        rows["CAN_DataFrame.DLC"] = rows["CAN_DataFrame.DataLength"] = lengths
+        rows["CAN_DataFrame.DataBytes"] = np.frombuffer(
+            b"".join(d.ljust(8, b"\0") for _, _, d in frames), np.uint8
+        ).reshape(-1, 8)
+        source = Source(
+            name=f"CAN{bus}", path=f"CAN{bus}", comment="", source_type=v4.SOURCE_BUS, bus_type=v4.BUS_TYPE_CAN
+        )
+        return Signal(samples=rows, timestamps=times, name="CAN_DataFrame", source=source)
+
+
+class NcomFile:
+    """Packets back to back."""
+
+    def __init__(self, path: Path):
+        self._stream: BinaryIO = path.open("wb")
+
+    def write(self, packet: bytes) -> None:
+        self._stream.write(packet)
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+def make_folder(option: str, folder: Path) -> Path:
+    """Raises SimulationError naming the option."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SimulationError(f"{option} {folder}: cannot be made: {error.strerror}") from None
+    return folder

@@ -1,0 +1,172 @@
+"""A road as curvature over distance, and the speed that goes with it. Repeats without end."""
+
+import bisect
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+GRID = 0.1
+"""m. Between grid points the path is a straight line: 0.1 mm off at R = 11.5 m."""
+
+
+class Pose(NamedTuple):
+    """Map axes; yaw is the direction of the road, counter-clockwise from east."""
+
+    x: float
+    y: float
+    yaw: float
+
+    def compose(self, other: "Pose") -> "Pose":
+        """`other`, given relative to this pose, in map axes."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose(self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.yaw + other.yaw)
+
+    def inverse(self) -> "Pose":
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose(-c * self.x - s * self.y, s * self.x - c * self.y, -self.yaw)
+
+
+class Piece(NamedTuple):
+    """Part of a road.
+
+    Curvature runs linearly from start to end [1/m, left +] over the length [m]; wanted speed [m/s].
+    """
+
+    length: float
+    curvature_start: float
+    curvature_end: float
+    speed: float
+
+
+def straight(length: float, speed: float) -> list[Piece]:
+    return [Piece(length, 0.0, 0.0, speed)]
+
+
+def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
+    """A turn of the given heading change, left +. The curvature grows and falls linearly over `blend` metres at both
+    ends.
+
+    Raises ValueError where the blends alone turn further than the angle.
+    """
+    arc = math.radians(abs(angle_deg)) * radius - blend
+    if arc < 0:
+        raise ValueError(f"a turn of {angle_deg:g} deg at radius {radius:g} m has no room for blends of {blend:g} m")
+    curvature = math.copysign(1.0 / radius, angle_deg)
+    ramp = [Piece(blend, 0.0, curvature, speed)] if blend else []
+    back = [Piece(blend, curvature, 0.0, speed)] if blend else []
+    return [*ramp, Piece(arc, curvature, curvature, speed), *back]
+
+
+def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
+    """Sideways by `offset` [m, left +] within `length` [m], heading unchanged: curvature +, -, linear in between.
+
+    offset = 2 k (length / 4)^2 for small angles; Checked by: test_scenarios.py.
+    """
+    quarter = length / 4
+    k = offset / (2 * quarter**2)
+    return [Piece(quarter, 0.0, k, speed), Piece(2 * quarter, k, -k, speed), Piece(quarter, -k, 0.0, speed)]
+
+
+class Path:
+    """The pieces one after the other, again and again; each round starts where and as the last one ended.
+
+    Distance may be negative or beyond the length of one round.
+    """
+
+    def __init__(self, pieces: Sequence[Piece]):
+        self.pieces = tuple(p for p in pieces if p.length > 0)
+        ends = [0.0]
+        for piece in self.pieces:
+            ends.append(ends[-1] + piece.length)
+        self.length, self._ends = ends[-1], ends
+        count = max(2, math.ceil(self.length / GRID))
+        self._step = self.length / count
+        self._poses = [Pose(0.0, 0.0, 0.0)]
+        yaws = [self._heading(i * self._step / 2) for i in range(2 * count + 1)]
+        for i in range(count):
+            a, b, c = yaws[2 * i : 2 * i + 3]
+            last = self._poses[-1]
+            self._poses.append(
+                Pose(
+                    last.x + self._step / 6 * (math.cos(a) + 4 * math.cos(b) + math.cos(c)),
+                    last.y + self._step / 6 * (math.sin(a) + 4 * math.sin(b) + math.sin(c)),
+                    c,
+                )
+            )
+        self._anchor = Pose(0.0, 0.0, 0.0)
+        self._rounds: dict[int, Pose] = {}
+
+    def anchor(self, distance: float, pose: Pose) -> None:
+        """Move the whole path so that it passes through `pose` at `distance`."""
+        self._rounds.clear()
+        self._anchor = Pose(0.0, 0.0, 0.0)
+        self._anchor = pose.compose(self.pose(distance).inverse())
+        self._rounds.clear()
+
+    def pose(self, distance: float) -> Pose:
+        lap, rest = divmod(distance, self.length)
+        index = min(int(rest / self._step), len(self._poses) - 2)
+        share = rest / self._step - index
+        a, b = self._poses[index], self._poses[index + 1]
+        local = Pose(a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), a.yaw + share * (b.yaw - a.yaw))
+        return self._start_of(int(lap)).compose(local)
+
+    def curvature(self, distance: float) -> float:
+        piece, along = self._find(distance % self.length)
+        return piece.curvature_start + (piece.curvature_end - piece.curvature_start) * along / piece.length
+
+    def speed(self, distance: float) -> float:
+        """Wanted speed of the piece there [m/s]."""
+        return self._find(distance % self.length)[0].speed
+
+    def _find(self, rest: float) -> tuple[Piece, float]:
+        index = min(bisect.bisect_right(self._ends, rest), len(self.pieces)) - 1
+        return self.pieces[index], rest - self._ends[index]
+
+    def _heading(self, rest: float) -> float:
+        yaw = 0.0
+        for piece in self.pieces:
+            along = min(rest, piece.length)
+            yaw += along * piece.curvature_start + along**2 / (2 * piece.length) * (
+                piece.curvature_end - piece.curvature_start
+            )
+            rest -= along
+            if rest <= 0:
+                break
+        return yaw
+
+    def _start_of(self, lap: int) -> Pose:
+        if lap not in self._rounds:
+            if len(self._rounds) > 8:
+                self._rounds.clear()
+            one = self._poses[-1] if lap > 0 else self._poses[-1].inverse()
+            pose = self._anchor
+            for _ in range(abs(lap)):
+                pose = pose.compose(one)
+            self._rounds[lap] = pose
+        return self._rounds[lap]
+
+
+class SpeedProfile:
+    """The highest speed over distance that keeps every piece's wanted speed and the given acceleration and braking
+    [m/s^2, > 0].
+    """
+
+    def __init__(self, path: Path, acceleration: float, braking: float, step: float = 0.25):
+        count = max(4, math.ceil(path.length / step))
+        self._step, self._length = path.length / count, path.length
+        squares = [path.speed(i * self._step) ** 2 for i in range(count)]
+        # Twice round, because a round may start while the car is still braking for it.
+        for i in range(2 * count):
+            squares[(i + 1) % count] = min(squares[(i + 1) % count], squares[i % count] + 2 * acceleration * self._step)
+        for i in range(2 * count, 0, -1):
+            squares[(i - 1) % count] = min(squares[(i - 1) % count], squares[i % count] + 2 * braking * self._step)
+        self._squares = squares
+
+    def at(self, distance: float) -> tuple[float, float]:
+        """Speed [m/s] and acceleration [m/s^2] there."""
+        position = (distance % self._length) / self._step
+        index = int(position) % len(self._squares)
+        here, there = self._squares[index], self._squares[(index + 1) % len(self._squares)]
+        square = here + (there - here) * (position - int(position))
+        return math.sqrt(square), (there - here) / (2 * self._step)

@@ -1,0 +1,294 @@
+"""`virtual_leaf`.
+
+The simulated car (or a recorded drive) on the wires, in real time, or into files as fast as it goes.
+"""
+
+import argparse
+import contextlib
+import json
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from canedge_bridge.decode import Decoder
+
+from .can_wire import CanWire
+from .car import Car, read_car
+from .drive import RecordedDrive
+from .errors import SimulationError
+from .files import LogFile, Mf4File, NcomFile, TruthFile, make_folder
+from .geodesy import Origin
+from .ncom_wire import NcomWire
+from .realtime import Wires, send
+from .scenarios import SCENARIOS, load
+from .sensors import Ins, SteeringSensor
+from .settings import SETTINGS, overrides, resolve
+from .simulation import SimulatedCar
+from .stream import Kind, Source, Stream
+from .truth import Truth
+
+DEFAULT_DURATION = 60.0
+START_GRID_NS = 20_000_000
+LEAD_NS = 20_000_000
+"""From everything open to the first epoch, at least."""
+"""Drives start on this grid of UTC, so that every epoch at 100 or 250 Hz is a whole millisecond."""
+FILE_EPOCH_NS = 1_756_900_800_000_000_000
+"""2025-09-03 12:00:00 UTC: start of a drive written to files, plus one hour per seed."""
+DEFAULT_ORIGIN = "51.448,5.49,65.0"
+_SENSOR_GROUPS = ("ins", "can")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit status 0 (also after SIGINT or SIGTERM, with files closed), 2 with one line on stderr for a bad argument
+    or file.
+    """
+    options = _parser().parse_args(arguments)
+    stop = _Stop()
+    try:
+        if options.list:
+            _print_lists()
+        elif options.to_files:
+            _to_files(options, stop)
+        else:
+            _live(options, stop)
+    except SimulationError as error:
+        print(f"virtual_leaf: {error}", file=sys.stderr)
+        return 2
+    except (OSError, ValueError) as error:
+        # Files and tables of the codecs say in one line what is wrong with them.
+        print(f"virtual_leaf: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    return 0
+
+
+class _Stop:
+    """True after SIGINT or SIGTERM."""
+
+    def __init__(self) -> None:
+        self._asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # Not in the main thread (a test, an embedding program): then nobody sends us signals.
+            with contextlib.suppress(ValueError):
+                signal.signal(number, self._ask)
+
+    def _ask(self, *_: object) -> None:
+        self._asked = True
+
+    def __call__(self) -> bool:
+        return self._asked
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Everything that is to be read and checked before a clock starts."""
+
+    car: Car
+    settings: dict[str, float]
+    source: Source
+    codec: Decoder
+    origin: Origin
+    duration: float
+    about: dict[str, object]
+
+    def stream(self, options: argparse.Namespace, start_ns: int) -> Stream:
+        seed = options.seed
+        return Stream(
+            self.source,
+            self.settings,
+            Ins(self.car, self.settings, 1 / options.ncom_rate, seed),
+            SteeringSensor(self.car, self.settings, seed),
+            NcomWire(self.origin, start_ns, options.ncom_rate),
+            CanWire(self.codec, self.origin, start_ns),
+            options.ncom_rate,
+            seed,
+            options.can_rate == "full",
+            options.startup,
+        )
+
+
+def _prepare(options: argparse.Namespace) -> _Run:
+    if not options.vehicle:
+        raise SimulationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
+    car = read_car(options.vehicle)
+    config = options.config or options.vehicle.resolve().parents[1]
+    codec = Decoder(config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml")
+    settings = _settings(options)
+    source: Source
+    if options.drive:
+        source = RecordedDrive(options.drive, car)
+    else:
+        source = SimulatedCar(car, settings, load(options.scenario), options.seed)
+    duration = options.duration if options.duration is not None else source.duration or DEFAULT_DURATION
+    if not 0 < duration <= 1e6:
+        raise SimulationError(f"--duration {duration:g}: not within 0 to 1000000 s")
+    if source.duration is not None:
+        # A drive that jumped back to its first row would be a car that jumps.
+        duration = min(duration, source.duration)
+    about = {
+        "scenario": "" if options.drive else options.scenario,
+        "drive": options.drive.name if options.drive else "",
+        "vehicle": car.name,
+        "plant": options.plant or "",
+        "seed": options.seed,
+        "ncom_rate": options.ncom_rate,
+        "not_null": json.dumps(overrides(settings)),
+    }
+    return _Run(car, settings, source, codec, _origin(options.origin), duration, about)
+
+
+def _settings(options: argparse.Namespace) -> dict[str, float]:
+    if not options.drive:
+        return resolve(options.plant or "realistic", options.effect)
+    if options.plant:
+        raise SimulationError("--plant does not go with --drive: a recorded drive has no plant")
+    settings = resolve("ideal", options.effect)
+    for name in overrides(settings):
+        if SETTINGS[name].group not in _SENSOR_GROUPS:
+            raise SimulationError(
+                f"--effect {name} does not go with --drive: of a recorded drive only sensors can be changed"
+            )
+    return settings
+
+
+def _origin(text: str) -> Origin:
+    try:
+        latitude, longitude, height = map(float, text.split(","))
+    except ValueError:
+        raise SimulationError(f"--origin {text}: must be latitude,longitude,height in degrees and metres") from None
+    if not (abs(latitude) < 89 and abs(longitude) <= 180 and abs(height) < 9000):
+        raise SimulationError(
+            f"--origin {text}: latitude within 89, longitude within 180 degrees, height within 9000 m"
+        )
+    return Origin(latitude, longitude, height)
+
+
+def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
+    run = _prepare(options)
+    with contextlib.ExitStack() as resources:
+        wires = Wires(options.ncom_host, options.ncom_port, options.can_interface, options.can_channel)
+        resources.callback(wires.close)
+        now_ns, monotonic = time.time_ns(), time.monotonic()
+        start_ns = -(-(now_ns + LEAD_NS) // START_GRID_NS) * START_GRID_NS
+        started = monotonic + (start_ns - now_ns) / 1e9
+        keep_truth: Callable[[Truth], None] = _forget
+        if options.output:
+            file = TruthFile(make_folder("--output", options.output) / "truth.mcap", start_ns, run.settings, run.about)
+            resources.callback(file.close)
+            keep_truth = file.write
+        outputs = run.stream(options, start_ns).outputs(run.duration)
+        time.sleep(max(0.0, started - time.monotonic()))
+        _say(state="sending", start_ns=start_ns, duration=run.duration)
+        report = send(outputs, wires, keep_truth, started, stop)
+    _say(state="done", **report.as_dict())
+
+
+def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
+    """Logger times are UTC of the departure, bent by the settings of the logger's clock."""
+    run = _prepare(options)
+    start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000
+    folder = make_folder("--to-files", options.to_files)
+    offset, drift = run.settings["logger_clock_offset"], run.settings["logger_clock_drift"]
+    began = time.monotonic()
+    with contextlib.ExitStack() as files:
+        ncom = NcomFile(folder / "run.ncom")
+        files.callback(ncom.close)
+        frames = LogFile(folder / "run.log") if options.can_format == "log" else Mf4File(folder / "run.mf4", start_ns)
+        files.callback(frames.close)
+        truth = TruthFile(folder / "truth.mcap", start_ns, run.settings, run.about)
+        files.callback(truth.close)
+        written = 0.0
+        for output in run.stream(options, start_ns).outputs(run.duration):
+            if stop():
+                break
+            if output.kind is Kind.NCOM:
+                ncom.write(output.payload)
+            elif output.kind is Kind.CAN:
+                frames.write(start_ns + round((output.due * (1 + drift) + offset) * 1e9), output.payload)
+            else:
+                truth.write(output.payload)
+            written = output.due
+    _say(state="done", duration=round(written, 3), seconds=round(time.monotonic() - began, 3))
+
+
+def _forget(truth: Truth) -> None:
+    pass
+
+
+def _say(**values: object) -> None:
+    """One line of JSON, at once; a reader that has gone is no reason to stop."""
+    with contextlib.suppress(BrokenPipeError):
+        print(json.dumps(values), flush=True)
+
+
+def _print_lists() -> None:
+    for name, (_, meaning) in SCENARIOS.items():
+        print(f"{name:28} {meaning}")
+    for setting in SETTINGS.values():
+        print(
+            f"{setting.name:28} {setting.group}: {setting.meaning} [{setting.unit}], null {setting.null:g}, "
+            f"{setting.low:g} to {setting.high:g}"
+        )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="virtual_leaf", description=__doc__)
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--scenario", default="S6", help=f"{', '.join(SCENARIOS)}, or a .yaml file; default S6")
+    what.add_argument("--drive", type=Path, metavar="FILE.csv", help="a recorded drive instead of a simulated one")
+    parser.add_argument("--vehicle", type=Path, metavar="FILE.yaml", help="config/vehicle/<car>.yaml")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="DIR",
+        help="folder with can/leaf_ze0.dbc and .yaml; default: the one --vehicle is in",
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, a recorded drive to its end")
+    parser.add_argument("--seed", type=_seed, default=0, help="of everything random")
+    parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
+    parser.add_argument(
+        "--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE", help="settings on top; see --list"
+    )
+    parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="of the map [deg, deg, m]")
+    parser.add_argument("--startup", action="store_true", help="the unit starts up instead of being locked already")
+    parser.add_argument("--ncom-host", default="127.0.0.1")
+    parser.add_argument("--ncom-port", type=_port, default=3000)
+    parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100)
+    parser.add_argument("--can-interface", default="udp_multicast")
+    parser.add_argument("--can-channel", default="239.74.163.2")
+    parser.add_argument(
+        "--can-rate",
+        choices=("realistic", "full"),
+        default="realistic",
+        help="full: with the other frames of a Car-CAN, 1750 frames/s, plus the INS",
+    )
+    parser.add_argument("--output", type=Path, metavar="DIR", help="write truth.mcap there")
+    parser.add_argument(
+        "--to-files",
+        type=Path,
+        metavar="DIR",
+        help="no sockets, faster than real time: run.ncom, run.log or run.mf4, truth.mcap",
+    )
+    parser.add_argument("--can-format", choices=("mf4", "log"), default="log")
+    parser.add_argument("--list", action="store_true", help="print scenarios and settings")
+    return parser
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if not 0 <= value < 2**31:
+        raise argparse.ArgumentTypeError(f"{value} is not within 0 to {2**31 - 1}")
+    return value
+
+
+def _port(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 65535:
+        raise argparse.ArgumentTypeError(f"{value} is not within 1 to 65535")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

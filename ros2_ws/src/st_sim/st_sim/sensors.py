@@ -1,0 +1,214 @@
+"""What the sensors make of the truth: delay, noise, bias, loss. Rounding is left to the wire."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .car import GRAVITY, Car
+from .environment import normal_stream
+from .settings import Settings
+from .truth import Truth
+
+OUTAGE_LENGTH = 1.0
+ROUGH_SPEED = 5.0
+"""m/s. From here on the road shakes the unit fully; at rest a tenth of it is left."""
+SLOWEST_WHEEL, SLOWEST_VEHICLE = 1.1 / 3.6, 2.8 / 3.6
+"""m/s. Below these the wheel speeds and the vehicle speed read 0 (recorded drives of the family)."""
+
+
+@dataclass(slots=True)
+class InsReading:
+    """One epoch of the INS, at the INS. Map axes (ENU) and body axes (FLU); SI.
+
+    stamp: seconds since the start, as the unit says. roll: right side down +, pitch: nose up +. specific_force
+    includes gravity: +9.81 on z at rest.
+    """
+
+    stamp: float
+    x: float
+    y: float
+    z: float
+    velocity_x: float
+    velocity_y: float
+    velocity_z: float
+    yaw: float
+    roll: float
+    pitch: float
+    rates: tuple[float, float, float]
+    specific_force: tuple[float, float, float]
+
+
+# (white, slow, correlation time [s]) of each value, one standard deviation. RT3000 v3 with RTK: 0.01 m, 0.014 m/s,
+# 0.1 deg heading, 0.03 deg roll and pitch; most of it wanders slowly, because it comes through the filter. Rates and
+# forces: what a road adds.
+_NOISE = {
+    "x": (0.001, 0.006, 60.0),
+    "y": (0.001, 0.006, 60.0),
+    "z": (0.002, 0.012, 60.0),
+    "velocity_x": (0.002, 0.005, 20.0),
+    "velocity_y": (0.002, 0.005, 20.0),
+    "velocity_z": (0.003, 0.007, 20.0),
+    "yaw": (1e-4, 8e-4, 100.0),
+    "roll": (5e-5, 3e-4, 100.0),
+    "pitch": (5e-5, 3e-4, 100.0),
+    "rate_x": (0.006, 5e-5, 300.0),
+    "rate_y": (0.006, 5e-5, 300.0),
+    "rate_z": (0.002, 5e-5, 300.0),
+    "force_x": (0.06, 0.003, 300.0),
+    "force_y": (0.06, 0.003, 300.0),
+    "force_z": (0.15, 0.003, 300.0),
+}
+ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "level": 0.0005}
+"""One standard deviation the unit reports [m, m/s, rad, rad]."""
+
+
+class _Noise:
+    """White noise plus a slow Gauss-Markov wander."""
+
+    def __init__(self, white: float, slow: float, time: float, interval: float, draw: Callable[[], float]):
+        self._white, self._draw = white, draw
+        self._memory = math.exp(-interval / time)
+        self._kick = slow * math.sqrt(1 - self._memory**2)
+        self._wander = slow * draw()
+
+    def __call__(self, roughness: float = 1.0) -> float:
+        self._wander = self._memory * self._wander + self._kick * self._draw()
+        return self._wander + self._white * roughness * self._draw()
+
+
+class Ins:
+    """The INS, `interval` seconds between epochs."""
+
+    def __init__(self, car: Car, settings: Settings, interval: float, seed: int):
+        self._settings = settings
+        # The INS stays where it is in the body when the CG moves.
+        self._lever = (car.cg_to_ins_x - settings["cg_shift"] + settings["ins_lever_error"], car.cg_to_ins_y)
+        scale = settings["ins_noise"]
+        draw = normal_stream(np.random.default_rng([seed, 3]))
+        self._noise = (
+            {
+                name: _Noise(scale * white, scale * slow, time, interval, draw)
+                for name, (white, slow, time) in _NOISE.items()
+            }
+            if scale
+            else {}
+        )
+
+    def read(self, truth: Truth) -> InsReading:
+        x, y, vx, vy = truth.at_point(*self._lever)
+        ax, ay = truth.acceleration_at(*self._lever)
+        s = self._settings
+        reading = InsReading(
+            stamp=truth.time + s["ins_time_error"],
+            x=x,
+            y=y,
+            z=truth.z,
+            velocity_x=vx,
+            velocity_y=vy,
+            velocity_z=truth.velocity_z,
+            yaw=truth.yaw,
+            roll=truth.roll,
+            pitch=truth.pitch,
+            rates=_body_rates(truth),
+            specific_force=_specific_force(ax, ay, truth.roll, truth.pitch),
+        )
+        self._falsify(reading)
+        if self._noise:
+            self._add_noise(reading, 0.1 + 0.9 * min(abs(truth.velocity_x) / ROUGH_SPEED, 1.0))
+        return reading
+
+    def _falsify(self, r: InsReading) -> None:
+        s = self._settings
+        if s["ins_misalignment"]:
+            # Only what the unit calls forward turns; position and velocity over ground stay.
+            angle = s["ins_misalignment"]
+            c, sine = math.cos(angle), math.sin(angle)
+            r.velocity_x, r.velocity_y = c * r.velocity_x + sine * r.velocity_y, c * r.velocity_y - sine * r.velocity_x
+            fx, fy, fz = r.specific_force
+            r.specific_force = (c * fx + sine * fy, c * fy - sine * fx, fz)
+            r.yaw += angle
+        r.velocity_x *= s["velocity_scale"]
+        r.velocity_y *= s["velocity_scale"]
+        wx, wy, wz = (rate * s["yaw_rate_scale"] for rate in r.rates)
+        r.rates = (wx, wy, wz)
+        fx, fy, fz = r.specific_force
+        r.specific_force = (fx, fy + s["lateral_acceleration_bias"], fz)
+
+    def _add_noise(self, r: InsReading, rough: float) -> None:
+        n = self._noise
+        r.x, r.y, r.z = r.x + n["x"](), r.y + n["y"](), r.z + n["z"]()
+        r.velocity_x, r.velocity_y = r.velocity_x + n["velocity_x"](), r.velocity_y + n["velocity_y"]()
+        r.velocity_z += n["velocity_z"]()
+        r.yaw, r.roll, r.pitch = r.yaw + n["yaw"](), r.roll + n["roll"](), r.pitch + n["pitch"]()
+        wx, wy, wz = r.rates
+        r.rates = (wx + n["rate_x"](rough), wy + n["rate_y"](rough), wz + n["rate_z"](rough))
+        fx, fy, fz = r.specific_force
+        r.specific_force = (fx + n["force_x"](rough), fy + n["force_y"](rough), fz + n["force_z"](rough))
+
+
+def _body_rates(truth: Truth) -> tuple[float, float, float]:
+    """Rates about x, y, z of the tilted body (FLU) from yaw rate and roll rate; the pitch changes too slowly to count.
+
+    In FRD: p = droll - dheading sin(pitch), q = dheading sin(roll) cos(pitch), r = dheading cos(roll) cos(pitch).
+    """
+    heading_rate = -truth.yaw_rate
+    p = truth.roll_rate - heading_rate * math.sin(truth.pitch)
+    q = heading_rate * math.sin(truth.roll) * math.cos(truth.pitch)
+    r = heading_rate * math.cos(truth.roll) * math.cos(truth.pitch)
+    return p, -q, -r
+
+
+def _specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
+    """What accelerometers fixed to the tilted body feel (FLU) for a level acceleration (a_x, a_y, 0) and gravity
+    9.81 m/s^2.
+    """
+    forward, right, down = ax, -ay, -GRAVITY
+    cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
+    x, d = cp * forward - sp * down, sp * forward + cp * down
+    y, z = cr * right + sr * d, -sr * right + cr * d
+    return x, -y, -z
+
+
+class SteeringSensor:
+    """The sensor at the hand wheel: true angle plus the offset of the vehicle file, left + [rad]."""
+
+    def __init__(self, car: Car, settings: Settings, seed: int):
+        self._offset, self._noise = car.steering_wheel_offset, settings["steering_sensor_noise"]
+        self._draw = normal_stream(np.random.default_rng([seed, 4]), 256)
+
+    def read(self, truth: Truth) -> float:
+        noise = self._noise * self._draw() if self._noise else 0.0
+        return truth.steering_wheel_angle + self._offset + noise
+
+
+@dataclass(slots=True)
+class WheelSpeeds:
+    """m/s, unsigned. FL, FR, RL, RR and what the ABS unit calls the vehicle speed."""
+
+    wheels: tuple[float, ...]
+    vehicle: float
+
+
+def read_wheel_speeds(truth: Truth, settings: Settings) -> WheelSpeeds:
+    wheels = tuple(_unsigned(w * settings["wheel_speed_scale"], SLOWEST_WHEEL) for w in truth.wheel_speed)
+    return WheelSpeeds(wheels, _unsigned(truth.velocity_x, SLOWEST_VEHICLE))
+
+
+def _unsigned(speed: float, slowest: float) -> float:
+    return abs(speed) if abs(speed) >= slowest else 0.0
+
+
+class Loss:
+    """Which datagrams or frames never arrive: at random, and all of them for a second at every multiple of a period."""
+
+    def __init__(self, share: float, outage_every: float, seed: tuple[int, int]):
+        self._share, self._every = share, outage_every
+        self._generator = np.random.default_rng(seed)
+
+    def loses(self, time: float) -> bool:
+        """time: seconds since the start. To be asked once for each datagram or frame."""
+        if self._every and time >= self._every and time % self._every < OUTAGE_LENGTH:
+            return True
+        return bool(self._share) and self._generator.random() < self._share

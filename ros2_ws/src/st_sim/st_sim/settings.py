@@ -1,0 +1,257 @@
+"""Every switch of the virtual car: {name: value}, each with a value at which it changes nothing.
+
+`ideal` is everything at null. `realistic` is a car as one would meet it. A file or `--effect name=value` changes
+single values.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import yaml
+
+from .errors import SimulationError
+
+Settings = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One switch. group: steering, tyre, body, environment (the plant); driver; ins, can (the sensors)."""
+
+    name: str
+    group: str
+    null: float
+    low: float
+    high: float
+    unit: str
+    meaning: str
+
+
+_TABLE = (
+    # Hand wheel -> mean road-wheel angle. Left positive everywhere.
+    ("steering_ratio_factor", "steering", 1.0, 0.5, 2.0, "1", "true steering ratio over that of the vehicle file"),
+    (
+        "steering_offset",
+        "steering",
+        0.0,
+        -0.1,
+        0.1,
+        "rad",
+        "road-wheel angle with the hand wheel straight, in the linkage",
+    ),
+    ("steering_delay", "steering", 0.0, 0.0, 0.5, "s", "dead time hand wheel to rack"),
+    ("steering_lag", "steering", 0.0, 0.0, 0.5, "s", "first-order lag hand wheel to rack"),
+    ("steering_backlash", "steering", 0.0, 0.0, 0.3, "rad", "total play, at the hand wheel"),
+    (
+        "steering_compliance",
+        "steering",
+        0.0,
+        0.0,
+        1e-5,
+        "rad/N",
+        "road-wheel angle lost per lateral force of the front axle",
+    ),
+    (
+        "roll_steer",
+        "steering",
+        0.0,
+        -0.5,
+        0.5,
+        "1",
+        "front steer to the left per body roll to the right; < 0 understeers",
+    ),
+    (
+        "rear_roll_steer",
+        "steering",
+        0.0,
+        -0.5,
+        0.5,
+        "1",
+        "rear steer to the left per body roll to the right; > 0 understeers",
+    ),
+    ("ackermann", "steering", 1.0, -0.5, 1.5, "1", "share of the full Ackermann split; 0 = parallel wheels"),
+    # Tyres.
+    ("front_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "cornering stiffness of the front tyres"),
+    ("rear_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "cornering stiffness of the rear tyres"),
+    ("friction_factor", "tyre", 1.0, 0.05, 2.0, "1", "peak force of all tyres"),
+    ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "way rolled until 63 % of a slip step is force"),
+    (
+        "combined_slip",
+        "tyre",
+        0.0,
+        0.0,
+        1.0,
+        "1",
+        "1: drive and brake force reduce the lateral force by the friction ellipse",
+    ),
+    ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z; seen by the wheel speeds"),
+    ("camber_thrust", "tyre", 0.0, -2.0, 2.0, "1/rad", "lateral force to the outside per load and body roll"),
+    # Body.
+    ("lateral_load_transfer", "body", 0.0, 0.0, 2.0, "1", "share of m a_y h / track"),
+    (
+        "longitudinal_load_transfer",
+        "body",
+        1.0,
+        0.0,
+        2.0,
+        "1",
+        "share of m a_x h / wheelbase; 1 as in the nonlinear model",
+    ),
+    ("roll_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body roll per lateral acceleration"),
+    ("pitch_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body pitch per longitudinal acceleration"),
+    ("mass_factor", "body", 1.0, 0.5, 2.0, "1", "mass"),
+    ("yaw_inertia_factor", "body", 1.0, 0.5, 2.0, "1", "yaw inertia"),
+    ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "CG forward of where the vehicle file has it; the INS stays in the body"),
+    ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "c_d A"),
+    ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "drag force over load"),
+    # Road and air.
+    ("bank_angle", "environment", 0.0, -0.3, 0.3, "rad", "road rises to the left of the car, everywhere"),
+    ("grade_angle", "environment", 0.0, -0.3, 0.3, "rad", "road rises ahead of the car, everywhere"),
+    ("hillside_slope", "environment", 0.0, -0.3, 0.3, "rad", "the ground is a plane that rises to the north"),
+    (
+        "terrain_wave",
+        "environment",
+        0.0,
+        0.0,
+        0.2,
+        "rad",
+        "steepest slope of waves in the ground, 80 m long from west to east",
+    ),
+    ("friction_patch", "environment", 1.0, 0.1, 2.0, "1", "friction on stripes: the first 10 m of every 40 m of x"),
+    ("wind_speed", "environment", 0.0, -40.0, 40.0, "m/s", "steady wind, towards north"),
+    (
+        "gust_speed",
+        "environment",
+        0.0,
+        0.0,
+        20.0,
+        "m/s",
+        "standard deviation of gusts on top of it, correlated over 1.5 s",
+    ),
+    # The person at the wheel.
+    ("driver_tremor", "driver", 0.0, 0.0, 0.2, "rad", "standard deviation of small random steering, at the hand wheel"),
+    # INS. Noise 1 = RT3000 with RTK on a normal road.
+    ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "white and slow noise, in multiples of the unit's normal noise"),
+    ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "measurement to datagram; the stamp stays right"),
+    ("ins_time_error", "ins", 0.0, -0.5, 0.5, "s", "added to the stamp"),
+    ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading the unit reports too far to the left"),
+    (
+        "ins_lever_error",
+        "ins",
+        0.0,
+        -1.0,
+        1.0,
+        "m",
+        "the unit sits this much further forward than the vehicle file says",
+    ),
+    ("yaw_rate_scale", "ins", 1.0, 0.8, 1.2, "1", "of the measured rates"),
+    ("velocity_scale", "ins", 1.0, 0.8, 1.2, "1", "of the measured velocity"),
+    ("lateral_acceleration_bias", "ins", 0.0, -2.0, 2.0, "m/s^2", "of the measured lateral acceleration"),
+    ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "share of datagrams that never arrive"),
+    ("ins_outage_every", "ins", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
+    # CAN.
+    (
+        "steering_sensor_noise",
+        "can",
+        0.0,
+        0.0,
+        0.1,
+        "rad",
+        "standard deviation, at the hand wheel, before rounding to 0.1 deg",
+    ),
+    ("steering_sensor_latency", "can", 0.0, 0.0, 0.5, "s", "sample to frame"),
+    ("wheel_speed_scale", "can", 1.0, 0.8, 1.2, "1", "of the four wheel speeds"),
+    ("can_frame_loss", "can", 0.0, 0.0, 0.9, "1", "share of frames that never arrive; the counters have run on"),
+    ("can_outage_every", "can", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
+    ("logger_clock_offset", "can", 0.0, -10.0, 10.0, "s", "clock of the logger ahead of UTC, in files only"),
+    ("logger_clock_drift", "can", 0.0, -1e-3, 1e-3, "1", "its rate error, in files only"),
+)
+
+SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for row in _TABLE})
+
+IDEAL: Settings = MappingProxyType({s.name: s.null for s in SETTINGS.values()})
+
+# Chosen so that the three models of the paper miss this car as they missed the real one (test_pattern.py). Front
+# tyres are stiffer than the file's because the file's stiffness already holds what compliance, roll steer and load
+# transfer take away.
+REALISTIC: Settings = MappingProxyType(
+    {
+        **IDEAL,
+        "steering_lag": 0.04,
+        "steering_compliance": 1.5e-6,
+        "roll_steer": -0.03,
+        "ackermann": 0.6,
+        "front_stiffness_factor": 1.35,
+        "friction_factor": 1.12,
+        "relaxation_length": 0.4,
+        "combined_slip": 1.0,
+        "wheel_slip_compliance": 0.04,
+        "lateral_load_transfer": 1.0,
+        "roll_gradient": 0.0075,
+        "pitch_gradient": 0.004,
+        "drag_area": 0.65,
+        "rolling_resistance": 0.011,
+        "driver_tremor": 0.01,
+        "ins_noise": 1.0,
+        "ins_latency": 0.004,
+        "steering_sensor_latency": 0.004,
+        "steering_sensor_noise": 0.0005,
+    }
+)
+
+PRESETS: Mapping[str, Settings] = MappingProxyType({"ideal": IDEAL, "realistic": REALISTIC})
+
+
+def resolve(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
+    """All settings from `--plant` and `--effect name=value ...`.
+
+    plant: a preset, or a YAML file {preset: realistic, name: value, ...} (preset ideal where it is not given).
+    Raises SimulationError, one line naming file or option, key and limit.
+    """
+    settings = dict(PRESETS[plant]) if plant in PRESETS else _from_file(Path(plant))
+    for effect in effects:
+        name, equals, text = effect.partition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not equals or math.isnan(value):
+            raise SimulationError(f"--effect {effect}: must be name=value with a number")
+        settings[name] = _checked(name, value, "--effect")
+    return settings
+
+
+def overrides(settings: Settings) -> dict[str, float]:
+    """What differs from null."""
+    return {name: value for name, value in settings.items() if value != SETTINGS[name].null}
+
+
+def _from_file(path: Path) -> dict[str, float]:
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SimulationError(
+            f"--plant {path}: neither {' nor '.join(PRESETS)} nor a readable file: {error.strerror}"
+        ) from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SimulationError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(document, dict):
+        raise SimulationError(f"{path}: not a mapping of settings to values")
+    preset = document.pop("preset", "ideal")
+    if preset not in PRESETS:
+        raise SimulationError(f"{path}: preset: {preset!r} is none of {', '.join(PRESETS)}")
+    return {**PRESETS[preset], **{name: _checked(name, value, str(path)) for name, value in document.items()}}
+
+
+def _checked(name: str, value: object, origin: str) -> float:
+    setting = SETTINGS.get(name)
+    if setting is None:
+        raise SimulationError(f"{origin}: {name}: no such setting; there are {', '.join(SETTINGS)}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not setting.low <= value <= setting.high:
+        raise SimulationError(
+            f"{origin}: {name}: {value!r} is not within {setting.low:g} to {setting.high:g} {setting.unit}"
+        )
+    return float(value)

@@ -1,0 +1,147 @@
+"""Everything the car sends, in the order in which it leaves: one generator for sockets, buses and files alike."""
+
+import heapq
+from collections.abc import Iterator
+from enum import IntEnum
+from typing import NamedTuple, Protocol
+
+from .can_wire import FRAME_TIME, Background, CanWire, Frame
+from .ncom_wire import INITIALISING, LOCKED, LOCKING, NOTHING, RAW, NcomWire
+from .sensors import Ins, Loss, SteeringSensor, read_wheel_speeds
+from .settings import Settings
+from .truth import Truth
+
+TICK_MS = 2
+TRUTH_PERIOD_MS = 10
+# (period, phase) in ms: the car's units do not start in step with the INS.
+STEERING, WHEELS, GEAR = (10, 2), (20, 6), (60, 8)
+INS_CAN_DELAY = 0.0015
+"""s from the datagram to the first frame on CAN."""
+
+
+class Kind(IntEnum):
+    NCOM = 0
+    CAN = 1
+    TRUTH = 2
+
+
+class Output(NamedTuple):
+    """due: when it leaves [s since the start]. order: among those of one instant. payload: 72 bytes, a Frame or a Truth."""
+
+    due: float
+    order: int
+    kind: Kind
+    payload: bytes | Frame | Truth
+
+
+class Source(Protocol):
+    """What moves: a simulated car or a recorded drive. duration: its natural end [s], None if it goes on for ever."""
+
+    duration: float | None
+
+    def advance(self, time: float) -> None: ...
+
+    def truth(self) -> Truth: ...
+
+
+class StartUp:
+    """A unit switched on.
+
+    Raw IMU at 10 Hz, a pause of 1 s, initialising 1 s behind, locking while it catches up in 10 s, locked.
+    """
+
+    NOTHING_UNTIL, RAW_UNTIL, SILENT_UNTIL, INITIALISING_UNTIL, LOCKING_LENGTH = 0.5, 2.0, 3.0, 7.0, 11.0
+
+    def status(self, time: float) -> tuple[int, float] | None:
+        """(navigation status, s behind real time) of the epoch measured at `time`; None: not sent."""
+        if time < self.RAW_UNTIL:
+            sent = round(time * 1000) % 100 == 0
+            return (NOTHING if time < self.NOTHING_UNTIL else RAW, 0.0) if sent else None
+        if time < self.SILENT_UNTIL:
+            return None
+        if time < self.INITIALISING_UNTIL:
+            return INITIALISING, 1.0
+        into = (time - self.INITIALISING_UNTIL) / self.LOCKING_LENGTH
+        return (LOCKING, 1.0 - into) if into < 1.0 else (LOCKED, 0.0)
+
+
+class Stream:
+    """Source -> sensors -> wires. `outputs` computes at most one tick ahead of what it hands out."""
+
+    def __init__(
+        self,
+        source: Source,
+        settings: Settings,
+        ins: Ins,
+        steering: SteeringSensor,
+        ncom: NcomWire,
+        can: CanWire,
+        ins_rate: int,
+        seed: int,
+        background: bool = False,
+        start_up: bool = False,
+    ):
+        self._source, self._settings = source, settings
+        self._ins, self._steering, self._ncom, self._can = ins, steering, ncom, can
+        self._ins_period = 1000 // ins_rate
+        self._background = Background(seed) if background else None
+        self._start_up = StartUp() if start_up else None
+        self._ins_loss = Loss(settings["ins_packet_loss"], settings["ins_outage_every"], (seed, 7))
+        self._can_loss = Loss(settings["can_frame_loss"], settings["can_outage_every"], (seed, 8))
+        self._queue: list[Output] = []
+        self._made = 0
+
+    def outputs(self, duration: float) -> Iterator[Output]:
+        """Everything measured in [0, duration), sorted by `due`."""
+        end = round(duration * 1000)
+        for now in range(0, end, TICK_MS):
+            time = now / 1000
+            self._source.advance(time)
+            self._measure(now, time)
+            horizon = (now + TICK_MS) / 1000
+            while self._queue and self._queue[0].due < horizon:
+                yield heapq.heappop(self._queue)
+        while self._queue:
+            yield heapq.heappop(self._queue)
+
+    def _measure(self, now: int, time: float) -> None:
+        if now % self._ins_period == 0:
+            truth = self._source.truth()
+            self._send_ins(truth, time)
+            if now % TRUTH_PERIOD_MS == 0:
+                self._push(time, Kind.TRUTH, truth)
+        elif now % TRUTH_PERIOD_MS == 0:
+            self._push(time, Kind.TRUTH, self._source.truth())
+        if now % STEERING[0] == STEERING[1]:
+            truth = self._source.truth()
+            frames = self._can.steering(self._steering.read(truth), truth.steering_wheel_rate)
+            self._send_frames(frames, time + self._settings["steering_sensor_latency"])
+        if now % WHEELS[0] == WHEELS[1]:
+            self._send_frames(self._can.wheel_speeds(read_wheel_speeds(self._source.truth(), self._settings)), time)
+        if now % GEAR[0] == GEAR[1]:
+            self._send_frames(self._can.gear(self._source.truth().gear), time)
+        if self._background:
+            for ms in range(now, now + TICK_MS):
+                self._send_frames(self._background.frames(ms), ms / 1000)
+
+    def _send_ins(self, truth: Truth, time: float) -> None:
+        reading = self._ins.read(truth)
+        state = self._start_up.status(time) if self._start_up else (LOCKED, 0.0)
+        if state is None:
+            return
+        status, behind = state
+        due = time + self._settings["ins_latency"] + behind
+        packet = self._ncom.packet(reading, status)
+        if not self._ins_loss.loses(time):
+            self._push(due, Kind.NCOM, packet)
+        if status >= INITIALISING:
+            self._send_frames(self._can.ins(reading), due + INS_CAN_DELAY)
+
+    def _send_frames(self, frames: list[Frame], due: float) -> None:
+        for i, frame in enumerate(frames):
+            if not self._can_loss.loses(due):
+                self._push(due + i * FRAME_TIME, Kind.CAN, frame)
+
+    def _push(self, due: float, kind: Kind, payload: bytes | Frame | Truth) -> None:
+        self._made += 1
+        heapq.heappush(self._queue, Output(due, self._made, kind, payload))
