@@ -1,11 +1,13 @@
 """The shipped DBC and table, and changed copies of them."""
 
+import time
 from pathlib import Path
 
 import can
 import pytest
 import yaml
 from canedge_bridge.decode import Decoder
+from canedge_bridge.receiver import Receiver
 
 CONFIG = Path(__file__).resolve().parents[4] / "config" / "can"
 
@@ -61,3 +63,37 @@ def frame(arbitration_id: int, data: str | bytes, **options) -> can.Message:
 @pytest.fixture(name="frame")
 def _frame():
     return frame
+
+
+@pytest.fixture
+def until():
+    """until(condition): waits for it, at most ten seconds, and says whether it came."""
+
+    def wait(condition, limit: float = 10.0) -> bool:
+        end = time.monotonic() + limit
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.01)
+        return True
+
+    return wait
+
+
+@pytest.fixture
+def start_receiver():
+    """start_receiver(...) -> a started Receiver; `seen`: (frame, time_ns) each, `states`: (state, reason) each."""
+    started = []
+
+    def start(open_bus, on_frame=None, **options) -> Receiver:
+        seen, states = [], []
+        receiver = Receiver(open_bus, on_frame or (lambda frame, time_ns: seen.append((frame, time_ns))),
+                            on_state=lambda state, reason: states.append((state, reason)), **options)
+        receiver.seen, receiver.states = seen, states
+        started.append(receiver)
+        receiver.start()
+        return receiver
+
+    yield start
+    for receiver in started:
+        receiver.stop()
