@@ -1,6 +1,5 @@
 """One run of the live suite, with the virtual Leaf or the real car at the other end of the wires."""
 
-import json
 import os
 import select
 import signal
@@ -59,7 +58,10 @@ def node_parameters(folder: Path, vehicle: Path, bridges: Parameters) -> Paramet
             **bridges,
             "predictor": {"vehicle_file": str(vehicle)},
             "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors")},
-            "recorder": {"output_directory": str(folder / "bag")},
+            "recorder": {
+                "output_directory": str(folder / "bag"),
+                "configuration_files": [str(vehicle), str(folder / "parameters.yaml")],
+            },
         },
     )
 
@@ -98,19 +100,6 @@ def run(
             if name == "evaluator":
                 _settle()
     return Outcome(statuses, stop.requested, problem)
-
-
-def wait_until_sending(leaf: Child, timeout: float = 20.0) -> None:
-    """The virtual Leaf says on its standard output when data flow."""
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
-        for line in leaf.log.read_text().splitlines():
-            if line.startswith("{") and json.loads(line).get("state") == "sending":
-                return
-        if leaf.process.poll() is not None:
-            break
-        time.sleep(0.05)
-    raise SuiteError(f"the virtual Leaf did not start: {leaf.last_lines() or 'no output'}")
 
 
 def _wait_for_nodes(suite: Suite, monitor: Monitor, stop: "_StopRequest") -> None:

@@ -118,7 +118,7 @@ def find_executable(package: str, executable: str) -> str:
     if found:
         return found
     raise SuiteError(
-        f"{executable} of package {package} not found: start with ./st, or source ros2_ws/install/setup.bash"
+        f"{executable} of package {package} not found: start with ./st, or source the workspace's install/setup.bash"
     )
 
 

@@ -6,57 +6,41 @@ import typer
 from rich.console import Console
 
 from ..paths import config
-from ..report import conclude
-from ..session import node_parameters, output_folder, run
-from ..suite import SuiteError
 
 
 def live(
     can_interface: str = typer.Option("socketcan", help="python-can interface."),
     can_channel: str = typer.Option("can0", help="Channel of that interface."),
     ncom_port: int = typer.Option(3000, help="UDP port the RT sends NCOM to.", min=1, max=65535),
-    ncom_address: str = typer.Option(
-        "0.0.0.0", help="Local address to listen on; the RT broadcasts, so all by default."
-    ),
+    ncom_address: str = typer.Option("0.0.0.0", help="Local address to listen on; the RT broadcasts: all by default."),
     ncom_sender: str = typer.Option("", help="Take packets of this sender address only."),
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
     ),
-    dbc: Path | None = typer.Option(
-        None, help="DBC file; default config/can/leaf_ze0.dbc.", exists=True, dir_okay=False
-    ),
+    dbc: Path | None = typer.Option(None, help="DBC; default config/can/leaf_ze0.dbc.", exists=True, dir_okay=False),
     signals: Path | None = typer.Option(
         None, help="Signal table; default config/can/leaf_ze0.yaml.", exists=True, dir_okay=False
     ),
     duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
-    """Listen to the RT3000 and the car's CAN bus, predict, score and record until Ctrl-C."""
+    """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
+    # Imported when it runs, see demo.py.
+    from ..report import conclude
+    from ..session import node_parameters, output_folder, run
+    from ..suite import SuiteError
+    from ..wires import bridge_parameters
+
     console = Console()
     vehicle = (vehicle or config("vehicle/leaf.yaml")).absolute()
+    ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
+    bus = {"interface": can_interface, "channel": can_channel}
     try:
         folder = output_folder(output, "live")
-        parameters = node_parameters(
-            folder,
-            vehicle,
-            {
-                "oxts_bridge": {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender},
-                "canedge_bridge": {
-                    "interface": can_interface,
-                    "channel": can_channel,
-                    "vehicle_file": str(vehicle),
-                    "dbc_file": str((dbc or config("can/leaf_ze0.dbc")).absolute()),
-                    "signals_file": str((signals or config("can/leaf_ze0.yaml")).absolute()),
-                },
-            },
-        )
+        parameters = node_parameters(folder, vehicle, bridge_parameters(vehicle, ins, bus, dbc, signals))
         outcome = run(folder, parameters, "live", duration, None, console)
     except SuiteError as error:
         typer.echo(f"st live: {error}", err=True)
         raise typer.Exit(1) from None
-    about = {
-        "what": "live",
-        "source": f"{can_interface}:{can_channel} and NCOM port {ncom_port}",
-        "vehicle": vehicle.stem,
-    }
-    raise typer.Exit(conclude(folder, outcome, about, console))
+    source = f"{can_interface}:{can_channel}, NCOM port {ncom_port}"
+    raise typer.Exit(conclude(folder, outcome, {"what": "live", "source": source, "vehicle": vehicle.stem}, console))

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import typer
-from oxts_bridge.export import write_csv
 
 
 def ncom(
@@ -12,6 +11,8 @@ def ncom(
     status: Path | None = typer.Option(None, "--status", help="Status fields, one row per change."),
 ) -> None:
     """Write an NCOM file as CSV: time, acceleration, rates, position, velocity, attitude, and what follows from them."""
+    from oxts_bridge.export import write_csv
+
     try:
         write_csv(file, csv, status)
     except (OSError, ValueError) as error:

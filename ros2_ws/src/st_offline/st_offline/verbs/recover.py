@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import typer
-from st_predictor import mcap
 
 
 def recover(
@@ -13,6 +12,8 @@ def recover(
     ),
 ) -> None:
     """Repair a recording cut off by a crash or power loss; complete ones are left as they are."""
+    from st_predictor import mcap
+
     try:
         report = mcap.recover(path, output)
     except (OSError, ValueError) as error:
