@@ -1,0 +1,142 @@
+"""Time-ordered samples: order, gaps, jumps, NaN, bounds."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from st_core import timeseries
+from st_core.timeseries import JUMP_SAMPLES, MAXIMUM_SAMPLES, TimeSeries
+
+MS = 1_000_000
+T0 = 1_700_000_000_000_000_000
+
+
+def series(**changes) -> TimeSeries:
+    usual = {"columns": ("value", "angle"), "span": 2.0, "maximum_gap": 0.1, "angles": ("angle",)}
+    return TimeSeries(**(usual | changes))
+
+
+def filled(times_ms, **changes) -> TimeSeries:
+    result = series(**changes)
+    for t in times_ms:
+        result.add(T0 + round(t * MS), (float(t), 0.001 * t))
+    return result
+
+
+@given(st.data(), st.lists(st.integers(0, 400), min_size=1, max_size=40, unique=True))
+def test_order_of_arrival_does_not_matter(data, times):
+    shuffled = data.draw(st.permutations(times))
+    ordered, mixed = filled(sorted(times)), filled(shuffled)
+    np.testing.assert_array_equal(mixed.times, ordered.times)
+    np.testing.assert_array_equal(mixed.rows, ordered.rows)
+    assert mixed.counters.accepted == len(times)
+
+
+@given(st.lists(st.tuples(st.integers(-(10**13), 10**13) | st.integers(0, 10**9),
+                          st.floats(allow_nan=True, allow_infinity=True)), max_size=80))
+def test_anything_may_arrive(samples):
+    result = series(columns=("value",), angles=())
+    for time_ns, value in samples:
+        result.add(T0 + time_ns, (value,))
+        assert (np.diff(result.times) > 0).all()
+        assert np.isfinite(result.rows).all()
+        if len(result):
+            assert result.newest - result.oldest <= 2_000_000_000
+    c = result.counters
+    assert c.accepted + c.invalid + c.duplicate + c.late == len(samples)
+    # Whatever came before, regular samples afterwards are taken up again.
+    start = T0 + 10**13 + 10**12 * (len(samples) % 2)
+    for i in range(10):
+        result.add(start + i * 10 * MS, (float(i),))
+    assert result.at(start + 85 * MS) == pytest.approx((8.5,))
+
+
+@given(st.lists(st.integers(0, 1500), min_size=1, max_size=60, unique=True),
+       st.lists(st.floats(-50.0, 1600.0), max_size=30))
+def test_interpolation_between_neighbours_and_never_across_a_gap(times, wanted):
+    times = sorted(times)
+    samples = filled(times)
+    at = [T0 + round(w * MS) for w in (*wanted, *times)]
+    many = samples.sample(np.array(at))
+    for time_ns, row in zip(at, many, strict=True):
+        one = samples.at(time_ns)
+        ms = (time_ns - T0) / MS
+        before = max([t for t in times if t <= ms], default=None)
+        after = min([t for t in times if t >= ms], default=None)
+        known = before is not None and after is not None and after - before <= 100
+        assert (one is not None) == known
+        assert samples.known_until(time_ns) == (time_ns if known else None if before is None else T0 + before * MS)
+        if known:
+            assert one == pytest.approx((ms, 0.001 * ms), abs=1e-6)
+            np.testing.assert_array_equal(row, one)
+        else:
+            assert np.isnan(row).all()
+            assert samples.why_unknown(time_ns)
+
+
+def test_angles_go_the_short_way_round():
+    samples = series()
+    samples.add(T0, (0.0, math.pi - 0.1))
+    samples.add(T0 + 10 * MS, (0.0, -math.pi + 0.1))
+    assert samples.at(T0 + 5 * MS)[1] == pytest.approx(math.pi)
+    assert samples.sample(np.array([T0 + 5 * MS]))[0, 1] == pytest.approx(math.pi)
+
+
+def test_duplicates_and_nan_are_refused_and_counted():
+    samples = filled([0, 10, 20])
+    assert samples.add(T0 + 10 * MS, (99.0, 0.0)) == (None, False)
+    assert samples.add(T0 + 30 * MS, (math.nan, 0.0)) == (None, False)
+    assert samples.add(T0 + 30 * MS, (0.0, math.inf)) == (None, False)
+    assert (samples.counters.duplicate, samples.counters.invalid, len(samples)) == (1, 2, 3)
+    assert samples.at(T0 + 10 * MS)[0] == 10.0
+
+
+def test_single_stray_samples_do_not_disturb():
+    samples = filled(range(0, 1000, 10))
+    for stray in (-5000, -4000, -3000, -2000):
+        assert samples.add(T0 + stray * MS, (0.0, 0.0)) == (None, False)
+    assert samples.counters.late == 4 and samples.counters.jumps == 0 and len(samples) == 100
+
+
+def test_a_clock_that_steps_back_begins_anew_after_a_few_samples():
+    samples = filled(range(0, 1000, 10))
+    answers = [samples.add(T0 - 3_600_000 * MS + i * 10 * MS, (float(i), 0.0)) for i in range(JUMP_SAMPLES)]
+    assert answers == [(None, False)] * (JUMP_SAMPLES - 1) + [(0, True)]
+    assert samples.counters.jumps == 1 and samples.counters.late == 0
+    assert samples.rows[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+def test_one_sample_from_the_future_is_outlived():
+    samples = filled(range(0, 1000, 10))
+    samples.add(T0 + 10**9 * MS, (0.0, 0.0))
+    for t in range(1000, 1100, 10):
+        samples.add(T0 + t * MS, (float(t), 0.0))
+    assert samples.newest == T0 + 1090 * MS
+    assert samples.at(T0 + 1085 * MS)[0] == pytest.approx(1085.0)
+
+
+def test_forward_jump_leaves_a_gap():
+    samples = filled([*range(0, 100, 10), *range(1000, 1100, 10)])
+    assert samples.at(T0 + 500 * MS) is None
+    assert samples.why_unknown(T0 + 500 * MS) == "gap of 0.910 s"
+    assert samples.why_unknown(T0 + 1190 * MS) == "ends 0.100 s before"
+    assert samples.why_unknown(T0 - 20 * MS) == "begins 0.020 s after"
+    assert series().why_unknown(T0) == "no samples"
+
+
+def test_memory_follows_the_span():
+    samples = filled(range(0, 60_000, 4))
+    assert len(samples) == 501
+    assert len(samples._times) <= 2048
+    assert samples.newest == T0 + 59_996 * MS and samples.oldest == T0 + 57_996 * MS
+
+
+def test_memory_is_bounded_whatever_the_rate(monkeypatch):
+    assert MAXIMUM_SAMPLES >= 1000 * 60
+    monkeypatch.setattr(timeseries, "MAXIMUM_SAMPLES", 100)
+    samples = series(columns=("value",), angles=())
+    for i in range(1000):
+        samples.add(T0 + i, (0.0,))
+    assert len(samples) == 100

@@ -1,0 +1,141 @@
+"""Imports point one way, and ROS stays in the shells. Read from the syntax trees: no file is run, no ROS needed."""
+
+import ast
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+from support import ROOT
+
+SOURCES = ROOT / "ros2_ws" / "src"
+PACKAGES = sorted(p.parent.name for p in SOURCES.glob("*/setup.py"))
+# Which of our packages a package may import besides itself.
+ALLOWED = {
+    "st_core": set(),
+    "st_ros": set(),
+    "oxts_bridge": {"st_core", "st_ros"},
+    "canedge_bridge": {"st_core", "st_ros"},
+    "st_predictor": {"st_core", "st_ros"},
+    "st_sim": {"oxts_bridge", "canedge_bridge", "st_predictor"},
+    "st_offline": {"st_core", "st_ros", "oxts_bridge", "canedge_bridge", "st_predictor", "st_sim"},
+}
+CORE_LIBRARIES = {"numpy", "scipy", "yaml"}
+ROS = ("rclpy", "launch", "launch_ros", "builtin_interfaces", "tf2_ros", "rosidl_runtime_py", "rosidl_parser",
+       "ament_index_python", "rcl_interfaces")
+# These run without ROS, so nothing they import may need it either; st_ros, for one, does.
+ROS_FREE = ("st_core", "st_sim")
+
+
+WITHOUT_ROS = """
+import importlib, sys
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        if top in ("rclpy", "launch", "builtin_interfaces") or top.endswith("_msgs"):
+            raise ImportError(f"{name}: no ROS here")
+sys.meta_path.insert(0, Refuse())
+for module in sys.argv[1:]:
+    importlib.import_module(module)
+"""
+
+
+def is_ros(module: str) -> bool:
+    top = module.partition(".")[0]
+    return top in ROS or top.endswith("_msgs")
+
+
+def is_node(path: Path) -> bool:
+    return path.name == "node.py" or "nodes" in path.parts
+
+
+def may_use_ros(path: Path) -> bool:
+    return is_node(path) or path.name == "convert.py" or "launch" in path.parts or path.parts[0] == "st_ros"
+
+
+def python_files() -> list[Path]:
+    """All sources but tests, relative to ros2_ws/src."""
+    files = (p.relative_to(SOURCES) for package in PACKAGES for p in (SOURCES / package).rglob("*.py"))
+    return sorted(p for p in files if p.parts[1] != "test" and p.name != "setup.py")
+
+
+@cache
+def imports(path: Path) -> tuple[tuple[int, str], ...]:
+    """(line, full module name) of every import in a file, also those inside functions; relative ones resolved."""
+    tree = ast.parse((SOURCES / path).read_text(), str(path))
+    return tuple(found for node in ast.walk(tree) for found in _names(node, path))
+
+
+def _names(node: ast.AST, path: Path) -> Iterator[tuple[int, str]]:
+    if isinstance(node, ast.Import):
+        yield from ((node.lineno, alias.name) for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        package = path.with_suffix("").parts[1:]  # ros2_ws/src/<package>/<package>/...
+        base = ".".join(package[:len(package) - node.level]) if node.level else ""
+        module = ".".join(filter(None, (base, node.module)))
+        # The name imported may be a module itself: `from . import node`.
+        yield from ((node.lineno, f"{module}.{alias.name}") for alias in node.names)
+
+
+def offences(allowed) -> list[str]:
+    """file:line imports name, for every import that `allowed(path, module)` refuses."""
+    return [f"{path}:{line} imports {module}" for path in python_files()
+            for line, module in imports(path) if not allowed(path, module)]
+
+
+def test_every_package_is_looked_at():
+    assert set(PACKAGES) == set(ALLOWED)
+    assert {p.parts[0] for p in python_files()} == set(ALLOWED)
+    # The walk sees what it should: a relative import resolved, and a node that imports ROS.
+    assert "st_core.types.VehicleState" in [m for _, m in imports(Path("st_core/st_core/prediction.py"))]
+    assert any(is_ros(m) for _, m in imports(Path("st_ros/st_ros/spin.py")))
+
+
+def test_packages_import_in_one_direction():
+    def allowed(path, module):
+        top = module.partition(".")[0]
+        return top not in ALLOWED or top == path.parts[0] or top in ALLOWED[path.parts[0]]
+
+    assert offences(allowed) == []
+
+
+def test_ros_stays_in_nodes_converters_and_launch_files():
+    assert offences(lambda path, module: may_use_ros(path) or not is_ros(module)) == []
+
+
+def test_nothing_imports_a_node():
+    nodes = {".".join(p.with_suffix("").parts[1:]) for p in python_files() if is_node(p) and not p.name.startswith("_")}
+
+    def allowed(path, module):
+        imports_node = module in nodes or module.rpartition(".")[0] in nodes
+        # The command runs its own monitor node inside its own process.
+        return not imports_node or (path.parts[0] == "st_offline" and module.startswith("st_offline.node."))
+
+    assert len(nodes) >= 5
+    assert offences(allowed) == []
+
+
+@pytest.mark.parametrize("package", ROS_FREE)
+def test_core_and_simulated_car_run_where_there_is_no_ros(package):
+    modules = [".".join(p.with_suffix("").parts[1:]) for p in python_files() if p.parts[0] == package]
+    modules = [m.removesuffix(".__init__") for m in modules if not m.endswith("__main__")]
+    run = subprocess.run([sys.executable, "-c", WITHOUT_ROS, *modules], capture_output=True, text=True, check=False,
+                         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+    assert run.returncode == 0, run.stderr
+    assert len(modules) > 5
+
+
+def test_the_core_needs_numpy_scipy_and_yaml_only():
+    known = CORE_LIBRARIES | {"st_core"} | set(sys.stdlib_module_names)
+    assert offences(lambda path, module: path.parts[0] != "st_core" or module.partition(".")[0] in known) == []
+
+
+@pytest.mark.parametrize("forbidden", ["time", "datetime", "pathlib", "io", "os", "socket", "subprocess"])
+def test_the_core_has_no_clock_and_no_files(forbidden):
+    def allowed(path, module):
+        return path.parts[0] != "st_core" or module.partition(".")[0] != forbidden
+
+    assert offences(allowed) == []

@@ -1,0 +1,35 @@
+"""A steady left circle as the INS of a car would measure it: the known answer of several tests."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from st_core import frames
+from st_core.types import InsSample, VehicleState
+
+
+@dataclass(frozen=True)
+class Circle:
+    """Constant velocity_x, velocity_y [m/s] at the CG, yaw_rate [rad/s]; at time 0 the CG is at the origin, yaw 0."""
+
+    velocity_x: float
+    velocity_y: float
+    yaw_rate: float
+    cg_to_ins_x: float = 0.0
+
+    def state(self, time: float) -> VehicleState:
+        drift, yaw = math.atan2(self.velocity_y, self.velocity_x), self.yaw_rate * time
+        radius = math.hypot(self.velocity_x, self.velocity_y) / self.yaw_rate
+        return VehicleState(radius * (math.sin(yaw + drift) - math.sin(drift)),
+                            radius * (math.cos(drift) - math.cos(yaw + drift)),
+                            self.velocity_x, self.velocity_y, yaw, self.yaw_rate)
+
+    def ins(self, time: float, time_ns: int = 0) -> InsSample:
+        """Yaw wrapped to [-pi, pi), as a unit sends it."""
+        sample = frames.cg_to_ins(self.state(time), time_ns, self.cg_to_ins_x)
+        return sample._replace(yaw=frames.wrap_angle(sample.yaw))
+
+    def ins_points(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """x, y, yaw of the INS point."""
+        samples = [self.ins(float(t)) for t in times]
+        return tuple(np.array([getattr(s, name) for s in samples]) for name in ("x", "y", "yaw"))
