@@ -12,7 +12,7 @@ setup(
         ('share/st_core', ['package.xml']),
     ],
     install_requires=['setuptools'],
-    extras_require={'test': ['pytest']},
+    extras_require={'test': ['hypothesis', 'pytest']},
     zip_safe=False,
     maintainer='The single-track authors',
     maintainer_email='single-track@example.org',
