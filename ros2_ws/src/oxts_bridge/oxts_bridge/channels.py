@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from .channel_table import LONG_RANGE_CHANNEL, TABLE, TRIGGER_CHANNELS
 from .fields import Field, Value
+from .gps_time import LAST_MINUTE
 from .ncom import NcomError
 
 FIELDS: dict[int, dict[str, Field]] = {channel: {field.name: field for field in fields} for channel,
@@ -62,7 +63,7 @@ def trigger_nanoseconds(data: bytes) -> int | None:
     """GPS time of an event since 1980-01-06 [ns] from the 8 bytes of a trigger channel, resolution 4 us; None: no
     event yet."""
     minutes = int.from_bytes(data[0:4], "little", signed=True)
-    if minutes <= 0 or not data[7]:
+    if not 0 < minutes <= LAST_MINUTE or not data[7]:
         return None
     fine = data[6] - 256 if data[6] > 127 else data[6]
     return minutes * 60_000_000_000 + int.from_bytes(data[4:6], "little") * 1_000_000 + fine * 4_000

@@ -1,0 +1,279 @@
+"""A whole NCOM file at once, as numpy columns; the same packets, times and counts as stream.NcomParser finds."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .batch_time import packet_times, utc_times
+from .channels import TRIGGER_CHANNELS, known, trigger_nanoseconds
+from .gps_time import FIRST_MINUTE, LAST_MINUTE
+from .navigation import BY_STATUS
+from .ncom import (
+    ACCELERATION_UNIT,
+    ANGLE_UNIT,
+    ANGULAR_RATE_UNIT,
+    INVALID_I24,
+    PACKET_SIZE,
+    STRUCTURE_B,
+    SYNC,
+    VELOCITY_UNIT,
+    NcomError,
+)
+from .stream import DUPLICATE, NEW, Counters, plausible
+
+KINDS = ("empty", "regular", "status", "trigger")
+EMPTY, REGULAR, STATUS, TRIGGER = range(4)
+UNKNOWN_TIME = np.iinfo(np.int64).min
+
+_SYNC = bytes([SYNC])
+# Rows checked at once: small right after a fault, then growing, so that a clean file is a few large steps.
+_FIRST_ROWS, _MOST_ROWS = 64, 1 << 16
+
+_KIND = np.array([KINDS.index(rule.kind) for rule in BY_STATUS], np.int8)
+_HAS_TIME = np.array([rule.time for rule in BY_STATUS])
+_HAS_IMU = np.array([rule.imu for rule in BY_STATUS])
+_HAS_STATUS = np.array([rule.status for rule in BY_STATUS])
+_HAS_NAVIGATION = np.array([rule.navigation != "none" for rule in BY_STATUS])
+_IS_APPROXIMATE = np.array([rule.navigation == "approximate" for rule in BY_STATUS])
+_IS_KNOWN = np.array([rule.known for rule in BY_STATUS])
+_KNOWN_CHANNEL = np.array([known(channel) for channel in range(256)])
+
+
+@dataclass
+class Columns:
+    """One entry per accepted packet, in file order; structure B packets are there as EMPTY.
+
+    offset: byte position.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as stream.Received.order.
+    gps_ns: since 1980-01-06, utc_ns: since 1970, UNKNOWN_TIME where unknown.  milliseconds, navigation_status,
+    channel: as sent. acceleration [m/s^2], angular_rate [rad/s]: (3, n), vehicle FRD.  latitude, longitude [rad],
+    altitude [m] as sent.
+    velocity_ned: (3, n) [m/s].  heading, pitch, roll [rad].  NaN = invalid.  approximate: navigation is no fix yet.
+    has_status: batch S may be used.
+    """
+
+    offset: np.ndarray
+    raw: np.ndarray
+    kind: np.ndarray
+    order: np.ndarray
+    gps_ns: np.ndarray
+    utc_ns: np.ndarray
+    milliseconds: np.ndarray
+    navigation_status: np.ndarray
+    channel: np.ndarray
+    acceleration: np.ndarray
+    angular_rate: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    altitude: np.ndarray
+    velocity_ned: np.ndarray
+    heading: np.ndarray
+    pitch: np.ndarray
+    roll: np.ndarray
+    approximate: np.ndarray
+    has_status: np.ndarray
+    counters: Counters
+    time_jumps: int
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+    def batch_s(self, index: int) -> bytes:
+        """The 8 status bytes of a packet."""
+        return self.raw[index, 63:71].tobytes()
+
+
+def decode_file(source: str | Path | bytes) -> Columns:
+    """Decode a file (path) or its bytes.
+
+    Raises NcomError, naming the file and what was found, where there is no packet in it at all; OSError where it
+    cannot be read.
+    """
+    data = source if isinstance(source, bytes | bytearray | memoryview) else Path(source).read_bytes()
+    data = bytes(data)
+    name = "input" if isinstance(source, bytes | bytearray | memoryview) else str(source)
+    counters = Counters()
+    offset = find_packets(data, counters)
+    if not len(offset):
+        raise NcomError(_nothing_found(name, data))
+    return _decode(data, offset, counters)
+
+
+def find_packets(data: bytes, counters: Counters) -> np.ndarray:
+    """Byte offsets of all packets; fills packets, checksum_errors and skipped_bytes of the counters."""
+    bytes_ = np.frombuffer(data, np.uint8)
+    found: list[np.ndarray] = []
+    at, size, rows, in_step = 0, len(data), _FIRST_ROWS, True
+    while size - at >= PACKET_SIZE:
+        if in_step:
+            count = min(rows, (size - at) // PACKET_SIZE)
+            block = bytes_[at:at + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
+            good = block[:, 0] == SYNC
+            good &= np.add.reduce(block[:, 1:71], axis=1, dtype=np.uint8) == block[:, 71]
+            run = count if good.all() else int(good.argmin())
+            found.append(np.arange(at, at + run * PACKET_SIZE, PACKET_SIZE))
+            at += run * PACKET_SIZE
+            rows = min(_MOST_ROWS, 4 * rows)
+            if run == count:
+                continue
+            counters.checksum_errors += data[at] == SYNC
+        else:
+            raw = data[at:at + PACKET_SIZE]
+            if raw[0] == SYNC and sum(raw[1:71]) & 0xFF == raw[71] and plausible(raw):
+                in_step, rows = True, _FIRST_ROWS
+                continue
+        in_step = False
+        following = data.find(_SYNC, at + 1)
+        following = size if following < 0 else following
+        counters.skipped_bytes += following - at
+        at = following
+    if at < size and data[at] != SYNC:
+        following = data.find(_SYNC, at + 1)
+        counters.skipped_bytes += (size if following < 0 else following) - at
+    offset = np.concatenate(found) if found else np.empty(0, np.int64)
+    counters.packets = len(offset)
+    return offset
+
+
+def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
+    raw = _rows(data, offset)
+    n = len(raw)
+    buffer = raw.reshape(-1).data
+    status, channel = raw[:, 21].copy(), raw[:, 62].copy()
+    milliseconds = np.ndarray((n,), "<u2", buffer, 1, (PACKET_SIZE,)).astype(np.int64)
+    has_status = _HAS_STATUS[status]
+    _count(counters, raw, status, channel, has_status)
+
+    timed = np.flatnonzero(_HAS_TIME[status])
+    minutes = _channel_0_minutes(buffer, n, channel, has_status)
+    gps_ns = np.full(n, UNKNOWN_TIME)
+    order = np.zeros(n, np.int8)
+    hints = np.flatnonzero((status == 10) & (minutes >= 0))
+    gps_ms, order[timed], jumps = packet_times(milliseconds[timed], minutes[timed], timed, [(i, minutes[i])
+                                                                                            for i in hints],
+                                               lambda a, b: bool((raw[timed[a]] == raw[timed[b]]).all()))
+    gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
+    kind = _KIND[status]
+    _trigger_times(raw, status, channel, kind, gps_ns, order)
+    counters.triggers = int((_KIND[status] == TRIGGER).sum())
+    counters.duplicates = int((order == DUPLICATE).sum())
+    counters.late = int((order == 2).sum())
+
+    columns = Columns(
+        offset=offset, raw=raw, kind=kind, order=order, gps_ns=gps_ns,
+        utc_ns=utc_times(gps_ns, UNKNOWN_TIME, *_utc_offsets(raw, status, channel)), milliseconds=milliseconds,
+        navigation_status=status, channel=channel,
+        acceleration=_i24(buffer, n, 3, ACCELERATION_UNIT), angular_rate=_i24(buffer, n, 12, ANGULAR_RATE_UNIT),
+        latitude=np.ndarray((n,), "<f8", buffer, 23, (PACKET_SIZE,)).copy(),
+        longitude=np.ndarray((n,), "<f8", buffer, 31, (PACKET_SIZE,)).copy(),
+        altitude=_altitude(buffer, n),
+        velocity_ned=_i24(buffer, n, 43, VELOCITY_UNIT), heading=_empty, pitch=_empty, roll=_empty,
+        approximate=_IS_APPROXIMATE[status], has_status=has_status, counters=counters, time_jumps=jumps)
+    columns.heading, columns.pitch, columns.roll = _i24(buffer, n, 52, ANGLE_UNIT)
+    _mask(columns)
+    return columns
+
+
+_empty = np.empty(0)
+
+
+def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
+    """(n, 72) bytes; a view where the packets lie back to back."""
+    bytes_ = np.frombuffer(data, np.uint8)
+    breaks = np.flatnonzero(np.diff(offset) != PACKET_SIZE) + 1
+    starts, ends = [0, *breaks], [*breaks, len(offset)]
+    runs = [bytes_[offset[start]:offset[end - 1] + PACKET_SIZE] for start, end in zip(starts, ends, strict=True)]
+    return (runs[0] if len(runs) == 1 else np.concatenate(runs)).reshape(-1, PACKET_SIZE)
+
+
+def _i24(buffer: memoryview, n: int, at: int, unit: float) -> np.ndarray:
+    """(3, n) physical values of three i24 in a row; read as i32 from one byte before, whose low byte is shifted out."""
+    values = np.empty((3, n))
+    for i in range(3):
+        number = np.ndarray((n,), "<i4", buffer, at - 1 + 3 * i, (PACKET_SIZE,)) >> 8
+        np.multiply(number, unit, out=values[i])
+        invalid = number == INVALID_I24
+        if invalid.any():
+            values[i, invalid] = np.nan
+    return values
+
+
+def _altitude(buffer: memoryview, n: int) -> np.ndarray:
+    with np.errstate(invalid="ignore"):  # private or empty packets may hold signalling NaN
+        return np.ndarray((n,), "<f4", buffer, 39, (PACKET_SIZE,)).astype(np.float64)
+
+
+def _channel_0_minutes(buffer: memoryview, n: int, channel: np.ndarray, has_status: np.ndarray) -> np.ndarray:
+    minutes = np.full(n, -1, np.int64)
+    zero = np.flatnonzero((channel == 0) & has_status)
+    sent = np.ndarray((n,), "<i4", buffer, 63, (PACKET_SIZE,))[zero]
+    minutes[zero] = np.where((sent >= FIRST_MINUTE) & (sent <= LAST_MINUTE), sent, -1)
+    return minutes
+
+
+def _trigger_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray,
+                   order: np.ndarray) -> None:
+    before = b""
+    for i in np.flatnonzero(kind == TRIGGER):
+        packet = raw[i].tobytes()
+        time = trigger_nanoseconds(packet[63:71]) if packet[62] in TRIGGER_CHANNELS else None
+        if time is None:
+            kind[i] = EMPTY
+        else:
+            gps_ns[i] = time
+            order[i] = DUPLICATE if packet == before else NEW
+        before = packet
+
+
+def _utc_offsets(raw: np.ndarray, status: np.ndarray, channel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(packet index, offset [s]) of every valid UTC offset."""
+    byte = raw[:, 70].view(np.int8)
+    usable = np.isin(status, (2, 3, 4, 10)) & (channel == 16) & ((byte & 1) == 1) & (byte < 2)
+    where = np.flatnonzero(usable)
+    return where, byte[where].astype(np.int64) >> 1
+
+
+def _count(counters: Counters, raw: np.ndarray, status: np.ndarray, channel: np.ndarray,
+           has_status: np.ndarray) -> None:
+    first = np.add.reduce(raw[:, 1:22], axis=1, dtype=np.uint8)
+    wrong = first != raw[:, 22]
+    wrong |= first + np.add.reduce(raw[:, 22:61], axis=1, dtype=np.uint8) != raw[:, 61]
+    structure_b = status == STRUCTURE_B
+    counters.structure_b = int(structure_b.sum())
+    counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
+    unknown = np.flatnonzero(~_IS_KNOWN[status])
+    counters.unknown_statuses = len(unknown)
+    counters.last_unknown_status = int(status[unknown[-1]]) if len(unknown) else None
+    counters.unknown_channels = int((has_status & ~_KNOWN_CHANNEL[channel]).sum())
+
+
+def _mask(columns: Columns) -> None:
+    """NaN for what the navigation status declares invalid, and for positions that are none."""
+    status, usable = columns.navigation_status, columns.kind != EMPTY
+    no_imu = ~(_HAS_IMU[status] & usable)
+    if no_imu.any():
+        columns.acceleration[:, no_imu] = columns.angular_rate[:, no_imu] = np.nan
+    no_navigation = ~(_HAS_NAVIGATION[status] & usable)
+    columns.approximate &= usable
+    if no_navigation.any():
+        columns.velocity_ned[:, no_navigation] = np.nan
+        for angle in (columns.heading, columns.pitch, columns.roll):
+            angle[no_navigation] = np.nan
+    with np.errstate(invalid="ignore"):
+        nowhere = ~(np.abs(columns.latitude) <= np.pi / 2)
+    nowhere |= no_navigation | ~np.isfinite(columns.longitude) | ~np.isfinite(columns.altitude)
+    if nowhere.any():
+        for value in (columns.latitude, columns.longitude, columns.altitude):
+            value[nowhere] = np.nan
+
+
+def _nothing_found(name: str, data: bytes) -> str:
+    if not data:
+        return f"{name}: empty file, no NCOM packet in it"
+    head = data[:4]
+    looks = {b"OggS": "an Ogg container (.xcom files are one; export NCOM from it first)", b"\x7fELF": "a program",
+             b"PK\x03\x04": "a zip archive", b"MDF ": "an MDF log"}.get(head)
+    if looks is None:
+        printable = sum(32 <= c < 127 or c in b"\t\r\n" for c in data[:512])
+        looks = "text" if printable > 0.95 * len(data[:512]) else f"bytes {head.hex(' ')} ..."
+    return f"{name}: no NCOM packet in {len(data)} bytes (a packet has {PACKET_SIZE}); it starts with {looks}"

@@ -1,0 +1,196 @@
+"""Bytes from anywhere, in any portions, to timed NCOM packets. Never raises on what the bytes hold."""
+
+from dataclasses import dataclass, field
+from math import isfinite, pi
+
+from . import channels, gps_time
+from .gps_time import GpsClock, unix_nanoseconds
+from .navigation import BY_STATUS, MINUTE_STATUSES, Rule
+from .ncom import NAN, PACKET_SIZE, STRUCTURE_B, SYNC, Packet, decode_unchecked, inner_checksums_match
+
+NEW, SAME, LATE, DUPLICATE = gps_time.NEW, gps_time.SAME, gps_time.LATE, 3
+_SYNC = bytes([SYNC])
+_NO_VECTOR = (NAN, NAN, NAN)
+
+
+@dataclass(slots=True)
+class Received:
+    """One accepted packet.
+
+    packet: its values; parts that its navigation status declares invalid are NaN.  raw: its 72 bytes.
+    offset: of its first byte in the stream.  kind: regular, status, trigger or empty (nothing in it may be used).
+    gps_ns: GPS time since 1980-01-06 of the measurement or event [ns], None while unknown.  utc_ns: the same as UTC
+    since 1970.
+    order: NEW, or SAME (instant as the packet before), DUPLICATE (all bytes too), LATE (older than one already seen).
+    received_ns: when the host got it, as given to feed().
+    """
+
+    packet: Packet
+    raw: bytes
+    offset: int
+    kind: str
+    rule: Rule
+    gps_ns: int | None
+    utc_ns: int | None
+    order: int
+    received_ns: int | None
+
+    @property
+    def fresh(self) -> bool:
+        """Whether this is news: a consumer that publishes only fresh packets never publishes an instant twice or
+        backwards."""
+        return self.order == NEW
+
+
+@dataclass
+class Counters:
+    """What became of the bytes since start."""
+
+    packets: int = 0
+    checksum_errors: int = 0  # a packet was due here, but its final checksum is wrong
+    skipped_bytes: int = 0  # belong to no packet
+    inner_checksum_warnings: int = 0  # checksum 1 or 2 wrong, final one right: accepted, as the vendor does
+    late: int = 0
+    duplicates: int = 0
+    unknown_statuses: int = 0  # reserved navigation status: ignored
+    unknown_channels: int = 0
+    structure_b: int = 0  # vendor-internal, dropped
+    triggers: int = 0
+    last_unknown_status: int | None = field(default=None, repr=False)
+
+
+class NcomParser:
+    """Streaming parser with its own clock. Feed datagrams or pieces of a file; portions may cut packets anywhere.
+
+    After bytes that are no packet it searches on by single bytes, and takes the next packet only if its three
+    checksums and its navigation status are right: one in 256 false syncs passes the final checksum alone.
+    """
+
+    def __init__(self) -> None:
+        self.clock = GpsClock()
+        self.counters = Counters()
+        self.utc_offset: int | None = None
+        self._tail = b""
+        self._consumed = 0
+        self._in_step = True
+        self._last_raw = b""
+        self._last_trigger = b""
+
+    @property
+    def time_jumps(self) -> int:
+        return self.clock.jumps
+
+    def feed(self, data: bytes, received_ns: int | None = None) -> list[Received]:
+        """All packets completed by these bytes, in order. received_ns: host receive time of the bytes [ns since
+        1970]."""
+        buffer = self._tail + data if self._tail else bytes(data)
+        size = len(buffer)
+        packets: list[Received] = []
+        at = 0
+        while size - at >= PACKET_SIZE:
+            if buffer[at] == SYNC:
+                raw = buffer[at:at + PACKET_SIZE]
+                if sum(raw[1:71]) & 0xFF == raw[71] and (self._in_step or plausible(raw)):
+                    self._in_step = True
+                    received = self._accept(raw, self._consumed + at, received_ns)
+                    if received is not None:
+                        packets.append(received)
+                    at += PACKET_SIZE
+                    continue
+                if self._in_step:
+                    self.counters.checksum_errors += 1
+            at = self._skip(buffer, at)
+        if at < size and buffer[at] != SYNC:
+            at = self._skip(buffer, at)
+        self._tail = buffer[at:]
+        self._consumed += at
+        return packets
+
+    def _skip(self, buffer: bytes, at: int) -> int:
+        """Position of the next sync byte after `at`, or the end."""
+        following = buffer.find(_SYNC, at + 1)
+        if following < 0:
+            following = len(buffer)
+        self.counters.skipped_bytes += following - at
+        self._in_step = False
+        return following
+
+    def _accept(self, raw: bytes, offset: int, received_ns: int | None) -> Received | None:
+        counters = self.counters
+        counters.packets += 1
+        status = raw[21]
+        if status == STRUCTURE_B:
+            counters.structure_b += 1
+            return None
+        if not inner_checksums_match(raw):
+            counters.inner_checksum_warnings += 1
+        rule = BY_STATUS[status]
+        packet = decode_unchecked(raw)
+        kind = rule.kind
+        order = NEW
+        gps_ns: int | None = None
+        minute: int | None = None
+        if rule.status:
+            minute = self._status_channel(packet, status)
+        if rule.time:
+            gps_ms, order = self.clock.step(packet.milliseconds, minute, received_ns)
+            gps_ns = None if gps_ms is None else gps_ms * 1_000_000
+            if order == SAME and raw == self._last_raw:
+                order = DUPLICATE
+                counters.duplicates += 1
+            elif order == LATE:
+                counters.late += 1
+            self._last_raw = raw
+        elif rule.trigger:
+            gps_ns = channels.trigger_nanoseconds(packet.batch_s) if packet.channel in channels.TRIGGER_CHANNELS else None
+            counters.triggers += 1
+            if gps_ns is None:
+                kind = "empty"
+            elif raw == self._last_trigger:
+                order = DUPLICATE
+                counters.duplicates += 1
+            self._last_trigger = raw
+        elif not rule.known:
+            counters.unknown_statuses += 1
+            counters.last_unknown_status = status
+        _mask(packet, rule, kind)
+        utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
+        return Received(packet, raw, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
+
+    def _status_channel(self, packet: Packet, status: int) -> int | None:
+        """What the clock needs from batch S; returns the minute of channel 0 if it is there and valid."""
+        channel = packet.channel
+        if not channels.known(channel):
+            self.counters.unknown_channels += 1
+        if status not in MINUTE_STATUSES:
+            return None
+        if channel == 16 and packet.batch_s[7] & 1:
+            offset = (packet.batch_s[7] - 256 if packet.batch_s[7] > 127 else packet.batch_s[7]) >> 1
+            # UTC has never been ahead of GPS time: a positive offset is not one.
+            self.utc_offset = offset if offset <= 0 else self.utc_offset
+        if channel != 0:
+            return None
+        minute = int.from_bytes(packet.batch_s[0:4], "little", signed=True)
+        if not gps_time.FIRST_MINUTE <= minute <= gps_time.LAST_MINUTE:
+            return None
+        if status == 10:
+            self.clock.hint(minute)
+        return minute
+
+
+def plausible(raw: bytes) -> bool:
+    """Whether 72 bytes with the right final checksum, found by searching, are to be believed."""
+    status = raw[21]
+    return status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw))
+
+
+def _mask(packet: Packet, rule: Rule, kind: str) -> None:
+    """NaN for what the navigation status declares invalid, and for positions that are none."""
+    if kind == "empty" or not rule.imu:
+        packet.acceleration = packet.angular_rate = _NO_VECTOR
+    if kind == "empty" or rule.navigation == "none":
+        packet.latitude = packet.longitude = packet.altitude = NAN
+        packet.velocity_ned = _NO_VECTOR
+        packet.heading = packet.pitch = packet.roll = NAN
+    elif not (abs(packet.latitude) <= pi / 2 and isfinite(packet.longitude) and isfinite(packet.altitude)):
+        packet.latitude = packet.longitude = packet.altitude = NAN
