@@ -12,7 +12,7 @@ from .receiver import ReceiverStatus
 _LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN, BusState.BUS_OFF: ERROR,
            BusState.DOWN: ERROR, BusState.GONE: ERROR}
 # After the start a bus is given this long before a missing signal is an error.
-_GRACE = 1.0
+_GRACE = 2.0
 
 
 class Health:
@@ -29,6 +29,8 @@ class Health:
         self._frames_before = 0
         self._rate = 0.0
         self._bad_before = 0
+        self._good_before: dict[str, int] = {}
+        self._rates: dict[str, float] = {}
 
     def checks(self) -> list[Check]:
         return [self._bus(), self._needed(), self._frames(), self._plausibility()]
@@ -37,9 +39,13 @@ class Health:
         status = self._receiver_status()
         now = time.monotonic()
         # Called out of turn when the bus changes: a rate over a few milliseconds would be noise.
-        if now - self._before > 0.5:
-            self._rate = (status.frames - self._frames_before) / (now - self._before)
+        elapsed = now - self._before
+        if elapsed > 0.5:
+            self._rate = (status.frames - self._frames_before) / elapsed
             self._before, self._frames_before = now, status.frames
+            good = {name: self._decoder.statistics(name).good for name in self._decoder.table.messages}
+            self._rates = {name: (count - self._good_before.get(name, 0)) / elapsed for name, count in good.items()}
+            self._good_before = good
         values = {
             "state": status.state, "rate [frames/s]": self._rate, "frames": status.frames,
             "error frames": status.error_frames, "last error frame": status.last_error, "times opened": status.opened,
@@ -71,9 +77,10 @@ class Health:
 
     def _frames(self) -> Check:
         values, bad = {}, 0
-        for name in self._decoder.table.messages:
+        for name, message in self._decoder.table.messages.items():
             counts = self._decoder.statistics(name)
             values[f"{name} good"] = counts.good
+            values[f"{name} rate, expected [frames/s]"] = f"{self._rates.get(name, 0.0):.1f}, {1 / message.period:g}"
             for what, count in (("lost", counts.lost), ("wrong counter", counts.wrong_counter),
                                 ("wrong checksum", counts.wrong_checksum), ("wrong length", counts.wrong_length),
                                 ("not finite", counts.not_finite), ("implausible", counts.implausible),

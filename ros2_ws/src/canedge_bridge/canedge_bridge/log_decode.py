@@ -38,7 +38,8 @@ def decode_log(database: Any, ids: np.ndarray, payload: np.ndarray, lengths: np.
     if payload.shape != (ids.size, 8) or lengths.shape != ids.shape:
         raise ValueError(f"(n,), (n, 8), (n,) wanted, not {ids.shape}, {payload.shape}, {lengths.shape}")
     chosen = database.messages if messages is None else map(database.get_message_by_name, messages)
-    order = np.argsort(ids, kind="stable")
+    # numpy sorts 16-bit integers by radix, several times as fast; only 29-bit identifiers need more.
+    order = np.argsort(ids.astype(np.uint16) if ids.size and ids.max() < 2**16 else ids, kind="stable")
     sorted_ids = ids[order]
     decoded = {}
     for message in chosen:

@@ -23,8 +23,7 @@ class LoopbackMulticastBus(can.BusABC):
 
     A class of its own because python-can's joins the group on whatever interface the routing table names, takes
     datagrams of every group that shares the port, hands senders their own frames, and builds a message object before
-    looking at the filter. Datagrams are the same, so a python-can program whose multicast goes through loopback can
-    take part.
+    looking at the filter. The datagrams are python-can's.
     """
 
     def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):
@@ -67,8 +66,8 @@ class LoopbackMulticastBus(can.BusABC):
     def _apply_filters(self, filters: Any) -> None:
         """Exact identifiers are looked up in a set; any other mask is left to python-can's own matching."""
         self._accepted = None
-        if filters and all(f["can_mask"] in (0x7FF, 0x1FFFFFFF) for f in filters):
-            self._accepted = frozenset((f["can_id"], bool(f.get("extended", False))) for f in filters)
+        if filters and all("extended" in f and f["can_mask"] in (0x7FF, 0x1FFFFFFF) for f in filters):
+            self._accepted = frozenset((f["can_id"], bool(f["extended"])) for f in filters)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         # Reading first saves the select() of every frame of a burst.

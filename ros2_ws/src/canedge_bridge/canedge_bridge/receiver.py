@@ -200,7 +200,10 @@ class Receiver:
         with self._lock:
             self._status.state, self._status.reason = state, reason
         if changed:
-            self._on_state(state, reason)
+            try:
+                self._on_state(state, reason)
+            except Exception as error:  # Telling others must not end what is told about.
+                self._on_trouble(error)
 
 
 def _errno(error: BaseException) -> int | None:

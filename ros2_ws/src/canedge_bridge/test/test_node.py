@@ -193,10 +193,16 @@ def test_wheel_speeds_the_ins_and_raw_frames(rig, frame):
 
 def test_silence_and_return(rig):
     run = rig(silence_after=0.3)
+
+    def rate():
+        return run.values("frames").get("Leaf_Steering rate, expected [frames/s]", "0, 0").split(", ")
+
     assert run.spin(lambda: run.check("signals") == (ERROR, "steering_wheel_angle (Leaf_Steering): no frame yet"))
     assert run.check("bus")[0] == WARN and "silent: no frame yet" in run.check("bus")[1]
     run.received("vehicle/steering", run.steer)
     assert run.spin(lambda: run.check("bus")[0] == OK and run.check("signals")[0] == OK, feed=run.steer)
+    assert run.spin(lambda: float(rate()[0]) > 0, feed=run.steer)
+    assert rate()[1] == "100"
     assert float(run.values("signals")["steering_wheel_angle (Leaf_Steering) age [s]"]) < 0.2
     assert run.spin(lambda: run.check("bus")[0] == WARN)
     assert run.spin(lambda: run.check("signals")[0] == ERROR)

@@ -182,6 +182,16 @@ def test_an_exception_in_the_callback_is_counted(bus, frame, start_receiver, unt
     assert receiver.status().state is BusState.OK
 
 
+def test_an_exception_in_the_report_of_a_state_does_not_end_the_thread(bus, frame, start_receiver, until):
+    troubles = []
+    receiver = start_receiver(opener(bus), on_trouble=troubles.append)
+    receiver._on_state = lambda state, reason: 1 / 0
+    assert until(lambda: receiver.status().opened == 1)
+    bus.send(frame(1, ""))
+    assert until(lambda: receiver.seen and receiver.status().state is BusState.OK)
+    assert until(lambda: any(isinstance(t, ZeroDivisionError) for t in troubles))
+
+
 def test_stamps_of_a_foreign_clock_are_replaced(start_receiver, until):
     """Some adapters count from when they were powered."""
     message = data_frame()
