@@ -88,7 +88,10 @@ def test_when_ins_time_jumps_back_both_signals_begin_anew():
     for t in range(10_000, 11_000, 10):
         live.add_ins(sample(t))
         live.add_steering(T0 + t * MS, 0.1)
-    for t in range(0, 200, 10):
+    for t in range(0, 100, 10):
+        live.add_ins(sample(t))
+    assert live.generation == 1 and len(live.ins) == 10 and len(live.steering) == 0
+    for t in range(100, 200, 10):
         live.add_ins(sample(t))
         live.add_steering(T0 + t * MS, 0.2)
     assert live.generation == 1
