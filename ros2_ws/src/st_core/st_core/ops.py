@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-_sin, _cos, _tan, _atan = math.sin, math.cos, math.tan, math.atan
+_sin, _cos, _tan, _atan, _sqrt = math.sin, math.cos, math.tan, math.atan, math.sqrt
 _NAN = math.nan
-_NUMPY = {"sin": np.sin, "cos": np.cos, "tan": np.tan, "atan": np.arctan, "sign": np.sign,
+_NUMPY = {"sin": np.sin, "cos": np.cos, "tan": np.tan, "atan": np.arctan, "sqrt": np.sqrt, "sign": np.sign,
           "absolute": np.abs, "maximum": np.maximum, "minimum": np.minimum}
 NAMES = tuple(_NUMPY)
 _registered: dict[type, Mapping[str, Callable]] = {}
@@ -73,6 +73,13 @@ def atan(x):
     if type(x) is float:
         return _atan(x)
     return _other("atan", x)
+
+
+def sqrt(x):
+    """Square root; NaN below 0."""
+    if type(x) is float:
+        return _sqrt(x) if x >= 0.0 else _NAN
+    return _other("sqrt", x)
 
 
 def sign(x):

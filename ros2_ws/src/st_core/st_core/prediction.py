@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -14,7 +14,7 @@ from .alignment import MeasurementHistory
 from .errors import ConfigurationError, StCoreError
 from .filtering import NANOSECOND
 from .models import Model, get_model
-from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
+from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 
 
@@ -76,45 +76,64 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
     model = get_model(model)
     p = model.parameters(vehicle)
     grid = _grid(model, p, inputs, step_count(horizon, step))
-    return Trajectory(step, np.array(integrate.rk4(model.rhs, state.as_tuple(), grid, p, step)))
+    start = model.start_state(state.as_tuple(), grid[0], p)
+    return Trajectory(step, _six(np.array(integrate.rk4(model.rhs, start, grid, p, step))))
+
+
+def _six(states: np.ndarray) -> np.ndarray:
+    # Extra states are the model's own affair.
+    return states if states.shape[-1] == len(STATE_NAMES) else np.ascontiguousarray(states[..., :len(STATE_NAMES)])
 
 
 def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int) -> list[tuple]:
     if isinstance(inputs, ControlInput):
+        _signals(model, {})
         return [model.inputs(float(inputs.road_wheel_angle), float(inputs.velocity_x_dot), p)] * (2 * steps + 1)
-    angle, acceleration = (np.asarray(a, float) for a in (inputs.road_wheel_angle, inputs.velocity_x_dot))
-    for name, values in (("road_wheel_angle", angle), ("velocity_x_dot", acceleration)):
+    signals = _signals(model, inputs.signals)
+    named = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot, **signals}
+    angle, acceleration, *others = (np.asarray(a, float) for a in named.values())
+    for name, values in zip(named, (angle, acceleration, *others), strict=True):
         if values.shape != (2 * steps + 1,):
             raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},): half-step grid of {steps} steps")
-    fields = (np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p))
+    with np.errstate(all="ignore"):
+        fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *others)]
     return list(zip(*fields, strict=True))
 
 
+def _signals(model: Model, given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    missing = [name for name in model.signals if name not in given]
+    if missing:
+        raise StCoreError(f"model {model.name} needs the signal {missing[0]}, which the inputs do not have")
+    return {name: given[name] for name in model.signals}
+
+
 def predict_batch(model: str | Model, vehicle: VehicleParameters, states: np.ndarray, road_wheel_angle: np.ndarray,
-                  velocity_x_dot: np.ndarray, horizon: float = 5.0, step: float = 0.05) -> np.ndarray:
+                  velocity_x_dot: np.ndarray, horizon: float = 5.0, step: float = 0.05,
+                  signals: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
     """Many predictions in one numpy pass: (n, steps + 1, 6), equal to `predict` one by one.
 
-    states: (n, 6), columns as STATE_NAMES. Inputs: (n,) held, or (n, 2 * steps + 1) on the half-step grid.
+    states: (n, 6), columns as STATE_NAMES. Inputs, and the signals a model asks for: (n,) held, or
+    (n, 2 * steps + 1) on the half-step grid.
     """
     model = get_model(model)
     p = model.parameters(vehicle)
     steps = step_count(horizon, step)
     states = np.asarray(states, float)
     count = 2 * steps + 1
-    angle, acceleration = (np.asarray(a, float) for a in (road_wheel_angle, velocity_x_dot))
-    for name, values in (("road_wheel_angle", angle), ("velocity_x_dot", acceleration)):
-        if values.shape not in ((len(states),), (len(states), count)):
-            raise StCoreError(f"{name}: shape {values.shape}, expected ({len(states)},) or ({len(states)}, {count})")
-    if angle.ndim == acceleration.ndim == 1:
-        grid = [model.inputs(angle, acceleration, p)] * count
-    else:
-        angle, acceleration = (a.T if a.ndim == 2 else np.broadcast_to(a, (count, len(a)))
-                               for a in (angle, acceleration))
-        fields = [np.broadcast_to(w, angle.shape) for w in model.inputs(angle, acceleration, p)]
-        grid = list(zip(*fields, strict=True))
+    named = {"road_wheel_angle": road_wheel_angle, "velocity_x_dot": velocity_x_dot, **_signals(model, signals or {})}
+    values = [np.asarray(a, float) for a in named.values()]
+    for name, array in zip(named, values, strict=True):
+        if array.shape not in ((len(states),), (len(states), count)):
+            raise StCoreError(f"{name}: shape {array.shape}, expected ({len(states)},) or ({len(states)}, {count})")
+    if any(a.ndim == 2 for a in values):
+        values = [a.T if a.ndim == 2 else np.broadcast_to(a, (count, len(a))) for a in values]
+    angle, acceleration, *others = values
     with np.errstate(all="ignore"):
-        columns = integrate.rk4(model.rhs, tuple(np.ascontiguousarray(states.T)), grid, p, step)
-    return np.array(columns).transpose(2, 0, 1)
+        fields = [np.broadcast_to(w, angle.shape) for w in model.inputs(angle, acceleration, p, *others)]
+        grid = [tuple(fields)] * count if angle.ndim == 1 else list(zip(*fields, strict=True))
+        start = model.start_state(tuple(np.ascontiguousarray(states.T)), grid[0], p)
+        columns = integrate.rk4(model.rhs, start, grid, p, step)
+    return _six(np.array(columns).transpose(2, 0, 1))
 
 
 @dataclass(frozen=True, slots=True)

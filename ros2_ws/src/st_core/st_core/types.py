@@ -1,6 +1,7 @@
 """States, inputs, samples and trajectories: SI units, body axes x forward, y left, yaw from east counter-clockwise."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -46,11 +47,13 @@ class ControlInput:
 class InputSequence:
     """Inputs over a horizon on the half-step grid 0, step/2, step, ...: 2 * steps + 1 values each, as ControlInput.
 
-    NaN marks an input that is not known; the trajectory is NaN from there on.
+    NaN marks an input that is not known; the trajectory is NaN from there on. signals: what a model asks for beyond its
+    inputs (`Model.signals`), by name, on the same grid.
     """
 
     road_wheel_angle: np.ndarray
     velocity_x_dot: np.ndarray
+    signals: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

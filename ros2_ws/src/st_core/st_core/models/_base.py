@@ -1,4 +1,4 @@
-"""What a model is: three plain functions and a name."""
+"""What a model is: a name and plain functions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,18 +8,45 @@ from ..vehicle import VehicleParameters
 
 
 @dataclass(frozen=True)
+class Axles:
+    """The rhs of a dynamic model taken apart where tyres meet the car; put together again it is the rhs, bit by bit.
+
+    slip_angles(state, w, p) -> (front, rear) [rad], forces(slip_front, slip_rear, w, p) -> (front, rear) [N],
+    motion(state, force_front, force_rear, w, p) -> time derivative of the state.
+    """
+
+    slip_angles: Callable[[tuple, tuple, Any], tuple]
+    forces: Callable[[Any, Any, tuple, Any], tuple]
+    motion: Callable[[tuple, Any, Any, tuple, Any], tuple]
+
+
+@dataclass(frozen=True)
 class Model:
     """One vehicle model. State (x, y, velocity_x, velocity_y, yaw, yaw_rate) at the CG, as types.VehicleState.
 
-    parameters(vehicle) -> p: a NamedTuple of the numbers the equations need.
-    inputs(road_wheel_angle, velocity_x_dot, p) -> w: everything that depends on the inputs alone, a tuple; computed
-        once per instant, or once per prediction when the inputs are held.
-    rhs(state, w, p) -> time derivative of the state, a tuple of six.
+    parameters(vehicle) -> p: a NamedTuple of the numbers the equations need, possibly nested.
+    inputs(road_wheel_angle, velocity_x_dot, p, *signals) -> w: everything that depends on the inputs alone, a tuple;
+        computed once per instant, or once per prediction when the inputs are held. One argument for each of `signals`.
+    rhs(state, w, p) -> time derivative of the state, a tuple of six and one for each of `extra_states`.
+    extra_states: names of the states that follow the six. start(state, w, p) -> their values at the start of a
+        prediction, from the six states and w there; None: zeros.
+    signals: names of what the model needs to know beyond its two inputs.
+    axles: for a dynamic model, None for the kinematic one.
 
     The functions are written over `st_core.ops` and take floats, or arrays of equal shape for a batch.
     """
 
     name: str
     parameters: Callable[[VehicleParameters], Any]
-    inputs: Callable[[Any, Any, Any], tuple]
+    inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
+    extra_states: tuple[str, ...] = ()
+    start: Callable[[tuple, tuple, Any], tuple] | None = None
+    signals: tuple[str, ...] = ()
+    axles: Axles | None = None
+
+    def start_state(self, state: tuple, w: tuple, p: Any) -> tuple:
+        """The whole state at the start of a prediction: the six given and the extra ones."""
+        if self.start is None:
+            return (*state, *(0.0 * state[0] for _ in self.extra_states))
+        return (*state, *self.start(state, w, p))
