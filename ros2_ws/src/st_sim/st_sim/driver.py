@@ -24,6 +24,7 @@ UNDERSTEER_FELT = 0.004
 TREMOR_TIME = 0.4
 INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03
 SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5
+SLOWEST_STEERING = 0.5
 JERK = 10.0
 HARDEST_BRAKING, HARDEST_DRIVE = 7.0, 3.5
 HOLDING_BRAKE = 2.0
@@ -65,13 +66,18 @@ class Driver:
         self._track(s[X], s[Y], speed)
         demand = self.plan.demand(time, self.distance, speed)
         if demand.steer == "path":
-            if self._held:
+            # At a crawl the course says nothing: the hands wait.
+            steers = speed > SLOWEST_STEERING
+            if self._held and steers:
                 self._back_on_the_road(s)
-            angle = self._steer_along(s, speed) * self.car.steering_ratio
-            self._wanted = min(max(angle, -FURTHEST_HAND), FURTHEST_HAND)
+            if steers:
+                angle = self._steer_along(s, speed) * self.car.steering_ratio
+                self._wanted = min(max(angle, -FURTHEST_HAND), FURTHEST_HAND)
+                self._held = False
         elif demand.steer != "hold":
             self._wanted = float(demand.steer) * self.car.steering_ratio
-        self._held = demand.steer == "hold"
+        else:
+            self._held = True
         self._pedals(plant, demand.speed, demand.acceleration)
         if self._tremor_size:
             memory = math.exp(-DECISION / TREMOR_TIME)
@@ -86,7 +92,7 @@ class Driver:
 
     def _back_on_the_road(self, s: tuple[float, ...]) -> None:
         """After hands-still the old road is somewhere else; go on along the same bend from here."""
-        course = s[YAW] + math.atan2(s[VY], max(s[VX], 1.0))
+        course = s[YAW] + math.atan2(s[VY], s[VX])
         self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
         self._steer_sum = 0.0
 
@@ -94,11 +100,10 @@ class Driver:
         """Road-wheel angle [rad]: the bend ahead plus what brings the car back within the preview distance."""
         road = self.plan.path.pose(self.distance)
         offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
-        course = math.remainder(s[YAW] + math.atan2(s[VY], max(speed, 1.0)) - road.yaw, 2 * math.pi)
+        course = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)
         preview = max(SHORTEST_PREVIEW, PREVIEW_TIME * speed)
-        if speed > 1.0:
-            self._steer_sum += INTEGRAL_STEER * offset * DECISION
-            self._steer_sum = min(max(self._steer_sum, -INTEGRAL_LIMIT), INTEGRAL_LIMIT)
+        self._steer_sum += INTEGRAL_STEER * offset * DECISION
+        self._steer_sum = min(max(self._steer_sum, -INTEGRAL_LIMIT), INTEGRAL_LIMIT)
         bend = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
         curvature = bend - 2 * (offset + preview * math.sin(course)) / preview**2 - self._steer_sum
         return math.atan(self.car.wheelbase * curvature) + UNDERSTEER_FELT * speed**2 * curvature

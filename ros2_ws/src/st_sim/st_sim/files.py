@@ -22,6 +22,8 @@ TRUTH_TOPIC = "/truth"
 CHUNK = 64 * 1024
 """bytes, about a second of truth: what a kill -9 may cost."""
 
+_HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vendor>st_sim</tool_vendor></FHcomment>"
+
 _UNITS = {
     "x": "m",
     "y": "m",
@@ -108,6 +110,7 @@ class TruthFile:
 
     def __init__(self, path: Path, start_ns: int, settings: Settings, about: Mapping[str, object]):
         self._start_ns = start_ns
+        self.fault = ""
         self._stream = path.open("wb")
         self._writer = Writer(self._stream, chunk_size=CHUNK)
         self._writer.start(profile="", library="st_sim")
@@ -117,12 +120,21 @@ class TruthFile:
         self._writer.add_metadata("run", {name: str(value) for name, value in about.items()})
 
     def write(self, truth: Truth) -> None:
+        """A disk that is full ends the file, not the drive; `fault` says so."""
+        if self.fault:
+            return
         time_ns = self._start_ns + round(truth.time * 1e9)
-        self._writer.add_message(self._channel, time_ns, json.dumps(truth_record(truth)).encode(), time_ns)
+        try:
+            self._writer.add_message(self._channel, time_ns, json.dumps(truth_record(truth)).encode(), time_ns)
+        except OSError as error:
+            self.fault = f"truth.mcap: {error.strerror}"
 
     def close(self) -> None:
-        self._writer.finish()
-        self._stream.close()
+        try:
+            self._writer.finish()
+            self._stream.close()
+        except OSError as error:
+            self.fault = f"truth.mcap: {error.strerror}"
 
 
 class LogFile:
@@ -176,6 +188,7 @@ class Mf4File:
         from datetime import UTC, datetime
 
         from asammdf import MDF
+        from asammdf.blocks.v4_blocks import FileHistory
 
         log = MDF(version="4.11")
         start = datetime.fromtimestamp(self._start_ns / 1e9, UTC)
@@ -188,7 +201,11 @@ class Mf4File:
                 log.groups[
                     -1
                 ].channel_group.flags |= 0x6  # bus event, plain bus event: what bus logging readers look for
-        log.save(self._path, overwrite=True)
+        # With a history of our own: asammdf's has the present time in it, and equal seeds are to give equal bytes.
+        history = FileHistory()
+        history.comment, history.abs_time = _HISTORY, self._start_ns
+        log.file_history.append(history)
+        log.save(self._path, overwrite=True, add_history_block=False)
         log.close()
 
     def _signal(self, bus: int, frames: list[tuple[int, int, bytes]]) -> object:

@@ -94,12 +94,14 @@ class Plant:
         self.to_rear = car.wheelbase - self.to_front
         self._ratio = car.steering_ratio * s["steering_ratio_factor"]
         self._play = s["steering_backlash"] / 2
-        self._lag = s["steering_lag"]
+        # A lag shorter than a step is a step: the integrator could not follow it.
+        self._lag = max(s["steering_lag"], step) if s["steering_lag"] else 0.0
         self._delay: deque[float] = deque([0.0] * round(s["steering_delay"] / step))
         self._loose = 0.0
         self._steering_offset, self._compliance = s["steering_offset"], s["steering_compliance"]
         self._roll_steer, self._rear_roll_steer = s["roll_steer"], s["rear_roll_steer"]
         self._roll_gradient, self._camber = s["roll_gradient"], s["camber_thrust"]
+        self._fastest = 1.0 / step
         self._relaxation, self._combined = s["relaxation_length"], s["combined_slip"]
         self._wheel_slip, self._drag_area, self._rolling = (
             s["wheel_slip_compliance"],
@@ -209,7 +211,8 @@ class Plant:
         speed = abs(rolled)
         steady = slid / (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED)
         if self._relaxation:
-            rate = (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED) / self._relaxation * (steady - slip)
+            pace = (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED) / self._relaxation
+            rate = (pace if pace < self._fastest else self._fastest) * (steady - slip)
             if speed < CREEP_SPEED:
                 slip += CREEP_DAMPING * slid * (1.0 - speed / CREEP_SPEED)
         else:
@@ -231,7 +234,7 @@ class Plant:
 
         steer = rack + self._steering_offset + self._roll_steer * roll - give
         sine = sin(steer)
-        split = self._ackermann * sine * abs(sine)
+        split = self._ackermann * sine * sine
         steer_l, steer_r = steer + split, steer - split
         cos_l, sin_l, cos_r, sin_r = cos(steer_l), sin(steer_l), cos(steer_r), sin(steer_r)
         steer_rear = self._rear_roll_steer * roll
@@ -328,10 +331,15 @@ class Plant:
         )
 
     def _air(self, yaw: float, vx: float, vy: float, wind_x: float, wind_y: float) -> tuple[float, float]:
-        """Drag and side force [N] in body axes. Still air acts lengthways only: side wind is what the switch adds."""
+        """Drag and side force [N] in body axes.
+
+        Still air acts lengthways only: the side force is what the wind adds.
+        """
+        along, across, own = -vx, -vy, hypot(vx, vy)
         if self.environment.calm:
-            return -0.5 * AIR_DENSITY * self._drag_area * vx * abs(vx), 0.0
+            return 0.5 * AIR_DENSITY * own * self._drag_area * along, 0.0
         c, s = cos(yaw), sin(yaw)
-        along, across = wind_x * c + wind_y * s - vx, wind_y * c - wind_x * s - vy
-        pressure = 0.5 * AIR_DENSITY * hypot(along, across)
-        return pressure * self._drag_area * along, pressure * SIDE_AREA * across
+        along, across = along + wind_x * c + wind_y * s, across + wind_y * c - wind_x * s
+        felt = hypot(along, across)
+        side = 0.5 * AIR_DENSITY * SIDE_AREA * (felt * across + own * vy)
+        return 0.5 * AIR_DENSITY * felt * self._drag_area * along, side

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 from canedge_bridge.decode import Decoder
 
@@ -114,7 +115,12 @@ def _prepare(options: argparse.Namespace) -> _Run:
         raise SimulationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
     car = read_car(options.vehicle)
     config = options.config or options.vehicle.resolve().parents[1]
-    codec = Decoder(config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml")
+    dbc, signals = config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml"
+    if not (dbc.exists() and signals.exists()):
+        raise SimulationError(
+            f"--config {config}: has no can/leaf_ze0.dbc and can/leaf_ze0.yaml; give the folder that has"
+        )
+    codec = Decoder(dbc, signals)
     settings = _settings(options)
     source: Source
     if options.drive:
@@ -174,15 +180,17 @@ def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
         start_ns = -(-(now_ns + LEAD_NS) // START_GRID_NS) * START_GRID_NS
         started = monotonic + (start_ns - now_ns) / 1e9
         keep_truth: Callable[[Truth], None] = _forget
+        truth = None
         if options.output:
-            file = TruthFile(make_folder("--output", options.output) / "truth.mcap", start_ns, run.settings, run.about)
-            resources.callback(file.close)
-            keep_truth = file.write
+            truth = TruthFile(make_folder("--output", options.output) / "truth.mcap", start_ns, run.settings, run.about)
+            resources.callback(truth.close)
+            keep_truth = truth.write
         outputs = run.stream(options, start_ns).outputs(run.duration)
         time.sleep(max(0.0, started - time.monotonic()))
         _say(state="sending", start_ns=start_ns, duration=run.duration)
         report = send(outputs, wires, keep_truth, started, stop)
-    _say(state="done", **report.as_dict())
+    faults = {"fault": truth.fault} if truth and truth.fault else {}
+    _say(state="done", **report.as_dict(), **faults)
 
 
 def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
@@ -233,8 +241,15 @@ def _print_lists() -> None:
         )
 
 
+class _Parser(argparse.ArgumentParser):
+    """One line for a bad argument."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="virtual_leaf", description=__doc__)
+    parser = _Parser(prog="virtual_leaf", description=__doc__)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--scenario", default="S6", help=f"{', '.join(SCENARIOS)}, or a .yaml file; default S6")
     what.add_argument("--drive", type=Path, metavar="FILE.csv", help="a recorded drive instead of a simulated one")

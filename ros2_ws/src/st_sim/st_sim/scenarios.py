@@ -221,7 +221,7 @@ def _circle_to_rest() -> Plan:
         [
             Phase("path", duration=18.0),
             Phase("path", acceleration=-1.5, until=0.0),
-            Phase("hold", duration=4.0),
+            Phase("path", duration=4.0),
             Phase("path", acceleration=1.2, duration=5.0),
         ],
     )

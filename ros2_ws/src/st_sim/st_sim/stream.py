@@ -26,7 +26,7 @@ class Kind(IntEnum):
 
 
 class Output(NamedTuple):
-    """due: when it leaves [s since the start]. order: among those of one instant. payload: 72 bytes, a Frame or a Truth."""
+    """due: when it leaves [s since the start]. order: within one instant. payload: 72 bytes, a Frame or a Truth."""
 
     due: float
     order: int

@@ -1,0 +1,280 @@
+"""Every switch of the plant: nothing at null, something when on, and the right something where a number can be said."""
+
+import math
+
+import numpy as np
+import pytest
+from st_sim.car import GRAVITY, TRACK_WIDTH, read_car
+from st_sim.environment import Environment
+from st_sim.errors import SimulationError
+from st_sim.plant import RACK, STEP, VX, YAW_RATE, Plant, Y, Z
+from st_sim.scenarios import load
+from st_sim.settings import IDEAL, PRESETS, REALISTIC, SETTINGS, overrides, resolve
+from st_sim.simulation import SimulatedCar
+from st_sim.tyres import lateral_force
+from support import ROOT
+
+CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
+PLANT_GROUPS = ("steering", "tyre", "body", "environment")
+
+# A value that matters, and what else must be there for it to act.
+ON = {
+    "steering_ratio_factor": (1.07, {}),
+    "steering_offset": (0.006, {}),
+    "steering_delay": (0.05, {}),
+    "steering_lag": (0.1, {}),
+    "steering_backlash": (0.1, {}),
+    "steering_compliance": (2e-6, {}),
+    "roll_steer": (-0.1, {"roll_gradient": 0.0075}),
+    "rear_roll_steer": (0.1, {"roll_gradient": 0.0075}),
+    "ackermann": (-0.5, {}),
+    "front_stiffness_factor": (0.85, {}),
+    "rear_stiffness_factor": (0.85, {}),
+    "friction_factor": (0.75, {}),
+    "relaxation_length": (0.6, {}),
+    "combined_slip": (1.0, {}),
+    "wheel_slip_compliance": (0.04, {}),
+    "camber_thrust": (0.8, {"roll_gradient": 0.0075}),
+    "lateral_load_transfer": (1.0, {}),
+    "longitudinal_load_transfer": (0.0, {}),
+    "roll_gradient": (0.0075, {}),
+    "pitch_gradient": (0.004, {}),
+    "mass_factor": (1.18, {}),
+    "yaw_inertia_factor": (1.22, {}),
+    "cg_shift": (0.1, {}),
+    "drag_area": (0.65, {}),
+    "rolling_resistance": (0.011, {}),
+    "bank_angle": (0.03, {}),
+    "grade_angle": (0.03, {}),
+    "hillside_slope": (0.03, {}),
+    "terrain_wave": (0.03, {}),
+    "friction_patch": (0.5, {}),
+    "wind_speed": (15.0, {}),
+    "gust_speed": (5.0, {}),
+}
+
+
+def trace(settings):
+    """An open-loop drive with steering, drive and braking: pose, speed, attitude and wheel speeds at 10 Hz."""
+    plant = Plant(CAR, settings, seed=3)
+    plant.place(0.0, 0.0, 0.2, 11.0)
+    rows = []
+    for i in range(3000):
+        t = i * STEP
+        hand = 1.4 * math.sin(2 * math.pi * 0.35 * t) + 0.3 * math.sin(2 * math.pi * 1.6 * t)
+        push = 600.0 if t < 4 else -4000.0
+        plant.step(hand, push)
+        if i % 50 == 0:
+            wheels = plant.observe(push).wheel_speed
+            rows.append((*plant.state[: VX + 1], plant.body_roll * 10, plant.body_pitch * 10, *wheels))
+    return np.array(rows)
+
+
+def difference(name, value, others):
+    with_null = trace({**IDEAL, **others, name: SETTINGS[name].null})
+    return np.abs(trace({**IDEAL, **others, name: value}) - with_null).max()
+
+
+def test_the_table_above_is_complete():
+    assert set(ON) == {s.name for s in SETTINGS.values() if s.group in PLANT_GROUPS}
+
+
+@pytest.mark.parametrize("name", ON)
+def test_acts_when_on_and_fades_to_nothing_at_null(name):
+    value, others = ON[name]
+    null = SETTINGS[name].null
+    on = difference(name, value, others)
+    assert on > 0.005, f"{name} = {value} changes the drive by {on:.2g} only"
+    # Null is the limit of small values, no special case; lags cannot be shorter than a step, which leaves some per
+    # cent.
+    assert difference(name, null + 1e-6 * (value - null), others) < 0.05 * on
+
+
+def steady(effects, hand=2.0, speed=9.0, seconds=8.0):
+    """Plant in a steady bend under `effects` on top of ideal."""
+    plant = Plant(CAR, resolve("ideal", effects))
+    plant.place(0.0, 0.0, 0.0, speed)
+    for _ in range(round(seconds / STEP)):
+        plant.step(hand, 8000.0 * (speed - plant.state[VX]) + 300.0)
+    plant.observe(300.0)
+    return plant
+
+
+def test_ratio_and_offset():
+    assert steady(["steering_ratio_factor=1.1"]).state[RACK] == pytest.approx(2.0 / (1.1 * CAR.steering_ratio))
+    assert steady(["steering_offset=0.01"]).forces.road_wheel_angle == pytest.approx(2.0 / CAR.steering_ratio + 0.01)
+
+
+def test_compliance_takes_its_share_of_the_front_force():
+    plant = steady(["steering_compliance=2e-6"])
+    front = plant.forces.lateral[0] + plant.forces.lateral[1]
+    assert front > 1000.0
+    assert plant.forces.road_wheel_angle == pytest.approx(2.0 / CAR.steering_ratio - 2e-6 * front, rel=1e-4)
+
+
+def rack_after_step(effects, seconds):
+    plant = Plant(CAR, resolve("ideal", effects))
+    plant.place(0.0, 0.0, 0.0, 8.0)
+    for _ in range(round(seconds / STEP)):
+        plant.step(CAR.steering_ratio * 0.05, 0.0)
+    return plant.state[RACK] / 0.05
+
+
+def test_delay_lag_and_play():
+    assert rack_after_step(["steering_delay=0.05"], 0.05) == 0.0
+    assert rack_after_step(["steering_delay=0.05"], 0.054) == pytest.approx(1.0)
+    assert rack_after_step(["steering_lag=0.1"], 0.1) == pytest.approx(1 - math.exp(-1), abs=2e-3)
+    play = 0.1
+    assert rack_after_step([f"steering_backlash={play}"], 0.1) == pytest.approx(
+        1 - play / 2 / (CAR.steering_ratio * 0.05)
+    )
+
+
+def test_load_transfer_and_roll_follow_the_lateral_acceleration():
+    plant = steady(["lateral_load_transfer=1", "roll_gradient=0.0075"])
+    a_y = plant.forces.acceleration_y
+    left, right = plant.forces.load[0] + plant.forces.load[2], plant.forces.load[1] + plant.forces.load[3]
+    assert a_y > 2.0
+    assert right - left == pytest.approx(2 * CAR.mass * a_y * CAR.cg_height / TRACK_WIDTH, rel=0.01)
+    assert plant.body_roll == pytest.approx(0.0075 * a_y, rel=0.01)
+
+
+def test_longitudinal_load_transfer():
+    plant = Plant(CAR, resolve("ideal"))
+    plant.place(0.0, 0.0, 0.0, 20.0)
+    for _ in range(500):
+        plant.step(0.0, -3.0 * CAR.mass)
+    load = plant.observe(-3.0 * CAR.mass).load
+    gained = load[0] + load[1] - CAR.mass * GRAVITY * CAR.cg_to_rear_axle / CAR.wheelbase
+    assert gained == pytest.approx(CAR.mass * 3.0 * CAR.cg_height / CAR.wheelbase, rel=1e-3)
+
+
+def front_force_after_step(effects, steps):
+    plant = Plant(CAR, resolve("ideal", ["yaw_inertia_factor=2", "mass_factor=2", *effects]))
+    plant.place(0.0, 0.0, 0.0, 10.0)
+    for _ in range(steps):
+        plant.step(0.01 * CAR.steering_ratio, 0.0)
+    lateral = plant.observe(0.0).lateral
+    return lateral[0] + lateral[1]
+
+
+@pytest.mark.parametrize(("seconds", "share"), [(0.01, 1 - math.exp(-0.2)), (0.03, 1 - math.exp(-0.6))])
+def test_relaxation_delays_the_force_by_its_length(seconds, share):
+    """0.5 m at 10 m/s: the force of a steer step rises with 50 ms, while the heavy car hardly moves yet."""
+    delayed = front_force_after_step(["relaxation_length=0.5"], round(seconds / STEP))
+    assert delayed / front_force_after_step([], round(seconds / STEP)) == pytest.approx(share, abs=0.06)
+
+
+def test_combined_slip_costs_lateral_force():
+    """Same state, brakes on: each front wheel keeps sqrt(1 - (F_x / peak)^2) of its lateral force."""
+    free, bound = steady([]), steady(["combined_slip=1"])
+    bound.state = free.state
+    free, bound = free.observe(-6.0 * CAR.mass), bound.observe(-6.0 * CAR.mass)
+    for wheel in (0, 1):
+        peak = lateral_force(CAR.tyre_front, 1.0)(0.0, free.load[wheel], 1.0)[1]
+        share = math.sqrt(1 - (free.longitudinal[wheel] / peak) ** 2)
+        assert share < 0.9
+        assert bound.lateral[wheel] == pytest.approx(share * free.lateral[wheel])
+
+
+def test_bank_pulls_to_the_low_side_with_the_weight():
+    plant = Plant(CAR, resolve("ideal", ["bank_angle=0.05"]))
+    plant.place(0.0, 0.0, 0.0, 10.0)
+    # No slip yet, no tyre force: gravity alone.
+    assert plant.observe(0.0).acceleration_y == pytest.approx(-GRAVITY * math.sin(0.05), rel=1e-6)
+
+
+def test_wind_pushes_and_turns_with_the_heading():
+    pushes = []
+    for yaw in (0.0, math.pi):
+        plant = Plant(CAR, resolve("ideal", ["wind_speed=15"]))
+        plant.place(0.0, 0.0, yaw, 10.0)
+        plant.here = plant.environment.at(0.0, 0.0, yaw)
+        pushes.append(plant.observe(0.0).acceleration_y * CAR.mass)
+    # 1/2 rho A |w| w_y with 10 m/s of headwind and 15 m/s across.
+    assert pushes[0] == pytest.approx(0.5 * 1.2 * 2.5 * math.hypot(10, 15) * 15, rel=1e-6)
+    assert pushes[1] == pytest.approx(-pushes[0], rel=1e-6)
+
+
+def test_hillside_is_a_plane():
+    """Height depends on the place alone, whatever way led there."""
+    plant = Plant(CAR, resolve("ideal", ["hillside_slope=0.05"]))
+    plant.place(0.0, 0.0, 0.0, 8.0)
+    for _ in range(4000):
+        plant.step(2.5, 8000.0 * (8.0 - plant.state[VX]))
+    assert abs(plant.state[Y]) > 3.0
+    assert plant.state[Z] == pytest.approx(plant.state[Y] * math.tan(0.05), abs=0.02)
+
+
+def test_patches_lie_still_on_the_ground():
+    environment = Environment(resolve("ideal", ["friction_patch=0.5", "friction_factor=0.9"]), STEP, 0)
+    assert [environment.at(x, 5.0, 1.0).friction for x in (3.0, 12.0, 45.0, -35.0)] == pytest.approx(
+        [0.45, 0.9, 0.45, 0.45]
+    )
+
+
+def test_gusts_have_the_size_asked_for_and_follow_the_seed():
+    settings = resolve("ideal", ["gust_speed=4", "wind_speed=3"])
+    blown = [Environment(settings, STEP, seed) for seed in (1, 1, 2)]
+    winds = [np.array([e.at(0.0, 0.0, 0.0).wind_y for _ in range(200_000)]) for e in blown]
+    assert winds[0].std() == pytest.approx(4.0, rel=0.1)
+    assert winds[0].mean() == pytest.approx(3.0, abs=1.0)
+    assert (winds[0] == winds[1]).all() and (winds[0] != winds[2]).any()
+
+
+def test_cg_shift_moves_the_loads():
+    forward = steady(["cg_shift=0.2"])
+    assert forward.forces.load[0] / forward.forces.load[2] > 1.5
+    assert forward.to_front == pytest.approx(CAR.cg_to_front_axle - 0.2)
+
+
+def test_tremor_moves_the_hands_and_follows_the_seed():
+    def hand(effects, seed):
+        car = SimulatedCar(CAR, resolve("ideal", effects), load("S2"), seed)
+        angles = []
+        for i in range(2000):
+            car.advance(0.01 * i)
+            angles.append(car.driver.steering_wheel_angle)
+        return np.array(angles)
+
+    still, shaking = hand([], 1), hand(["driver_tremor=0.02"], 1)
+    assert 0.01 < (shaking - still).std() < 0.03
+    assert (shaking == hand(["driver_tremor=0.02"], 1)).all()
+    assert (shaking != hand(["driver_tremor=0.02"], 2)).any()
+
+
+def test_presets_and_files(tmp_path):
+    assert overrides(IDEAL) == {}
+    assert overrides(REALISTIC)["relaxation_length"] == 0.4
+    assert set(PRESETS) == {"ideal", "realistic"}
+    file = tmp_path / "windy.yaml"
+    file.write_text("preset: realistic\nwind_speed: 12\n")
+    settings = resolve(str(file), ["bank_angle=0.02"])
+    assert {k: v for k, v in settings.items() if v != REALISTIC[k]} == {"wind_speed": 12.0, "bank_angle": 0.02}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("wind: 3", "wind: no such setting"),
+        ("wind_speed: 99", "wind_speed: 99 is not within -40 to 40 m/s"),
+        ("wind_speed: fast", "wind_speed: 'fast' is not within"),
+        ("preset: perfect", "preset: 'perfect' is none of"),
+        ("- 1", "not a mapping"),
+        ("a: [", "is not YAML"),
+    ],
+)
+def test_bad_plant_file_is_named(tmp_path, text, said):
+    file = tmp_path / "plant.yaml"
+    file.write_text(text)
+    with pytest.raises(SimulationError, match=r"^[^\n]*plant\.yaml[^\n]*$") as caught:
+        resolve(str(file))
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "effect", ["bank_angle", "bank_angle=", "bank_angle=x", "bank_angle=nan", "bank_angle=2", "b=1"]
+)
+def test_bad_effect_is_named(effect):
+    with pytest.raises(SimulationError, match="--effect"):
+        resolve("ideal", [effect])

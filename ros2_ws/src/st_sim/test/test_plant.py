@@ -1,0 +1,147 @@
+"""The plant: balance of forces and energy, symmetry, steady states, step size, standstill."""
+
+import math
+
+import numpy as np
+import pytest
+from st_sim.car import GRAVITY, read_car
+from st_sim.plant import STEP, VX, VY, YAW, YAW_RATE, Plant, X, Y, Z
+from st_sim.settings import resolve
+from support import ROOT
+
+CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
+RATIO = CAR.steering_ratio
+
+
+def driven(settings, hand, force, seconds, speed=8.0, step=STEP):
+    """Plant after `seconds`; hand and force are functions of time and plant, applied in steps of STEP."""
+    plant = Plant(CAR, settings, step=step)
+    plant.place(0.0, 0.0, 0.0, speed)
+    per_input = round(STEP / step)
+    for i in range(round(seconds / STEP)):
+        angle, push = hand(i * STEP), force(i * STEP, plant)
+        for _ in range(per_input):
+            plant.step(angle, push)
+    return plant
+
+
+def wiggle(time):
+    return 1.5 * math.sin(2 * math.pi * 0.4 * time) + 0.8 * math.sin(2 * math.pi * 1.3 * time)
+
+
+def keep(speed):
+    return lambda time, plant: 3000.0 * (speed - plant.state[VX])
+
+
+@pytest.mark.parametrize("plant", ["ideal", "realistic"])
+def test_left_and_right_are_mirror_images(plant):
+    settings = resolve(plant)
+    left = driven(settings, wiggle, keep(8.0), 6.0)
+    right = driven(settings, lambda t: -wiggle(t), keep(8.0), 6.0)
+    mirror = np.ones(16)
+    for i in (Y, YAW, VY, YAW_RATE):
+        mirror[i] = -1
+    assert abs(left.state[Y]) > 1.0
+    for i in (X, Y, YAW, VX, VY, YAW_RATE):
+        assert left.state[i] == pytest.approx(mirror[i] * right.state[i], abs=1e-9)
+
+
+@pytest.mark.parametrize("plant", ["ideal", "realistic"])
+def test_half_the_step_gives_the_same_drive(plant):
+    settings = resolve(plant)
+    whole = driven(settings, wiggle, keep(8.0), 10.0)
+    half = driven(settings, wiggle, keep(8.0), 10.0, step=STEP / 2)
+    assert math.dist(whole.state[:2], half.state[:2]) < 1e-3
+    assert whole.state[YAW] == pytest.approx(half.state[YAW], abs=1e-4)
+
+
+@pytest.mark.parametrize("plant", ["ideal", "realistic"])
+def test_forces_add_up_to_the_motion(plant):
+    settings = resolve(plant, ["drag_area=0", "rolling_resistance=0"])
+    car = driven(settings, lambda t: 3.0, keep(8.0), 3.0)
+    before, force = car.state, 900.0
+    forces = car.observe(force)
+    assert sum(forces.load) == pytest.approx(car.mass * GRAVITY, rel=1e-9)
+    car.step(3.0, force)
+    change = (np.array(car.state) - np.array(before)) / STEP
+    # Acceleration over ground in body axes from the states, against what the sensors are given.
+    assert change[VX] - before[YAW_RATE] * before[VY] == pytest.approx(forces.acceleration_x, abs=0.02)
+    assert change[VY] + before[YAW_RATE] * before[VX] == pytest.approx(forces.acceleration_y, abs=0.02)
+    assert change[YAW_RATE] == pytest.approx(forces.yaw_acceleration, abs=0.02)
+    assert sum(forces.lateral) == pytest.approx(car.mass * forces.acceleration_y, rel=0.1)
+
+
+@pytest.mark.parametrize("plant", ["ideal", "realistic"])
+def test_without_drive_the_energy_only_falls(plant):
+    car = Plant(CAR, resolve(plant))
+    car.place(0.0, 0.0, 0.0, 15.0)
+    energies = []
+    for i in range(3000):
+        s = car.state
+        energies.append(0.5 * car.mass * (s[VX] ** 2 + s[VY] ** 2) + 0.5 * car.yaw_inertia * s[YAW_RATE] ** 2)
+        car.step(wiggle(i * STEP), 0.0)
+    fall = -np.diff(energies)
+    # A relaxing tyre is a spring and may give a little back when the steering turns round: at most 0.01 % of a stroke.
+    assert fall.min() > -1e-4 * energies[0] * STEP * 50
+    assert energies[-1] < 0.97 * energies[0]
+
+
+def test_drive_power_is_what_the_speed_gains_on_a_straight():
+    car = driven(resolve("ideal"), lambda t: 0.0, lambda t, p: 1590.0, 4.0, speed=5.0)
+    assert car.state[VX] == pytest.approx(5.0 + 4.0, rel=1e-3)
+    assert car.state[Y] == 0.0
+
+
+def steady_circle(plant, road_wheel_angle, speed):
+    """(v_y, yaw rate, lateral acceleration) the plant settles to at v_x = speed."""
+    integral = 0.0
+    plant.place(0.0, 0.0, 0.0, speed, math.tan(road_wheel_angle) / CAR.wheelbase)
+    for _ in range(6000):
+        error = speed - plant.state[VX]
+        integral += error * STEP
+        plant.step(road_wheel_angle * RATIO, plant.mass * (8 * error + 8 * integral))
+    return plant.state[VY], plant.state[YAW_RATE], plant.observe(0.0).acceleration_y
+
+
+@pytest.mark.parametrize(
+    ("speed", "road_wheel_deg", "nonlinear_yaw_rate", "nonlinear_v_y"),
+    # Steady state of the paper's nonlinear single-track model for S3 and S4 as paper_notes.md derives them from the
+    # error table (root of the paper's equations). The plant turns up to 4 % more: its driven front wheels pull into
+    # the bend, which the model, whose input is the acceleration, leaves out.
+    [(6.59, 14.20, 0.5506, 0.6710), (8.56, 15.21, 0.7050, 0.6472)],
+)
+def test_ideal_plant_is_close_to_the_nonlinear_single_track_model(
+    speed, road_wheel_deg, nonlinear_yaw_rate, nonlinear_v_y
+):
+    v_y, yaw_rate, _ = steady_circle(Plant(CAR, resolve("ideal")), math.radians(road_wheel_deg), speed)
+    assert yaw_rate == pytest.approx(nonlinear_yaw_rate, rel=0.04)
+    assert v_y == pytest.approx(nonlinear_v_y, abs=0.03)
+
+
+@pytest.mark.parametrize("plant", ["ideal", "realistic"])
+@pytest.mark.parametrize("effects", [[], ["grade_angle=0.08"], ["bank_angle=0.05"]])
+def test_braked_to_rest_it_stays_there(plant, effects):
+    car = driven(resolve(plant, effects), lambda t: 2.0, lambda t, p: -3000.0, 8.0, speed=4.0)
+    place = car.state[:4]
+    assert car.parked and car.state[VX] == car.state[VY] == car.state[YAW_RATE] == 0.0
+    for _ in range(500):
+        car.step(2.0, -3000.0)
+    assert car.state[:4] == place
+    assert car.observe(-3000.0).acceleration_x == 0.0
+
+
+def test_pulls_away_again():
+    car = driven(resolve("realistic"), lambda t: 2.0, lambda t, p: -3000.0 if t < 4 else 1500.0, 8.0, speed=4.0)
+    assert car.state[VX] > 2.0
+
+
+def test_climbs_what_the_grade_says():
+    car = driven(resolve("ideal", ["grade_angle=0.05"]), lambda t: 0.0, keep(10.0), 5.0, speed=10.0)
+    assert car.state[Z] / car.state[X] == pytest.approx(math.tan(0.05), rel=1e-6)
+
+
+@pytest.mark.parametrize("effects", [[], ["friction_factor=0.2"], ["relaxation_length=2.0"], ["mass_factor=2"]])
+def test_finite_through_a_spin(effects):
+    car = driven(resolve("realistic", effects), lambda t: 9.0, lambda t, p: 4000.0 * math.sin(3 * t), 12.0, speed=18.0)
+    assert all(map(math.isfinite, car.state))
+    assert abs(car.state[VX]) < 40.0

@@ -1,0 +1,57 @@
+"""The tyre law: slope, peak, load, symmetry, and the numbers of the paper's table."""
+
+import math
+
+import pytest
+from st_sim.car import GRAVITY, read_car
+from st_sim.tyres import lateral_force, left_by_ellipse
+from support import ROOT
+
+CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
+STATIC_FRONT = CAR.mass * GRAVITY * CAR.cg_to_rear_axle / CAR.wheelbase / 2
+STATIC_REAR = CAR.mass * GRAVITY * CAR.cg_to_front_axle / CAR.wheelbase / 2
+
+
+def test_scaling_factors_of_the_paper():
+    assert CAR.tyre_front.lambda_ky == pytest.approx(0.4231, abs=5e-4)
+    assert CAR.tyre_rear.lambda_ky == pytest.approx(0.959, abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("tyre", "load", "axle_stiffness"),
+    [(CAR.tyre_front, STATIC_FRONT, 70000.0), (CAR.tyre_rear, STATIC_REAR, 106000.0)],
+)
+def test_slope_at_static_load_is_half_the_axle_stiffness(tyre, load, axle_stiffness):
+    force, _ = lateral_force(tyre, 1.0)(1e-5, load, 1.0)
+    assert force / 1e-5 == pytest.approx(-axle_stiffness / 2, rel=1e-4)
+
+
+@pytest.mark.parametrize("tyre", [CAR.tyre_front, CAR.tyre_rear])
+def test_odd_limited_by_the_peak_and_degressive_in_load(tyre):
+    force = lateral_force(tyre, 1.0)
+    angles = [math.radians(0.5 * i) for i in range(1, 60)]
+    curve = [force(a, 4000.0, 1.0)[0] for a in angles]
+    assert [-f for f in curve] == pytest.approx([force(-a, 4000.0, 1.0)[0] for a in angles])
+    peak = force(0.1, 4000.0, 1.0)[1]
+    # C < 2 brings the sine to its top, where the force is D itself.
+    assert 0.95 * peak < max(map(abs, curve)) <= peak
+    # Two unequal wheels carry less than two equal ones: why load transfer costs grip.
+    assert abs(force(0.08, 2500.0, 1.0)[0] + force(0.08, 5500.0, 1.0)[0]) < 0.995 * abs(2 * force(0.08, 4000.0, 1.0)[0])
+
+
+def test_friction_scales_the_peak_and_not_the_slope():
+    force = lateral_force(CAR.tyre_front, 1.0)
+    assert force(1e-5, 4000.0, 0.5)[0] == pytest.approx(force(1e-5, 4000.0, 1.0)[0], rel=1e-4)
+    assert force(0.5, 4000.0, 0.5)[0] == pytest.approx(0.5 * force(0.5, 4000.0, 1.0)[0], rel=0.05)
+
+
+def test_stiffness_factor_scales_the_slope():
+    assert lateral_force(CAR.tyre_rear, 1.3)(1e-5, 3000.0, 1.0)[0] == pytest.approx(
+        1.3 * lateral_force(CAR.tyre_rear, 1.0)(1e-5, 3000.0, 1.0)[0], rel=1e-6
+    )
+
+
+def test_ellipse():
+    assert left_by_ellipse(0.0, 4000.0) == 1.0
+    assert left_by_ellipse(2400.0, 4000.0) == pytest.approx(0.8)
+    assert left_by_ellipse(-4000.0, 4000.0) == left_by_ellipse(5000.0, 4000.0) == 0.0
