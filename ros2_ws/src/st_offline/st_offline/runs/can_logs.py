@@ -1,0 +1,195 @@
+"""CAN logs of every kind to one column set: MF4 of a CANedge2, candump, and Vector's and PEAK's files."""
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+from can.io import asc, blf, canutils, trc
+
+from .errors import RunError, check_readable
+from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, joined, without_duplicates
+from .mf4 import MAKERS_CONTAINERS, read_mf4, refuse_makers_container, session_of
+
+BLOCK = 65536
+# A wall clock, not seconds since the start of the log.
+ABSOLUTE_FROM = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Format:
+    """How python-can reads a text or binary log. extensions: lower case. mark: whether the head of a file is of it."""
+
+    name: str
+    extensions: tuple[str, ...]
+    mark: Callable[[bytes], bool]
+    reader: Callable[[str], Iterable[can.Message]]
+
+
+def _is_candump(head: bytes) -> bool:
+    line = head.lstrip().split(b"\n", 1)[0]
+    return line.startswith(b"(") and b") " in line and b"#" in line
+
+
+FORMATS = (
+    Format("candump", (".log", ".candump"), _is_candump, canutils.CanutilsLogReader),
+    Format("Vector ASC", (".asc",), lambda head: head.lstrip()[:5].lower() == b"date " or b"\nbase hex" in head,
+           lambda file: asc.ASCReader(file, relative_timestamp=False)),
+    Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), blf.BLFReader),
+    Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or b";   Message Number" in head,
+           trc.TRCReader),
+)
+MF4_EXTENSIONS = (".mf4", ".mdf")
+EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *MAKERS_CONTAINERS}
+
+
+@dataclass(frozen=True)
+class CanLog:
+    """One recording of one logger, whatever number of files it came in.
+
+    absolute: whether times are UTC (as the logger's clock has it); else they count from the start of the log.
+    warnings: whole sentences that name the file.
+    """
+
+    frames: Frames
+    files: tuple[Path, ...]
+    absolute: bool = True
+    warnings: tuple[str, ...] = field(default=())
+
+
+def read_can_logs(files: Sequence[Path]) -> CanLog:
+    """All frames of the files of one run, merged by time; splits of a session are joined, two buses too.
+
+    Raises RunError when none of them can be used. One bad file among several costs a warning.
+    """
+    parts: list[Frames] = []
+    warnings: list[str] = []
+    errors: list[RunError] = []
+    absolute: set[bool] = set()
+    good: list[Path] = []
+    for file in sorted(files, key=lambda f: (*session_of(f), str(f))):
+        try:
+            frames, is_absolute, notes = _read_one(file)
+        except RunError as error:
+            errors.append(error)
+            continue
+        parts.append(frames)
+        good.append(file)
+        absolute.add(is_absolute)
+        warnings += [f"{file}: {note}" for note in notes]
+    if not parts:
+        raise errors[0] if errors else RunError("CAN log", "no file given")
+    if len(absolute) > 1:
+        raise RunError(good[0], "one log counts in UTC, another from its own start", "give them one by one")
+    frames, repeated = without_duplicates(joined(parts))
+    if repeated:
+        warnings.append(f"{good[0]}: {repeated} frames are in the log twice; one of each was kept")
+    warnings += [str(error) for error in errors] + _missing_splits(good)
+    return CanLog(frames, tuple(good), absolute.pop(), tuple(warnings))
+
+
+def _read_one(file: Path) -> tuple[Frames, bool, Sequence[str]]:
+    check_readable(file)
+    refuse_makers_container(file)
+    with file.open("rb") as stream:
+        head = stream.read(4096)
+    if head[:4] in (b"MDF ", b"UnFi"):
+        log = read_mf4(file)
+        return log.frames, True, log.warnings
+    found = next((f for f in FORMATS if f.mark(head)), None)
+    if found is None:
+        if file.suffix.lower() in MF4_EXTENSIONS:
+            read_mf4(file)  # raises: says what is wrong with it as an MF4
+        known = ", ".join(["MF4", *(f.name for f in FORMATS)])
+        raise RunError(file, f"this is no CAN log that can be read ({known})", "take it off the list, or convert it")
+    notes = []
+    if file.suffix.lower() not in found.extensions:
+        notes.append(f"is a {found.name} log under the extension {file.suffix or '(none)'}; read as what it is")
+    frames, trouble = _through_python_can(file, found)
+    return frames, bool(frames.time_ns[0] >= ABSOLUTE_FROM * 10**9), [*notes, *trouble]
+
+
+def _through_python_can(file: Path, kind: Format) -> tuple[Frames, list[str]]:
+    parts: list[Frames] = []
+    trouble: list[str] = []
+    try:
+        messages = _until_damage(iter(kind.reader(str(file))), trouble)
+        while block := list(itertools.islice(messages, BLOCK)):
+            parts.append(_columns(block))
+    except Exception as error:  # the readers let anything through: a head that only looks like one, a missing file
+        what = f"cannot be read as a {kind.name} log ({_short(error)})"
+        raise RunError(file, what, "copy or export it again") from None
+    if not parts:
+        what = f"no whole frame is in it ({trouble[0]})" if trouble else "the log holds no frames"
+        raise RunError(file, what, "copy or export it again")
+    frames = parts[0] if len(parts) == 1 else _in_file_order(parts)
+    frames, steps = continued(frames)
+    trouble += [f"the logger's clock was set back by {-size:.3f} s; the rest was put behind it" for _, size in steps]
+    return joined([frames]), trouble
+
+
+def _until_damage(messages: Any, trouble: list[str]) -> Iterable[can.Message]:
+    """The frames up to the first that cannot be read."""
+    count = 0
+    while True:
+        try:
+            message = next(messages)
+        except StopIteration:
+            return
+        except Exception as error:
+            trouble.append(f"is cut or damaged behind frame {count} ({_short(error)}); read up to there")
+            return
+        count += 1
+        yield message
+
+
+def _columns(messages: Sequence[can.Message]) -> Frames:
+    width = 64 if any(len(m.data) > 8 for m in messages) else 8
+    ids = [m.arbitration_id | (EXTENDED if m.is_extended_id else 0) for m in messages]
+    flags = [(SENT if not m.is_rx else 0) | (REMOTE if m.is_remote_frame else 0) | (ERROR if m.is_error_frame else 0)
+             | (FD if m.is_fd else 0) for m in messages]
+    payload = b"".join([bytes(m.data).ljust(width, b"\0") for m in messages])
+    seconds = np.array([m.timestamp for m in messages])
+    return Frames(
+        # Microseconds: the finest any of these formats writes, so float seconds come back as they were.
+        time_ns=np.round(seconds * 1e6).astype(np.int64) * 1000,
+        id=np.array(ids, np.uint32), payload=np.frombuffer(payload, np.uint8).reshape(-1, width),
+        length=np.array([len(m.data) for m in messages], np.uint8),
+        bus=np.array([_bus(m.channel) for m in messages], np.uint8), flags=np.array(flags, np.uint8),
+    )
+
+
+def _bus(channel: Any) -> int:
+    """Number of a bus as in MF4, from 1: can0 -> 1, channel 0 -> 1; 0 where there is none."""
+    if isinstance(channel, int):
+        return (channel + 1) % 256
+    digits = "".join(itertools.takewhile(str.isdigit, reversed(str(channel or ""))))[::-1]
+    return (int(digits) + 1) % 256 if digits else 0
+
+
+def _in_file_order(parts: Sequence[Frames]) -> Frames:
+    width = max(p.payload.shape[1] for p in parts)
+    return Frames(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("time_ns", "id")),
+                  np.concatenate([np.pad(p.payload, ((0, 0), (0, width - p.payload.shape[1]))) for p in parts]),
+                  *(np.concatenate([getattr(p, name) for p in parts]) for name in ("length", "bus", "flags")))
+
+
+def _missing_splits(files: Sequence[Path]) -> list[str]:
+    sessions: dict[str, list[int]] = {}
+    for file in files:
+        session, split = session_of(file)
+        sessions.setdefault(session, []).append(split)
+    missing = []
+    for session, splits in sessions.items():
+        absent = sorted(set(range(min(splits), max(splits) + 1)) - set(splits))
+        if absent:
+            numbers = ", ".join(map(str, absent))
+            missing.append(f"{session}: split {numbers} of the session is missing: a gap in the log")
+    return missing
+
+
+def _short(error: Exception) -> str:
+    return (" ".join(str(error).split()) or type(error).__name__)[:100]

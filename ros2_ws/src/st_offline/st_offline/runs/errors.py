@@ -1,0 +1,23 @@
+"""What goes wrong with files: one sentence for the user, naming the file and what to do."""
+
+from pathlib import Path
+
+
+class RunError(ValueError):
+    """A run, or a file of one, that cannot be used."""
+
+    def __init__(self, path: Path | str, what: str, advice: str = ""):
+        self.path, self.what, self.advice = path, what, advice
+        super().__init__(f"{path}: {what}" + (f"; {advice}" if advice else ""))
+
+
+def check_readable(path: Path) -> None:
+    """Raises RunError for a file that is missing, empty or not to be opened."""
+    try:
+        if not path.is_file():
+            raise RunError(path, "there is no such file" if not path.exists() else "this is a folder, not a file")
+        with path.open("rb") as stream:
+            if not stream.read(1):
+                raise RunError(path, "the file is empty", "it holds no recording: take it off the list")
+    except OSError as error:
+        raise RunError(path, f"cannot be read: {error.strerror}") from None

@@ -1,0 +1,105 @@
+"""CAN frames of a log as columns: a million frames are six arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from canedge_bridge.log_decode import EXTENDED
+
+SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames in order of time. One row per frame:
+
+    time_ns: int64, UTC on the logger's clock. id: uint32, plus EXTENDED for 29-bit ones. length: uint8, bytes.
+    payload: (n, 8) uint8, (n, 64) if there are longer ones; 0 behind the end of the frame. bus: uint8, 0 if not known.
+    flags: uint8, SENT by the logger | REMOTE | ERROR | FD.
+    """
+
+    time_ns: np.ndarray
+    id: np.ndarray
+    payload: np.ndarray
+    length: np.ndarray
+    bus: np.ndarray
+    flags: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def select(self, rows: np.ndarray | slice) -> "Frames":
+        return Frames(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    @property
+    def is_data(self) -> np.ndarray:
+        return self.flags & (REMOTE | ERROR) == 0
+
+    def shifted(self, time_ns: np.ndarray) -> "Frames":
+        """The same frames with other times."""
+        return replace(self, time_ns=time_ns)
+
+
+def empty() -> Frames:
+    return Frames(np.zeros(0, np.int64), np.zeros(0, np.uint32), np.zeros((0, 8), np.uint8), np.zeros(0, np.uint8),
+                  np.zeros(0, np.uint8), np.zeros(0, np.uint8))
+
+
+def joined(parts: Sequence[Frames]) -> Frames:
+    """All frames, in order of time; frames of equal time stay in the order of the parts."""
+    parts = [p for p in parts if len(p)]
+    if not parts:
+        return empty()
+    width = max(p.payload.shape[1] for p in parts)
+    parts = [replace(p, payload=_widened(p.payload, width)) for p in parts]
+    one = parts[0] if len(parts) == 1 else Frames(
+        **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Frames)})
+    if len(one) > 1 and (one.time_ns[1:] < one.time_ns[:-1]).any():
+        one = one.select(np.argsort(one.time_ns, kind="stable"))
+    return one
+
+
+def _widened(payload: np.ndarray, width: int) -> np.ndarray:
+    if payload.shape[1] == width:
+        return payload
+    wide = np.zeros((len(payload), width), np.uint8)
+    wide[:, : payload.shape[1]] = payload
+    return wide
+
+
+def without_duplicates(frames: Frames) -> tuple[Frames, int]:
+    """Without frames that are the same as the one before in everything, time included; and how many they were."""
+    if len(frames) < 2:
+        return frames, 0
+    same = (frames.time_ns[1:] == frames.time_ns[:-1]) & (frames.id[1:] == frames.id[:-1])
+    same &= (frames.bus[1:] == frames.bus[:-1]) & (frames.length[1:] == frames.length[:-1])
+    rows = np.nonzero(same)[0]
+    rows = rows[(frames.payload[rows] == frames.payload[rows + 1]).all(axis=1)]
+    if not len(rows):
+        return frames, 0
+    keep = np.ones(len(frames), dtype=bool)
+    keep[rows + 1] = False
+    return frames.select(keep), len(rows)
+
+
+def continued(frames: Frames, smallest: float = 0.005) -> tuple[Frames, list[tuple[int, float]]]:
+    """Frames in the order they were written, with a clock that was set back on the way put forward again.
+
+    A logger writes frames as they come, so time that runs backwards is its clock being set. The frames after the step
+    go on where those before it ended; what is lost is the true gap between two frames, a millisecond on a busy bus.
+
+    Returns the frames and the steps: (time before it in ns, size in s, negative).
+    """
+    steps = np.diff(frames.time_ns)
+    back = np.nonzero(steps < -smallest * 1e9)[0]
+    if not len(back):
+        return frames, []
+    correction = np.zeros(len(frames), dtype=np.int64)
+    usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
+    for row in back:
+        correction[row + 1 :] += usual - steps[row]
+    found = [(int(frames.time_ns[row]), float(steps[row]) * 1e-9) for row in back]
+    return frames.shifted(frames.time_ns + correction), found
+
+
+__all__ = ["ERROR", "EXTENDED", "FD", "REMOTE", "SENT", "Frames", "continued", "empty", "joined", "without_duplicates"]
