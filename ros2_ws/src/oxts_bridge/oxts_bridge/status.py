@@ -9,7 +9,7 @@ from .geodesy import origin_from_channel_25, wrap_degrees
 # Fields that only make sense together with others; the derived value stands for them.
 PARTS = frozenset(
     {"GpsMinutes", "UpTimeCode", "WSpeedMilliseconds", "OldRefX", "OldRefY", "OldRefHeading"}
-    | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel] if not name.endswith("Count")})
+    | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]})
 LOCAL_FRAME = ("RefLat", "RefLon", "RefAlt", "RefHeading")
 # A filtered lag forgets with this share per message (vendor's choice).
 _LAG_SHARE = 0.01
@@ -86,22 +86,20 @@ class StatusTracker:
 
     def _trigger(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
         time = trigger_nanoseconds(data)
-        count = next(name for name in fields if name.endswith("Count"))
-        name = count.removesuffix("Count") + "Time"
-        for part in [part for part in fields if part != count]:
-            del fields[part]
+        name = next(iter(fields)).removesuffix("Minutes") + "Time"
+        fields.clear()
         fields[name] = self.values.get(name) if time is None else time / 1e9
 
     def _wheel_speed(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
         """Minute of the count: the one that puts it nearest to the packet. Frequency between two counts [pulse/s]."""
         milliseconds = fields.pop("WSpeedMilliseconds")
-        fields["WSpeedTime"] = fields["WSpeedFreq"] = None
+        fields["WSpeedTime"] = None
         if milliseconds is None or gps_seconds is None:
-            return
+            return  # no new time, so no new frequency: the last one stands
         time = 60.0 * round((gps_seconds - milliseconds * 1e-3) / 60.0) + milliseconds * 1e-3
         count = fields["WSpeedCount"]
-        if self._wheel is not None and time > self._wheel[0]:
-            fields["WSpeedFreq"] = (count - self._wheel[1]) / (time - self._wheel[0])
+        forward = self._wheel is not None and time > self._wheel[0]
+        fields["WSpeedFreq"] = (count - self._wheel[1]) % (1 << 32) / (time - self._wheel[0]) if forward else None
         self._wheel = time, count
         fields["WSpeedTime"] = time
 

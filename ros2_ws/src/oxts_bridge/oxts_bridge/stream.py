@@ -142,8 +142,9 @@ class NcomParser:
                 counters.late += 1
             self._last_raw = raw
         elif rule.trigger:
-            gps_ns = channels.trigger_nanoseconds(packet.batch_s) if packet.channel in channels.TRIGGER_CHANNELS else None
             counters.triggers += 1
+            if packet.channel in channels.TRIGGER_CHANNELS:
+                gps_ns = channels.trigger_nanoseconds(packet.batch_s)
             if gps_ns is None:
                 kind = "empty"
             elif raw == self._last_trigger:
