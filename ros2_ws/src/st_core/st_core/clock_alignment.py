@@ -263,10 +263,10 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
     if r_second > AMBIGUOUS * r_first:
         doubts.append(f"another offset fits nearly as well: {result.second_peak[0]:+.2f} s with correlation "
                       f"{r_second:.2f} against {result.peak[0]:+.2f} s with {r_first:.2f} (repeated laps?)")
-    if result.offset_deviation > USABLE_DEVIATION:
-        refusals.append(f"too little motion: the offset is only known to {result.offset_deviation * 1e3:.0f} ms")
-    elif result.offset_deviation > GOOD_DEVIATION:
-        doubts.append(f"little motion: the offset is only known to {result.offset_deviation * 1e3:.1f} ms")
+    if solution.offset_deviation > USABLE_DEVIATION:
+        refusals.append(f"too little motion: the offset is only known to {solution.offset_deviation * 1e3:.0f} ms")
+    elif solution.offset_deviation > GOOD_DEVIATION:
+        doubts.append(f"little motion: the offset is only known to {solution.offset_deviation * 1e3:.1f} ms")
     for row in result.signals:
         if abs(row.difference) > max(AGREEMENT, 3 * row.deviation):
             doubts.append(f"{row.name} by itself gives an offset {row.difference * 1e3:+.1f} ms away")

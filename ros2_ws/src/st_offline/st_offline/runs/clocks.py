@@ -1,0 +1,126 @@
+"""One time for the INS recording and the CAN log: which signals both hold, and what follows for the clocks."""
+
+from dataclasses import replace
+
+import numpy as np
+from st_core.clock_alignment import (
+    Alignment,
+    SharedSignal,
+    Verdict,
+    align,
+    align_by_time_frame,
+    by_hand,
+    rate_of_angle,
+    refused,
+    standstill_masked,
+)
+
+from .can_signals import CanSignals, Signal
+from .ncom import Motion
+
+# What lies between the instant an INS value is true and its CAN frame reaching the logger: calculation, then the queue.
+INS_ON_CAN_LATENCY, INS_ON_CAN_LATENCY_DEVIATION = 0.002, 0.001  # s
+# Wheel speeds are counted over a period before they are sent; yaw follows the steering wheel by a car's response time.
+WHEEL_SPEED_LATENCY, WHEEL_SPEED_LATENCY_DEVIATION = 0.015, 0.015
+STEERING_LEAD, STEERING_LEAD_DEVIATION = -0.06, 0.06
+
+SMALLEST = {"speed": 0.3, "rate": 0.01, "curvature": 0.001}  # standard deviation [m/s, rad/s, 1/m] that tells something
+CURVATURE_FROM = 3.0  # m/s; slower, yaw rate over speed is noise
+TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
+METHODS_DIFFER = 0.01  # s
+
+
+def shared_signals(ins: Motion, can: CanSignals) -> list[SharedSignal]:
+    """What both recordings hold of the INS's own signals: forward velocity, yaw rate, yaw."""
+    reference = _masked(ins, ins.time_ns, ins.velocity_x), _masked(ins, ins.time_ns, ins.yaw_rate)
+    speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
+    pairs = [_pair(f"forward velocity ({s.message})", "speed", ins.time_ns, reference[0], s, speed)
+             for s in can.all_of("ins_velocity_x")]
+    pairs += [_pair(f"yaw rate ({s.message})", "rate", ins.time_ns, reference[1], s, speed)
+              for s in can.all_of("ins_yaw_rate")]
+    for signal in can.all_of("ins_yaw"):
+        if ins.yaw is None:
+            continue
+        reference_ns, reference_rate = rate_of_angle(ins.time_ns, ins.yaw)
+        other_ns, rate = rate_of_angle(signal.time_ns, signal.values)
+        turned = replace(signal, time_ns=other_ns, values=rate)
+        pairs.append(_pair(f"yaw ({signal.message})", "rate", reference_ns, _masked(ins, reference_ns, reference_rate),
+                           turned, speed))
+    return pairs
+
+
+def substitute_signals(ins: Motion, can: CanSignals) -> tuple[list[SharedSignal], str]:
+    """For a log without INS frames: wheel speed, else steering against curvature; and the warning that goes with it."""
+    speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
+    if speed is not None:
+        values = _masked(ins, ins.time_ns, np.abs(ins.velocity_x))
+        pair = _pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed)
+        return ([replace(pair, latency=WHEEL_SPEED_LATENCY, latency_uncertainty=WHEEL_SPEED_LATENCY_DEVIATION)],
+                "the log holds no INS frames: aligned by the wheel speed, whose own delay is not known")
+    steering = can.first_of("steering_wheel_angle")
+    if steering is None:
+        return [], ""
+    fast = np.abs(ins.velocity_x) > CURVATURE_FROM
+    curvature = np.where(fast, ins.yaw_rate / np.where(fast, ins.velocity_x, 1.0), np.nan)
+    pair = SharedSignal("curvature against steering", ins.time_ns, curvature, steering.time_ns, steering.values,
+                        STEERING_LEAD, STEERING_LEAD_DEVIATION, SMALLEST["curvature"])
+    return [pair], ("the log holds no INS frames and no wheel speed: aligned by steering against yaw rate, which lags "
+                    "by the response time of the car")
+
+
+def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
+                 ) -> tuple[Alignment, list[SharedSignal]]:
+    """The alignment of a run (reference: INS), and the signals it rests on or can be looked at with.
+
+    By hand, if `offset` [s] (INS minus CAN clock) is given; else by the INS's own time frame on CAN, checked against
+    the shared signals; else by these; else by a substitute, never better than doubtful. search: bounds of the offset [s].
+    """
+    pairs = shared_signals(ins, can)
+    warning = ""
+    if not pairs:
+        pairs, warning = substitute_signals(ins, can)
+    if offset is not None:
+        at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
+        return by_hand(round(offset * 1e9), at_ns), pairs
+    if ins.absolute and (frames := _time_frames(can)) is not None:
+        return _checked_time_frame(frames, pairs if not warning else [], search), pairs
+    if not pairs:
+        return refused("the CAN log holds no signal that the INS recording has too; give the offset by hand"), pairs
+    result = align(pairs, search=search)
+    return (result.doubted(warning) if warning else result), pairs
+
+
+def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], search: tuple[float, float] | None) -> Alignment:
+    known = np.isfinite(frames.values)
+    result = align_by_time_frame(frames.time_ns[known], np.round(frames.values[known] * 1e6).astype(np.int64) * 1000,
+                                 TIME_FRAME_RESOLUTION.get(frames.message, 0.01),
+                                 INS_ON_CAN_LATENCY, INS_ON_CAN_LATENCY_DEVIATION)
+    if not pairs:
+        return result
+    check = align(pairs, search=search)
+    if check.verdict is Verdict.REFUSED:
+        return result.doubted(f"the shared signals do not confirm it: {check.reasons[-1]}")
+    difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9
+    result = replace(result, signals=check.signals, peak=check.peak, second_peak=check.second_peak)
+    if abs(difference) > METHODS_DIFFER:
+        return result.doubted(f"the shared signals put the offset {difference * 1e3:+.0f} ms away")
+    return result
+
+
+def _time_frames(can: CanSignals) -> Signal | None:
+    """The finer of the time frames in the log, if the unit had its time when it sent it."""
+    found = [s for s in can.all_of("ins_unix_time") if np.isfinite(s.values).sum() > 1]
+    return min(found, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0), default=None)
+
+
+def _pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,
+          ) -> SharedSignal:
+    other = signal.values
+    if speed is not None:
+        other = standstill_masked(signal.time_ns, other, speed.time_ns, speed.values)
+    return SharedSignal(name, time_ns, values, signal.time_ns, other, INS_ON_CAN_LATENCY, INS_ON_CAN_LATENCY_DEVIATION,
+                        SMALLEST[kind])
+
+
+def _masked(ins: Motion, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return standstill_masked(time_ns, values, ins.time_ns, ins.velocity_x)

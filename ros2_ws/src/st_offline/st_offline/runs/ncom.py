@@ -1,0 +1,159 @@
+"""The INS recording: .ncom, or .xcom searched for NCOM packets; poses, velocities, rates in the axes of the suite."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from oxts_bridge import batch
+from oxts_bridge.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
+from oxts_bridge.navigation import BY_STATUS
+from oxts_bridge.ncom import NcomError
+
+from .errors import RunError, check_readable
+
+EXTENSIONS = (".ncom", ".xcom")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What clock alignment needs of an INS recording: SI, body axes, yaw from east; absolute: times are UTC."""
+
+    time_ns: np.ndarray
+    velocity_x: np.ndarray
+    yaw_rate: np.ndarray
+    yaw: np.ndarray | None = None
+    absolute: bool = True
+
+
+@dataclass(frozen=True)
+class InsLog:
+    """Every packet with a fix. time_ns: UTC of the measurement, strictly increasing.
+
+    position: (3, n) east, north, up of `origin` [m], INS point. yaw: from east counter-clockwise, unwrapped; pitch:
+    nose down +, roll: right side down + [rad] (axes forward, left, up). velocity: (3, n) body axes [m/s]. rate: (3, n)
+    body axes [rad/s]. acceleration: (3, n) specific force, body axes [m/s^2]. origin: latitude, longitude [rad],
+    altitude [m]. columns, rows: the whole file, and which of its packets these are.
+    """
+
+    file: Path
+    time_ns: np.ndarray
+    position: np.ndarray
+    yaw: np.ndarray
+    pitch: np.ndarray
+    roll: np.ndarray
+    velocity: np.ndarray
+    rate: np.ndarray
+    acceleration: np.ndarray
+    origin: tuple[float, float, float]
+    columns: batch.Columns
+    rows: np.ndarray
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def motion(self) -> Motion:
+        return Motion(self.time_ns, self.velocity[0], self.rate[2], self.yaw)
+
+
+def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> InsLog:
+    """Decode a file.
+
+    origin: of the map frame, latitude, longitude [rad], altitude [m]; default the first fix.
+    Raises RunError for what holds no NCOM, no fix or no time.
+    """
+    check_readable(file)
+    try:
+        columns = batch.decode_file(file)
+    except NcomError as error:
+        what = str(error).removeprefix(f"{file}: ")
+        raise RunError(file, what, "take it off the list, or give the right file") from None
+    warnings = _damage(columns, file)
+    regular = (columns.kind == batch.REGULAR) & (columns.order == batch.NEW)
+    fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
+    fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
+    if not fix.any():
+        raise RunError(file, f"no packet has a fix; navigation status: {_statuses(columns)}",
+                       "record with the unit locked (status 4), or post-process the raw data")
+    timed = fix & (columns.utc_ns != batch.UNKNOWN_TIME)
+    if not timed.any():
+        raise RunError(file, "no packet says what minute it is (status channel 0 is missing)",
+                       "record for more than a few seconds; the unit sends it every 200 packets")
+    rows, note = _one_time(np.nonzero(timed)[0], columns.utc_ns)
+    warnings += [f"{file}: {note}"] if note else []
+    return _in_our_axes(file, columns, rows, origin, tuple(warnings))
+
+
+def _in_our_axes(file: Path, columns: batch.Columns, rows: np.ndarray, origin: tuple[float, float, float] | None,
+                 warnings: tuple[str, ...]) -> InsLog:
+    latitude, longitude, altitude = (c[rows] for c in (columns.latitude, columns.longitude, columns.altitude))
+    origin = origin or (float(latitude[0]), float(longitude[0]), float(altitude[0]))
+    # FRD about NED -> FLU about ENU: y and z change sign, and with them pitch and the rates about them.
+    flip = np.array([[1.0], [-1.0], [-1.0]])
+    yaw = np.unwrap(np.pi / 2 - columns.heading[rows])
+    pitch, roll = -columns.pitch[rows], columns.roll[rows]
+    north, east, down = columns.velocity_ned[:, rows]
+    return InsLog(
+        file=file, time_ns=columns.utc_ns[rows], position=enu(origin, latitude, longitude, altitude),
+        yaw=yaw, pitch=pitch, roll=roll, velocity=to_body(np.stack([east, north, -down]), yaw, pitch, roll),
+        rate=columns.angular_rate[:, rows] * flip, acceleration=columns.acceleration[:, rows] * flip, origin=origin,
+        columns=columns, rows=rows, warnings=warnings,
+    )
+
+
+def to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """(3, n) map axes -> body axes:  (Rz(yaw) Ry(pitch) Rx(roll))^T v,  axes forward, left, up."""
+    x, y, z = vector
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = c * x + s * y, -s * x + c * y
+    c, s = np.cos(pitch), np.sin(pitch)
+    x, z = c * x - s * z, s * x + c * z
+    c, s = np.cos(roll), np.sin(roll)
+    return np.stack([x, c * y + s * z, -s * y + c * z])
+
+
+def enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.ndarray,
+        altitude: np.ndarray) -> np.ndarray:
+    """(3, n) east, north, up [m] of the origin's tangent plane, the columns of oxts_bridge.geodesy.LocalFrame."""
+    dx, dy, dz = ecef(latitude, longitude, altitude) - ecef(*(np.array([v]) for v in origin))
+    s_lat, c_lat, s_lon, c_lon = np.sin(origin[0]), np.cos(origin[0]), np.sin(origin[1]), np.cos(origin[1])
+    outward = c_lon * dx + s_lon * dy
+    return np.stack([-s_lon * dx + c_lon * dy, -s_lat * outward + c_lat * dz, c_lat * outward + s_lat * dz])
+
+
+def ecef(latitude: np.ndarray, longitude: np.ndarray, altitude: np.ndarray) -> np.ndarray:
+    """(3, n) earth-centred x, y, z [m]; latitude, longitude [rad], altitude [m] taken as ellipsoidal."""
+    normal = SEMI_MAJOR_AXIS / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
+    across = (normal + altitude) * np.cos(latitude)
+    up = (normal * (1 - ECCENTRICITY_SQUARED) + altitude) * np.sin(latitude)
+    return np.stack([across * np.cos(longitude), across * np.sin(longitude), up])
+
+
+def _one_time(rows: np.ndarray, utc_ns: np.ndarray) -> tuple[np.ndarray, str]:
+    """Rows whose time rises strictly; where the clock was set back, the longest stretch, and a sentence about it."""
+    time = utc_ns[rows]
+    back = np.nonzero(np.diff(time) <= 0)[0] + 1
+    if not len(back):
+        return rows, ""
+    edges = [0, *back.tolist(), len(rows)]
+    lengths = np.diff(edges)
+    longest = int(np.argmax(lengths))
+    step = (time[back[0]] - time[back[0] - 1]) * 1e-9
+    note = (f"the time of the packets goes back {len(back)} times (first by {-step:.3f} s): only the longest stretch, "
+            f"{lengths[longest]} of {len(rows)} packets, is used; split the file to use the others")
+    return rows[edges[longest] : edges[longest + 1]], note
+
+
+def _damage(columns: batch.Columns, file: Path) -> list[str]:
+    counters = columns.counters
+    lost = []
+    if counters.skipped_bytes:
+        lost.append(f"{counters.skipped_bytes} bytes belong to no packet")
+    if counters.checksum_errors:
+        lost.append(f"{counters.checksum_errors} packets have a wrong checksum")
+    if counters.duplicates:
+        lost.append(f"{counters.duplicates} packets are there twice")
+    return [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
+
+
+def _statuses(columns: batch.Columns) -> str:
+    values, counts = np.unique(columns.navigation_status, return_counts=True)
+    return ", ".join(f"{v} ({BY_STATUS[v].text}) in {n}" for v, n in zip(values.tolist(), counts.tolist(), strict=True))
