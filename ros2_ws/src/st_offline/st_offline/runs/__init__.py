@@ -1,0 +1,14 @@
+"""One reader for every recording: `find_runs` says which files make a run, `read` turns one into a DriveLog.
+
+    for source in find_runs(paths):
+        try:
+            run = read(source, vehicle)
+        except RunError as error:
+            ...            # one sentence for the user; the rest of the batch goes on
+"""
+
+from .errors import RunError
+from .load import LoadedRun, ReadSettings, read
+from .sources import Label, RunSource, find_runs
+
+__all__ = ["Label", "LoadedRun", "ReadSettings", "RunError", "RunSource", "find_runs", "read"]

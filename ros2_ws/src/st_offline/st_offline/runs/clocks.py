@@ -73,7 +73,8 @@ def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, sear
     """The alignment of a run (reference: INS), and the signals it rests on or can be looked at with.
 
     By hand, if `offset` [s] (INS minus CAN clock) is given; else by the INS's own time frame on CAN, checked against
-    the shared signals; else by these; else by a substitute, never better than doubtful. search: bounds of the offset [s].
+    the shared signals; else by these; else by a substitute, never better than doubtful.
+    search: bounds of the offset [s].
     """
     pairs = shared_signals(ins, can)
     warning = ""

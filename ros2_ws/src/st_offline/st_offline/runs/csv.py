@@ -56,7 +56,8 @@ def read_motion(file: Path) -> tuple[Motion, tuple[str, ...]]:
     """An INS log with at least time, forward velocity and yaw rate. Raises RunError."""
     table = read_table(file, MOTION)
     columns = table.columns
-    return Motion(table.time_ns, columns["velocity_x"], columns["yaw_rate"], columns.get("yaw"), table.absolute), table.warnings
+    motion = Motion(table.time_ns, columns["velocity_x"], columns["yaw_rate"], columns.get("yaw"), table.absolute)
+    return motion, table.warnings
 
 
 def has_drive_columns(file: Path) -> bool:
@@ -100,7 +101,8 @@ def read_table(file: Path, needed: tuple[str, ...]) -> Table:
         warnings.append(f"{file}: time does not rise in {int((~rising).sum())} rows; they were left out")
     if rising.sum() < 2:
         raise RunError(file, "fewer than two usable rows are in it", "take it off the list")
-    return Table({our: c[rising] for our, c in columns.items()}, time_ns[rising], bool(time_ns[0] > 10**18), tuple(warnings))
+    columns = {our: c[rising] for our, c in columns.items()}
+    return Table(columns, time_ns[rising], bool(time_ns[0] > 10**18), tuple(warnings))
 
 
 def _header(line: str) -> list[str]:
@@ -110,16 +112,18 @@ def _header(line: str) -> list[str]:
 def _rows(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
     try:
         return _parsed(body, delimiter, width)
-    except ValueError as error:
-        whole, _, rest = body.rstrip("\n").rpartition("\n")
-        if rest and rest.count(delimiter) < width - 1 and not body.endswith("\n"):
+    except ValueError as first:
+        error = first
+    whole, _, rest = body.rpartition("\n")
+    if rest:
+        try:
+            rows = _parsed(whole, delimiter, width)
             warnings.append(f"{file}: the last row is cut; it was left out")
-            try:
-                return _parsed(whole, delimiter, width)
-            except ValueError as second:
-                error = second
-        raise RunError(file, f"a row cannot be read ({' '.join(str(error).split())[:120]})",
-                       "mend or remove that row (numbers count from 0 behind the header)") from None
+            return rows
+        except ValueError as second:
+            error = second
+    raise RunError(file, f"a row cannot be read ({' '.join(str(error).split())[:120]})",
+                   "mend or remove that row (rows count from 0 behind the header)") from None
 
 
 def _parsed(body: str, delimiter: str, width: int) -> np.ndarray:

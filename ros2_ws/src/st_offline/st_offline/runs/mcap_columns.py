@@ -1,0 +1,86 @@
+"""Messages of one topic straight out of the chunks of an MCAP file, by its message index: no object per message."""
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import ChunkIndex
+from mcap.summary import Summary
+
+_RECORD_HEAD = 9  # opcode, length
+_MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
+_CHUNK, _MESSAGE_INDEX = 0x06, 0x07
+
+
+@dataclass(frozen=True)
+class Block:
+    """Messages of one channel in one chunk: they begin at `starts` in `buffer` (uint8) and are `sizes` bytes long."""
+
+    buffer: np.ndarray
+    starts: np.ndarray
+    sizes: np.ndarray
+    log_time_ns: np.ndarray
+
+
+def summary_of(path: Path) -> Summary | None:
+    """Channels, schemas and chunks of a file that was closed; None for one without an index (cut, or not MCAP)."""
+    try:
+        with path.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+    except (McapError, struct.error, OSError, ValueError):
+        return None
+    return summary if summary is not None and summary.chunk_indexes else None
+
+
+def blocks(path: Path, summary: Summary, channel: int, progress: Callable[[], None] | None = None) -> Iterator[Block]:
+    """The messages of a channel, chunk by chunk. Raises ValueError for a file that contradicts its index."""
+    with path.open("rb") as stream:
+        for chunk in sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset):
+            if channel in chunk.message_index_offsets:
+                yield _block(stream, chunk, channel)
+                if progress is not None:
+                    progress()
+
+
+def _block(stream: BinaryIO, chunk: ChunkIndex, channel: int) -> Block:
+    buffer = np.frombuffer(_content(stream, chunk), np.uint8)
+    times, offsets = _index(stream, chunk.message_index_offsets[channel])
+    words = np.ndarray((max(len(buffer) - 7, 0),), "<u8", buffer.data, 0, (1,))
+    if len(offsets) and int(offsets.max()) + _MESSAGE_HEAD > len(buffer):
+        raise ValueError("a message index points outside its chunk")
+    sizes = words[offsets + 1].astype(np.int64) - 22
+    return Block(buffer, offsets + _MESSAGE_HEAD, sizes, times)
+
+
+def _content(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
+    stream.seek(chunk.chunk_start_offset)
+    record = stream.read(chunk.chunk_length)
+    if len(record) < chunk.chunk_length or record[0] != _CHUNK:
+        raise ValueError("a chunk is missing")
+    name_length = struct.unpack_from("<I", record, _RECORD_HEAD + 28)[0]
+    data = record[_RECORD_HEAD + 28 + 4 + name_length + 8 :]
+    if chunk.compression == "zstd":
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=chunk.uncompressed_size)
+    if chunk.compression == "lz4":
+        return lz4.frame.decompress(data)
+    if chunk.compression:
+        raise ValueError(f"compression {chunk.compression!r} is not known")
+    return data
+
+
+def _index(stream: BinaryIO, at: int) -> tuple[np.ndarray, np.ndarray]:
+    """(log times, offsets in the chunk) of the messages of one channel."""
+    stream.seek(at)
+    head = stream.read(_RECORD_HEAD + 6)
+    if len(head) < _RECORD_HEAD + 6 or head[0] != _MESSAGE_INDEX:
+        raise ValueError("a message index is missing")
+    size = struct.unpack_from("<I", head, _RECORD_HEAD + 2)[0]
+    entries = np.frombuffer(stream.read(size), "<u8").reshape(-1, 2)
+    return entries[:, 0].astype(np.int64), entries[:, 1].astype(np.int64)

@@ -1,0 +1,217 @@
+"""Which files make a run: the same stem, one folder, one list of files, or a run.yaml that says it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from . import bag, can_logs, csv, ncom
+from .errors import RunError
+from .mf4 import session_of
+
+RUN_FILE = "run.yaml"
+RUN_SUFFIX = ".run.yaml"
+_KEYS = ("name", "ins", "can", "bag", "csv", "offset", "labels", "dbc", "signals")
+
+
+@dataclass(frozen=True)
+class Label:
+    """A named part of a run, in seconds after its first INS measurement."""
+
+    name: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class RunSource:
+    """The files of one run. kind: "bag", "ncom" (with CAN logs), "csv", or "" where `problem` says why it is none.
+
+    settings: from run.yaml: offset [s], dbc, signals (paths). where: the file or folder to name to the user.
+    """
+
+    name: str
+    kind: str
+    files: tuple[Path, ...]
+    can: tuple[Path, ...] = ()
+    labels: tuple[Label, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    problem: RunError | None = None
+
+    @property
+    def where(self) -> Path:
+        return self.files[0] if self.files else Path(self.name)
+
+
+def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
+    """The runs in files and folders, in order of name; what should have been a run and is none carries its `problem`.
+
+    Files given one by one that belong together (one INS recording and CAN logs) are one run. In a folder, searched
+    through all its levels, files that are no recording at all are passed over, and so are bags without odometry.
+    """
+    runs: list[RunSource] = []
+    loose: list[Path] = []
+    for path in map(Path, paths):
+        if not path.exists():
+            runs.append(_failed(path, RunError(path, "there is no such file or folder")))
+        elif path.is_dir() and not bag.is_bag(path):
+            found = _in_folder(path)
+            runs += found or [_failed(path, RunError(path, "no recording is in this folder",
+                                                     "give a folder with .ncom and CAN logs, bags or CSV files"))]
+        elif path.is_dir() or path.suffix.lower() in bag.EXTENSIONS:
+            runs.append(RunSource(path.stem if path.is_file() else path.name, "bag", (path,)))
+        elif path.name == RUN_FILE or path.name.endswith(RUN_SUFFIX):
+            runs.append(_from_run_file(path))
+        else:
+            loose.append(path)
+    runs += _from_files(loose, given=True)
+    return _with_own_names(runs)
+
+
+def _in_folder(folder: Path) -> list[RunSource]:
+    runs: list[RunSource] = []
+    taken: set[Path] = set()
+    files: list[Path] = []
+    for path in sorted(folder.rglob("*")):
+        if any(part.startswith(".") for part in path.relative_to(folder).parts):
+            continue
+        if any(parent in taken for parent in path.parents):
+            continue
+        if path.is_dir():
+            if (path / "metadata.yaml").is_file() and bag.is_bag(path):
+                taken.add(path)
+                if bag.holds_odometry(path):
+                    runs.append(RunSource(path.name, "bag", (path,)))
+        elif path.name == RUN_FILE or path.name.endswith(RUN_SUFFIX):
+            run = _from_run_file(path)
+            runs.append(run)
+            taken.update({*run.files, *run.can})
+        else:
+            files.append(path)
+    for path in files:
+        if path not in taken and path.suffix.lower() in bag.EXTENSIONS and bag.holds_odometry(path):
+            runs.append(RunSource(path.stem, "bag", (path,)))
+    return runs + _from_files([f for f in files if f not in taken], given=False)
+
+
+def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
+    """Runs out of loose files. given: the user named each of them, so one that is no recording is a problem."""
+    runs: list[RunSource] = []
+    ins = [f for f in files if f.suffix.lower() in ncom.EXTENSIONS]
+    logs = [f for f in files if f.suffix.lower() in can_logs.EXTENSIONS]
+    for file in files:
+        if file.suffix.lower() == ".csv":
+            if given or csv.has_drive_columns(file):
+                runs.append(RunSource(file.stem, "csv", (file,)))
+        elif given and file not in ins and file not in logs:
+            known = ", ".join(sorted({*ncom.EXTENSIONS, *can_logs.EXTENSIONS, *bag.EXTENSIONS, ".csv"}))
+            what = f"the extension {file.suffix or '(none)'} is not one of a recording"
+            runs.append(_failed(file, RunError(file, what, f"known are {known}, folders of bags, and run.yaml")))
+    rest = []
+    for file in ins:
+        same = [f for f in logs if f.stem == file.stem and f.parent == file.parent]
+        if not same and given:
+            same = [f for f in sorted(file.parent.iterdir())
+                    if f.stem == file.stem and f.suffix.lower() in can_logs.EXTENSIONS]
+        if same:
+            runs.append(RunSource(file.stem, "ncom", (file,), tuple(same)))
+            logs = [f for f in logs if f not in same]
+        else:
+            rest.append(file)
+    if len(rest) == 1 and logs:
+        return [*runs, RunSource(rest[0].stem, "ncom", (rest[0],), tuple(logs))]
+    for file in rest:
+        several = "several INS recordings and CAN logs lie here" if logs else "there is no CAN log with the same stem"
+        runs.append(_failed(file, RunError(file, f"no CAN log belongs to it: {several}",
+                                           "name the files alike, or say which belong together in a run.yaml")))
+    for session in dict.fromkeys(session_of(f)[0] for f in logs) if not rest else ():
+        file = next(f for f in logs if session_of(f)[0] == session)
+        runs.append(_failed(file, RunError(file, "there is no INS recording (.ncom) for this CAN log",
+                                           "give both, or say in a run.yaml which belong together")))
+    return runs
+
+
+def _from_run_file(path: Path) -> RunSource:
+    try:
+        return _parsed(path)
+    except RunError as error:
+        return _failed(path, error)
+
+
+def _parsed(path: Path) -> RunSource:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+        raise RunError(path, f"is not YAML ({' '.join(str(error).split())[:100]})") from None
+    if not isinstance(content, dict):
+        raise RunError(path, "does not hold keys and values", f"known keys are {', '.join(_KEYS)}")
+    unknown = [key for key in content if key not in _KEYS]
+    if unknown:
+        raise RunError(path, f"key {unknown[0]} is not known", f"known keys are {', '.join(_KEYS)}")
+    kinds = [key for key in ("ins", "bag", "csv") if key in content]
+    if len(kinds) != 1:
+        raise RunError(path, "one of the keys ins, bag and csv must say where the INS measurements are")
+    file = _existing(path, kinds[0], content[kinds[0]])
+    logs: list[Path] = []
+    for text in _listed(path, "can", content.get("can", [])):
+        found = sorted(path.parent.glob(text)) if any(c in text for c in "*?[") else [_existing(path, "can", text)]
+        logs += [f for entry in found for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
+                 if f.is_file() and f.suffix.lower() in can_logs.EXTENSIONS]
+    if kinds[0] == "ins" and not logs:
+        raise RunError(path, "key can names no CAN log", "list the logs, a folder of them, or a pattern")
+    offset = content.get("offset")
+    if offset is not None and (isinstance(offset, bool) or not isinstance(offset, int | float)):
+        raise RunError(path, f"offset: {offset!r} is not a number of seconds")
+    settings = {key: _existing(path, key, content[key]) for key in ("dbc", "signals") if key in content}
+    if offset is not None:
+        settings["offset"] = float(offset)
+    default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
+    return RunSource(str(content.get("name", default)), {"ins": "ncom"}.get(kinds[0], kinds[0]), (file,), tuple(logs),
+                     _labels(path, content.get("labels", [])), settings)
+
+
+def _existing(path: Path, key: str, text: Any) -> Path:
+    file = path.parent / str(text)
+    if not isinstance(text, str) or not file.exists():
+        raise RunError(path, f"{key}: there is no {text!r} beside it")
+    return file
+
+
+def _listed(path: Path, key: str, value: Any) -> list[str]:
+    entries = [value] if isinstance(value, str) else value
+    if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
+        raise RunError(path, f"{key}: a file or a list of files is wanted")
+    return entries
+
+
+def _labels(path: Path, value: Any) -> tuple[Label, ...]:
+    try:
+        labels = tuple(Label(str(entry["name"]), float(entry["start"]), float(entry["end"])) for entry in value)
+    except (KeyError, TypeError, ValueError):
+        raise RunError(path, "labels: a list of {name, start, end} is wanted, in seconds from the start") from None
+    for label in labels:
+        if not label.start < label.end:
+            raise RunError(path, f"labels: {label.name} ends ({label.end:g} s) before it starts ({label.start:g} s)")
+    return labels
+
+
+def _failed(path: Path, problem: RunError) -> RunSource:
+    return RunSource(path.name, "", (path,), problem=problem)
+
+
+def _with_own_names(runs: Sequence[RunSource]) -> list[RunSource]:
+    """Names told apart by their folder where two are the same: results are filed by them."""
+    taken: set[str] = set()
+    named = []
+    for run in sorted(runs, key=lambda r: (r.name, str(r.where))):
+        name = run.name
+        if name in taken and run.files:
+            name = f"{run.where.absolute().parent.name}_{run.name}"
+        number = 2
+        while name in taken:
+            name, number = f"{run.name}_{number}", number + 1
+        taken.add(name)
+        named.append(RunSource(name, run.kind, run.files, run.can, run.labels, run.settings, run.problem))
+    return named
