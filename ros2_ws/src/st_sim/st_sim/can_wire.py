@@ -72,10 +72,9 @@ class CanWire:
         self._counters: dict[str, int] = {}
 
     def steering(self, angle: float, rate: float) -> list[Frame]:
-        """angle.
+        """Angle as the sensor says it, left + [rad], and rate of the hand wheel [rad/s].
 
-        As the sensor says, left + [rad]; rate at the hand wheel [rad/s], sent without a sign in a unit nobody knows
-        (4 deg/s).
+        The rate goes out without a sign, as on the car; its scale is not known, 4 deg/s is made up.
         """
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
         return [self._own("Leaf_Steering", {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]

@@ -25,14 +25,17 @@ TREMOR_TIME = 0.4
 INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03
 SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5
 SLOWEST_STEERING = 0.5
+"""m/s. Slower, the hands wait."""
 JERK = 10.0
 HARDEST_BRAKING, HARDEST_DRIVE = 7.0, 3.5
 HOLDING_BRAKE = 2.0
+"""m/s^3 and m/s^2 of the pedals."""
 
 
 class Driver:
-    """Call `advance` before every plant step; then `steering_wheel_angle` [rad, left +, true] and `drive_force` [N]
-    are the inputs.
+    """Hands and foot. Call `advance` before every plant step and hand the plant the two attributes.
+
+    steering_wheel_angle: true, left + [rad]. drive_force: sum over the wheels, braking < 0 [N].
     """
 
     def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
@@ -46,8 +49,9 @@ class Driver:
         self._next = -math.inf
         self._held = False
 
-    def take_seat(self, plant: Plant) -> None:
-        """Hands where the wheel is."""
+    def take_seat(self, plant: Plant, distance: float) -> None:
+        """Hands where the wheel is; the car stands at `distance` along the road [m]."""
+        self.distance = distance
         self.steering_wheel_angle = self._wanted = plant.steering_wheel_for
         self._mass = plant.mass
 

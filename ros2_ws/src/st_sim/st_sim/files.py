@@ -1,7 +1,4 @@
-"""Files the virtual car writes.
-
-Run.ncom, run.log or run.mf4, truth.mcap. All are complete after `close`, also after Ctrl-C.
-"""
+"""Files the virtual car writes: run.ncom, run.log or run.mf4, truth.mcap. All are complete after `close`."""
 
 import json
 from collections.abc import Mapping
@@ -103,7 +100,7 @@ def truth_record(truth: Truth) -> dict[str, object]:
 
 
 class TruthFile:
-    """truth.mcap.
+    """What was true, for scoring: truth.mcap.
 
     Channel /truth, JSON with a JSON schema, log time = UTC of the measurement; settings as metadata `settings`.
     """
@@ -161,10 +158,9 @@ class LogFile:
 
 
 class Mf4File:
-    """MDF 4.11 with one bus-logging group per channel (CAN1: the car, CAN2: the INS), as a CANedge's finalised log;
-    50 us time grid.
+    """MDF 4.11 as a CANedge's finalised log: one bus-logging group per channel, times on a grid of 50 us.
 
-    Frames are kept until `close`, 30 bytes each.
+    CAN1: the car, CAN2: the INS. Frames are kept in memory until `close`.
     """
 
     GRID_NS = 50_000
@@ -195,12 +191,11 @@ class Mf4File:
         log.header.start_time = start
         for bus, frames in self._frames.items():
             if frames:
-                log.append(
-                    [self._signal(bus, frames)], acq_name=f"CAN{bus}", comment="virtual Leaf", common_timebase=True
-                )
-                log.groups[
-                    -1
-                ].channel_group.flags |= 0x6  # bus event, plain bus event: what bus logging readers look for
+                log.append([self._signal(bus, frames)], comment="virtual Leaf", common_timebase=True)
+                group = log.groups[-1].channel_group
+                # asammdf calls every such group CAN; a CANedge tells its channels apart.
+                group.acq_name = f"CAN{bus}"
+                group.flags |= 0x6  # bus event, plain bus event: what readers of bus logs look for
         # With a history of our own: asammdf's has the present time in it, and equal seeds are to give equal bytes.
         history = FileHistory()
         history.comment, history.abs_time = _HISTORY, self._start_ns

@@ -29,9 +29,7 @@ class Origin:
         object.__setattr__(self, "_centre", to_ecef(latitude, longitude, self.height))
 
     def to_geodetic(self, x: float, y: float, z: float) -> tuple[float, float, float]:
-        """Latitude, longitude [rad] and ellipsoidal height [m] of a point of the map, through earth-fixed
-        coordinates.
-        """
+        """Latitude, longitude [rad] and ellipsoidal height [m] of a point of the map."""
         s_lat, c_lat, s_lon, c_lon = self._rotation
         across = c_lat * z - s_lat * y
         cx, cy, cz = self._centre

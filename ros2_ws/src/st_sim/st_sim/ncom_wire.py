@@ -28,9 +28,7 @@ class NcomWire:
         self._status = StatusChannels(origin, rate)
 
     def packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72 bytes of one epoch. status: navigation status; what it says to be invalid is marked so (0, 1) or
-        left out.
-        """
+        """The 72 bytes of one epoch. status: navigation status; what 0 and 1 declare invalid is marked so."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.next(minutes if status >= INITIALISING else None, reading)

@@ -43,8 +43,7 @@ def straight(length: float, speed: float) -> list[Piece]:
 
 
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
-    """A turn of the given heading change, left +. The curvature grows and falls linearly over `blend` metres at both
-    ends.
+    """A turn of the given heading change, left +; its curvature grows and falls linearly over `blend` metres.
 
     Raises ValueError where the blends alone turn further than the angle.
     """
@@ -74,7 +73,10 @@ class Path:
     """
 
     def __init__(self, pieces: Sequence[Piece]):
+        """Raises ValueError where the pieces have no length."""
         self.pieces = tuple(p for p in pieces if p.length > 0)
+        if not self.pieces:
+            raise ValueError("the road has no length")
         ends = [0.0]
         for piece in self.pieces:
             ends.append(ends[-1] + piece.length)
@@ -148,9 +150,7 @@ class Path:
 
 
 class SpeedProfile:
-    """The highest speed over distance that keeps every piece's wanted speed and the given acceleration and braking
-    [m/s^2, > 0].
-    """
+    """The highest speed over distance that keeps every piece's speed, the acceleration and the braking [m/s^2, > 0]."""
 
     def __init__(self, path: Path, acceleration: float, braking: float, step: float = 0.25):
         count = max(4, math.ceil(path.length / step))

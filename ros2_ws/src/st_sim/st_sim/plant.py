@@ -9,8 +9,9 @@ negative.
     I_z dr/dt           = sum (x_i F_y,i - y_i F_x,i) + wind moment
 
 with forces turned from each wheel into the body, tyre force from the delayed slip, loads from filtered accelerations,
-and the steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, roll steer, compliance. Source: Pacejka,
-Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.py, test_effects.py.
+and the steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, roll steer, compliance.
+
+Source: Pacejka, Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.py, test_effects.py.
 """
 
 from collections import deque
@@ -40,17 +41,17 @@ ROLL_SHARE_FRONT = 0.55
 LOWEST_SLIP_SPEED = 0.5
 CREEP_SPEED = 2.5
 CREEP_DAMPING = 0.17
-"""s/m.
-
-Below CREEP_SPEED a relaxing tyre is a spring with little damping; this much slip per sliding speed is added, as a
-carcass does.
-"""
+"""s/m. Below CREEP_SPEED a relaxing tyre is a spring with little damping; so much slip per sliding speed is added."""
 STANDSTILL = 0.02
+"""m/s. Slower than this with the brakes on is at rest."""
 
 ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4
+"""rad/s (2 Hz) and share of critical, of the body on its springs; both load transfer and roll follow it."""
 PITCH_TIME = 0.08
 COMPLIANCE_TIME = 0.01
+"""s, first-order: pitch with its load transfer, and the give of the steering."""
 ROLLING_ONSET = 0.2
+"""m/s. Below it the rolling resistance fades out, so that it cannot push a standing car."""
 
 # Positions in the state tuple.
 X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, GIVE, S_FL, S_FR, S_RL, S_RR, LEAN, LEAN_RATE, SQUAT = range(16)
@@ -103,10 +104,8 @@ class Plant:
         self._roll_gradient, self._camber = s["roll_gradient"], s["camber_thrust"]
         self._fastest = 1.0 / step
         self._relaxation, self._combined = s["relaxation_length"], s["combined_slip"]
-        self._wheel_slip, self._drag_area, self._rolling = (
-            s["wheel_slip_compliance"],
-            s["drag_area"],
-            s["rolling_resistance"],
+        self._wheel_slip, self._rolling, self._drag_area = (
+            s[name] for name in ("wheel_slip_compliance", "rolling_resistance", "drag_area")
         )
         self._front = lateral_force(car.tyre_front, s["front_stiffness_factor"])
         self._rear = lateral_force(car.tyre_rear, s["rear_stiffness_factor"])
@@ -117,9 +116,7 @@ class Plant:
         self._static_rear = self.mass * GRAVITY * self.to_front / car.wheelbase / 2
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
-        """Start there, driving a circle of that curvature without slip; the transient that follows is part of the
-        drive.
-        """
+        """Start there, on a circle of that curvature, without slip; what settles then is part of the drive."""
         values = [0.0] * 16
         values[X], values[Y], values[YAW], values[VX], values[YAW_RATE] = x, y, yaw, speed, speed * curvature
         values[VY] = speed * curvature * self.to_rear

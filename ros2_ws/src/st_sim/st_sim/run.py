@@ -1,7 +1,4 @@
-"""`virtual_leaf`.
-
-The simulated car (or a recorded drive) on the wires, in real time, or into files as fast as it goes.
-"""
+"""The `virtual_leaf` command: a simulated car or a recorded drive on the wires in real time, or into files at once."""
 
 import argparse
 import contextlib
@@ -43,9 +40,7 @@ _SENSOR_GROUPS = ("ins", "can")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status 0 (also after SIGINT or SIGTERM, with files closed), 2 with one line on stderr for a bad argument
-    or file.
-    """
+    """Exit status: 0, also after SIGINT or SIGTERM with files closed; 2, with a line on stderr, for a bad argument."""
     options = _parser().parse_args(arguments)
     stop = _Stop()
     try:

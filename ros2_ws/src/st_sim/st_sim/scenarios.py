@@ -16,6 +16,8 @@ from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
 
 PEDAL_LEAD = 0.15
 """s."""
+SPEED_SLACK = 0.15
+"""m/s."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,14 @@ class Demand:
 
 
 class Plan(Protocol):
-    """speed: to start with [m/s]; start: distance along the path to start at [m]."""
+    """start: distance along the path to start at [m]."""
 
     path: Path
-    speed: float
     start: float
+
+    def speed_at(self, distance: float) -> float:
+        """What the car drives there when the drive begins [m/s]."""
+        ...
 
     def demand(self, time: float, distance: float, speed: float) -> Demand: ...
 
@@ -47,7 +52,9 @@ class RoadPlan:
         self.path = Path(pieces)
         self._profile = SpeedProfile(self.path, acceleration, braking)
         self.start = start
-        self.speed = self._profile.at(start)[0]
+
+    def speed_at(self, distance: float) -> float:
+        return self._profile.at(distance)[0]
 
     def demand(self, time: float, distance: float, speed: float) -> Demand:
         # The foot is a little slow: it starts to move before the speed has to change.
@@ -56,7 +63,7 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """steer as in Demand.
+    """Part of a plan; steer as in Demand.
 
     Ends after `duration` [s], or when the car is slower than `until` [m/s]. Braking to a stop: until 0.
     """
@@ -72,19 +79,23 @@ class PhasePlan:
 
     def __init__(self, radius: float, side: int, speed: float, phases: Sequence[Phase]):
         self.path = Path([Piece(2 * math.pi * radius, side / radius, side / radius, speed)])
-        self.speed, self.start = speed, 0.0
+        self.start = 0.0
         self._cruise, self._phases = speed, tuple(phases)
         self._index, self._since, self._wanted, self._last = 0, 0.0, speed, 0.0
+
+    def speed_at(self, distance: float) -> float:
+        return self._cruise
 
     def demand(self, time: float, distance: float, speed: float) -> Demand:
         phase = self._phases[self._index]
         if time - self._since >= phase.duration - 1e-9 or speed <= phase.until:
             self._index, self._since = (self._index + 1) % len(self._phases), time
             phase = self._phases[self._index]
-            if phase.acceleration < 0:
-                self._wanted = speed
         dt, self._last = time - self._last, time
         self._wanted = min(max(self._wanted + phase.acceleration * dt, 0.0), self._cruise)
+        if phase.acceleration < 0:
+            # While the brakes build up the car falls behind; catching that up would be braking harder than wanted.
+            self._wanted = max(self._wanted, speed - SPEED_SLACK)
         reached = phase.acceleration > 0 and self._wanted >= self._cruise
         return Demand(self._wanted, 0.0 if reached else phase.acceleration, phase.steer)
 
@@ -92,15 +103,18 @@ class PhasePlan:
 class OpenLoopPlan:
     """Constant speed and a hand that does not look at the road.
 
-    Steer(time) -> road-wheel angle [rad], time from the start >= 0.
+    steer(time) -> road-wheel angle [rad], time from the start >= 0.
     """
 
     def __init__(self, speed: float, steer: Callable[[float], float]):
         self.path = Path(straight(100.0, speed))
-        self.speed, self.start, self._steer = speed, 0.0, steer
+        self.start, self._speed, self._steer = 0.0, speed, steer
+
+    def speed_at(self, distance: float) -> float:
+        return self._speed
 
     def demand(self, time: float, distance: float, speed: float) -> Demand:
-        return Demand(self.speed, 0.0, self._steer(time) if time >= 0 else "path")
+        return Demand(self._speed, 0.0, self._steer(time) if time >= 0 else "path")
 
 
 def _circle(lateral_acceleration: float, radius: float = 11.5) -> Plan:
@@ -172,7 +186,7 @@ def _step(speed: float = 12.0, amplitude: float = 0.09) -> Plan:
     return OpenLoopPlan(speed, steer)
 
 
-def _ramp_to_limit(speed: float = 11.0, rate: float = 0.012, top: float = 0.25) -> Plan:
+def _ramp_to_limit(speed: float = 11.0, rate: float = 0.016, top: float = 0.4) -> Plan:
     """Slowly in to beyond the friction limit, quickly out, rest; then to the other side."""
     up, out, rest = top / rate, 2.0, 4.0
     period = up + out + rest
@@ -261,8 +275,10 @@ def _from_file(file: FilePath) -> Plan:
         raise SimulationError(f"{file}: is not YAML: {' '.join(str(error).split())}") from None
     try:
         pieces = [piece for row in document["road"] for piece in _pieces(row)]
+        if not pieces:
+            raise ValueError("no rows")
         return RoadPlan(pieces, float(document.get("acceleration", 1.2)), float(document.get("braking", 1.5)))
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (ArithmeticError, AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
         raise SimulationError(
             f"{file}: road: {error!r}; rows are {{straight: m, speed: m/s}}, {{turn: deg, radius: m, blend: m, "
             "speed: m/s} or {shift: m, length: m, speed: m/s}"

@@ -161,9 +161,7 @@ def _body_rates(truth: Truth) -> tuple[float, float, float]:
 
 
 def _specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
-    """What accelerometers fixed to the tilted body feel (FLU) for a level acceleration (a_x, a_y, 0) and gravity
-    9.81 m/s^2.
-    """
+    """What accelerometers on the tilted body feel (FLU): a level acceleration (a_x, a_y, 0) and gravity."""
     forward, right, down = ax, -ay, -GRAVITY
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
     x, d = cp * forward - sp * down, sp * forward + cp * down

@@ -28,10 +28,13 @@ class SimulatedCar:
         self.car = car
         self.plant = Plant(car, settings, seed)
         self.driver = Driver(car, settings, plan, seed)
-        road = plan.path.pose(plan.start)
-        self.plant.place(road.x, road.y, road.yaw, plan.speed, plan.path.curvature(plan.start))
-        self.driver.take_seat(self.plant)
         self._step = self.plant.time_step
+        before = plan.start
+        for _ in range(round(RUN_IN / self._step)):
+            before -= plan.speed_at(before) * self._step
+        road = plan.path.pose(before)
+        self.plant.place(road.x, road.y, road.yaw, plan.speed_at(before), plan.path.curvature(before))
+        self.driver.take_seat(self.plant, before)
         self._count = -round(RUN_IN / self._step)
         self._hand_rate = 0.0
         self.duration: float | None = None

@@ -45,9 +45,6 @@ def lateral_force(tyre: Tyre, stiffness_factor: float) -> Force:
 
 
 def left_by_ellipse(longitudinal: float, peak: float) -> float:
-    """Share of the lateral force that a longitudinal force leaves.
-
-    Sqrt(1 - (F_x / (mu F_z))^2). Both in N; 0 at and beyond the peak.
-    """
+    """Share of the lateral force that a longitudinal one leaves: sqrt(1 - (F_x / peak)^2), 0 beyond the peak [N, N]."""
     used = longitudinal / peak
     return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0

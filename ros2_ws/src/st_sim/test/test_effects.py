@@ -7,7 +7,7 @@ import pytest
 from st_sim.car import GRAVITY, TRACK_WIDTH, read_car
 from st_sim.environment import Environment
 from st_sim.errors import SimulationError
-from st_sim.plant import RACK, STEP, VX, YAW_RATE, Plant, Y, Z
+from st_sim.plant import RACK, STEP, VX, Plant, Y, Z
 from st_sim.scenarios import load
 from st_sim.settings import IDEAL, PRESETS, REALISTIC, SETTINGS, overrides, resolve
 from st_sim.simulation import SimulatedCar

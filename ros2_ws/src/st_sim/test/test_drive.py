@@ -1,0 +1,90 @@
+"""A recorded drive on the wires: played, not re-invented."""
+
+import math
+
+import numpy as np
+import pytest
+from oxts_bridge.geodesy import LocalFrame
+from oxts_bridge.stream import NcomParser
+from st_sim import run
+from st_sim.car import read_car
+from st_sim.drive import COLUMNS, RecordedDrive
+from st_sim.errors import SimulationError
+from st_sim.ncom_status import UNDULATION
+from support import ROOT, shared
+
+GENESIS = ROOT / "config/vehicle/hyundai_genesis.yaml"
+CAR = read_car(GENESIS)
+HEAD = ",".join(COLUMNS)
+
+
+def written(tmp_path, rows):
+    file = tmp_path / "drive.csv"
+    file.write_text(HEAD + "\n" + "\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    return file
+
+
+def test_straight_lines_between_rows(tmp_path):
+    # Yaw passes from just below pi to just above -pi between the rows.
+    a = [5.0, 0.0, 0.0, 3.1, 8.0, 0.1, 0.4, 0.2, 3.0, 0.05]
+    b = [5.1, -0.8, 0.1, -3.1, 9.0, 0.3, 0.6, 0.4, 5.0, 0.07]
+    drive = RecordedDrive(written(tmp_path, [a, b]), CAR)
+    assert drive.duration == pytest.approx(0.1)
+    drive.advance(0.025)
+    t = drive.truth()
+    assert (t.x, t.y, t.velocity_x, t.velocity_y) == pytest.approx((-0.2, 0.025, 8.25, 0.15))
+    assert (t.yaw_rate, t.acceleration_x, t.acceleration_y) == pytest.approx((0.45, 0.25, 3.5))
+    assert t.yaw == pytest.approx(3.1 + 0.25 * (2 * math.pi - 6.2))
+    assert t.road_wheel_angle == pytest.approx(0.055)
+    assert t.steering_wheel_angle == pytest.approx(0.055 * CAR.steering_ratio)
+    assert t.wheel_speed == pytest.approx((8.25,) * 4)
+    drive.advance(7.0)
+    assert drive.truth().velocity_x == pytest.approx(9.0)
+
+
+def test_a_real_drive_comes_out_of_the_wire_as_recorded(tmp_path):
+    file = shared("data/hyundai_genesis_oxts/rfs_turn_a.csv")
+    arguments = ["--drive", str(file), "--vehicle", str(GENESIS), "--to-files", str(tmp_path), "--ncom-rate", "250"]
+    assert run.main(arguments) == 0
+    table = np.genfromtxt(file, delimiter=",", names=True)
+    received = NcomParser().feed((tmp_path / "run.ncom").read_bytes())
+    time = np.array([(r.utc_ns - received[0].utc_ns) / 1e9 for r in received])
+    assert time[-1] == pytest.approx(table["t"][-1], abs=0.005) and np.diff(time) == pytest.approx(0.004)
+    frame = LocalFrame(math.radians(51.448), math.radians(5.49), 65.0)
+    place = np.array(
+        [frame.enu(r.packet.latitude, r.packet.longitude, r.packet.altitude + UNDULATION) for r in received]
+    )
+    for i, name in enumerate(("x", "y")):
+        assert place[:, i] == pytest.approx(np.interp(time, table["t"], table[name]), abs=2e-5)
+    yaw = np.unwrap([math.pi / 2 - r.packet.heading for r in received])
+    yaw += 2 * math.pi * round((table["yaw"][0] - yaw[0]) / 2 / math.pi)
+    assert yaw == pytest.approx(np.interp(time, table["t"], table["yaw"]), abs=1e-6)
+    north, east, _ = np.array([r.packet.velocity_ned for r in received]).T
+    assert np.cos(yaw) * east + np.sin(yaw) * north == pytest.approx(np.interp(time, table["t"], table["vx"]), abs=2e-4)
+    assert np.cos(yaw) * north - np.sin(yaw) * east == pytest.approx(np.interp(time, table["t"], table["vy"]), abs=2e-4)
+    rates = np.array([-r.packet.angular_rate[2] for r in received])
+    assert rates == pytest.approx(np.interp(time, table["t"], table["yaw_rate"]), abs=1e-5)
+
+
+GOOD = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t,x,y\n0,0,0\n", "column yaw is missing"),
+        (f"{HEAD}\n{GOOD}0.04,a,0,0,5,0,0,0,0,0\n", "line 4"),
+        (f"{HEAD}\n{GOOD}0.04,0,0\n", "line 4"),
+        (f"{HEAD}\n{GOOD}0.04,nan,0,0,5,0,0,0,0,0\n", "line 4: a value is not finite"),
+        (f"{HEAD}\n{GOOD}0.01,0,0,0,5,0,0,0,0,0\n", "line 4: t does not rise"),
+        (f"{HEAD}\n0,0,0,0,5,0,0,0,0,0\n", "has 1 rows"),
+        ("", "column t is missing"),
+        ("\udcff\udcfe", "not a CSV file"),
+    ],
+)
+def test_bad_drive_is_named(tmp_path, text, said):
+    file = tmp_path / "drive.csv"
+    file.write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(SimulationError, match=r"^[^\n]*drive\.csv[^\n]*$") as caught:
+        RecordedDrive(file, CAR)
+    assert said in str(caught.value)

@@ -1,0 +1,267 @@
+"""The command: files, sockets, signals, bad arguments."""
+
+import json
+import math
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from canedge_bridge.decode import Decoder
+from canedge_bridge.transport import open_bus
+from mcap.reader import make_reader
+from oxts_bridge.stream import NcomParser
+from st_sim import run
+from support import ROOT
+
+LEAF = ROOT / "config/vehicle/leaf.yaml"
+DBC, SIGNALS = ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml"
+
+
+def files(folder, *arguments):
+    assert run.main(["--vehicle", str(LEAF), "--to-files", str(folder), "--duration", "3", *arguments]) == 0
+    return {f.name: f.read_bytes() for f in folder.iterdir()}
+
+
+def truth_of(folder):
+    with (folder / "truth.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        messages = [(m.log_time, json.loads(m.data)) for _, _, m in reader.iter_messages(topics=["/truth"])]
+        metadata = {m.name: m.metadata for m in reader.iter_metadata()}
+        return messages, metadata
+
+
+@pytest.mark.parametrize("can_format", ["log", "mf4"])
+def test_files_are_the_same_for_the_same_seed(tmp_path, can_format):
+    name = f"run.{can_format}"
+    first = files(tmp_path / "a", "--can-format", can_format, "--seed", "5")
+    assert set(first) == {"run.ncom", "truth.mcap", name}
+    # In a process of its own, later: nothing of the clock or of this process gets in.
+    command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--to-files", str(tmp_path / "b"),
+               "--duration", "3", "--can-format", can_format, "--seed", "5"]  # fmt: skip
+    subprocess.run(command, check=True, capture_output=True)
+    assert first == {f.name: f.read_bytes() for f in (tmp_path / "b").iterdir()}
+    other = files(tmp_path / "c", "--can-format", can_format, "--seed", "6")
+    assert all(first[f] != other[f] for f in first)
+
+
+def test_mf4_holds_the_frames_of_the_log(tmp_path):
+    asammdf = pytest.importorskip("asammdf")
+    files(tmp_path, "--can-format", "log")
+    files(tmp_path, "--can-format", "mf4")
+    lines = (tmp_path / "run.log").read_text().splitlines()
+    logged = {channel: [] for channel in ("can0", "can1")}
+    for line in lines:
+        stamp, channel, frame, _ = line.split()
+        identifier, _, data = frame.partition("#")
+        logged[channel].append((float(stamp.strip("()")), int(identifier, 16), data))
+    log = asammdf.MDF(tmp_path / "run.mf4")
+    start = log.header.start_time.timestamp()
+    assert [g.channel_group.acq_name for g in log.groups] == ["CAN1", "CAN2"]
+    for group, channel in enumerate(logged):
+        signal_ = log.get("CAN_DataFrame", group=group)
+        assert len(signal_) == len(logged[channel]) > 500
+        times = [t for t, _, _ in logged[channel]]
+        assert start + signal_.timestamps == pytest.approx(times, abs=3e-5)
+        rows = signal_.samples
+        assert list(rows["CAN_DataFrame.ID"]) == [i for _, i, _ in logged[channel]]
+        payload = [
+            bytes(d)[:n].hex().upper()
+            for d, n in zip(rows["CAN_DataFrame.DataBytes"], rows["CAN_DataFrame.DataLength"], strict=True)
+        ]
+        assert payload == [d for _, _, d in logged[channel]]
+        assert set(rows["CAN_DataFrame.BusChannel"]) == {group + 1}
+    decoded = log.extract_bus_logging({"CAN": [(str(DBC), 0)]})
+    truth, _ = truth_of(tmp_path)
+    wheel = decoded.get("SteeringWheelAngle")
+    true = np.interp(
+        wheel.timestamps - 0.004, [t["time"] for _, t in truth], [t["steering_wheel_angle"] for _, t in truth]
+    )
+    assert wheel.samples == pytest.approx(np.degrees(true) - 2.7, abs=0.25)
+
+
+def test_truth_is_complete(tmp_path):
+    files(tmp_path, "--scenario", "S4", "--effect", "bank_angle=0.02", "wind_speed=4")
+    messages, metadata = truth_of(tmp_path)
+    assert len(messages) == 300
+    stamps = np.array([stamp for stamp, _ in messages])
+    assert set(np.diff(stamps)) == {10_000_000} and stamps[0] == run.FILE_EPOCH_NS
+    last = messages[-1][1]
+    assert last["lateral_force_front"] > 4000 and last["load_front"] + last["load_rear"] == pytest.approx(
+        1590 * 9.81 * math.cos(0.02)
+    )
+    assert last["bank_angle"] == 0.02 and last["wind_y"] == 4.0 and last["slip_angle_front"] < -0.05
+    settings = metadata["settings"]
+    assert float(settings["bank_angle"]) == 0.02 and float(settings["relaxation_length"]) == 0.4
+    assert metadata["run"]["scenario"] == "S4" and metadata["run"]["seed"] == "0"
+
+
+def test_clock_of_the_logger(tmp_path):
+    def times(name, *effects):
+        files(tmp_path / name, *effects)
+        return [float(line[1:18]) for line in (tmp_path / name / "run.log").read_text().splitlines()]
+
+    plain = np.array(times("a"))
+    bent = np.array(times("b", "--effect", "logger_clock_offset=1.5", "--effect", "logger_clock_drift=1e-4"))
+    due = plain - run.FILE_EPOCH_NS / 1e9
+    assert bent - plain == pytest.approx(1.5 + 1e-4 * due, abs=2e-6)
+
+
+class Live:
+    """A virtual_leaf process with our ears on its wires."""
+
+    def __init__(self, folder, *arguments):
+        self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        self.udp.bind(("127.0.0.1", 0))
+        port = self.udp.getsockname()[1]
+        channel = f"239.74.{100 + port % 50}.{1 + port % 250}:{port}"
+        self.bus = open_bus("udp_multicast", channel)
+        command = [
+            sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--output", str(folder),
+            "--ncom-port", str(port), "--can-interface", "udp_multicast", "--can-channel", channel, *arguments,
+        ]  # fmt: skip
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.packets, self.frames = [], []
+
+    def listen(self, until):
+        """Collect until the predicate holds or the process has ended and its wires are empty."""
+        deadline = time.monotonic() + 60
+        while not until() and time.monotonic() < deadline:
+            ready, _, _ = select.select([self.udp, self.bus.fileno()], [], [], 0.3)
+            if self.udp in ready:
+                self.packets.append((time.time_ns(), self.udp.recv(4096)))
+            if self.bus.fileno() in ready and (frame := self.bus.recv(0)):
+                self.frames.append(frame)
+            if not ready and self.process.poll() is not None:
+                break
+
+    def finish(self):
+        out, err = self.process.communicate(timeout=30)
+        self.udp.close()
+        self.bus.shutdown()
+        return [json.loads(line) for line in out.splitlines()], err
+
+
+def test_live_on_real_sockets(tmp_path):
+    live = Live(tmp_path, "--duration", "2", "--ncom-rate", "250", "--can-rate", "full")
+    live.listen(lambda: False)
+    said, err = live.finish()
+    assert live.process.returncode == 0 and err == ""
+    assert [s["state"] for s in said] == ["sending", "done"] and said[0]["duration"] == 2.0
+    parser = NcomParser()
+    received = [r for at, data in live.packets for r in parser.feed(data, at)]
+    assert len(received) == 500 == said[1]["ncom_packets"] and parser.counters.skipped_bytes == 0
+    stamps = np.array([r.utc_ns for r in received])
+    assert set(np.diff(stamps)) == {4_000_000} and stamps[0] == said[0]["start_ns"]
+    # The stamps are those of this host's clock, and nothing is sent before it was measured.
+    age = np.array([r.received_ns for r in received]) - stamps
+    assert (age > 0).all()
+    decoder = Decoder(DBC, SIGNALS)
+    decoded = [d for f in live.frames if (d := decoder.decode(f))]
+    assert len(live.frames) == said[1]["can_frames"] == pytest.approx(2 * (1750 + 2000), rel=0.02)
+    assert all(d.valid for d in decoded)
+    assert len([d for d in decoded if d.message == "Leaf_Steering"]) == 200
+    messages, _ = truth_of(tmp_path)
+    assert [m[0] for m in messages] == list(range(stamps[0], stamps[0] + 2_000_000_000, 10_000_000))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_closes_the_files(tmp_path, number):
+    live = Live(tmp_path, "--duration", "1000")
+    live.listen(lambda: len(live.packets) > 60)
+    live.process.send_signal(number)
+    live.listen(lambda: False)
+    said, err = live.finish()
+    assert live.process.returncode == 0 and err == ""
+    assert said[-1]["state"] == "done"
+    messages, metadata = truth_of(tmp_path)
+    assert len(messages) >= 60 and "settings" in metadata
+
+
+def test_signal_closes_the_files_of_file_mode(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "st_sim.run",
+        "--vehicle",
+        str(LEAF),
+        "--to-files",
+        str(tmp_path),
+        "--duration",
+        "9e5",
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "run.log").exists() or (tmp_path / "run.log").stat().st_size < 100_000:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 0 and err == ""
+    messages, _ = truth_of(tmp_path)
+    packets = NcomParser().feed((tmp_path / "run.ncom").read_bytes())
+    assert len(packets) == pytest.approx(len(messages), abs=2) and len(packets) > 100
+    assert (tmp_path / "run.log").read_text().endswith("\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "--vehicle is missing"),
+        (["--vehicle", "none.yaml"], "none.yaml: cannot be read"),
+        (["--scenario", "S9"], "--scenario S9"),
+        (["--drive", "none.csv"], "--drive none.csv"),
+        (["--drive", "a.csv", "--scenario", "S1"], "not allowed with"),
+        (["--drive", "a.csv", "--plant", "ideal"], "--plant does not go with --drive"),
+        (["--drive", "a.csv", "--effect", "bank_angle=0.1"], "--effect bank_angle does not go with --drive"),
+        (["--plant", "none.yaml"], "--plant none.yaml"),
+        (["--effect", "bank_angle=7"], "bank_angle: 7.0 is not within -0.3 to 0.3 rad"),
+        (["--duration", "0"], "--duration 0"),
+        (["--duration", "nan"], "--duration nan"),
+        (["--seed", "-1"], "--seed"),
+        (["--seed", "x"], "--seed"),
+        (["--origin", "91,0,0"], "--origin 91,0,0"),
+        (["--origin", "here"], "--origin here"),
+        (["--ncom-port", "70000"], "--ncom-port"),
+        (["--ncom-rate", "60"], "--ncom-rate"),
+        (["--config", "/nonexistent"], "--config /nonexistent"),
+        (["--can-channel", "10.0.0.1"], "--can-channel 10.0.0.1"),
+        (["--can-interface", "nosuch"], "--can-interface nosuch"),
+        (["--output", "/dev/null/x"], "--output /dev/null/x"),
+        (["--to-files", "/dev/null/x"], "--to-files /dev/null/x"),
+        (["--wheels", "5"], "--wheels"),
+    ],
+)
+def test_bad_argument_is_one_line(arguments, said, capsys):
+    if arguments and "--vehicle" not in arguments:
+        arguments = ["--vehicle", str(LEAF), *arguments]
+    try:
+        status = run.main(arguments)
+    except SystemExit as leaving:
+        status = leaving.code
+    assert status == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("virtual_leaf: ") and err.count("\n") == 1
+    assert said in err
+
+
+def test_full_disk_ends_the_truth_and_not_the_drive(tmp_path):
+    if not os.path.exists("/dev/full"):
+        pytest.skip("this system has no /dev/full")
+    (tmp_path / "truth.mcap").symlink_to("/dev/full")
+    live = Live(tmp_path, "--duration", "3")
+    live.listen(lambda: False)
+    said, _ = live.finish()
+    assert live.process.returncode == 0 and said[-1]["ncom_packets"] == 300
+    assert "truth.mcap: No space left" in said[-1]["fault"]
+
+
+def test_lists(capsys):
+    assert run.main(["--list"]) == 0
+    out = capsys.readouterr().out
+    assert "S7" in out and "steering_lag" in out

@@ -1,0 +1,218 @@
+"""Each scenario drives what it says, by numbers: radius, accelerations, speeds, heading changes."""
+
+import math
+
+import numpy as np
+import pytest
+from st_sim.car import read_car
+from st_sim.driver import FASTEST_HAND
+from st_sim.errors import SimulationError
+from st_sim.path import Path, SpeedProfile, lane_shift, straight, turn
+from st_sim.scenarios import SCENARIOS, load
+from st_sim.settings import resolve
+from st_sim.simulation import SimulatedCar
+from support import ROOT
+
+CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
+RATE = 50
+COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "r", "ax", "ay", "hand", "force")
+
+
+class Drive:
+    def __init__(self, name, seconds, plant="realistic", seed=0):
+        car = SimulatedCar(CAR, resolve(plant), load(name), seed)
+        rows = []
+        for i in range(seconds * RATE):
+            car.advance(i / RATE)
+            t = car.truth()
+            motion = t.velocity_x, t.velocity_y, t.yaw_rate, t.acceleration_x, t.acceleration_y
+            rows.append((t.time, t.x, t.y, t.yaw, *motion, t.steering_wheel_angle, car.driver.drive_force))
+        for name_, column in zip(COLUMNS, np.array(rows).T, strict=True):
+            setattr(self, name_, column)
+
+    @property
+    def radius(self):
+        """Of the way of the CG, from position alone: circle through all points, least squares."""
+        a = np.column_stack([2 * self.x, 2 * self.y, np.ones_like(self.x)])
+        cx, cy, c = np.linalg.lstsq(a, self.x**2 + self.y**2, rcond=None)[0]
+        return math.sqrt(c + cx**2 + cy**2)
+
+
+@pytest.mark.parametrize("plant", ["ideal", "realistic"])
+@pytest.mark.parametrize(("name", "a_y"), [("S2", 1.5), ("S3", 3.77), ("S4", 6.37)])
+def test_circles(name, a_y, plant):
+    d = Drive(name, 12, plant)
+    assert d.radius == pytest.approx(11.5, abs=0.03)
+    assert d.ay.mean() == pytest.approx(a_y, rel=0.02)
+    assert d.vx.mean() == pytest.approx(math.sqrt(a_y * 11.5), rel=0.01)
+    assert (d.r > 0).all() and d.ay.std() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "road_wheel_deg", "v_y"),
+    # What the paper's error table says about the real car, paper_notes.md.
+    [("S3", 14.20, 0.63), ("S4", 15.21, 0.68)],
+)
+def test_realistic_car_steers_as_the_real_one_did(name, road_wheel_deg, v_y):
+    d = Drive(name, 12)
+    assert math.degrees(d.hand.mean()) / CAR.steering_ratio == pytest.approx(road_wheel_deg, rel=0.02)
+    assert d.vy.mean() == pytest.approx(v_y, abs=0.08)
+
+
+def test_s1_figure_eight():
+    d = Drive("S1", 60)
+    assert d.vx.mean() == pytest.approx(4.0, abs=0.05)
+    assert np.percentile(d.ay, [2, 98]) == pytest.approx([-16 / 11.5, 16 / 11.5], abs=0.07)
+    # Loops to both sides of equal size, and the road closes.
+    assert np.ptp(d.yaw) == pytest.approx(math.radians(240), abs=0.1)
+    path = load("S1").path
+    end = path.pose(path.length * 5)
+    assert math.hypot(end.x, end.y) < 0.05 and end.yaw == pytest.approx(0.0, abs=1e-9)
+
+
+def test_s5_right_circle_to_rest_and_on():
+    d = Drive("S5", 32)
+    steady = d.t < 17.5
+    assert (d.vx[steady] * d.r[steady]).mean() == pytest.approx(-1.5, rel=0.02)
+    inner = Drive("S5", 17)
+    assert inner.radius == pytest.approx(10.0, abs=0.03) and inner.r.mean() < 0
+    stop = int(np.argmax(d.vx == 0.0))
+    brake = (d.t > 18.4) & (d.t < d.t[stop] - 0.3)
+    assert np.gradient(d.vx, d.t)[brake].mean() == pytest.approx(-1.5, abs=0.08)
+    rest = d.t[d.vx == 0.0]
+    assert np.ptp(rest) == pytest.approx(4.0, abs=0.3)
+    assert d.x[d.vx == 0.0].std() < 1e-9
+    assert d.vx[-1] == pytest.approx(math.sqrt(15.0), rel=0.03)
+
+
+def test_s6_u_turns():
+    d = Drive("S6", 70)
+    turning = np.abs(d.r) > 0.4
+    assert d.vx[turning].mean() == pytest.approx(4.0, abs=0.15)
+    assert d.vx.max() == pytest.approx(6.0, abs=0.1) and d.vx.min() == pytest.approx(4.0, abs=0.1)
+    first = [np.sign(d.r[turning])[0], *np.sign(d.r[turning])[1:][np.diff(np.flatnonzero(turning)) > RATE // 2]]
+    assert first[:3] == [-1, 1, 1]
+    path = load("S6").path
+    assert path.pose(path.length * (1 - 1e-9)).yaw == pytest.approx(math.pi, abs=1e-3)
+    twice = path.pose(2 * path.length)
+    assert math.hypot(twice.x, twice.y) < 1e-6
+
+
+def test_s7_roundabout():
+    d = Drive("S7", 48)
+    assert d.vx[0] == pytest.approx(16.0, abs=0.2) and d.vx.min() == pytest.approx(5.0, abs=0.15)
+    fast = (d.vx > 15.5) & (d.t < 12)
+    assert d.ay[fast].min() == pytest.approx(-(16**2) / 230, abs=0.2)
+    slowest = int(np.argmin(d.vx))
+    assert d.yaw[slowest:].max() - d.yaw[:slowest].min() == pytest.approx(math.radians(450), abs=0.1)
+    assert d.vx[-1] == pytest.approx(16.0, abs=0.3)
+
+
+def test_sweep_rises_from_slow_to_fast():
+    d = Drive("sweep", 26)
+    crossings = d.t[1:][np.diff(np.sign(d.hand)) != 0]
+    gaps = np.diff(crossings)
+    # The first half wave already quickens from 0.2 Hz.
+    assert 0.2 < 0.5 / gaps[0] < 0.35 and 0.5 / gaps[-2] == pytest.approx(2.8, rel=0.1)
+    assert np.abs(d.ay[: 10 * RATE]).max() == pytest.approx(3.0, abs=0.5)
+    assert d.vx.min() > 13.8
+
+
+def test_step_is_a_step():
+    d = Drive("step", 14)
+    before, after = d.hand[int(2.9 * RATE)], d.hand[int(3.5 * RATE)]
+    assert abs(before) < 0.05 and after == pytest.approx(0.09 * CAR.steering_ratio, abs=0.05)
+    assert d.ay[5 * RATE] == pytest.approx(3.9, abs=0.4) and d.ay[12 * RATE] == pytest.approx(-3.9, abs=0.4)
+
+
+def test_lane_change_is_a_lane_wide():
+    d = Drive("lane_change", 14)
+    assert d.y.max() == pytest.approx(3.5, abs=0.25) and d.y[-1] == pytest.approx(0.0, abs=0.25)
+    assert 3.0 < np.abs(d.ay).max() < 5.5
+
+
+def test_brake_in_turn_brakes_with_still_hands():
+    d = Drive("brake_in_turn", 12)
+    assert d.ay[6 * RATE] == pytest.approx(4.0, abs=0.15)
+    braking = (d.t > 8.6) & (d.vx > 4.0) & (d.t < 11)
+    assert braking.sum() > 20
+    assert np.gradient(d.vx, d.t)[braking].mean() == pytest.approx(-4.0, abs=0.3)
+    # Only the tremor moves them.
+    assert np.ptp(d.hand[braking]) < 0.06
+
+
+def test_ramp_goes_beyond_the_limit():
+    d = Drive("ramp_to_limit", 26)
+    peak = np.abs(d.ay).max()
+    assert peak > 8.0
+    # Past the limit more steering gives no more lateral acceleration.
+    at_limit = int(np.argmax(np.abs(d.hand)))
+    third = int(0.8 * at_limit)
+    assert d.hand[at_limit] > 1.2 * d.hand[third] and d.ay[at_limit] < 1.05 * d.ay[third]
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_hands_are_those_of_a_person(name):
+    """No faster than a hand, no jumps of the pedal, and the same seed drives the same."""
+    d, again, other = Drive(name, 8), Drive(name, 8), Drive(name, 8, seed=1)
+    assert np.abs(np.diff(d.hand)).max() * RATE <= FASTEST_HAND + 1e-9
+    assert np.abs(np.diff(d.force)).max() <= 10.0 * CAR.mass / RATE * 1.3
+    assert (d.x == again.x).all() and (d.hand == again.hand).all()
+    assert (d.hand != other.hand).any()
+
+
+def test_path_geometry():
+    path = Path([*straight(10, 5), *turn(20, -90, 5, 4), *straight(10, 5)])
+    end = path.pose(path.length * (1 - 1e-12))
+    assert end.yaw == pytest.approx(-math.pi / 2, abs=1e-9)
+    assert path.curvature(10 + 4 + 1) == pytest.approx(-1 / 20)
+    # Continuous over the seam and through any number of rounds.
+    for s in (path.length, 3 * path.length, -path.length):
+        a, b = path.pose(s - 1e-6), path.pose(s + 1e-6)
+        assert math.hypot(a.x - b.x, a.y - b.y) < 1e-5
+    shift = Path(lane_shift(3.5, 30, 10))
+    assert shift.pose(30 * (1 - 1e-12)).y == pytest.approx(3.5, rel=0.02)
+    with pytest.raises(ValueError, match="no room"):
+        turn(5, 30, 4, 10)
+
+
+def test_speed_profile_keeps_its_limits():
+    path = Path([*straight(100, 15), *turn(10, 180, 4), *straight(100, 15)])
+    profile = SpeedProfile(path, 1.0, 2.0)
+    samples = [profile.at(s) for s in np.arange(0, 2 * path.length, 0.2)]
+    assert max(v for v, _ in samples) == pytest.approx(15.0) and min(v for v, _ in samples) == pytest.approx(4.0)
+    assert max(a for _, a in samples) <= 1.0 + 1e-6 and min(a for _, a in samples) >= -2.0 - 1e-6
+
+
+def test_own_road_from_a_file():
+    d = Drive(str(ROOT / "config/manoeuvres/slalom.yaml"), 30)
+    assert d.vx.max() == pytest.approx(11.0, abs=0.2) and d.vx.min() == pytest.approx(5.0, abs=0.2)
+    assert np.abs(d.ay).max() > 2.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("road: [{straight: 10}]", "speed"),
+        ("road: [{straight: 10, speed: 0}]", "not above 0"),
+        ("road: [{straight: 10, speed: 5, radius: 3}]", "unknown key radius"),
+        ("road: [{turn: 30, radius: 5, blend: 10, speed: 4}]", "no room"),
+        ("roads: []", "road"),
+        ("road: []", "no rows"),
+        ("road: [3]", "rows are"),
+        ("road: [{straight: 0, speed: 5}]", "no length"),
+        ("road: [{turn: 90, radius: 0, speed: 5}]", "rows are"),
+        ("road: [{loop: 90, speed: 5}]", "rows are"),
+        ("[", "is not YAML"),
+    ],
+)
+def test_bad_road_is_named(tmp_path, text, said):
+    file = tmp_path / "road.yaml"
+    file.write_text(text)
+    with pytest.raises(SimulationError, match=r"^[^\n]*road\.yaml[^\n]*$") as caught:
+        load(str(file))
+    assert said in str(caught.value)
+    with pytest.raises(SimulationError, match="--scenario S9"):
+        load("S9")
+    with pytest.raises(SimulationError, match="cannot be read"):
+        load(str(tmp_path / "none.yaml"))

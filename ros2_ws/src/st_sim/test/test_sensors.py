@@ -1,0 +1,133 @@
+"""What the sensors feel, and every sensor switch."""
+
+import math
+
+import numpy as np
+import pytest
+from st_sim.car import GRAVITY, read_car
+from st_sim.sensors import ACCURACY, Ins, Loss, SteeringSensor, read_wheel_speeds
+from st_sim.settings import SETTINGS, resolve
+from st_sim.truth import Truth
+from support import ROOT
+
+CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
+
+
+def truth(**changes):
+    values = {
+        "time": 1.0, "x": 10.0, "y": -4.0, "z": 0.0, "yaw": 0.7, "velocity_x": 8.0, "velocity_y": 0.3, "yaw_rate": 0.5,
+        "acceleration_x": 0.4, "acceleration_y": 4.0, "yaw_acceleration": 0.2, "steering_wheel_angle": 1.2,
+        "road_wheel_angle": 0.07, "wheel_speed": (7.6, 8.4, 7.6, 8.4),
+    }  # fmt: skip
+    return Truth(**{**values, **changes})
+
+
+def ins(effects=(), seed=0, **changes):
+    return Ins(CAR, resolve("ideal", effects), 0.01, seed).read(truth(**changes))
+
+
+def test_the_ins_sits_behind_the_cg():
+    r = ins()
+    assert (r.x, r.y) == pytest.approx((10 - 0.398 * math.cos(0.7), -4 - 0.398 * math.sin(0.7)))
+    assert (r.velocity_x, r.velocity_y) == pytest.approx((8.0, 0.3 - 0.5 * 0.398))
+    # Level car: specific force is the acceleration of that point, and gravity upwards.
+    assert r.specific_force == pytest.approx((0.4 + 0.25 * 0.398, 4.0 - 0.2 * 0.398, GRAVITY))
+    assert r.rates == pytest.approx((0.0, 0.0, 0.5))
+
+
+def test_a_tilted_car_feels_gravity():
+    r = ins(acceleration_x=0.0, acceleration_y=0.0, yaw_rate=0.0, yaw_acceleration=0.0, roll=0.05, pitch=0.02)
+    # Right side down: the left side is up and gravity pulls to the right, so the left axis feels + g sin(roll).
+    assert r.specific_force == pytest.approx((GRAVITY * 0.02, GRAVITY * 0.05, GRAVITY), abs=0.02)
+    assert math.hypot(*r.specific_force) == pytest.approx(GRAVITY)
+    turning = ins(roll=0.1, pitch=0.0, roll_rate=0.3)
+    assert turning.rates == pytest.approx((0.3, 0.5 * math.sin(0.1), 0.5 * math.cos(0.1)))
+
+
+def test_noise_has_the_size_the_unit_reports_and_follows_the_seed():
+    """Over many units: one standard deviation is what the accuracy channels say."""
+    settings = resolve("ideal", ["ins_noise=1"])
+    readings = [Ins(CAR, settings, 0.01, seed).read(truth()) for seed in range(400)]
+    exact = ins()
+    spread = {name: np.std([getattr(r, name) - getattr(exact, name) for r in readings])
+              for name in ("x", "y", "velocity_x", "velocity_y", "yaw", "roll", "pitch")}  # fmt: skip
+    for names, limit in ((("x", "y"), ACCURACY["position"]), (("velocity_x", "velocity_y"), ACCURACY["velocity"]),
+                         (("yaw",), ACCURACY["heading"]), (("roll", "pitch"), ACCURACY["level"])):  # fmt: skip
+        for name in names:
+            assert 0.3 * limit < spread[name] < 1.1 * limit, name
+    again = Ins(CAR, settings, 0.01, 7).read(truth())
+    assert again == readings[7] and again != readings[8]
+
+
+def test_most_noise_wanders_slowly_and_rates_do_not():
+    unit = Ins(CAR, resolve("ideal", ["ins_noise=1"]), 0.01, 5)
+    readings = [unit.read(truth()) for _ in range(2000)]
+    x, rate = np.array([r.x for r in readings]), np.array([r.rates[2] for r in readings])
+    assert np.std(np.diff(x)) < 0.5 * ACCURACY["position"]
+    assert np.corrcoef(x[:-1], x[1:])[0, 1] > 0.8
+    assert abs(np.corrcoef(rate[:-1], rate[1:])[0, 1]) < 0.1 and np.std(rate) == pytest.approx(0.002, rel=0.15)
+
+
+def test_at_rest_the_unit_is_quiet():
+    def jitter(speed):
+        unit = Ins(CAR, resolve("ideal", ["ins_noise=1"]), 0.01, 5)
+        return np.std([unit.read(truth(velocity_x=speed)).specific_force[2] for _ in range(500)])
+
+    assert jitter(0.0) < 0.2 * jitter(10.0)
+
+
+INS_ERRORS = {
+    "ins_time_error=0.03": lambda r, ok: r.stamp - ok.stamp == pytest.approx(0.03),
+    "ins_misalignment=0.02": lambda r, ok: (
+        r.yaw - ok.yaw == pytest.approx(0.02)
+        and r.velocity_y - ok.velocity_y == pytest.approx(-0.02 * 8.0, abs=2e-3)
+        and math.hypot(r.velocity_x, r.velocity_y) == pytest.approx(math.hypot(ok.velocity_x, ok.velocity_y))
+    ),
+    "ins_lever_error=0.2": lambda r, ok: (
+        r.velocity_y - ok.velocity_y == pytest.approx(0.2 * 0.5)
+        and math.dist((r.x, r.y), (ok.x, ok.y)) == pytest.approx(0.2)
+    ),
+    "yaw_rate_scale=1.02": lambda r, ok: r.rates[2] == pytest.approx(1.02 * ok.rates[2]),
+    "velocity_scale=1.02": lambda r, ok: r.velocity_x == pytest.approx(1.02 * ok.velocity_x) and r.x == ok.x,
+    "lateral_acceleration_bias=0.15": lambda r, ok: r.specific_force[1] - ok.specific_force[1] == pytest.approx(0.15),
+    # The unit stays in the body while the CG moves forward under it.
+    "cg_shift=0.1": lambda r, ok: r.velocity_y - ok.velocity_y == pytest.approx(-0.1 * 0.5),
+}
+
+
+@pytest.mark.parametrize("effect", INS_ERRORS)
+def test_ins_errors(effect):
+    assert INS_ERRORS[effect](ins([effect]), ins())
+
+
+def test_steering_sensor():
+    assert SteeringSensor(CAR, resolve("ideal"), 0).read(truth()) == pytest.approx(1.2 + math.radians(-2.7))
+    noisy = SteeringSensor(CAR, resolve("ideal", ["steering_sensor_noise=0.002"]), 0)
+    values = np.array([noisy.read(truth()) for _ in range(2000)])
+    assert values.std() == pytest.approx(0.002, rel=0.1)
+
+
+def test_wheel_speeds_have_no_sign_and_die_at_a_crawl():
+    speeds = read_wheel_speeds(truth(wheel_speed=(-3.0, 3.2, 0.2, 0.31), velocity_x=0.5), resolve("ideal"))
+    assert speeds.wheels == (3.0, 3.2, 0.0, 0.31) and speeds.vehicle == 0.0
+    assert read_wheel_speeds(truth(), resolve("ideal")).vehicle == 8.0
+    scaled = read_wheel_speeds(truth(), resolve("ideal", ["wheel_speed_scale=1.034"]))
+    assert scaled.wheels[0] == pytest.approx(7.6 * 1.034) and scaled.vehicle == 8.0
+
+
+def test_losses():
+    random = Loss(0.2, 0.0, (1, 7))
+    assert np.mean([random.loses(0.01 * i) for i in range(5000)]) == pytest.approx(0.2, abs=0.02)
+    silent = Loss(0.0, 10.0, (1, 7))
+    assert [silent.loses(t) for t in (0.0, 0.5, 9.9, 10.0, 10.9, 11.1, 20.5)] == [0, 0, 0, 1, 1, 0, 1]
+    assert not any(Loss(0.0, 0.0, (1, 7)).loses(t) for t in range(100))
+
+
+def test_every_sensor_switch_is_tested():
+    here = {e.partition("=")[0] for e in INS_ERRORS} | {
+        "ins_noise", "steering_sensor_noise", "wheel_speed_scale",
+        # In test_stream.py and test_run.py, where time passes:
+        "ins_latency", "steering_sensor_latency", "ins_packet_loss", "ins_outage_every", "can_frame_loss",
+        "can_outage_every", "logger_clock_offset", "logger_clock_drift",
+    }  # fmt: skip
+    assert {s.name for s in SETTINGS.values() if s.group in ("ins", "can")} <= here
