@@ -53,6 +53,14 @@ def unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int
     return gps_nanoseconds + (GPS_EPOCH_UNIX + utc_offset) * 1_000_000_000
 
 
+def host_minute(received_ns: int, milliseconds: int) -> int:
+    """The GPS minute that puts a packet's milliseconds nearest to a host time [ns since 1970]; right if that clock is
+    within half a minute."""
+    gps_ms = received_ns // 1_000_000 - GPS_EPOCH_UNIX * 1000
+    gps_ms += leap_seconds(gps_ms // 1000) * 1000
+    return round((gps_ms - milliseconds) / MINUTE_MS)
+
+
 class GpsClock:
     """Time of each packet of a series that carries bytes 1-2 (navigation status 2, 3, 4).
 

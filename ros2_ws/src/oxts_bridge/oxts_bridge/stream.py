@@ -80,6 +80,12 @@ class NcomParser:
     def time_jumps(self) -> int:
         return self.clock.jumps
 
+    def restart(self) -> None:
+        """Forget the time and the remains of a cut packet: what comes next is another stream. Counters go on."""
+        jumps, self.clock = self.clock.jumps, GpsClock()
+        self.clock.jumps = jumps
+        self._tail, self._in_step = b"", True
+
     def feed(self, data: bytes, received_ns: int | None = None) -> list[Received]:
         """All packets completed by these bytes, in order. received_ns: host receive time of the bytes [ns since
         1970]."""

@@ -1,0 +1,141 @@
+"""What the node says about itself on /diagnostics."""
+
+import time
+from collections.abc import Callable
+
+from st_ros.diagnostics import ERROR, OK, WARN, Check
+
+from .modes import mode_text
+from .motion import Accuracy
+from .navigation import BLOCKED, EXPIRED, LOCKED, LOCKING, rule
+from .origin import UNIT, Origin
+from .sources import SourceStatus
+from .status import StatusTracker
+from .stream import NcomParser
+from .stream_statistics import StreamStatistics
+
+# A stamp this far from the host's clock is worth a word: one of the two clocks is wrong.
+CLOCKS_APART = 0.5
+_NEVER = float("-inf")
+
+
+class Health:
+    """Checks from the counts of parser, status and source. The node fills in the plain attributes as packets come."""
+
+    def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
+                 source: Callable[[], SourceStatus | None], live: bool, ellipsoidal: bool, silence_after: float):
+        """live: packets come as they are measured, so stamps can be compared with the host's clock."""
+        self.navigation_status: int | None = None
+        self.heard = _NEVER
+        self.minute_from_host = False
+        self.failures = 0
+        self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
+        self._source, self._live, self._ellipsoidal, self._silence_after = source, live, ellipsoidal, silence_after
+        self._before = (0, 0, 0, 0)
+
+    def checks(self) -> list[Check]:
+        source = self._source()
+        if source is None:
+            return [Check("source", OK, "not active")]
+        return [self._source_check(source), self._stream(source), self._solution(), self._completeness(), self._time()]
+
+    def _source_check(self, source: SourceStatus) -> Check:
+        values = {"datagrams": source.datagrams}
+        if source.sender:
+            values["sender"] = source.sender
+        values.update({f"ignored from {address}": count for address, count in source.others.items()})
+        if source.name.startswith("file"):
+            values = {"packets": source.datagrams, "progress %": 100.0 * source.progress, "loops": source.loops}
+        if self.failures:
+            values["failed packets"] = self.failures
+            return Check("source", ERROR, f"{self.failures} packets could not be published, see the log", values)
+        if source.trouble:
+            return Check("source", ERROR, source.trouble, values)
+        if source.done:
+            return Check("source", OK, f"{source.name}: replay finished", values)
+        if source.others and not source.sender:
+            return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.others)}", values)
+        return Check("source", OK, f"{source.name}" + (f" from {source.sender}" if source.sender else ""), values)
+
+    def _stream(self, source: SourceStatus) -> Check:
+        window, counters = self._statistics.take(), self._parser.counters
+        age = time.monotonic() - self.heard
+        faults = (counters.checksum_errors, counters.skipped_bytes, counters.late, self._statistics.gaps)
+        new = [now - before for now, before in zip(faults, self._before, strict=True)]
+        self._before = faults
+        values = {"rate [Hz]": window.rate, "gaps": self._statistics.gaps, "longest step [s]": window.longest,
+                  "packets": counters.packets, "checksum errors": counters.checksum_errors,
+                  "inner checksum warnings": counters.inner_checksum_warnings, "skipped bytes": counters.skipped_bytes,
+                  "late": counters.late, "duplicates": counters.duplicates, "triggers": counters.triggers,
+                  "reserved navigation status": counters.unknown_statuses,
+                  "unknown channels": counters.unknown_channels,
+                  "age [s]": age}
+        if source.done:
+            return Check("stream", OK, "replay finished", values)
+        if self.heard == _NEVER:
+            return Check("stream", ERROR, "no NCOM packet yet", values)
+        if age > self._silence_after:
+            return Check("stream", ERROR, f"no packet for {age:.1f} s", values)
+        names = ("checksum errors", "skipped bytes", "late packets", "gaps")
+        trouble = [f"{count} {name}" for count, name in zip(new, names, strict=True) if count > 0]
+        if trouble:
+            return Check("stream", WARN, ", ".join(trouble) + " since the last report", values)
+        return Check("stream", OK, f"{window.rate:.0f} packets/s", values)
+
+    def _solution(self) -> Check:
+        if self.navigation_status is None:
+            return Check("solution", WARN, "no navigation status yet")
+        get, accuracy = self._status.get, Accuracy.from_status(self._status)
+        values = {"position mode": mode_text(get("GpsPosMode")), "velocity mode": mode_text(get("GpsVelMode")),
+                  "orientation mode": mode_text(get("GpsAttMode")), "satellites": get("GpsNumObs"),
+                  "position accuracy east [m]": accuracy.east, "position accuracy north [m]": accuracy.north,
+                  "heading accuracy [rad]": accuracy.heading, "PTP status": get("PtpStatus"),
+                  "NTRIP status": get("NtripStatus"), "IMU temperature [degC]": get("ImuTemperature")}
+        values = {key: value for key, value in values.items() if value not in (None, "")}
+        text = rule(self.navigation_status).text
+        if self.navigation_status == LOCKED:
+            return Check("solution", OK, text, values)
+        if self.navigation_status in (EXPIRED, BLOCKED):
+            return Check("solution", ERROR, text, values)
+        reason = "catching up with real time" if self.navigation_status == LOCKING else "no fix"
+        return Check("solution", WARN, f"{text}: {reason}", values)
+
+    def _completeness(self) -> Check:
+        """What is still missing, and what that does to the topics. Nothing waits for it but what is named."""
+        accuracy, status = Accuracy.from_status(self._status), self._status
+        degraded, missing = [], []
+        if self._parser.clock.minute is None:
+            degraded.append("absolute time (channel 0): nothing but ins/ncom can be stamped yet")
+        elif self.minute_from_host:
+            degraded.append("absolute time (channel 0): minute taken from the host's clock")
+        if status.get("Undulation") is None and not self._ellipsoidal:
+            degraded.append("geoid undulation (channel 48): altitude of ins/nav_sat_fix is NaN")
+        if not (accuracy.position_known and accuracy.velocity_known and accuracy.attitude_known):
+            degraded.append("accuracies (channels 3, 4, 5): covariances unknown")
+        if self._origin.frame is None:
+            degraded.append("map origin: ins/odometry and tf wait for "
+                            + ("the unit's local frame" if self._origin.source == UNIT else "the first fix"))
+        elif self._origin.used != self._origin.source:
+            degraded.append("the unit's local frame (channels 66, 67): map origin is the first fix")
+        if self._parser.utc_offset is None:
+            missing.append("UTC offset (leap-second table used)")
+        if status.get("SerialNumber") is None and status.get("SerialNumber24") is None:
+            missing.append("serial number")
+        values = {"also missing": ", ".join(missing) or "nothing", "channels seen": len(status.seen),
+                  "map origin": self._origin.used or "none"}
+        if degraded:
+            return Check("completeness", WARN, "missing: " + "; ".join(degraded), values)
+        return Check("completeness", OK, "complete", values)
+
+    def _time(self) -> Check:
+        offset = self._parser.utc_offset
+        values = {"time jumps": self._parser.time_jumps,
+                  "UTC offset [s]": "leap-second table" if offset is None else offset}
+        figures = self._statistics.stamp_minus_host() if self._live else None
+        if figures is None:
+            return Check("time", OK, "not compared with the host's clock" if not self._live else "no time yet", values)
+        middle, worst = figures
+        values |= {"stamp minus host, median [s]": middle, "stamp minus host, 99 % above [s]": worst}
+        if abs(middle) > CLOCKS_APART:
+            return Check("time", WARN, f"stamps are {middle:+.3f} s from the host's clock: is that set?", values)
+        return Check("time", OK, f"stamps {middle * 1e3:+.1f} ms from the host's clock", values)

@@ -1,0 +1,232 @@
+"""oxts_bridge: NCOM from UDP or a file to ROS topics, as a lifecycle node."""
+
+import sys
+import time
+from pathlib import Path
+
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from st_ros import parameters, spin
+from st_ros.diagnostics import Check, Diagnostics
+from st_ros.parameters import ConfigurationError
+
+from . import convert
+from .attitude import Vector
+from .gps_time import host_minute, unix_nanoseconds
+from .health import Health
+from .motion import Accuracy, Motion, motion_of
+from .ncom import NcomError
+from .nodes._outputs import Outputs
+from .origin import GIVEN, Origin
+from .settings import NCOM, PARAMETERS, check
+from .sources import ReplaySource, UdpSource
+from .status import StatusTracker
+from .stream import DUPLICATE, NEW, SAME, NcomParser, Received
+from .stream_statistics import StreamStatistics
+from .triggers import EventLog
+
+# A live stream without channel 0 for this long gets its minute from the host's clock [s].
+_MINUTE_PATIENCE = 2.0
+_CLOCK_PERIOD = 0.01
+_ACCURACY_CHANNELS = frozenset((3, 4, 5))
+_SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class OxtsBridge(LifecycleNode):
+    """Configured: publishers exist. Active: the source's thread decodes and publishes, without a turn through the
+    executor."""
+
+    def __init__(self) -> None:
+        super().__init__("oxts_bridge")
+        self._settings = parameters.declare(self, PARAMETERS)
+        check(self._settings, self.get_name())
+        self._live = not self._settings.replay_file
+        self._source: UdpSource | ReplaySource | None = None
+        self._outputs: Outputs | None = None
+        self._problem = ""
+        self._reset()
+        self._diagnostics = Diagnostics(self, "oxts", self._checks)
+        # A port that comes or goes is worth telling at once, but only the executor's thread may publish diagnostics.
+        self._changed = self.create_guard_condition(self._diagnostics.publish)
+        if self._settings.autostart:
+            for transition in (self.trigger_configure, self.trigger_activate):
+                if transition() != _SUCCESS:
+                    raise ConfigurationError(f"{self.get_name()}.{self._problem or 'start refused'}")
+
+    def _reset(self) -> None:
+        s = self._settings
+        given = (s.origin_latitude, s.origin_longitude, s.origin_altitude) if s.origin_source == GIVEN else None
+        self._parser, self._status, self._events = NcomParser(), StatusTracker(), EventLog()
+        self._origin, self._statistics = Origin(s.origin_source, given), StreamStatistics()
+        self._accuracy = Accuracy.from_status(self._status)
+        self._health = Health(self._parser, self._status, self._origin, self._statistics, self._source_status,
+                              self._live,
+                              s.altitude_is_ellipsoidal, s.silence_after)
+        self._untimed_since: float | None = None
+        self._shown: tuple | None = None
+        self._shown_at = self._clock_at = float("-inf")
+
+    # Lifecycle
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._reset()
+        try:
+            self._source = self._make_source()
+        except (NcomError, OSError) as error:
+            self._problem = f"replay_file: {error}"
+            self.get_logger().error(self._problem)
+            return _FAILURE
+        self._outputs = Outputs(self, self._settings)
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        if self._source is None:
+            self._source = self._make_source()
+        self._outputs.static_transforms(time.time_ns())
+        self._source.start()
+        self.get_logger().info(f"reading {self._source.status.name}")
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._stop_source()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._stop_source()
+        self._destroy_outputs()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self.on_cleanup(state)
+
+    def close(self) -> None:
+        """Before the node is destroyed: no thread may publish any more."""
+        self._stop_source()
+
+    def _make_source(self) -> UdpSource | ReplaySource:
+        s = self._settings
+        if self._live:
+            return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._changed.trigger)
+        return ReplaySource(Path(s.replay_file), self._on_data, self._on_replay_restart, s.speed_factor, s.loop,
+                            s.start_offset)
+
+    def _stop_source(self) -> None:
+        if self._source is not None:
+            self._source.stop()
+            self._source = None
+
+    def _destroy_outputs(self) -> None:
+        if self._outputs is not None:
+            self._outputs.destroy()
+            self._outputs = None
+
+    def _source_status(self):
+        return None if self._source is None else self._source.status
+
+    def _checks(self) -> list[Check]:
+        return self._health.checks()
+
+    # Packets; everything below runs in the source's thread.
+
+    def _on_data(self, data: bytes, received_ns: int, wanted: bool) -> int:
+        # The pace of a replay is not that of the packets' clock, so it says nothing about gaps.
+        packets = self._parser.feed(data, received_ns if self._live else None)
+        for received in packets:
+            received.received_ns = received_ns
+            try:
+                self._take(received, wanted)
+            except Exception as error:  # a packet nobody thought of must not end the thread that reads all others
+                self._health.failures += 1
+                self.get_logger().error(f"packet at byte {received.offset} failed: {error!r}",
+                                        throttle_duration_sec=10.0)
+        return len(packets)
+
+    def _on_replay_restart(self) -> None:
+        self._parser.restart()
+
+    def _take(self, received: Received, wanted: bool) -> None:
+        now = time.monotonic()
+        self._health.heard = now
+        if wanted and received.order != DUPLICATE:
+            self._outputs.raw(received, now)
+        if received.order not in (NEW, SAME):
+            return
+        if received.rule.known:
+            self._health.navigation_status = received.packet.navigation_status
+        self._update_status(received)
+        if not wanted:
+            return
+        in_series = received.kind == "regular" and received.order == NEW
+        motion = motion_of(received)
+        position = self._position(received, motion)
+        self._publish_event(received, motion, position)
+        if in_series:
+            self._statistics.add(received)
+            self._know_minute(received, now)
+            self._publish_motion(received, motion, position, now)
+        self._publish_status(received, now)
+
+    def _update_status(self, received: Received) -> None:
+        if not received.rule.status:
+            return
+        packet = received.packet
+        if packet.channel == 0 and received.rule.time:
+            self._health.minute_from_host = False
+        seconds = None if received.gps_ns is None else received.gps_ns * 1e-9
+        place = (packet.latitude, packet.longitude, packet.altitude) if packet.channel == 25 else None
+        fields = self._status.update(packet.channel, packet.batch_s, seconds, place)
+        if fields and packet.channel in _ACCURACY_CHANNELS:
+            self._accuracy = Accuracy.from_status(self._status)
+
+    def _position(self, received: Received, motion: Motion | None) -> Vector | None:
+        if motion is None:
+            return None
+        frame = self._origin.look(motion, self._status, received.received_ns)
+        return None if frame is None else motion.position(frame)
+
+    def _publish_event(self, received: Received, motion: Motion | None, position: Vector | None) -> None:
+        event = self._events.event(received)
+        if event is None:
+            return
+        stamp = unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
+        where = (position, motion) if event.complete else (None, None)
+        self._outputs.trigger(convert.make_trigger(stamp, self._settings.map_frame, event.channel, event.count, *where))
+
+    def _know_minute(self, received: Received, now: float) -> None:
+        """Publishing waits for channel 0, which comes every 10th packet; where it never comes the host's clock has to
+        do."""
+        if not received.rule.time or received.gps_ns is not None or not self._live:
+            self._untimed_since = None
+            return
+        if self._untimed_since is None:
+            self._untimed_since = now
+        elif now - self._untimed_since > _MINUTE_PATIENCE:
+            self._parser.clock.hint(host_minute(received.received_ns, received.packet.milliseconds))
+            self._health.minute_from_host = True
+
+    def _publish_motion(self, received: Received, motion: Motion | None, position: Vector | None, now: float) -> None:
+        outputs = self._outputs
+        stamp = received.utc_ns if self._settings.stamp_source == NCOM else received.received_ns
+        outputs.time_reference(received, now)
+        if stamp is None:
+            return
+        if motion is not None:
+            outputs.motion(stamp, motion, position, self._accuracy, now)
+            outputs.fix(stamp, motion, self._accuracy, self._status, now)
+        outputs.imu(stamp, received, motion, self._accuracy, now)
+        if received.utc_ns is not None and now - self._clock_at >= _CLOCK_PERIOD:
+            self._clock_at = now
+            outputs.clock(received.utc_ns)
+
+    def _publish_status(self, received: Received, now: float) -> None:
+        get = self._status.get
+        shown = (self._health.navigation_status, get("GpsPosMode"), get("GpsVelMode"), get("GpsAttMode"))
+        if shown == self._shown and now - self._shown_at < self._settings.status_period:
+            return
+        self._shown, self._shown_at = shown, now
+        stamp = received.utc_ns if received.utc_ns is not None else received.received_ns
+        self._outputs.status(convert.make_status(stamp, self._settings.ins_frame, self._health.navigation_status or 0,
+                                                 self._status, self._parser.counters, self._parser.time_jumps))
+
+
+def main() -> None:
+    sys.exit(spin.run(OxtsBridge))

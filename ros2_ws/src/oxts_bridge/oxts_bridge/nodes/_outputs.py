@@ -1,0 +1,140 @@
+"""The publishers of the bridge: each fills its message only while somebody listens."""
+
+from math import isfinite, nan
+from types import SimpleNamespace
+from typing import Any
+
+from geometry_msgs.msg import TwistWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu, NavSatFix, TimeReference
+from st_msgs.msg import InsStatus, Ncom, Trigger
+from tf2_msgs.msg import TFMessage
+
+from .. import convert
+from ..attitude import Vector
+from ..geodesy import ellipsoidal_height
+from ..motion import Accuracy, Motion
+from ..status import StatusTracker
+from ..stream import Received
+
+QOS = QoSProfile(depth=50, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+TF_QOS = QoSProfile(depth=100, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE,
+                     durability=DurabilityPolicy.TRANSIENT_LOCAL)
+TYPES = {"ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFix,
+         "velocity": TwistWithCovarianceStamped,
+         "time_reference": TimeReference, "trigger": Trigger}
+# How often it is asked whether anyone listens to a topic [s]: asking costs as much as filling a message.
+_LISTENERS_PERIOD = 0.05
+
+
+class _Output:
+    """A publisher that knows whether it is needed; `publisher` None: switched off."""
+
+    def __init__(self, publisher: Publisher | None):
+        self._publisher = publisher
+        self._asked = float("-inf")
+        self._wanted = False
+
+    def wanted(self, now: float) -> bool:
+        """now: a monotonic clock [s]."""
+        if self._publisher is not None and now - self._asked > _LISTENERS_PERIOD:
+            self._asked = now
+            self._wanted = self._publisher.get_subscription_count() > 0
+        return self._wanted
+
+    def publish(self, message: Any) -> None:
+        self._publisher.publish(message)
+
+
+class Outputs:
+    """All topics. Times in ns since 1970."""
+
+    def __init__(self, node: Node, settings: SimpleNamespace):
+        self._node, self._settings = node, settings
+        self._publishers: list[Publisher] = []
+        ins, lever = settings.ins_frame, tuple(settings.base_to_ins)
+        self._out = {name: self._output(name, type_) for name, type_ in TYPES.items()}
+        self._status = self._create(InsStatus, "ins/status", LATCHED) if "status" in settings.topics else None
+        self._tf = _Output(self._create(TFMessage, "/tf", TF_QOS) if settings.publish_tf else None)
+        self._tf_static = self._create(TFMessage, "/tf_static", LATCHED) if settings.publish_tf else None
+        self._clock = self._create(Clock, "/clock", 10) if settings.publish_clock else None
+        rate, acceleration = settings.angular_velocity_stddev, settings.linear_acceleration_stddev
+        self._ncom = convert.NcomMaker(ins)
+        self._odometry = convert.OdometryMaker(settings.map_frame, ins, rate)
+        self._velocity = convert.VelocityMaker(ins, rate)
+        self._imu = convert.ImuMaker(ins, rate, acceleration)
+        self._nav_sat_fix = convert.NavSatFixMaker(ins)
+        self._time_reference = convert.TimeReferenceMaker(ins)
+        self._transform = convert.TransformMaker(settings.odom_frame, settings.base_frame, lever)
+
+    def _create(self, type_: type, name: str, qos: QoSProfile | int) -> Publisher:
+        publisher = self._node.create_publisher(type_, name, qos)
+        self._publishers.append(publisher)
+        return publisher
+
+    def _output(self, name: str, type_: type) -> _Output:
+        return _Output(self._create(type_, f"ins/{name}", QOS) if name in self._settings.topics else None)
+
+    def destroy(self) -> None:
+        for publisher in self._publishers:
+            self._node.destroy_publisher(publisher)
+
+    def raw(self, received: Received, now: float) -> None:
+        if self._out["ncom"].wanted(now):
+            self._out["ncom"].publish(self._ncom.make(received.received_ns, received.raw))
+
+    def time_reference(self, received: Received, now: float) -> None:
+        if received.utc_ns is not None and self._out["time_reference"].wanted(now):
+            self._out["time_reference"].publish(self._time_reference.make(received.received_ns, received.utc_ns))
+
+    def motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy, now: float) -> None:
+        """Odometry, transform and velocity; position: in the map frame, None until there is one."""
+        out = self._out
+        if position is not None:
+            if out["odometry"].wanted(now):
+                out["odometry"].publish(self._odometry.make(stamp_ns, position, motion, accuracy))
+            if self._tf.wanted(now):
+                self._tf.publish(self._transform.make(stamp_ns, position, motion))
+        if out["velocity"].wanted(now):
+            out["velocity"].publish(self._velocity.make(stamp_ns, motion, accuracy))
+
+    def fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker, now: float) -> None:
+        if not self._out["nav_sat_fix"].wanted(now):
+            return
+        undulation = status.get("Undulation")
+        if self._settings.altitude_is_ellipsoidal:
+            height = motion.altitude
+        else:
+            height = nan if undulation is None else ellipsoidal_height(motion.altitude, undulation)
+        mode = status.get("GpsPosMode")
+        self._out["nav_sat_fix"].publish(self._nav_sat_fix.make(stamp_ns, motion, height, mode, accuracy))
+
+    def imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy, now: float) -> None:
+        packet = received.packet
+        if self._out["imu"].wanted(now) and isfinite(sum(packet.acceleration) + sum(packet.angular_rate)):
+            self._out["imu"].publish(self._imu.make(stamp_ns, packet, motion, accuracy))
+
+    def trigger(self, message: Trigger) -> None:
+        if "trigger" in self._settings.topics:
+            self._out["trigger"].publish(message)
+
+    def status(self, message: InsStatus) -> None:
+        if self._status is not None:
+            self._status.publish(message)
+
+    def clock(self, utc_ns: int) -> None:
+        if self._clock is not None:
+            message = Clock()
+            message.clock.sec, message.clock.nanosec = divmod(utc_ns, 1_000_000_000)
+            self._clock.publish(message)
+
+    def static_transforms(self, stamp_ns: int) -> None:
+        if self._tf_static is not None:
+            s = self._settings
+            self._tf_static.publish(convert.static_transforms(stamp_ns, s.map_frame, s.odom_frame, s.base_frame,
+                                                              s.ins_frame, tuple(map(float, s.base_to_ins))))
