@@ -1,0 +1,291 @@
+"""Every model over a whole recorded drive: a prediction every 100 ms, scored against what the car then did.
+
+The offline counterpart of Predictor and Evaluator: from the same start it gives the same trajectory and the same error
+(`st verify` measures that). Memory is bounded: whole trajectories exist for one block of starts at a time; what is kept
+of each start are its errors' means, squares and extremes over the horizon and their values at whole seconds.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from . import frames, integrate
+from .errors import ConfigurationError
+from .evaluation import Mode
+from .filtering import NANOSECOND
+from .log import DriveLog
+from .log_signals import Acceleration, LogSignals
+from .models import Model, get_model
+from .prediction import PredictionSettings, predict_batch
+from .types import STATE_NAMES
+from .vehicle import VehicleParameters
+
+MODES: tuple[Mode, ...] = ("hindsight", "forecast")
+AXES = ("longitudinal", "lateral", "yaw")
+BLOCK = 512  # starts predicted together: 512 x 101 x 6 doubles of trajectory, 2.5 MB
+CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """How a drive is evaluated. Raises ConfigurationError naming the key and the limit.
+
+    prediction: as for the live nodes; stale_after has no meaning here. interval: between starts [s].
+    acceleration: filter of the forward speed before its derivative, causal as in the car, or zero_phase.
+    inputs: measured inputs within an integration step, interpolate: at its start, middle and end; hold: the value at
+    its start throughout. The paper says neither.
+    """
+
+    prediction: PredictionSettings = field(default_factory=PredictionSettings)
+    interval: float = 0.1
+    acceleration: Acceleration = "causal"
+    inputs: Literal["interpolate", "hold"] = "interpolate"
+
+    def __post_init__(self):
+        if not 0.001 <= self.interval <= 3600.0:
+            raise ConfigurationError(f"interval: {self.interval:g} s is outside 0.001 to 3600 s")
+        for key, choices in (("acceleration", ("causal", "zero_phase")), ("inputs", ("interpolate", "hold"))):
+            if getattr(self, key) not in choices:
+                raise ConfigurationError(f"{key}: {getattr(self, key)!r} is neither of {', '.join(choices)}")
+
+    def as_dict(self) -> dict[str, float | str]:
+        """All settings by name, for reports."""
+        return {**asdict(self.prediction), "interval": self.interval, "acceleration": self.acceleration,
+                "inputs": self.inputs}
+
+
+@dataclass(frozen=True, eq=False)
+class ModelErrors:
+    """Errors of one model and mode at the INS point, one row per start; NaN where incomplete. Axes as AXES [m, m, rad].
+
+    complete: (n,). mean, mean_square, largest: (n, 3) over all points of the horizon, the start included; largest is a
+    magnitude. at_seconds: (n, s, 3), the error at 1, 2, ... s. profile_mean, profile_rmse, profile_max: (points, 3)
+    over all complete starts, by horizon point.
+    """
+
+    complete: np.ndarray
+    mean: np.ndarray
+    mean_square: np.ndarray
+    largest: np.ndarray
+    at_seconds: np.ndarray
+    profile_mean: np.ndarray
+    profile_rmse: np.ndarray
+    profile_max: np.ndarray
+
+    @property
+    def n_starts(self) -> int:
+        """Starts whose whole horizon was scored."""
+        return int(self.complete.sum())
+
+    def statistics(self, axis: str, over: Literal["means", "samples"] = "means",
+                   select: np.ndarray | None = None) -> tuple[float, float, float]:
+        """(mean, largest magnitude, root mean square) of one axis over the selected complete starts [m or rad].
+
+        over: means = of the horizon means, as in the paper's table; samples = of all points of all horizons.
+        NaN without a start.
+        """
+        column = AXES.index(axis)
+        chosen = self.complete if select is None else self.complete & select
+        if not chosen.any():
+            return np.nan, np.nan, np.nan
+        mean = self.mean[chosen, column]
+        if over == "means":
+            return float(mean.mean()), float(np.abs(mean).max()), float(np.sqrt(np.square(mean).mean()))
+        return (float(mean.mean()), float(self.largest[chosen, column].max()),
+                float(np.sqrt(self.mean_square[chosen, column].mean())))
+
+
+@dataclass(frozen=True, eq=False)
+class LogEvaluation:
+    """All models over one drive.
+
+    starts_ns: (n,) of the predictions made. skipped: starts without one, by reason. incomplete: starts whose horizon
+    could not be scored in hindsight, by reason. conditions: (n,) each, over the horizon as measured, NaN for those:
+    mean speed [m/s], mean lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], root mean square
+    steering_rate of the road wheels [rad/s], heading_change [rad]; left +.
+    errors: by (model, mode). horizon: (points,) [s].
+    """
+
+    name: str
+    settings: EvaluationSettings
+    start_ns: int
+    starts_ns: np.ndarray
+    skipped: dict[str, int]
+    incomplete: dict[str, int]
+    conditions: dict[str, np.ndarray]
+    errors: dict[tuple[str, Mode], ModelErrors]
+    horizon: np.ndarray
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(model for model, _ in self.errors))
+
+    @property
+    def time(self) -> np.ndarray:
+        """Start times after the begin of the drive [s]."""
+        return (self.starts_ns - self.start_ns) * NANOSECOND
+
+
+def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
+                 settings: EvaluationSettings | None = None, starts_ns: np.ndarray | None = None,
+                 progress: Progress | None = None) -> LogEvaluation:
+    """Predict with every model from every start and score it.
+
+    starts_ns: increasing; default every `interval` of the drive from its first INS sample on. A start where INS or
+    steering is not known, or slower than minimum_speed, is skipped and counted. progress(done, total): after each
+    block. Source: paper, section on the comparison. Checked by: test_log_evaluation.py, against the live classes.
+    """
+    settings = settings or EvaluationSettings()
+    models = [get_model(model) for model in models]
+    signals = LogSignals(log, settings.prediction.maximum_gap, settings.prediction.filter_cutoff, settings.acceleration)
+    origin = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
+    wanted = regular_starts(log, settings.interval) if starts_ns is None else np.asarray(starts_ns, np.int64)
+    starts, skipped = usable_starts(signals, vehicle, wanted, settings.prediction.minimum_speed)
+    horizon = settings.prediction.step * np.arange(settings.prediction.steps + 1)
+    collected = {(model.name, mode): _Collector(len(starts), horizon) for model in models for mode in MODES}
+    conditions = {name: np.full(len(starts), np.nan) for name in CONDITIONS}
+    reasons: dict[str, int] = {}
+    for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
+        for name, values in block.conditions.items():
+            conditions[name][rows] = values
+        for key, errors in block.errors.items():
+            collected[key].add(rows, errors)
+        for reason, count in block.incomplete.items():
+            reasons[reason] = reasons.get(reason, 0) + count
+        if progress:
+            progress(rows.stop, len(starts))
+    errors = {key: collector.result() for key, collector in collected.items()}
+    return LogEvaluation(log.name, settings, origin, starts, skipped, reasons, conditions, errors, horizon)
+
+
+def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
+    """Instants [ns] `interval` [s] apart, from the first INS sample, while both INS and steering last."""
+    if not log.overlap:
+        return np.empty(0, np.int64)
+    first = int(log.ins_time_ns[0])
+    begin = max(first, int(log.steering_time_ns[0]))
+    end = min(int(log.ins_time_ns[-1]), int(log.steering_time_ns[-1]))
+    step = round(interval / NANOSECOND)
+    return first + step * np.arange(-((first - begin) // step), (end - first) // step + 1, dtype=np.int64)
+
+
+def usable_starts(signals: LogSignals, vehicle: VehicleParameters, wanted: np.ndarray,
+                  minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
+    """The starts from which a prediction can be made, and how many of the others there are by reason."""
+    speed, yaw_rate, acceleration = signals.ins_at(wanted, "velocity_x", "yaw_rate", "velocity_x_dot")
+    angle = signals.road_wheel_angle_at(wanted)
+    no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)
+    slow = np.abs(speed + yaw_rate * vehicle.cg_to_ins_y) < minimum_speed
+    bad = {"INS not known": no_ins, "steering not known": no_steering & ~no_ins,
+           f"slower than {minimum_speed:g} m/s": slow & ~no_ins & ~no_steering}
+    return wanted[~(no_ins | no_steering | slow)], {name: int(b.sum()) for name, b in bad.items() if b.any()}
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Errors (n, points, 3) by model and mode of a few starts; incomplete: in hindsight, by reason."""
+
+    errors: dict[tuple[str, Mode], np.ndarray]
+    trajectories: dict[tuple[str, Mode], np.ndarray]
+    conditions: dict[str, np.ndarray]
+    incomplete: dict[str, int]
+
+
+def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
+                    settings: EvaluationSettings) -> Iterator[tuple[slice, Block]]:
+    """Errors and whole trajectories of BLOCK starts at a time, with the rows of `starts_ns` they belong to."""
+    for first in range(0, len(starts_ns), BLOCK):
+        rows = slice(first, min(first + BLOCK, len(starts_ns)))
+        yield rows, _evaluate_block(models, vehicle, signals, starts_ns[rows], settings)
+
+
+def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
+    step, steps = settings.prediction.step, settings.prediction.steps
+    half_steps = np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
+    times = starts_ns[:, None] + half_steps
+    x, y, yaw, speed, yaw_rate, acceleration = signals.ins_at(
+        times, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
+    angle = signals.road_wheel_angle_at(times)
+    states = signals.states_at(starts_ns, vehicle)
+    measured = x[:, ::2], y[:, ::2], yaw[:, ::2]
+    trajectories = {}
+    for model in models:
+        trajectories[model.name, "hindsight"] = (
+            predict_batch(model, vehicle, states, angle, acceleration, step * steps, step)
+            if settings.inputs == "interpolate"
+            else predict_held_per_step(model, vehicle, states, angle[:, ::2], acceleration[:, ::2], step))
+        trajectories[model.name, "forecast"] = predict_batch(
+            model, vehicle, states, angle[:, 0].copy(), acceleration[:, 0].copy(), step * steps, step)
+    errors = {key: position_errors(t, *measured, vehicle) for key, t in trajectories.items()}
+    known_ins, known_steering = np.isfinite(acceleration).all(axis=1), np.isfinite(angle).all(axis=1)
+    incomplete = {"INS not known over the horizon": ~known_ins,
+                  "steering not known over the horizon": known_ins & ~known_steering}
+    conditions = {
+        "speed": speed[:, ::2].mean(axis=1), "lateral_acceleration": (speed * yaw_rate)[:, ::2].mean(axis=1),
+        "velocity_x_dot": acceleration[:, ::2].mean(axis=1),
+        "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / (0.5 * step)).mean(axis=1)),
+        "heading_change": yaw[:, -1] - yaw[:, 0],
+    }
+    conditions = {name: np.where(known_ins & known_steering, values, np.nan) for name, values in conditions.items()}
+    return Block(errors, trajectories, conditions, {name: int(b.sum()) for name, b in incomplete.items() if b.any()})
+
+
+def position_errors(trajectories: np.ndarray, x, y, yaw, vehicle: VehicleParameters) -> np.ndarray:
+    """(n, points, 3) errors of trajectories (n, points, 6) as `evaluation.position_errors`; x, y, yaw: (n, points)."""
+    with np.errstate(all="ignore"):
+        predicted_yaw = trajectories[..., 4]
+        predicted = frames.cg_to_ins_position(
+            trajectories[..., 0], trajectories[..., 1], predicted_yaw, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
+        longitudinal, lateral = frames.map_to_body(predicted[0] - x, predicted[1] - y, yaw)
+        return np.stack([longitudinal, lateral, frames.wrap_angle(predicted_yaw - yaw)], axis=-1)
+
+
+def predict_held_per_step(model: Model, vehicle: VehicleParameters, states: np.ndarray, road_wheel_angle: np.ndarray,
+                          velocity_x_dot: np.ndarray, step: float) -> np.ndarray:
+    """(n, points, 6): as `predict_batch`, each step with the inputs at its start. Inputs: (n, points)."""
+    p = model.parameters(vehicle)
+    with np.errstate(all="ignore"):
+        grid = [model.inputs(a, b, p) for a, b in zip(road_wheel_angle.T, velocity_x_dot.T, strict=True)]
+        state = model.start_state(tuple(np.ascontiguousarray(states.T)), grid[0], p)
+        columns = [state]
+        for w in grid[:-1]:
+            state = integrate.rk4_step(model.rhs, state, w, w, w, p, step)
+            columns.append(state)
+    return np.array([c[:len(STATE_NAMES)] for c in columns]).transpose(2, 0, 1)
+
+
+class _Collector:
+    """What is kept of the errors (n, points, 3) that come block by block."""
+
+    def __init__(self, count: int, horizon: np.ndarray):
+        # The grid points at whole seconds; with a step that does not divide one second, those next to them.
+        self._marks = [int(np.abs(horizon - s).argmin()) for s in range(1, int(horizon[-1] + 1e-9) + 1)]
+        self._complete = np.zeros(count, bool)
+        self._mean, self._square, self._largest = (np.full((count, 3), np.nan) for _ in range(3))
+        self._at = np.full((count, len(self._marks), 3), np.nan)
+        self._sum, self._squares, self._maxima = (np.zeros((len(horizon), 3)) for _ in range(3))
+
+    def add(self, rows: slice, errors: np.ndarray) -> None:
+        complete = np.isfinite(errors).all(axis=(1, 2))
+        here, errors = np.arange(rows.start, rows.stop)[complete], errors[complete]
+        if not len(here):
+            return
+        self._complete[here] = True
+        square, size = np.square(errors), np.abs(errors)
+        self._mean[here], self._square[here] = errors.mean(axis=1), square.mean(axis=1)
+        self._largest[here], self._at[here] = size.max(axis=1), errors[:, self._marks]
+        self._sum += errors.sum(axis=0)
+        self._squares += square.sum(axis=0)
+        np.maximum(self._maxima, size.max(axis=0), out=self._maxima)
+
+    def result(self) -> ModelErrors:
+        count = int(self._complete.sum())
+        if not count:
+            self._maxima[:] = np.nan
+        with np.errstate(invalid="ignore"):
+            mean, rmse = self._sum / count, np.sqrt(self._squares / count)
+        return ModelErrors(self._complete, self._mean, self._square, self._largest, self._at, mean, rmse, self._maxima)

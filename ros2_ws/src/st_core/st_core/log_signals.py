@@ -1,0 +1,62 @@
+"""A recorded drive as signals in time: known at any instant between two samples that are close enough together.
+
+The vectorised counterpart of `alignment.MeasurementHistory`: at the same instants, from the same samples, it gives the
+same numbers. Checked by: test_log_signals.py.
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from .filtering import NANOSECOND, filtered_derivative
+from .log import INS_SIGNALS, DriveLog
+from .vehicle import VehicleParameters
+
+Acceleration = Literal["causal", "zero_phase"]
+
+
+class LogSignals:
+    """Measurements of a DriveLog at wanted instants; NaN where not known.
+
+    maximum_gap [s]: nothing is known between samples further apart. filter_cutoff [Hz] and acceleration: how the
+    forward acceleration is made of the forward speed, see `filtering.filtered_derivative`.
+    """
+
+    def __init__(self, log: DriveLog, maximum_gap: float, filter_cutoff: float, acceleration: Acceleration = "causal"):
+        self.log = log
+        self._gap_ns = round(maximum_gap / NANOSECOND)
+        _, self.velocity_x_dot = filtered_derivative(
+            log.ins_time_ns, log.velocity_x, filter_cutoff, maximum_gap, acceleration)
+
+    def ins_at(self, times_ns: np.ndarray, *names: str) -> list[np.ndarray]:
+        """The named INS signals (fields of DriveLog, or velocity_x_dot) at instants of any shape [ns]."""
+        columns = [self.velocity_x_dot if name == "velocity_x_dot" else getattr(self.log, name) for name in names]
+        return self._at(self.log.ins_time_ns, columns, times_ns)
+
+    def road_wheel_angle_at(self, times_ns: np.ndarray) -> np.ndarray:
+        """Road wheel angle [rad], left +, at instants of any shape [ns]."""
+        return self._at(self.log.steering_time_ns, [self.log.road_wheel_angle], times_ns)[0]
+
+    def states_at(self, times_ns: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
+        """States at the CG, (n, 6), columns as types.STATE_NAMES; see `frames.ins_to_cg`."""
+        x, y, yaw, velocity_x, velocity_y, yaw_rate = self.ins_at(times_ns, *INS_SIGNALS)
+        cosine, sine, d_x, d_y = np.cos(yaw), np.sin(yaw), vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
+        return np.stack([x - cosine * d_x + sine * d_y, y - sine * d_x - cosine * d_y,
+                         velocity_x + yaw_rate * d_y, velocity_y - yaw_rate * d_x, yaw, yaw_rate], axis=-1)
+
+    def _at(self, times: np.ndarray, columns: list[np.ndarray], wanted: np.ndarray) -> list[np.ndarray]:
+        wanted = np.asarray(wanted, np.int64)
+        if not len(times):
+            return [np.full(wanted.shape, np.nan) for _ in columns]
+        after = np.minimum(np.searchsorted(times, wanted), len(times) - 1)
+        before = np.maximum(after - 1, 0)
+        spacing = times[after] - times[before]
+        exact = times[after] == wanted
+        known = exact | ((wanted > times[before]) & (wanted < times[after]) & (spacing <= self._gap_ns))
+        fraction = np.where(exact, 1.0, (wanted - times[before]) / np.maximum(spacing, 1))
+        results = []
+        for column in columns:
+            low, high = column[before], column[after]
+            value = np.where(exact, high, low + fraction * (high - low))
+            results.append(np.where(known, value, np.nan))
+        return results
