@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .clock_correlation import LONGEST_GAP, STEP, resample
+from .clock_correlation import STEP, resample
 from .clock_fit import DRIFT_PRIOR_PPM, Fit, Pair, coarse_offset, fit
 from .clock_steps import clock_step, window_lags
 
@@ -42,6 +42,7 @@ class SharedSignal:
     """One quantity in both recordings, each on its own clock. NaN where it should not be used (standstill, not ready).
 
     times: int64 ns, strictly increasing. Values share sign and, up to a gain and a bias, scale.
+    angle: the values are an angle [rad], wrapped or not, with a zero of its own on each side; its rate is compared.
     latency: the other recording stamps the value this late after the instant it was true [s], with its uncertainty.
     smallest: standard deviation below which the signal is taken as constant [unit of the values].
     """
@@ -54,6 +55,7 @@ class SharedSignal:
     latency: float = 0.0
     latency_uncertainty: float = 0.0
     smallest: float = 0.0
+    angle: bool = False
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,8 @@ def _usable(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal], list[s
         if max(spans) > LONGEST_SPAN:
             reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days: a clock was set during the recording")
             continue
-        spread = min(float(np.std(v[k])) for v, k in zip((signal.reference, signal.other), known, strict=True))
+        values = [v[k] for v, k in zip((signal.reference, signal.other), known, strict=True)]
+        spread = min(float(np.std(np.unwrap(v) if signal.angle else v)) for v in values)
         if spread <= signal.smallest:
             reasons.append(f"{signal.name} hardly varies (standard deviation {spread:.3g})")
             continue
@@ -217,8 +220,8 @@ def _pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
     for signal in signals:
         reference = (signal.reference_time_ns - reference_ns) * 1e-9
         other = (signal.other_time_ns - other_ns) * 1e-9 - signal.latency
-        row = [Pair(signal.name, resample(reference, signal.reference, cutoff), resample(other, signal.other, cutoff))
-               for cutoff in CUTOFFS]
+        row = [Pair(signal.name, resample(reference, signal.reference, cutoff, signal.angle),
+                    resample(other, signal.other, cutoff, signal.angle)) for cutoff in CUTOFFS]
         if all(side.known.any() for pair in row for side in (pair.reference, pair.other)):
             rows.append(row)
     return {cutoff: [row[k] for row in rows] for k, cutoff in enumerate(CUTOFFS)}
@@ -358,14 +361,3 @@ def standstill_masked(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np
     after = moving_ns[np.clip(index, 0, len(moving_ns) - 1)] - time_ns
     near = np.minimum(np.abs(before), np.abs(after)) * 1e-9 <= margin
     return np.where(near, values, np.nan)
-
-
-def rate_of_angle(time_ns: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An angle [rad, wrapped or not] as its rate [rad/s] between the samples: (time in ns, rate), NaN across gaps.
-
-    The unknown zero of an angle drops out this way, and so does a slow error of it.
-    """
-    step = np.diff(time_ns) * 1e-9
-    turned = (np.diff(angle) + np.pi) % (2 * np.pi) - np.pi
-    rate = np.where(step <= LONGEST_GAP, turned / np.maximum(step, 1e-6), np.nan)
-    return time_ns[:-1] + np.diff(time_ns) // 2, rate

@@ -26,16 +26,18 @@ class Resampled:
         return self.origin + STEP * np.arange(len(self.values))
 
 
-def resample(time: np.ndarray, values: np.ndarray, cutoff: float) -> Resampled:
+def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = False) -> Resampled:
     """Linear interpolation to 100 Hz, zero-phase Butterworth low-pass (order 4), every fifth point kept.
 
     Args:
         time: [s], strictly increasing, at least 2.
         values: NaN where not to be used.
         cutoff: of the low-pass [Hz], the same for both recordings, so that it shifts neither against the other.
+        angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], in which the unknown zero of
+            the angle is gone. Filtered first: a difference of neighbours would be all rounding.
     """
     good = np.isfinite(values)
-    time, values = time[good], values[good]
+    time, values = time[good], np.unwrap(values[good]) if angle else values[good]
     if len(time) < 2:
         return Resampled(0.0, np.zeros(0), np.zeros(0, dtype=bool))
     start = np.ceil(time[0] * RATE) / RATE
@@ -47,6 +49,8 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float) -> Resampled:
     if len(grid) > 50:
         sampled = sosfiltfilt(sos, sampled, padtype="odd", padlen=min(len(grid) - 1, int(3 * RATE / cutoff)))
     margin = int(FILTER_SETTLES / cutoff * RATE)
+    if angle:
+        sampled = np.gradient(sampled) * RATE if len(grid) > 1 else np.zeros_like(sampled)
     known = ~_widened(~bridged, margin)
     known[:margin] = known[len(known) - margin :] = False
     return Resampled(float(start), sampled[::DECIMATION], known[::DECIMATION])

@@ -13,7 +13,6 @@ from st_core.clock_alignment import (
     align_by_time_frame,
     by_hand,
     none_needed,
-    rate_of_angle,
     standstill_masked,
 )
 
@@ -183,14 +182,18 @@ def test_gaps_and_standstill_do_no_harm() -> None:
     assert np.isnan(masked[:80]).all() and np.isfinite(masked[80:]).all()
 
 
-def test_rate_of_a_wrapped_angle() -> None:
-    time = nanoseconds(np.arange(0, 10, 0.01))
-    angle = (0.8 * np.arange(1000) * 0.01 + np.pi) % (2 * np.pi) - np.pi
-    middle, rate = rate_of_angle(time, angle)
-    np.testing.assert_allclose(rate, 0.8, rtol=1e-6)
-    assert middle[0] == time[0] + 5_000_000
-    holed = np.delete(time, slice(300, 400))
-    assert np.isnan(rate_of_angle(holed, np.delete(angle, slice(300, 400)))[1]).sum() == 1
+def test_a_coarse_wrapped_angle_with_another_zero_is_enough() -> None:
+    """Yaw at 250 Hz, rounded to 0.01 deg on one side: differences of neighbours would be nothing but rounding."""
+    drive = Drive(12, 300)
+    yaw = drive.yaw_rate.antiderivative()
+    ins, can = np.arange(5, 290, 0.004), np.arange(20, 280, 0.004)
+    wrapped = (yaw(can) + 1.0 + np.pi) % (2 * np.pi) - np.pi
+    rounded = np.radians(np.round(np.degrees(wrapped), 2))
+    holes = slice(20_000, 22_000)
+    result = align([SharedSignal("yaw", nanoseconds(ins), yaw(ins), np.delete(nanoseconds(can - 0.7), holes),
+                                 np.delete(rounded, holes), angle=True)])
+    assert result.verdict is Verdict.GOOD, result.reasons
+    assert result.offset_ns * 1e-9 == pytest.approx(0.7, abs=2e-4)
 
 
 def test_time_frames_give_offset_and_drift() -> None:

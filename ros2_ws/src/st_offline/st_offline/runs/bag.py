@@ -43,9 +43,7 @@ def definitions() -> Path:
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a rosbag2 directory or a storage file of one."""
-    if path.is_dir():
-        return (path / "metadata.yaml").is_file() or any(path.glob("*.mcap")) or any(path.glob("*.db3"))
-    return path.suffix.lower() in EXTENSIONS
+    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in EXTENSIONS
 
 
 def holds_odometry(path: Path) -> bool:

@@ -10,7 +10,6 @@ from st_core.clock_alignment import (
     align,
     align_by_time_frame,
     by_hand,
-    rate_of_angle,
     refused,
     standstill_masked,
 )
@@ -19,12 +18,13 @@ from .can_signals import CanSignals, Signal
 from .ncom import Motion
 
 # What lies between the instant an INS value is true and its CAN frame reaching the logger: calculation, then the queue.
-INS_ON_CAN_LATENCY, INS_ON_CAN_LATENCY_DEVIATION = 0.002, 0.001  # s
+INS_ON_CAN_LATENCY, INS_ON_CAN_LATENCY_DEVIATION = 0.002, 0.002  # s
 # Wheel speeds are counted over a period before they are sent; yaw follows the steering wheel by a car's response time.
 WHEEL_SPEED_LATENCY, WHEEL_SPEED_LATENCY_DEVIATION = 0.015, 0.015
 STEERING_LEAD, STEERING_LEAD_DEVIATION = -0.06, 0.06
 
-SMALLEST = {"speed": 0.3, "rate": 0.01, "curvature": 0.001}  # standard deviation [m/s, rad/s, 1/m] that tells something
+# Standard deviation that tells something [m/s, rad/s, rad, 1/m].
+SMALLEST = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 CURVATURE_FROM = 3.0  # m/s; slower, yaw rate over speed is noise
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
 METHODS_DIFFER = 0.01  # s
@@ -41,11 +41,8 @@ def shared_signals(ins: Motion, can: CanSignals) -> list[SharedSignal]:
     for signal in can.all_of("ins_yaw"):
         if ins.yaw is None:
             continue
-        reference_ns, reference_rate = rate_of_angle(ins.time_ns, ins.yaw)
-        other_ns, rate = rate_of_angle(signal.time_ns, signal.values)
-        turned = replace(signal, time_ns=other_ns, values=rate)
-        pairs.append(_pair(f"yaw ({signal.message})", "rate", reference_ns, _masked(ins, reference_ns, reference_rate),
-                           turned, speed))
+        pair = _pair(f"yaw ({signal.message})", "angle", ins.time_ns, _masked(ins, ins.time_ns, ins.yaw), signal, speed)
+        pairs.append(replace(pair, angle=True))
     return pairs
 
 

@@ -80,7 +80,7 @@ def _in_folder(folder: Path) -> list[RunSource]:
         if any(parent in taken for parent in path.parents):
             continue
         if path.is_dir():
-            if (path / "metadata.yaml").is_file() and bag.is_bag(path):
+            if bag.is_bag(path):
                 taken.add(path)
                 if bag.holds_odometry(path):
                     runs.append(RunSource(path.name, "bag", (path,)))
