@@ -45,6 +45,20 @@ class Model:
     signals: tuple[str, ...] = ()
     axles: Axles | None = None
 
+    def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
+        """The car as the model takes it to be, for the lever arm between the INS and its CG. `parameters` wants the
+        vehicle as it is in the file.
+        """
+        return vehicle
+
+    def felt(self, state: tuple, w: tuple, p: Any) -> tuple:
+        """(a_x, a_y) [m/s^2] an accelerometer at the CG shows, body axes: a_x = v_x_dot - v_y r, a_y = v_y_dot + v_x r.
+
+        r is the derivative of yaw, so that it holds for the kinematic model as well.
+        """
+        derivative = self.rhs(state, w, p)
+        return derivative[2] - state[3] * derivative[4], derivative[3] + state[2] * derivative[4]
+
     def start_state(self, state: tuple, w: tuple, p: Any) -> tuple:
         """The whole state at the start of a prediction: the six given and the extra ones."""
         if self.start is None:

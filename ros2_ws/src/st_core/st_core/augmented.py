@@ -1,0 +1,184 @@
+"""A model with effects added: `augment(base, {effect: {parameter: value}})` gives a Model every backend takes."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from .composition import AugmentedParameters, compose
+from .effects import Effect, Measured, Parameter, get_effect
+from .errors import ConfigurationError
+from .models import Model, get_model
+from .vehicle import VehicleParameters
+
+Values = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class AugmentedModel(Model):
+    """A base model and effects with their values.
+
+    Made by `augment`. What it adds to a Model: `effective_vehicle`, for the lever arm; `steering`, the effects with
+    memory on a recorded road wheel angle; `observe` and `correct`, between the truth and what the sensors make of it.
+    `st_core.readings` applies these to logs and trajectories. The functions are the same objects for all values.
+
+    base: the model underneath. effects: in the order in which they act. values: of every parameter, by effect.
+    """
+
+    base: Model = field(kw_only=True)
+    effects: tuple[type[Effect], ...] = field(kw_only=True)
+    values: Values = field(kw_only=True)
+
+    @property
+    def free(self) -> tuple[tuple[str, Parameter], ...]:
+        """(effect, parameter) of everything a fit may change, in the order of `vector`."""
+        return tuple((e.name, p) for e in self.effects for p in e.parameters if p.fit)
+
+    @property
+    def vector(self) -> np.ndarray:
+        """Values of `free`."""
+        return np.array([self.values[effect][p.name] for effect, p in self.free])
+
+    def with_vector(self, vector: Sequence[float]) -> "AugmentedModel":
+        """The same model with other values of `free`; raises ConfigurationError outside the bounds."""
+        values = {effect: dict(v) for effect, v in self.values.items()}
+        for (effect, parameter), value in zip(self.free, vector, strict=True):
+            values[effect][parameter.name] = value
+        return self.with_values(values)
+
+    def with_values(self, values: Values) -> "AugmentedModel":
+        """The same model with other values; those not given stay. Raises ConfigurationError naming effect and limit."""
+        merged = {effect: {**old, **values.get(effect, {})} for effect, old in self.values.items()}
+        for name in set(values) - set(merged):
+            raise ConfigurationError(f"effect {name}: not in this model, which has {', '.join(merged) or 'none'}")
+        return _make(self.base, self.effects, merged)
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether `steering` changes anything."""
+        return any(effect.steering for effect in self.effects)
+
+    @property
+    def has_sensors(self) -> bool:
+        """Whether `observe` and `correct` change anything."""
+        return any(effect.observe for effect in self.effects)
+
+    def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
+        """The car as the effects make it. Raises ConfigurationError when that is no car."""
+        for effect in self.effects:
+            if effect.vehicle:
+                vehicle = effect.vehicle(vehicle, self._bare(effect))
+        return vehicle
+
+    def felt(self, state: tuple, w: tuple, p: Any) -> tuple:
+        a_x, a_y = Model.felt(self, state, w, p)
+        added = compose(self.base, self.effects).felt
+        if added is None:
+            return a_x, a_y
+        more_x, more_y = added(state, w, p)
+        return a_x + more_x, a_y + more_y
+
+    def steering(self, time: np.ndarray, angle: np.ndarray, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(time [s], road wheel angle [rad]) after the effects with memory on the input alone: delay, play, lag.
+
+        A whole recording. time: rising, from any origin. begins: True where a stretch begins, the first sample and each
+        after a gap; memory is fresh there.
+        """
+        for effect in self.effects:
+            if effect.steering:
+                time, angle = effect.steering(time, angle, begins, self._bare(effect))
+        return time, angle
+
+    def observe(self, measured: Measured) -> Measured:
+        """What the INS shows when `measured` is the truth at the INS point."""
+        for effect in self.effects:
+            if effect.observe:
+                measured = effect.observe(measured, self._bare(effect))
+        return measured
+
+    def correct(self, measured: Measured) -> Measured:
+        """The truth at the INS point when the INS shows `measured`: the inverse of `observe`."""
+        for effect in reversed(self.effects):
+            if effect.correct:
+                measured = effect.correct(measured, self._bare(effect))
+        return measured
+
+    def _bare(self, effect: type[Effect]) -> Any:
+        return effect.Theta(**self.values[effect.name], car=())
+
+
+def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
+    """A model with effects added; one that has some already gets more.
+
+    effects: values by effect and parameter; constants that a fit leaves alone (`Parameter.fit`) may be left out. Names
+    alone stand for the initial values. Raises ConfigurationError naming the effect, and the parameter and its limit: an
+    unknown or repeated effect, one that does not apply to the base, a value missing or outside its bounds.
+    """
+    base = get_model(base)
+    if not isinstance(effects, Mapping):
+        names = list(effects)
+        if len(set(names)) != len(names):
+            raise ConfigurationError(f"effects {', '.join(names)}: one is named twice")
+        effects = {n: {p.name: p.initial for p in get_effect(n).parameters} for n in names}
+    if isinstance(base, AugmentedModel):
+        for name in effects:
+            if name in base.values:
+                raise ConfigurationError(f"effect {name}: in the model already; change its values instead")
+        base, effects = base.base, {**base.values, **effects}
+    found = sorted((get_effect(name) for name in effects), key=lambda effect: (effect.order, effect.name))
+    _check_applicable(base, found)
+    return _make(base, tuple(found), effects)
+
+
+def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
+    kinds = {base.name}
+    lifts = [effect.lifts for effect in effects if effect.lifts]
+    for _ in lifts:
+        kinds |= {to for start, to in lifts if start in kinds}
+    for effect in effects:
+        if not effect.applies_to & kinds:
+            allowed = " or ".join(sorted(effect.applies_to))
+            raise ConfigurationError(f"effect {effect.name}: does not apply to a {base.name} model, only to {allowed}")
+
+
+def _make(base: Model, effects: tuple[type[Effect], ...], values: Values) -> AugmentedModel:
+    checked = MappingProxyType({e.name: MappingProxyType(_checked(e, values[e.name])) for e in effects})
+    composed = compose(base, effects)
+
+    def parameters(vehicle: VehicleParameters) -> Any:
+        vehicle = model.effective_vehicle(vehicle)
+        own = base.parameters(vehicle)
+        if not composed.own:
+            return own
+        return AugmentedParameters(own, tuple(_theta(e, checked[e.name], vehicle) for e in composed.own))
+
+    model = AugmentedModel(
+        "augmented", parameters, composed.inputs, composed.rhs, composed.extra_states, composed.start, composed.signals,
+        axles=None, base=base, effects=effects, values=checked)
+    return model
+
+
+def _theta(effect: type[Effect], values: Mapping[str, float], vehicle: VehicleParameters) -> Any:
+    return effect.Theta(**values, car=effect.constants(vehicle) if effect.constants else ())
+
+
+def _checked(effect: type[Effect], values: Mapping[str, float]) -> dict[str, float]:
+    result = {}
+    for parameter in effect.parameters:
+        key = f"effect {effect.name}: {parameter.name}"
+        if parameter.name not in values and parameter.fit:
+            raise ConfigurationError(f"{key}: no value given")
+        result[parameter.name] = parameter.check(values.get(parameter.name, parameter.null), key)
+    for name in values:
+        if name not in result:
+            raise ConfigurationError(f"effect {effect.name}: {name}: unknown parameter; there are {', '.join(result)}")
+    return result
+
+
+def neutral(model: AugmentedModel) -> AugmentedModel:
+    """The same effects, all at the value at which they change nothing."""
+    return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in model.effects})
+
+

@@ -1,0 +1,353 @@
+"""Models put together from a base model and effects: nested plain functions, the same for every kind of number.
+
+The composed functions are made once for a base and a set of effects; values live in their parameters p alone, so that a
+fit never makes, traces or compiles anything anew. Layout of a composed model:
+
+    p     = AugmentedParameters(base, effects): of the base model, and theta of each effect that acts in the equations
+    w     = (road_wheel_angle, velocity_x_dot, what each effect prepared ..., w of the base model)
+    state = the six, then the extra states of each effect
+
+Effects at null leave no trace, to the last bit: they add 0, multiply by 1, or blend with a share of 0.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+from .effects import Effect, Instant
+from .effects._base import EQUATION_HOOKS
+from .models import Model, linear_tyre
+
+STATES = 6
+
+
+class AugmentedParameters(NamedTuple):
+    """p of an augmented model. effects: one theta each, a tuple."""
+
+    base: Any
+    effects: tuple
+
+
+@dataclass(frozen=True)
+class Composed:
+    """The functions of an augmented model. own: the effects that have a theta in p; none: p is that of the base."""
+
+    own: tuple[type[Effect], ...]
+    inputs: Callable[..., tuple]
+    rhs: Callable[[tuple, tuple, Any], tuple]
+    start: Callable[[tuple, tuple, Any], tuple] | None = None
+    felt: Callable[[tuple, tuple, Any], tuple] | None = None
+    extra_states: tuple[str, ...] = ()
+    signals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where an effect finds its own: index of its theta, and from where to where in w and in the state."""
+
+    effect: type[Effect]
+    index: int
+    given: tuple[int, int]
+    extra: tuple[int, int]
+
+
+@cache
+def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
+    """The functions for a base model and effects in the order in which they act; always the same objects."""
+    own = tuple(e for e in effects if e.lifts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
+    if not own:
+        return Composed((), base.inputs, base.rhs)
+    signals = tuple(dict.fromkeys(name for effect in own for name in effect.signals))
+    places = _places(own)
+    changed = _changed_inputs(places, signals)
+    if not any(e.lifts or getattr(e, hook) for e in own for hook in EQUATION_HOOKS):
+        return Composed(own, _inputs_of_base(base.inputs, changed), _rhs_of_base(base.rhs), signals=signals)
+    tail = places[-1].given[1]
+    slips_of, forces_of, motion = _dynamics(base, places, tail)
+    rhs = _rhs(slips_of, _slips(places), _forces(places, forces_of), motion, _acceleration(places), _rates(places))
+    if base.axles is None:
+        rhs = _blended(base.rhs, rhs, tail, _lift(places).index)
+    extra = tuple(f"{e.name}.{name}" for e in own for name in e.extra_states)
+    return Composed(own, _inputs(base.inputs, changed, _given(places, signals)), rhs,
+                    _start(places, slips_of) if extra else None, _felt(places), extra, signals)
+
+
+def _places(own: tuple[type[Effect], ...]) -> list[_Place]:
+    places, w, state = [], 2, STATES
+    for index, effect in enumerate(own):
+        given = (w, w + len(effect.prepared or effect.signals))
+        extra = (state, state + len(effect.extra_states))
+        w, state = given[1], extra[1]
+        places.append(_Place(effect, index, given, extra))
+    return places
+
+
+def _lift(places: list[_Place]) -> _Place:
+    """The place of the effect that brings the dynamics a kinematic base lacks."""
+    return next(place for place in places if place.effect.lifts and place.effect.lifts[0] == "kinematic")
+
+
+# From here on each function returns a closure over plain functions and whole numbers: compilers inline those.
+
+def _instant(state, w, p):
+    return Instant(state[0], state[1], state[2], state[3], state[4], state[5], w[0], w[1], w, p)
+
+
+def _dynamics(base: Model, places: list[_Place], tail: int):
+    """slips(at), forces(slip_front, slip_rear, at) and motion(force_front, force_rear, at) of the dynamic part."""
+    if base.axles is None:
+        axles, lift = linear_tyre.MODEL.axles, _lift(places)
+        index, (begin, end) = lift.index, lift.given
+
+        def own(at):
+            return at.w[begin:end], at.p.effects[index].car
+    else:
+        axles = base.axles
+
+        def own(at):
+            return at.w[tail:], at.p.base
+
+    slip_angles, axle_forces, axle_motion = axles.slip_angles, axles.forces, axles.motion
+
+    def slips(at):
+        w, p = own(at)
+        state = at.x, at.y, at.velocity_x, at.velocity_y, at.yaw, at.yaw_rate
+        return slip_angles(state, w, p)
+
+    def forces(slip_front, slip_rear, at):
+        w, p = own(at)
+        return axle_forces(slip_front, slip_rear, w, p)
+
+    def motion(force_front, force_rear, at):
+        w, p = own(at)
+        state = at.x, at.y, at.velocity_x, at.velocity_y, at.yaw, at.yaw_rate
+        return axle_motion(state, force_front, force_rear, w, p)
+
+    return slips, forces, motion
+
+
+def _rhs(slips_of, slips, forces, motion, acceleration, rates):
+    def rhs(state, w, p):
+        at = _instant(state, w, p)
+        geometric = slips_of(at)
+        slip_front, slip_rear = slips(geometric[0], geometric[1], state, at)
+        acting = forces(slip_front, slip_rear, at)
+        x, y, velocity_x, velocity_y, yaw, yaw_rate = motion(acting[0], acting[1], at)
+        a_x, a_y, a_yaw = acceleration(at)
+        return x, y, velocity_x + a_x, velocity_y + a_y, yaw, yaw_rate + a_yaw, *rates(state, geometric, acting, at)
+    return rhs
+
+
+def _blended(kinematic, dynamic, tail, index):
+    def rhs(state, w, p):
+        share = p.effects[index].share
+        rest = 1.0 - share
+        k = kinematic(state[:STATES], w[tail:], p.base)
+        d = dynamic(state, w, p)
+        return (rest * k[0] + share * d[0], rest * k[1] + share * d[1], rest * k[2] + share * d[2],
+                rest * k[3] + share * d[3], rest * k[4] + share * d[4], rest * k[5] + share * d[5], *d[STATES:])
+    return rhs
+
+
+def _rhs_of_base(base_rhs):
+    def rhs(state, w, p):
+        return base_rhs(state, w, p.base)
+    return rhs
+
+
+def _inputs_of_base(base_inputs, changed):
+    def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
+        angle, acceleration = changed(road_wheel_angle, velocity_x_dot, p, signals)
+        return base_inputs(angle, acceleration, p.base)
+    return inputs
+
+
+def _inputs(base_inputs, changed, given):
+    def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
+        angle, acceleration = changed(road_wheel_angle, velocity_x_dot, p, signals)
+        own = given(angle, acceleration, p, signals)
+        return angle, acceleration, *own, *base_inputs(angle, acceleration, p.base)
+    return inputs
+
+
+def _pick(signals: tuple[str, ...], wanted: tuple[str, ...]):
+    """A function from the values of all signals to those of the wanted ones."""
+    def nothing(values):
+        return ()
+
+    def after(inner, index):
+        def pick(values):
+            return *inner(values), values[index]
+        return pick
+
+    pick = nothing
+    for name in wanted:
+        pick = after(pick, signals.index(name))
+    return pick
+
+
+def _changed_inputs(places: list[_Place], signals: tuple[str, ...]):
+    def unchanged(angle, acceleration, p, values):
+        return angle, acceleration
+
+    def after(inner, hook, index, pick):
+        def changed(angle, acceleration, p, values):
+            angle, acceleration = inner(angle, acceleration, p, values)
+            return hook(angle, acceleration, pick(values), p.effects[index])
+        return changed
+
+    changed = unchanged
+    for place in places:
+        if place.effect.inputs:
+            changed = after(changed, place.effect.inputs, place.index, _pick(signals, place.effect.signals))
+    return changed
+
+
+def _given(places: list[_Place], signals: tuple[str, ...]):
+    def nothing(angle, acceleration, p, values):
+        return ()
+
+    def after(inner, hook, index, pick):
+        def given(angle, acceleration, p, values):
+            before = inner(angle, acceleration, p, values)
+            return *before, *hook(angle, acceleration, pick(values), p.effects[index])
+        return given
+
+    def hand_on(angle, acceleration, values, theta):
+        return values
+
+    given = nothing
+    for place in places:
+        if place.effect.prepare or place.effect.signals:
+            pick = _pick(signals, place.effect.signals)
+            given = after(given, place.effect.prepare or hand_on, place.index, pick)
+    return given
+
+
+def _slips(places: list[_Place]):
+    def geometric(slip_front, slip_rear, state, at):
+        return slip_front, slip_rear
+
+    def after(inner, hook, index, given, extra):
+        (begin, end), (first, last) = given, extra
+
+        def slips(slip_front, slip_rear, state, at):
+            front, rear = inner(slip_front, slip_rear, state, at)
+            return hook(front, rear, state[first:last], at, at.w[begin:end], at.p.effects[index])
+        return slips
+
+    slips = geometric
+    for place in places:
+        if place.effect.slip_angles:
+            slips = after(slips, place.effect.slip_angles, place.index, place.given, place.extra)
+    return slips
+
+
+def _forces(places: list[_Place], forces_of):
+    def after(inner, hook, index, given):
+        begin, end = given
+
+        def forces(slip_front, slip_rear, at):
+            return hook(inner, slip_front, slip_rear, at, at.w[begin:end], at.p.effects[index])
+        return forces
+
+    forces = forces_of
+    for place in places:
+        if place.effect.axle_forces:
+            forces = after(forces, place.effect.axle_forces, place.index, place.given)
+    return forces
+
+
+def _acceleration(places: list[_Place]):
+    def none(at):
+        zero = 0.0 * at.velocity_x
+        return zero, zero, zero
+
+    def after(inner, hook, index, given):
+        begin, end = given
+
+        def acceleration(at):
+            x, y, yaw = inner(at)
+            a_x, a_y, a_yaw = hook(at, at.w[begin:end], at.p.effects[index])
+            return x + a_x, y + a_y, yaw + a_yaw
+        return acceleration
+
+    acceleration = none
+    for place in places:
+        if place.effect.acceleration:
+            acceleration = after(acceleration, place.effect.acceleration, place.index, place.given)
+    return acceleration
+
+
+def _rates(places: list[_Place]):
+    def none(state, slips, forces, at):
+        return ()
+
+    def after(inner, hook, index, given, extra):
+        (begin, end), (first, last) = given, extra
+
+        def rates(state, slips, forces, at):
+            own = hook(state[first:last], slips, forces, at, at.w[begin:end], at.p.effects[index])
+            return *inner(state, slips, forces, at), *own
+        return rates
+
+    rates = none
+    for place in places:
+        if place.effect.rates:
+            rates = after(rates, place.effect.rates, place.index, place.given, place.extra)
+    return rates
+
+
+def _start(places: list[_Place], slips_of):
+    def none(slips, at):
+        return ()
+
+    def after(inner, hook, index, given):
+        begin, end = given
+
+        def start(slips, at):
+            return *inner(slips, at), *hook(slips, at, at.w[begin:end], at.p.effects[index])
+        return start
+
+    def zeros(count):
+        def hook(slips, at, given, theta):
+            zero = 0.0 * at.velocity_x
+            return (zero,) * count
+        return hook
+
+    chain = none
+    for place in places:
+        if place.effect.extra_states:
+            hook = place.effect.start or zeros(len(place.effect.extra_states))
+            chain = after(chain, hook, place.index, place.given)
+
+    def start(state, w, p):
+        at = _instant(state, w, p)
+        return chain(slips_of(at), at)
+    return start
+
+
+def _felt(places: list[_Place]):
+    hooks = [place for place in places if place.effect.felt]
+
+    def none(at):
+        zero = 0.0 * at.velocity_x
+        return zero, zero
+
+    def after(inner, hook, index, given):
+        begin, end = given
+
+        def felt(at):
+            x, y = inner(at)
+            a_x, a_y = hook(at, at.w[begin:end], at.p.effects[index])
+            return x + a_x, y + a_y
+        return felt
+
+    chain = none
+    for place in hooks:
+        chain = after(chain, place.effect.felt, place.index, place.given)
+
+    def felt(state, w, p):
+        return chain(_instant(state, w, p))
+    return felt if hooks else None

@@ -1,0 +1,223 @@
+"""What an effect is, and the registry of all effects."""
+
+import difflib
+import math
+import re
+import sys
+from collections import namedtuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from numbers import Real
+from types import FunctionType
+from typing import Any, ClassVar, NamedTuple
+
+from ..errors import ConfigurationError
+
+KINDS = ("kinematic", "linear", "nonlinear")
+DYNAMIC = frozenset(("linear", "nonlinear"))
+ANY = frozenset(KINDS)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    null: value at which nothing changes. initial: where a fit starts, a usual size of the effect. bounds: physical
+    limits, inclusive. source: where initial and bounds come from. meaning: in a few words, sign included.
+    odd: changes sign when left and right are exchanged. fit: False for a constant of the car that the effect needs and
+    a fit leaves alone; null is then its default.
+    Raises ConfigurationError when these contradict each other.
+    """
+
+    name: str
+    unit: str
+    null: float
+    initial: float
+    bounds: tuple[float, float]
+    source: str
+    meaning: str
+    odd: bool = False
+    fit: bool = True
+
+    def __post_init__(self):
+        low, high = self.bounds
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise ConfigurationError(f"parameter {self.name}: bounds {self.bounds} are not two rising numbers")
+        for which in ("null", "initial"):
+            if not low <= getattr(self, which) <= high:
+                raise ConfigurationError(f"parameter {self.name}: {which} is outside its bounds")
+        if self.fit and self.null == self.initial:
+            raise ConfigurationError(f"parameter {self.name}: initial equals null; a fit would start at nothing")
+        for which in ("name", "unit", "source", "meaning"):
+            if not str(getattr(self, which)).strip():
+                raise ConfigurationError(f"parameter {self.name}: {which} is empty")
+
+    def check(self, value: float, key: str) -> float:
+        """The value as a float; raises ConfigurationError naming key and limit when it is outside the bounds."""
+        low, high = self.bounds
+        if isinstance(value, bool) or not isinstance(value, Real):
+            raise ConfigurationError(f"{key}: {value!r} is not a number")
+        if not low <= value <= high:  # NaN is outside too
+            raise ConfigurationError(f"{key}: {value!r} is outside {low:g} to {high:g} {self.unit}")
+        return float(value)
+
+
+class Instant(NamedTuple):
+    """What the hooks of the equations are told of an instant: state, inputs after the steering effects; SI, at the CG.
+
+    w, p: of the whole model, to be handed on.
+    """
+
+    x: Any
+    y: Any
+    velocity_x: Any
+    velocity_y: Any
+    yaw: Any
+    yaw_rate: Any
+    road_wheel_angle: Any
+    velocity_x_dot: Any
+    w: tuple
+    p: Any
+
+
+class Measured(NamedTuple):
+    """Readings of the INS: map frame [m], yaw [rad], body axes at the INS point [m/s, m/s^2], yaw rate [rad/s]."""
+
+    x: Any
+    y: Any
+    yaw: Any
+    velocity_x: Any
+    velocity_y: Any
+    yaw_rate: Any
+    acceleration_x: Any
+    acceleration_y: Any
+
+
+class Effect:
+    """One physical effect: what it is called, its parameters, and hooks at the places of a model where it acts.
+
+    Every hook is a @staticmethod and optional. `theta` has the parameters by name, and what `constants` returned as
+    `theta.car`. Hooks of the equations are compiled and differentiated: they use only arithmetic and `st_core.ops`, no
+    branch on a value, and return tuples. `given`: what `prepare` returned, or the declared `signals` without it.
+
+        constants(vehicle) -> numbers of the car the hooks need, a NamedTuple (or one float)
+        vehicle(vehicle, theta) -> another VehicleParameters; once for a set of values, theta.car is not there yet
+        steering(time, angle, begins, theta) -> (time [s], road wheel angle [rad]), changed; arrays of a
+            whole recording, for effects with memory; begins: True where that is fresh, at the start and after each gap
+        inputs(road_wheel_angle, velocity_x_dot, signals, theta) -> both, changed; once per instant
+        prepare(road_wheel_angle, velocity_x_dot, signals, theta) -> tuple, named by `prepared`; once per instant
+        slip_angles(slip_front, slip_rear, extra, at, given, theta) -> both, changed
+        axle_forces(forces, slip_front, slip_rear, at, given, theta) -> (front, rear) [N], from
+            forces(slip_front, slip_rear, at) -> (front, rear), what they were without it
+        acceleration(at, given, theta) -> (along x, along y [m/s^2], of yaw [rad/s^2]), added
+        start(slips, at, given, theta) -> values of `extra_states` at the start; without it zeros
+        rates(extra, slips, forces, at, given, theta) -> their derivatives; slips [rad] geometric, forces [N] as acting
+        felt(at, given, theta) -> (a_x, a_y) [m/s^2] an accelerometer at the CG shows on top of the motion
+        observe(measured, theta) -> Measured: what the sensors make of the truth; correct(measured, theta): back again
+
+    name: unique. physics: the equation in a line, sign included. excited_by: driving that shows it. twins: effects it
+    is hard to tell from. applies_to: kinds of model. lifts: (from, to) for an effect that turns one kind into another.
+    order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
+    car, steady circle, step, sweep and limit.
+    """
+
+    name: ClassVar[str]
+    physics: ClassVar[str]
+    excited_by: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    twins: ClassVar[tuple[str, ...]] = ()
+    applies_to: ClassVar[frozenset[str]] = DYNAMIC
+    lifts: ClassVar[tuple[str, str] | None] = None
+    signals: ClassVar[tuple[str, ...]] = ()
+    prepared: ClassVar[tuple[str, ...]] = ()
+    extra_states: ClassVar[tuple[str, ...]] = ()
+    order: ClassVar[int] = 50
+    Theta: ClassVar[Callable[..., Any]]
+
+    constants: ClassVar[Callable | None] = None
+    vehicle: ClassVar[Callable | None] = None
+    steering: ClassVar[Callable | None] = None
+    inputs: ClassVar[Callable | None] = None
+    prepare: ClassVar[Callable | None] = None
+    slip_angles: ClassVar[Callable | None] = None
+    axle_forces: ClassVar[Callable | None] = None
+    acceleration: ClassVar[Callable | None] = None
+    start: ClassVar[Callable | None] = None
+    rates: ClassVar[Callable | None] = None
+    felt: ClassVar[Callable | None] = None
+    observe: ClassVar[Callable | None] = None
+    correct: ClassVar[Callable | None] = None
+
+
+HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and name != "lifts")
+EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "felt")
+EFFECTS: dict[str, type[Effect]] = {}
+
+
+def register(effect: type[Effect]) -> type[Effect]:
+    """Class decorator: checks an effect and enters it under its name.
+
+    Raises ConfigurationError naming the effect and what is wrong: a name taken, an unknown attribute, a text missing.
+    """
+    name = effect.__dict__.get("name")
+    if not issubclass(effect, Effect) or not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]*", name):
+        raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _")
+    if name in EFFECTS:
+        raise ConfigurationError(f"effect {name}: registered already, by {source_file(EFFECTS[name])}")
+    try:
+        _check(effect)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"effect {name}: {error}") from None
+    theta = namedtuple("Theta", [p.name for p in effect.parameters] + ["car"], module=effect.__module__)
+    theta.__qualname__ = f"{effect.__qualname__}.Theta"  # pickled by this path: compiled kernels are cached by type
+    effect.Theta = theta
+    EFFECTS[name] = effect
+    return effect
+
+
+def _check(effect: type[Effect]) -> None:
+    for key, value in vars(effect).items():
+        if key.startswith("_"):
+            continue
+        if key not in vars(Effect) and key not in Effect.__annotations__:
+            near = difflib.get_close_matches(key, [*vars(Effect), *Effect.__annotations__], n=1)
+            raise ConfigurationError(f"unknown attribute {key}{f', did you mean {near[0]}?' if near else ''}")
+        if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
+            raise ConfigurationError(f"{key} must be a @staticmethod")
+    for key in ("physics", "excited_by"):
+        if not str(getattr(effect, key, "")).strip():
+            raise ConfigurationError(f"{key} is not given")
+    names = [p.name for p in getattr(effect, "parameters", ())]
+    if not any(p.fit for p in getattr(effect, "parameters", ())):
+        raise ConfigurationError("no parameter that can be fitted")
+    if len(set(names)) != len(names) or "car" in names:
+        raise ConfigurationError(f"parameters {', '.join(names)}: a name is taken twice, or is car")
+    if not effect.applies_to or not effect.applies_to <= ANY:
+        raise ConfigurationError(f"applies_to must name some of {', '.join(KINDS)}")
+    if bool(effect.extra_states) != (effect.rates is not None):
+        raise ConfigurationError("extra_states and rates go together")
+    if bool(effect.prepared) != (effect.prepare is not None):
+        raise ConfigurationError("prepare and prepared, the names of what it returns, go together")
+    if (effect.observe is None) != (effect.correct is None):
+        raise ConfigurationError("observe and correct go together")
+    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook != "constants"):
+        raise ConfigurationError("it has no hook, so it changes nothing")
+
+
+def source_file(effect: type[Effect]) -> str:
+    """The file an effect is written in; what was compiled of it is stale when that changes."""
+    return str(getattr(sys.modules.get(effect.__module__), "__file__", effect.__module__))
+
+
+def get_effect(name: str) -> type[Effect]:
+    """The effect of that name; raises ConfigurationError naming the nearest known one."""
+    if name not in EFFECTS:
+        near = difflib.get_close_matches(name, EFFECTS, n=1)
+        hint = f", did you mean {near[0]}?" if near else ""
+        raise ConfigurationError(f"unknown effect {name!r}{hint}; known are {', '.join(sorted(EFFECTS))}")
+    return EFFECTS[name]
+
+
+def applicable(kind: str) -> tuple[str, ...]:
+    """Names of the effects that apply to a kind of model, sorted."""
+    return tuple(sorted(name for name, effect in EFFECTS.items() if kind in effect.applies_to))

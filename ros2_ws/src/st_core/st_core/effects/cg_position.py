@@ -1,0 +1,23 @@
+"""CG further forward or back than in the vehicle file. Axles and INS stay where they are in the body."""
+
+from dataclasses import replace
+
+from ._base import ANY, Effect, Parameter, register
+
+
+@register
+class CgPosition(Effect):
+    name = "cg_position"
+    physics = "l_f = l_f - shift, l_r = l_r + shift"
+    excited_by = "cornering with the sideslip measured, at two speeds"
+    twins = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")
+    applies_to = ANY
+    parameters = (
+        Parameter("shift", "m", null=0.0, initial=0.1, bounds=(-0.5, 0.5),
+                  meaning="CG forward of where the file has it", source="load in the boot moves it by 0.1-0.2 m"),
+    )
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        return replace(vehicle, cg_to_front_axle=vehicle.cg_to_front_axle - theta.shift,
+                       cg_to_ins_x=vehicle.cg_to_ins_x - theta.shift)

@@ -1,0 +1,55 @@
+"""Steady wind over ground: side force of the moving air less that of still air, ahead of the CG.
+
+    F_y = rho / 2 side_area (|u| u_y - |u_0| u_y0),   M_z = arm F_y,   u = wind - velocity in body axes, u_0 = -velocity
+
+Drag is in the measured v_x_dot already.
+"""
+
+from typing import NamedTuple
+
+from ..ops import cos, sin, sqrt
+from ._base import Effect, Parameter, register
+
+AIR_DENSITY = 1.2  # kg/m^3
+TINY = 1.0e-6  # (m/s)^2; the root has a slope everywhere
+
+
+class Car(NamedTuple):
+    mass: float
+    yaw_inertia: float
+
+
+def pressure(along, across):
+    """|u| u_y [m^2/s^2]."""
+    return sqrt(along * along + across * across + TINY) * across
+
+
+@register
+class Crosswind(Effect):
+    name = "crosswind"
+    physics = "side force rho/2 side_area |u| u_y at `arm` ahead of the CG, u the air relative to the car"
+    excited_by = "straight driving in two directions; two speeds tell it from a steering offset"
+    twins = ("steering_offset", "road_bank", "lateral_acceleration_bias")
+    parameters = (
+        Parameter("wind_x", "m/s", null=0.0, initial=1.0, bounds=(-30.0, 30.0), meaning="towards map x (east)",
+                  source="gale 20 m/s"),
+        Parameter("wind_y", "m/s", null=0.0, initial=5.0, bounds=(-30.0, 30.0), odd=True,
+                  meaning="towards map y (north)", source="gale 20 m/s"),
+        Parameter("side_area", "m^2", null=2.5, initial=2.5, bounds=(0.5, 20.0), fit=False,
+                  meaning="side force coefficient times side area", source="about half the flank of a passenger car"),
+        Parameter("arm", "m", null=0.25, initial=0.25, bounds=(-1.5, 1.5), fit=False,
+                  meaning="centre of the side force ahead of the CG", source="passenger cars 0.1-0.5 m"),
+    )
+
+    @staticmethod
+    def constants(vehicle):
+        return Car(vehicle.mass, vehicle.yaw_inertia)
+
+    @staticmethod
+    def acceleration(at, given, theta):
+        cosine, sine = cos(at.yaw), sin(at.yaw)
+        along = theta.wind_x * cosine + theta.wind_y * sine - at.velocity_x
+        across = theta.wind_y * cosine - theta.wind_x * sine - at.velocity_y
+        force = 0.5 * AIR_DENSITY * theta.side_area * (
+            pressure(along, across) - pressure(-at.velocity_x, -at.velocity_y))
+        return 0.0 * force, force / theta.car.mass, theta.arm * force / theta.car.yaw_inertia

@@ -1,0 +1,24 @@
+"""Friction other than that of the tyre data: wet, cold, another tyre."""
+
+from dataclasses import replace
+
+from ._base import Effect, Parameter, register
+
+
+@register
+class Friction(Effect):
+    name = "friction"
+    physics = "peak force D = factor D on both axles, cornering stiffness unchanged"
+    excited_by = "driving to the limit; nothing shows it below 0.5 g"
+    twins = ("lateral_load_transfer", "front_stiffness", "rear_stiffness")
+    applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
+    parameters = (
+        Parameter("factor", "1", null=1.0, initial=0.8, bounds=(0.1, 1.6), meaning="true friction over the tyre data's",
+                  source="ice 0.1, wet 0.6-0.8, dry asphalt against a drum 1.0-1.3"),
+    )
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        front, rear = vehicle.tyre_front, vehicle.tyre_rear
+        return replace(vehicle, tyre_front=front._replace(lambda_muy=front.lambda_muy * theta.factor),
+                       tyre_rear=rear._replace(lambda_muy=rear.lambda_muy * theta.factor))

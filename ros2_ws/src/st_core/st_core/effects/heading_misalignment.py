@@ -1,0 +1,33 @@
+"""INS turned in the body: what it calls forward points to the left of the car's forward."""
+
+from ..ops import cos, sin
+from ._base import ANY, Effect, Measured, Parameter, register
+
+
+def turned(m, yaw, angle):
+    """Measured in axes turned by `angle` to the left, with that yaw."""
+    c, s = cos(angle), sin(angle)
+    return Measured(m.x, m.y, yaw, c * m.velocity_x + s * m.velocity_y, c * m.velocity_y - s * m.velocity_x, m.yaw_rate,
+                    c * m.acceleration_x + s * m.acceleration_y, c * m.acceleration_y - s * m.acceleration_x)
+
+
+@register
+class HeadingMisalignment(Effect):
+    name = "heading_misalignment"
+    physics = "measured yaw = yaw + angle, velocity and acceleration given in the turned axes; position stays"
+    excited_by = "straight driving: v_y of the INS is -angle v_x"
+    twins = ("steering_offset", "sensor_lever_arm")
+    applies_to = ANY
+    order = 10
+    parameters = (
+        Parameter("angle", "rad", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
+                  meaning="reported heading too far to the left", source="mounting by eye: 1-2 deg"),
+    )
+
+    @staticmethod
+    def observe(measured, theta):
+        return turned(measured, measured.yaw + theta.angle, theta.angle)
+
+    @staticmethod
+    def correct(measured, theta):
+        return turned(measured, measured.yaw - theta.angle, -theta.angle)

@@ -1,0 +1,59 @@
+"""Load moves to the outer wheels and, tyres being degressive, the axle loses force.
+
+    dF = share m a_y h / track, split between the axles;   F = F(F_z / 2 + dF) + F(F_z / 2 - dF) of two tyres
+
+a_y = (F_f + F_r) / m of the forces without the transfer. The difference to two equally loaded tyres is added, on top
+of any other change of the axle force.
+"""
+
+from ..models.nonlinear_tyre import axle_loads
+from ..models.nonlinear_tyre import parameters as tyre_parameters
+from ..tyres import magic_formula_coefficients, magic_formula_force
+from ._base import Effect, Parameter, register
+
+
+def tyre_force(slip, load, tyre):
+    """One tyre [N]."""
+    b, d, e = magic_formula_coefficients(load, tyre)
+    return magic_formula_force(slip, b, d, e, tyre)
+
+
+def change(slip, load, moved, tyre):
+    """What two tyres of `load` gain when `moved` goes from one to the other, all in N."""
+    return (tyre_force(slip, load + moved, tyre) + tyre_force(slip, load - moved, tyre)
+            - 2.0 * tyre_force(slip, load, tyre))
+
+
+@register
+class LateralLoadTransfer(Effect):
+    name = "lateral_load_transfer"
+    physics = "F = F(F_z/2 + dF) + F(F_z/2 - dF) per axle, dF = share m a_y h / track"
+    excited_by = "cornering to the limit, transients; nothing shows it below 0.4 g"
+    twins = ("friction", "front_stiffness", "rear_stiffness")
+    applies_to = frozenset(("nonlinear",))  # a linear tyre does not know its load
+    prepared = ("load_front", "load_rear")
+    order = 20
+    parameters = (
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="of m a_y h / track",
+                  source="theory: 1"),
+        Parameter("track", "m", null=1.54, initial=1.54, bounds=(0.5, 2.6), fit=False, meaning="both axles",
+                  source="Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear"),
+        Parameter("front", "1", null=0.55, initial=0.55, bounds=(0.0, 1.0), fit=False,
+                  meaning="part the front axle takes", source="roll stiffness of passenger cars 0.5-0.65 in front"),
+    )
+
+    @staticmethod
+    def constants(vehicle):
+        return tyre_parameters(vehicle)
+
+    @staticmethod
+    def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
+        front, rear = axle_loads(velocity_x_dot, theta.car)
+        return 0.5 * front, 0.5 * rear
+
+    @staticmethod
+    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
+        front, rear = forces(slip_front, slip_rear, at)
+        moved = theta.share * (front + rear) * theta.car.cg_height / theta.track
+        return (front + change(slip_front, given[0], theta.front * moved, theta.car.tyre_front),
+                rear + change(slip_rear, given[1], (1.0 - theta.front) * moved, theta.car.tyre_rear))

@@ -1,0 +1,21 @@
+"""Mass other than the vehicle file's: load, passengers. CG, yaw inertia and lengths stay."""
+
+from dataclasses import replace
+
+from ._base import Effect, Parameter, register
+
+
+@register
+class Mass(Effect):
+    name = "mass"
+    physics = "m = factor m of the file"
+    excited_by = "cornering; with tyres that scale with load it cancels against yaw_inertia: weigh the car"
+    twins = ("yaw_inertia", "front_stiffness", "rear_stiffness")
+    parameters = (
+        Parameter("factor", "1", null=1.0, initial=1.1, bounds=(0.6, 2.0), meaning="true mass over the file's",
+                  source="empty to fully laden: passenger cars 1.4, vans 2"),
+    )
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        return replace(vehicle, mass=vehicle.mass * theta.factor)

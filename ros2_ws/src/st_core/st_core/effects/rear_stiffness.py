@@ -1,0 +1,23 @@
+"""Cornering stiffness of the rear axle other than the vehicle file's."""
+
+from dataclasses import replace
+
+from ._base import Effect, Parameter, register
+
+
+@register
+class RearStiffness(Effect):
+    name = "rear_stiffness"
+    physics = "C_r = factor C_r of the file, the peak force unchanged"
+    excited_by = "cornering with the sideslip measured, and sweeps; it sets the damping in yaw"
+    twins = ("front_stiffness", "cg_position", "friction")
+    parameters = (
+        Parameter("factor", "1", null=1.0, initial=0.85, bounds=(0.3, 3.0), meaning="true stiffness over the file's",
+                  source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together"),
+    )
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        tyre = vehicle.tyre_rear
+        return replace(vehicle, cornering_stiffness_rear=vehicle.cornering_stiffness_rear * theta.factor,
+                       tyre_rear=tyre._replace(lambda_ky=tyre.lambda_ky * theta.factor))

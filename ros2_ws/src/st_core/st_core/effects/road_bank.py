@@ -1,0 +1,32 @@
+"""Road that is higher on one side of the car, all along: a_y = -g sin(angle).
+
+The angle is the parameter, as no sensor of the suite tells bank from body roll. An accelerometer does not feel gravity
+pull the car down the slope: it shows g sin(angle) more than the car's motion.
+"""
+
+from ..ops import sin
+from ..tyres import GRAVITY
+from ._base import Effect, Parameter, register
+
+
+@register
+class RoadBank(Effect):
+    name = "road_bank"
+    physics = "a_y = -g sin(angle) on the car, unfelt by an accelerometer"
+    excited_by = "straight driving with an accelerometer; the same road in both directions"
+    twins = ("crosswind", "lateral_acceleration_bias", "steering_offset")
+    parameters = (
+        Parameter("angle", "rad", null=0.0, initial=0.02, bounds=(-0.3, 0.3), odd=True,
+                  meaning="road rises to the left of the car",
+                  source="crossfall 0.025, motorway curves 0.07, tracks 0.3"),
+    )
+
+    @staticmethod
+    def acceleration(at, given, theta):
+        zero = 0.0 * at.velocity_x
+        return zero, zero - GRAVITY * sin(theta.angle), zero
+
+    @staticmethod
+    def felt(at, given, theta):
+        zero = 0.0 * at.velocity_x
+        return zero, zero + GRAVITY * sin(theta.angle)

@@ -1,0 +1,51 @@
+"""Front wheels that steer as the body rolls: delta = delta_measured - gradient lean.
+
+lean is the lateral acceleration the body has rolled with, second order:
+
+    lean_ddot = (2 pi f)^2 (a_y - lean) - 2 zeta 2 pi f lean_dot,   a_y = (F_f cos delta + F_r) / m
+
+The change of delta is put into the slip angle; what it turns the force itself by is below 0.1 % of it.
+"""
+
+from ..ops import cos
+from ._base import Effect, Parameter, register
+
+TWO_PI = 6.283185307179586
+
+
+@register
+class RollSteer(Effect):
+    name = "roll_steer"
+    physics = "delta = delta_measured - gradient a_y, with the body's roll behind a_y; understeer gradient + gradient"
+    excited_by = "sweeps, where the roll falls behind; steady cornering shows it as a softer front axle"
+    twins = ("steering_compliance", "steering_ratio", "front_stiffness")
+    extra_states = ("lean", "lean_rate")
+    order = 60
+    parameters = (
+        Parameter("gradient", "rad s^2/m", null=0.0, initial=0.0005, bounds=(-0.005, 0.005),
+                  meaning="steer to the outside per lateral acceleration, understeer +",
+                  source="roll 0.3-0.5 deg per m/s^2, roll steer 0-10 %, both ways in racing cars"),
+        Parameter("frequency", "Hz", null=2.0, initial=2.0, bounds=(0.8, 4.0), fit=False, meaning="of the body in roll",
+                  source="passenger cars 1.5-2.5 Hz"),
+        Parameter("damping", "1", null=0.4, initial=0.4, bounds=(0.05, 1.0), fit=False, meaning="of it",
+                  source="passenger cars 0.3-0.5"),
+    )
+
+    @staticmethod
+    def constants(vehicle):
+        return vehicle.mass
+
+    @staticmethod
+    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
+        return slip_front + theta.gradient * extra[0], slip_rear
+
+    @staticmethod
+    def start(slips, at, given, theta):
+        return at.velocity_x * at.yaw_rate, 0.0 * at.velocity_x
+
+    @staticmethod
+    def rates(extra, slips, forces, at, given, theta):
+        lean, lean_rate = extra
+        a_y = (forces[0] * cos(at.road_wheel_angle) + forces[1]) / theta.car
+        omega = TWO_PI * theta.frequency
+        return lean_rate, omega * (omega * (a_y - lean) - 2.0 * theta.damping * lean_rate)

@@ -1,0 +1,24 @@
+"""INS that sits elsewhere in the body than the vehicle file says."""
+
+from dataclasses import replace
+
+from ._base import ANY, Effect, Parameter, register
+
+
+@register
+class SensorLeverArm(Effect):
+    name = "sensor_lever_arm"
+    physics = "INS point = that of the file + (x, y), in body axes; v_y there is v_y + r x"
+    excited_by = "tight turns, both ways; v_y of the INS shows x, v_x shows y"
+    twins = ("cg_position", "heading_misalignment")
+    applies_to = ANY
+    parameters = (
+        Parameter("x", "m", null=0.0, initial=0.2, bounds=(-1.5, 1.5), meaning="further forward than the file says",
+                  source="a unit measured from the wrong corner of the car"),
+        Parameter("y", "m", null=0.0, initial=0.1, bounds=(-1.0, 1.0), odd=True,
+                  meaning="further to the left than the file says", source="half a car's width"),
+    )
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        return replace(vehicle, cg_to_ins_x=vehicle.cg_to_ins_x + theta.x, cg_to_ins_y=vehicle.cg_to_ins_y + theta.y)

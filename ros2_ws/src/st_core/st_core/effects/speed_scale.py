@@ -1,0 +1,27 @@
+"""Velocity with a wrong scale: both components; position stays."""
+
+from ._base import ANY, Effect, Parameter, register
+
+
+@register
+class SpeedScale(Effect):
+    name = "speed_scale"
+    physics = "measured v_x, v_y = factor times the true ones; positions stay"
+    excited_by = "any driving with position fixes: distance against speed"
+    twins = ("steering_ratio", "yaw_rate_scale")
+    applies_to = ANY
+    order = 40
+    parameters = (
+        Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="measured over true",
+                  source="wheel speeds with worn tyres 2-4 %"),
+    )
+
+    @staticmethod
+    def observe(measured, theta):
+        return measured._replace(velocity_x=measured.velocity_x * theta.factor,
+                                 velocity_y=measured.velocity_y * theta.factor)
+
+    @staticmethod
+    def correct(measured, theta):
+        return measured._replace(velocity_x=measured.velocity_x / theta.factor,
+                                 velocity_y=measured.velocity_y / theta.factor)

@@ -1,0 +1,34 @@
+"""Front wheels that give way under their lateral force: delta = delta_measured - compliance F_f.
+
+The slip angle then is a' = a + compliance F_f(a'), with the force on both sides. Two Newton steps from a' = a, with the
+slope at zero slip: exact for a linear tyre, and to 1e-4 rad at the limit of adhesion.
+"""
+
+from ._base import Effect, Parameter, register
+
+
+@register
+class SteeringCompliance(Effect):
+    name = "steering_compliance"
+    physics = "delta = delta_measured - compliance F_front; understeer gradient + compliance m l_r / l"
+    excited_by = "cornering near the limit; an exact twin of a softer front axle below 0.4 g"
+    twins = ("front_stiffness", "roll_steer", "steering_ratio")
+    order = 90
+    parameters = (
+        Parameter("compliance", "rad/N", null=0.0, initial=1.0e-6, bounds=(0.0, 1.0e-5),
+                  meaning="toe to the outside per lateral force of the front axle",
+                  source="kinematics and compliance rigs: 0.05-0.2 deg/kN of an axle"),
+    )
+
+    @staticmethod
+    def constants(vehicle):
+        return vehicle.cornering_stiffness_front
+
+    @staticmethod
+    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
+        slope = 1.0 + theta.compliance * theta.car
+        front, _ = forces(slip_front, slip_rear, at)
+        once = slip_front + theta.compliance * front / slope
+        front, _ = forces(once, slip_rear, at)
+        twice = once - (once - slip_front - theta.compliance * front) / slope
+        return forces(twice, slip_rear, at)

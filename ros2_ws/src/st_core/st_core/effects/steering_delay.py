@@ -1,0 +1,25 @@
+"""Dead time in the steering: delta(t) = delta_measured(t - time).
+
+A time stamp that is wrong has the same equation: > 0 also when steering stamps are early against the INS, < 0 when they
+are late.
+"""
+
+from ._base import ANY, Effect, Parameter, register
+
+
+@register
+class SteeringDelay(Effect):
+    name = "steering_delay"
+    physics = "delta(t) = delta_measured(t - time): dead time, or stamps of two clocks that are apart"
+    excited_by = "sweeps to 2.5 Hz and steps; content above 1 / (2 pi time) tells it from a lag"
+    twins = ("steering_lag", "tyre_relaxation", "yaw_inertia")
+    applies_to = ANY
+    order = 10
+    parameters = (
+        Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5), meaning="wheels after the measured angle",
+                  source="buses and filters add up to 0.2 s; half a second is no steering"),
+    )
+
+    @staticmethod
+    def steering(time, angle, begins, theta):
+        return time + theta.time, angle

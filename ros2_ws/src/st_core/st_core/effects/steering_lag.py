@@ -1,0 +1,36 @@
+"""First-order lag in the steering: time_constant delta_dot = delta_measured - delta.
+
+It acts on the measured angle alone, so it is solved on the recording: exactly, for an angle that runs straight between
+samples, without another state and without a start value to guess. Settled at the first sample and after each gap.
+"""
+
+import numpy as np
+
+from ._base import ANY, Effect, Parameter, register
+from ._scan import affine, scan
+
+
+@register
+class SteeringLag(Effect):
+    name = "steering_lag"
+    physics = "time_constant delta_dot = delta_measured - delta: column, actuator or low-pass in the sensor"
+    excited_by = "sweeps to 2.5 Hz and steps"
+    twins = ("steering_delay", "yaw_inertia", "tyre_relaxation")
+    applies_to = ANY
+    order = 30
+    parameters = (
+        Parameter("time_constant", "s", null=0.0, initial=0.06, bounds=(0.0, 0.5), meaning="63 % of a step after it",
+                  source="power steering 0.03-0.1 s; openpilot's lag learner allows 0.5 s"),
+    )
+
+    @staticmethod
+    def steering(time, angle, begins, theta):
+        spacing = np.diff(time, prepend=time[:1])
+        before = np.concatenate((angle[:1], angle[:-1]))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = np.where(begins, 1.0, spacing / theta.time_constant)
+            drop = -np.expm1(-x)
+            g = drop / x
+        kept = np.where(begins, 0.0, 1.0 - drop)
+        added = np.where(begins, angle, (g - kept) * before + (1.0 - g) * angle)
+        return time, scan((kept, added), affine)[1]

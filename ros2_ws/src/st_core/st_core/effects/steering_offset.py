@@ -1,0 +1,22 @@
+"""Wheels that are not straight when the steering wheel says so: delta = delta_measured + angle."""
+
+from ._base import ANY, Effect, Parameter, register
+
+
+@register
+class SteeringOffset(Effect):
+    name = "steering_offset"
+    physics = "delta = delta_measured + angle, in the sensor or in the linkage alike"
+    excited_by = "any driving, straight too; two speeds tell it from wind, as its yaw rate grows with speed"
+    twins = ("crosswind", "road_bank", "heading_misalignment")
+    applies_to = ANY
+    order = 60
+    parameters = (
+        Parameter("angle", "rad", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
+                  meaning="of the road wheels at a measured angle of zero, left +",
+                  source="0.1 rad is 100 deg at a steering wheel of ratio 17: beyond any assembly"),
+    )
+
+    @staticmethod
+    def inputs(road_wheel_angle, velocity_x_dot, signals, theta):
+        return road_wheel_angle + theta.angle, velocity_x_dot

@@ -1,0 +1,21 @@
+"""Steering ratio other than the vehicle file's: delta = delta_measured / factor."""
+
+from ._base import ANY, Effect, Parameter, register
+
+
+@register
+class SteeringRatio(Effect):
+    name = "steering_ratio"
+    physics = "delta = delta_measured / factor: a larger true ratio turns the wheels less"
+    excited_by = "transients or two speeds; at one steady speed it is a change of front stiffness"
+    twins = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale")
+    applies_to = ANY
+    order = 40
+    parameters = (
+        Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0), meaning="true ratio over the file's",
+                  source="learnt ratios of one car type spread by 10-20 % in fleets"),
+    )
+
+    @staticmethod
+    def inputs(road_wheel_angle, velocity_x_dot, signals, theta):
+        return road_wheel_angle / theta.factor, velocity_x_dot

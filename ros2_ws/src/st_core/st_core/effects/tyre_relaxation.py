@@ -1,0 +1,46 @@
+"""Tyres that need a way to build up their force: length / v d(alpha')/dt = alpha - alpha', force from alpha'.
+
+v is held at the slip speed's floor, so that a force left over at standstill fades. A time constant tau = length / v
+below 25 ms would be too stiff for steps of 50 ms; there the state keeps 25 ms and only the share tau / 25 ms of it is
+used: the delay at low frequency stays tau, at length 0 nothing is left. The tyre starts settled at the slip it has.
+Source: Pacejka, Tire and Vehicle Dynamics, ch. 7, single-point contact.
+"""
+
+from ..ops import absolute, maximum
+from ._base import Effect, Parameter, register
+
+SHORTEST = 0.025  # s; RK4 with 50 ms steps is stable down to 18 ms
+
+
+@register
+class TyreRelaxation(Effect):
+    name = "tyre_relaxation"
+    physics = "force from alpha', length / v d(alpha')/dt = alpha - alpha', both axles"
+    excited_by = "sweeps, and the same at half the speed: the delay is length / v"
+    twins = ("yaw_inertia", "steering_delay", "steering_lag")
+    extra_states = ("slip_front", "slip_rear")
+    order = 40
+    parameters = (
+        Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
+                  meaning="way rolled until 63 % of a slip step",
+                  source="passenger tyres 0.2-0.8 m, more at high load"),
+    )
+
+    @staticmethod
+    def constants(vehicle):
+        return vehicle.minimum_slip_speed
+
+    @staticmethod
+    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
+        tau = theta.length / maximum(absolute(at.velocity_x), theta.car)
+        share = tau / maximum(tau, SHORTEST)
+        return slip_front + share * (extra[0] - slip_front), slip_rear + share * (extra[1] - slip_rear)
+
+    @staticmethod
+    def start(slips, at, given, theta):
+        return slips
+
+    @staticmethod
+    def rates(extra, slips, forces, at, given, theta):
+        tau = maximum(theta.length / maximum(absolute(at.velocity_x), theta.car), SHORTEST)
+        return (slips[0] - extra[0]) / tau, (slips[1] - extra[1]) / tau

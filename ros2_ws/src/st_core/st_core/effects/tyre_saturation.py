@@ -1,0 +1,39 @@
+"""Tyres that saturate: what linear tyres lack against the Magic Formula, with its longitudinal load transfer."""
+
+from ..models.nonlinear_tyre import inputs as tyre_inputs
+from ..models.nonlinear_tyre import parameters as tyre_parameters
+from ..tyres import magic_formula_force
+from ._base import Effect, Parameter, register
+
+
+@register
+class TyreSaturation(Effect):
+    name = "tyre_saturation"
+    physics = "F_y = (1 - share) (-C alpha) + share of the Magic Formula of the vehicle file"
+    excited_by = "cornering above 4 m/s^2"
+    twins = ("front_stiffness", "rear_stiffness")
+    applies_to = frozenset(("linear",))
+    lifts = ("linear", "nonlinear")
+    prepared = ("b_front", "d_front", "e_front", "b_rear", "d_rear", "e_rear")
+    order = 10
+    parameters = (
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: tyres as in the vehicle file",
+                  source="theory: 1"),
+    )
+
+    @staticmethod
+    def constants(vehicle):
+        return tyre_parameters(vehicle)
+
+    @staticmethod
+    def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
+        return tyre_inputs(road_wheel_angle, velocity_x_dot, theta.car)[3:]
+
+    @staticmethod
+    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
+        front, rear = forces(slip_front, slip_rear, at)
+        b_front, d_front, e_front, b_rear, d_rear, e_rear = given
+        mf_front = magic_formula_force(slip_front, b_front, d_front, e_front, theta.car.tyre_front)
+        mf_rear = magic_formula_force(slip_rear, b_rear, d_rear, e_rear, theta.car.tyre_rear)
+        rest = 1.0 - theta.share
+        return rest * front + theta.share * mf_front, rest * rear + theta.share * mf_rear

@@ -1,0 +1,32 @@
+"""Tyres that slip: what the kinematic model lacks against the dynamic one with linear tyres.
+
+    derivative of the state = (1 - share) kinematic + share dynamic
+
+Between 0 and 1 the share is no physics, it is there so that a fit can say whether slip is missing.
+"""
+
+from ..models.linear_tyre import inputs as linear_inputs
+from ..models.linear_tyre import parameters as linear_parameters
+from ._base import Effect, Parameter, register
+
+
+@register
+class TyreSlip(Effect):
+    name = "tyre_slip"
+    physics = "derivative = (1 - share) kinematic + share of the single-track car with F_y = -C alpha"
+    excited_by = "cornering above 2 m/s^2"
+    applies_to = frozenset(("kinematic",))
+    lifts = ("kinematic", "linear")
+    prepared = ("sine", "cosine", "velocity_x_dot")
+    parameters = (
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: tyres as in the vehicle file",
+                  source="theory: 1"),
+    )
+
+    @staticmethod
+    def constants(vehicle):
+        return linear_parameters(vehicle)
+
+    @staticmethod
+    def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
+        return linear_inputs(road_wheel_angle, velocity_x_dot, theta.car)

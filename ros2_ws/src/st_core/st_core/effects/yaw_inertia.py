@@ -1,0 +1,21 @@
+"""Yaw inertia other than the vehicle file's."""
+
+from dataclasses import replace
+
+from ._base import Effect, Parameter, register
+
+
+@register
+class YawInertia(Effect):
+    name = "yaw_inertia"
+    physics = "I_z = factor I_z of the file"
+    excited_by = "sweeps and sine with dwell; steady cornering does not show it"
+    twins = ("mass", "steering_lag", "tyre_relaxation")
+    parameters = (
+        Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5), meaning="true inertia over the file's",
+                  source="estimates from mass and wheelbase are right to 20 %"),
+    )
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        return replace(vehicle, yaw_inertia=vehicle.yaw_inertia * theta.factor)

@@ -1,0 +1,24 @@
+"""Yaw rate sensor that reads something at standstill."""
+
+from ._base import Effect, Parameter, register
+
+
+@register
+class YawRateBias(Effect):
+    name = "yaw_rate_bias"
+    physics = "measured r = r + bias; the heading of the INS stays"
+    excited_by = "any driving, straight too, with the heading measured"
+    twins = ("steering_offset", "crosswind")
+    order = 60
+    parameters = (
+        Parameter("bias", "rad/s", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True, meaning="left turn +",
+                  source="automotive yaw rate sensors 0.5-3 deg/s over temperature"),
+    )
+
+    @staticmethod
+    def observe(measured, theta):
+        return measured._replace(yaw_rate=measured.yaw_rate + theta.bias)
+
+    @staticmethod
+    def correct(measured, theta):
+        return measured._replace(yaw_rate=measured.yaw_rate - theta.bias)

@@ -1,0 +1,24 @@
+"""Yaw rate sensor with a wrong scale."""
+
+from ._base import Effect, Parameter, register
+
+
+@register
+class YawRateScale(Effect):
+    name = "yaw_rate_scale"
+    physics = "measured r = factor r; the heading of the INS stays"
+    excited_by = "turning, with r v_x against a_y, or the heading over a whole lap"
+    twins = ("steering_ratio", "speed_scale")
+    order = 40
+    parameters = (
+        Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="measured over true",
+                  source="gyroscopes of 2-5 %"),
+    )
+
+    @staticmethod
+    def observe(measured, theta):
+        return measured._replace(yaw_rate=measured.yaw_rate * theta.factor)
+
+    @staticmethod
+    def correct(measured, theta):
+        return measured._replace(yaw_rate=measured.yaw_rate / theta.factor)

@@ -1,0 +1,89 @@
+"""Between what was measured and what a model is about: logs and samples corrected, states turned into readings.
+
+For a model without such effects everything passes unchanged, so callers need not ask.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from . import frames
+from .augmented import AugmentedModel
+from .effects import Measured
+from .filtering import NANOSECOND
+from .log import DriveLog
+from .models import Model
+from .types import InsSample
+from .vehicle import VehicleParameters
+
+
+def corrected_sample(model: Model, sample: InsSample) -> InsSample:
+    """The sample as a faultless INS would have given it."""
+    if not isinstance(model, AugmentedModel) or not model.has_sensors:
+        return sample
+    true = model.correct(Measured(*sample[1:], 0.0, 0.0))
+    return InsSample(sample.time_ns, *true[:6])
+
+
+def corrected_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
+                       maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
+    """(time [ns], road wheel angle [rad]) at the wheels: delay, play and lag applied to a recorded angle.
+
+    maximum_gap [s]: memory starts afresh after a longer one.
+    """
+    if not isinstance(model, AugmentedModel) or not model.has_memory or not len(time_ns):
+        return time_ns, angle
+    seconds = (time_ns - time_ns[0]) * NANOSECOND
+    begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
+    begins[0] = True
+    later, angle = model.steering(seconds, angle, begins)
+    # Only what the effects shift is rounded: without a shift the times stay the integers they were.
+    return time_ns + np.round((later - seconds) / NANOSECOND).astype(np.int64), angle
+
+
+def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
+    """The drive as faultless sensors would have recorded it, with the angle the wheels had: what a model starts from.
+
+    Input effects without memory (ratio, offset) are not applied: they are in the model's `inputs`. maximum_gap: [s].
+    """
+    if not isinstance(model, AugmentedModel):
+        return log
+    parts: dict[str, Any] = {}
+    if model.has_sensors:
+        parts |= {name: values for name, values in _corrected(model, log).items() if getattr(log, name) is not None}
+    if model.has_memory:
+        time_ns, angle = corrected_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
+        parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}
+    return replace(log, **parts) if parts else log
+
+
+def _corrected(model: AugmentedModel, log: DriveLog) -> dict[str, np.ndarray]:
+    nothing = np.zeros(len(log.ins_time_ns))
+    measured = Measured(*(nothing if getattr(log, n) is None else getattr(log, n) for n in Measured._fields))
+    return model.correct(measured)._asdict()
+
+
+def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
+             p: Any = None) -> Measured:
+    """What the INS shows while the car is in `states`: at the INS point, sensor effects included.
+
+    states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
+    w, p: the model's inputs there and its parameters, for the acceleration; it is NaN without them.
+
+        a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.felt`
+
+    vehicle: as in its file; the effects on it are applied here.
+    """
+    car = model.effective_vehicle(vehicle)
+    dx, dy = car.cg_to_ins_x, car.cg_to_ins_y
+    x, y, velocity_x, velocity_y, yaw, yaw_rate = states[:6]
+    x_ins, y_ins = frames.cg_to_ins_position(x, y, yaw, dx, dy)
+    a_x = a_y = velocity_x * np.nan
+    if w is not None:
+        a_x, a_y = model.felt(states, w, p)
+        yaw_acceleration = model.rhs(states, w, p)[5]
+        a_x, a_y = (a_x - yaw_rate * yaw_rate * dx - yaw_acceleration * dy,
+                    a_y + yaw_acceleration * dx - yaw_rate * yaw_rate * dy)
+    true = Measured(x_ins, y_ins, yaw, velocity_x - yaw_rate * dy, velocity_y + yaw_rate * dx, yaw_rate, a_x, a_y)
+    return model.observe(true) if isinstance(model, AugmentedModel) else true
