@@ -1,0 +1,54 @@
+"""The suite of car.launch.py with the virtual Leaf at the other end of the wires, all on this computer.
+
+    ros2 launch st_predictor sim.launch.py config_dir:=/path/to/config scenario:=S6 duration:=60
+"""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, Shutdown
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.substitutions import FindPackagePrefix
+
+ARGUMENTS = {
+    "config_dir": (None, "folder with nodes.yaml, vehicle/ and can/ (config/ of the repository)"),
+    "vehicle": ([LaunchConfiguration("config_dir"), "/vehicle/leaf.yaml"], "vehicle file"),
+    "scenario": ("S6", "manoeuvre: S1 to S7 of the paper, sweep, step, lane_change, brake_in_turn, ramp_to_limit"),
+    "duration": ("60", "seconds of driving"),
+    "plant": ("realistic", "ideal, realistic, or a file with plant settings"),
+    "seed": ("0", "of the simulated noise"),
+    "ncom_port": ("3000", "UDP port on the loopback interface"),
+    "ncom_rate": ("100", "NCOM packets per second: 100 or 250"),
+    "can_channel": ("239.74.163.2", "multicast group on the loopback interface"),
+    "output": (f"runs/sim-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the recordings, must not exist"),
+}
+
+
+def generate_launch_description():
+    value = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    suite = IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(str(Path(__file__).with_name("car.launch.py"))),
+        launch_arguments={
+            "config_dir": value["config_dir"], "vehicle": value["vehicle"], "output": value["output"],
+            "ncom_port": value["ncom_port"], "ncom_address": "127.0.0.1",
+            "can_interface": "udp_multicast", "can_channel": value["can_channel"],
+        }.items(),
+    )
+    leaf = ExecuteProcess(
+        cmd=[
+            PathJoinSubstitution([FindPackagePrefix("st_sim"), "lib", "st_sim", "virtual_leaf"]),
+            "--scenario", value["scenario"], "--duration", value["duration"], "--plant", value["plant"],
+            "--seed", value["seed"], "--vehicle", value["vehicle"],
+            "--ncom-port", value["ncom_port"], "--ncom-rate", value["ncom_rate"],
+            "--can-interface", "udp_multicast", "--can-channel", value["can_channel"],
+            "--output", PathJoinSubstitution([value["output"], "truth"]),
+        ],
+        name="virtual_leaf", output="screen", on_exit=Shutdown(reason="the drive is over"),
+    )
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, suite, leaf])

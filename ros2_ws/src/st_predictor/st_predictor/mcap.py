@@ -93,17 +93,22 @@ class BagWriter:
         """
         definition = definition or definitions.definition(type_name)
         type_hash = type_hash or definitions.type_hash(type_name)
+        new: list[Schema | Channel] = []
         if type_name not in self._schemas:
-            schema = Schema(id=len(self._schemas) + 1, name=type_name, encoding="ros2msg", data=definition.encode())
-            schema.write(self._chunk)
-            self._schemas[type_name] = schema.id
-            self._contents.schemas[schema.id] = schema
+            number = self._schemas[type_name] = len(self._schemas) + 1
+            new.append(Schema(id=number, name=type_name, encoding="ros2msg", data=definition.encode()))
         self._topics.append(Topic(name, type_name, type_hash, [q.to_entry() for q in qos]))
-        channel = Channel(id=len(self._topics), topic=name, message_encoding="cdr", schema_id=self._schemas[type_name],
-                          metadata={"offered_qos_profiles": qos_text(qos), "topic_type_hash": type_hash})
-        channel.write(self._chunk)
-        self._contents.channels[channel.id] = channel
-        return channel.id
+        new.append(Channel(
+            id=len(self._topics), topic=name, message_encoding="cdr", schema_id=self._schemas[type_name],
+            metadata={"offered_qos_profiles": qos_text(qos), "topic_type_hash": type_hash},
+        ))
+        if not (self.closed or self.error):
+            try:
+                # Not inside a chunk: a damaged chunk then costs its own messages only.
+                self._contents.append_definitions(self._file, new)
+            except OSError as error:
+                self._stop(error)
+        return len(self._topics)
 
     def write(self, topic: int, data: bytes, log_time_ns: int, publish_time_ns: int | None = None) -> None:
         """One serialised (CDR) message. log_time_ns: when received; publish_time_ns: when sent, default the same."""

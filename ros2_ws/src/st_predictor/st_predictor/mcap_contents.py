@@ -7,7 +7,7 @@ full disk has all its chunks but no index.
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import BinaryIO, NamedTuple, Protocol
@@ -56,9 +56,8 @@ class DamagedError(ValueError):
     """A record is whole in length but not in content."""
 
 
-def read_records(stream: BinaryIO, size: int) -> Iterator[Record]:
-    """The whole records of a file of `size` bytes, first to last; ends without a word where the file is cut."""
-    offset = len(MAGIC)
+def read_records(stream: BinaryIO, size: int, offset: int = len(MAGIC)) -> Iterator[Record]:
+    """The whole records of a file of `size` bytes from `offset` on; ends without a word where the file is cut."""
     stream.seek(offset)
     while offset + _HEAD.size <= size:
         opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
@@ -87,6 +86,7 @@ class Contents:
         self._loose_times: list[int] = []  # first and last of them
         self._metadata_indexes: list[MetadataIndex] = []
         self._attachment_indexes: list[AttachmentIndex] = []
+        self._definitions_end = 0
 
     def counts(self) -> Counter[int]:
         """Messages by channel id."""
@@ -119,8 +119,10 @@ class Contents:
         if record.opcode == Opcode.CHUNK:
             self._read_chunk(Chunk.read(stream), offset, length)
         elif record.opcode == Opcode.MESSAGE_INDEX:
-            if self._chunks:
-                self._add_message_index(self._chunks[-1], MessageIndex.read(stream).channel_id, offset, length)
+            channel_id = MessageIndex.read(stream).channel_id
+            if not self._chunks or channel_id not in self._chunks[-1].counts:
+                raise DamagedError(f"index of channel {channel_id}, which the chunk before does not hold")
+            self._add_message_index(self._chunks[-1], channel_id, offset, length)
         elif record.opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
             self.schemas[schema.id] = schema
@@ -199,6 +201,16 @@ class Contents:
         self._chunks[-1].index.message_index_offsets = message_offsets
         self._chunks[-1].index.message_index_length = total - length
 
+    def append_definitions(self, stream: WritableStream, records: Sequence[Schema | Channel]) -> None:
+        """Writes schemas and channels."""
+        builder = RecordBuilder()
+        for record in records:
+            record.write(builder)
+        stream.write(builder.end())
+        self._definitions_end = stream.tell()
+        self.schemas.update({r.id: r for r in records if isinstance(r, Schema)})
+        self.channels.update({r.id: r for r in records if isinstance(r, Channel)})
+
     def append_metadata(self, stream: WritableStream, name: str, entries: dict[str, str]) -> None:
         builder = RecordBuilder()
         Metadata(name=name, metadata=entries).write(builder)
@@ -210,13 +222,14 @@ class Contents:
     def drop_after(self, length: int) -> None:
         """Forgets what lies beyond the first `length` bytes of the file."""
         self._chunks = [e for e in self._chunks if e.index.chunk_start_offset < length]
+        self._definitions_end = min(self._definitions_end, length)
         self._metadata_indexes = [i for i in self._metadata_indexes if i.offset < length]
 
     def end_offset(self) -> int:
-        """End of the newest chunk (with its message indexes) or metadata record; 0 without any."""
+        """Where the newest record that was appended ends; 0 without any."""
         last = [e.index for e in self._chunks[-1:]]
         ends = [i.chunk_start_offset + i.chunk_length + i.message_index_length for i in last]
-        return max([0, *ends, *(i.offset + i.length for i in self._metadata_indexes)])
+        return max([self._definitions_end, *ends, *(i.offset + i.length for i in self._metadata_indexes)])
 
     def last_chunk_offset(self) -> int | None:
         """Where the newest chunk starts; None without chunks."""

@@ -55,29 +55,30 @@ RECORDER = (
 )
 
 
-def load_vehicle(path: str) -> VehicleParameters:
-    """The vehicle of a `vehicle_file` parameter. Raises ConfigurationError naming the file and the key."""
-    if not path:
-        raise ConfigurationError("vehicle_file: not given; name a file of config/vehicle/")
+def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
+    """The vehicle of the parameter `vehicle_file`. Raises ConfigurationError naming the file and the key."""
+    name, where = values.vehicle_file, f"{values.where}vehicle_file: "
+    if not name:
+        raise ConfigurationError(f"{where}not given; name a file of config/vehicle/")
     try:
-        return VehicleParameters.from_yaml(Path(path).read_text(), origin=path)
+        return VehicleParameters.from_yaml(Path(name).read_text(), origin=name)
     except OSError as error:
-        raise ConfigurationError(f"vehicle_file: {path}: {error.strerror}") from None
+        raise ConfigurationError(f"{where}{name}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ConfigurationError(f"vehicle_file: {path} is not a text file") from None
+        raise ConfigurationError(f"{where}{name} is not a text file") from None
     except core_errors.ConfigurationError as error:
-        raise ConfigurationError(str(error)) from None
+        raise ConfigurationError(f"{where}{error}") from None
 
 
 def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
     """The st_core settings among a node's parameters. Raises ConfigurationError where two of them do not fit."""
     names = PredictionSettings.__dataclass_fields__.keys() & vars(values).keys()
-    return checked(lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
+    return checked(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
 
 
-def checked(make: Callable[[], T]) -> T:
+def checked(values: SimpleNamespace, make: Callable[[], T]) -> T:
     """What `make` returns; a ConfigurationError of st_core becomes the one that ends a start with status 2."""
     try:
         return make()
     except core_errors.ConfigurationError as error:
-        raise ConfigurationError(str(error)) from None
+        raise ConfigurationError(f"{values.where}{error}") from None

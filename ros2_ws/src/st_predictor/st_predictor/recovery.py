@@ -8,22 +8,24 @@ import contextlib
 import fcntl
 import os
 import re
+import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import yaml
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Footer
+from mcap.records import Footer, Statistics
 
 from .bag_metadata import FILE_NAME, BagFile, BagInformation, Topic, short_entries
 from .mcap_contents import MAGIC, Contents, DamagedError, read_records
 
 FOOTER_LENGTH = 29
+DATA_END_LENGTH = 13
 
 
 class RecoveryError(ValueError):
@@ -132,9 +134,8 @@ def _recover_file(source: Path, target: Path, report: RecoveryReport) -> Content
         size = os.fstat(stream.fileno()).st_size
         _check(stream, source, size)
         contents, found = Contents(), FileReport(target)
-        kept = sum(map(len, _good_records(stream, size, contents, found)))
-        found.whole = _is_closed(stream, size) and not found.damaged_records
-        found.kept_bytes = kept
+        found.kept_bytes = len(MAGIC) + sum(map(len, _good_records(stream, size, contents, found)))
+        found.whole = not found.damaged_records and _is_closed(stream, size, contents, found)
         if not (found.whole and target == source):
             contents = _write_repaired(stream, size, source, target, found)
     found.messages = contents.counts().total()
@@ -157,14 +158,25 @@ def _check(stream: BinaryIO, source: Path, size: int) -> None:
         raise RecoveryError(f"{source} was cut before anything was recorded")
 
 
-def _is_closed(stream: BinaryIO, size: int) -> bool:
-    """Whether the file ends as a closed one does: footer that points at a summary, then the magic bytes."""
-    stream.seek(max(0, size - FOOTER_LENGTH - len(MAGIC)))
-    end = stream.read()
-    if len(end) < FOOTER_LENGTH + len(MAGIC) or not end.endswith(MAGIC) or end[0] != Opcode.FOOTER:
+def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> bool:
+    """Whether the file ends as a closed one does: behind the data a sound summary that counts the same messages."""
+    summary_start = found.kept_bytes + DATA_END_LENGTH
+    tail_start = size - FOOTER_LENGTH - len(MAGIC)
+    if summary_start >= tail_start:
         return False
-    footer = Footer.read(ReadDataStream(BytesIO(end[9:])))
-    return 0 < footer.summary_start < size
+    stream.seek(summary_start)
+    end = stream.read()
+    footer_at = tail_start - summary_start
+    if not end.endswith(MAGIC) or end[footer_at] != Opcode.FOOTER:
+        return False
+    footer = Footer.read(ReadDataStream(BytesIO(end[footer_at + 9:])))
+    covered = end[:-len(MAGIC) - 4]
+    if footer.summary_start != summary_start or footer.summary_crc not in (0, zlib.crc32(covered)):
+        return False
+    return all(
+        Statistics.read(ReadDataStream(BytesIO(record.content))).message_count == contents.counts().total()
+        for record in read_records(stream, size, summary_start) if record.opcode == Opcode.STATISTICS
+    )
 
 
 def _good_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:
@@ -247,13 +259,21 @@ def _information(files: list[FileReport], contents: list[Contents], source: Path
             type_name = schema.name if schema else ""
             topic = topics.setdefault((channel.topic, type_name), Topic(
                 channel.topic, type_name, channel.metadata.get("topic_type_hash", ""),
-                yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []))
+                _qos_entries(channel.metadata.get("offered_qos_profiles", ""))))
             topic.count += counts[channel.id]
     with contextlib.suppress(OSError, yaml.YAMLError, AttributeError, KeyError, TypeError):
         earlier = yaml.safe_load((source / FILE_NAME).read_text())["rosbag2_bagfile_information"]["custom_data"]
         custom = {**{str(k): str(v) for k, v in earlier.items()}, **custom}
     bag_files = [BagFile(f.path.name, f.messages, f.start_ns, f.end_ns) for f in files]
     return BagInformation(bag_files, list(topics.values()), custom)
+
+
+def _qos_entries(text: str) -> list[dict[str, Any]]:
+    try:
+        entries = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return []
+    return entries if isinstance(entries, list) else []
 
 
 def _says_the_same(path: Path, information: BagInformation) -> bool:

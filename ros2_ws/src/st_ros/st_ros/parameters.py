@@ -47,6 +47,8 @@ class Parameter:
         if expected is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if expected in (list, tuple):
+            if value is None:  # how rcl hands over `[]`
+                return []
             if not isinstance(value, Sequence) or isinstance(value, str):
                 raise ConfigurationError(f"{self.name}: {value!r} is not a list")
             return [str(v) for v in value] if all(isinstance(d, str) for d in self.default) else list(value)
@@ -64,6 +66,7 @@ class Parameter:
 def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
     """Declare all on the node and return their checked values as attributes.
 
+    `where` of the result begins a message about one of them: parameter file (if one was given) and node.
     Raises ConfigurationError naming the parameter file (if one was given), the key and the limit; also for an
     override that no parameter answers to.
     """
@@ -74,7 +77,7 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
         if name not in known and name not in BUILT_IN and not name.startswith("qos_overrides."):
             raise ConfigurationError(
                 f"{origin}{node.get_name()}: unknown parameter {name}; known are {', '.join(sorted(known))}")
-    values = SimpleNamespace()
+    values = SimpleNamespace(where=f"{origin}{node.get_name()}.")
     for parameter in parameters:
         try:
             given = overrides[parameter.name].value if parameter.name in overrides else parameter.default

@@ -73,4 +73,5 @@ class _StopRequest:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+    # Without the places in rcl's own sources.
+    return " ".join(str(error).partition(", at /")[0].split())

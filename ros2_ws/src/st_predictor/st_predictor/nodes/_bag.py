@@ -1,6 +1,7 @@
 """How evaluator and recorder open their bag and report on it."""
 
 from collections.abc import Mapping
+from types import SimpleNamespace
 
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
@@ -9,13 +10,16 @@ from st_ros.parameters import ConfigurationError
 from ..mcap import BagWriter
 
 
-def open_bag(directory: str, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
-    """Raises ConfigurationError naming the directory where it is not empty or cannot be written."""
+def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
+    """The bag of the parameter `output_directory`.
+
+    Raises ConfigurationError naming the directory where it is not empty or cannot be written.
+    """
     try:
-        return BagWriter(directory, records)
+        return BagWriter(values.output_directory, records)
     except OSError as error:
-        name = f"{error.filename or directory}: " if error.strerror else ""
-        raise ConfigurationError(f"output_directory: {name}{error.strerror or error}") from None
+        name = f"{error.filename or values.output_directory}: " if error.strerror else ""
+        raise ConfigurationError(f"{values.where}output_directory: {name}{error.strerror or error}") from None
 
 
 def recording_check(bag: BagWriter) -> Check:

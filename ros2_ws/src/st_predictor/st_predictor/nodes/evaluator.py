@@ -35,8 +35,8 @@ class EvaluatorNode(Node):
     def __init__(self) -> None:
         super().__init__("evaluator")
         values = parameters.declare(self, params.EVALUATOR)
-        self._vehicle = params.load_vehicle(values.vehicle_file)
-        self._models = [params.checked(lambda name=name: get_model(name)).name for name in values.models]
+        self._vehicle = params.load_vehicle(values)
+        self._models = params.checked(values, lambda: [get_model(name).name for name in values.models])
         settings = params.prediction_settings(values)
         self._core = Evaluator(self._vehicle, settings, span=SPAN)
         self._map_frame = values.map_frame
@@ -68,7 +68,7 @@ class EvaluatorNode(Node):
             "vehicle_file": Path(values.vehicle_file).name,
             "maximum_gap": f"{settings.maximum_gap:g}", "filter_cutoff": f"{settings.filter_cutoff:g}",
         }
-        bag = open_bag(values.output_directory, {"configuration": configuration})
+        bag = open_bag(values, {"configuration": configuration})
         errors = bag.add_topic(self.resolve_topic_name("evaluator/errors"), "st_msgs/msg/PredictionError")
         summary = bag.add_topic(self.resolve_topic_name("evaluator/summary"), "st_msgs/msg/ErrorSummary",
                                 (Qos(durability="transient_local", depth=1),))

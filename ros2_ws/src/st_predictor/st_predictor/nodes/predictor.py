@@ -29,9 +29,9 @@ class PredictorNode(Node):
     def __init__(self) -> None:
         super().__init__("predictor")
         values = parameters.declare(self, params.PREDICTOR)
-        self._vehicle = params.load_vehicle(values.vehicle_file)
+        self._vehicle = params.load_vehicle(values)
         settings = params.prediction_settings(values)
-        self._core = params.checked(lambda: Predictor(self._vehicle, values.models, settings))
+        self._core = params.checked(values, lambda: Predictor(self._vehicle, values.models, settings))
         self._hash = configuration_hash(self._vehicle, settings)
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)

@@ -4,9 +4,9 @@ import hashlib
 import importlib
 import json
 import time
-from collections.abc import Iterable
 from fnmatch import fnmatchcase
 from pathlib import Path
+from types import SimpleNamespace
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -33,11 +33,10 @@ class RecorderNode(Node):
         super().__init__("recorder")
         values = parameters.declare(self, params.RECORDER)
         if not values.output_directory:
-            raise ConfigurationError("output_directory: not given; name a new directory for the bag")
+            raise ConfigurationError(f"{values.where}output_directory: not given; name a new directory for the bag")
         self._patterns = [self._absolute(topic) for topic in values.topics]
-        records = metadata_records(values.configuration_files, values.metadata_json)
-        self._bag = open_bag(values.output_directory, records)
-        self._subscriptions: dict[str, tuple[PolledSubscription, int]] = {}
+        self._bag = open_bag(values, metadata_records(values))
+        self._recorded: dict[str, tuple[PolledSubscription, int]] = {}
         self._refused: dict[str, str] = {}
         self._simulated_time = self.get_parameter("use_sim_time").value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -53,7 +52,7 @@ class RecorderNode(Node):
     def _look(self) -> None:
         """Subscribe to what has appeared and is wanted."""
         for topic, types in self.get_topic_names_and_types():
-            if topic in self._subscriptions or topic in self._refused:
+            if topic in self._recorded or topic in self._refused:
                 continue
             if any(fnmatchcase(topic, pattern) for pattern in self._patterns):
                 publishers = self.get_publishers_info_by_topic(topic)
@@ -71,24 +70,24 @@ class RecorderNode(Node):
             self._refused[topic] = str(error)
             return
         subscription = PolledSubscription(self, message_type, topic, matching_qos(publishers), raw=True)
-        self._subscriptions[topic] = (subscription, number)
+        self._recorded[topic] = (subscription, number)
 
     def _work(self) -> None:
         write = self._bag.write
-        for subscription, number in self._subscriptions.values():
+        for subscription, number in self._recorded.values():
             for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
                 log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
                 write(number, data, log_ns, sent_ns or log_ns)
         self._bag.flush_when_due()
 
     def _checks(self) -> list[Check]:
-        level, text = diagnostics.OK, f"{len(self._subscriptions)} recorded"
+        level, text = diagnostics.OK, f"{len(self._recorded)} recorded"
         if self._refused:
             level = diagnostics.WARN
             text = "not recorded: " + "; ".join(f"{topic}: {why}" for topic, why in self._refused.items())
-        elif not self._subscriptions:
+        elif not self._recorded:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
-        return [recording_check(self._bag), Check("topics", level, text, {"topics": len(self._subscriptions)})]
+        return [recording_check(self._bag), Check("topics", level, text, {"topics": len(self._recorded)})]
 
     @property
     def exit_status(self) -> int:
@@ -102,32 +101,32 @@ class RecorderNode(Node):
             self.get_logger().error(self._bag.error)
 
 
-def metadata_records(files: Iterable[str], metadata_json: str) -> dict[str, dict[str, str]]:
+def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
     """What the bag says about the run: texts and hashes of the configuration files, then the caller's own entries.
 
     Raises ConfigurationError naming the file or the parameter.
     """
     records: dict[str, dict[str, str]] = {"recording": {"recorder": "st_predictor", "started_ns": str(time.time_ns())}}
     texts = {}
-    for name in filter(None, files):
+    for name in filter(None, values.configuration_files):
         try:
             texts[Path(name).name] = Path(name).read_text()
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "not a text file"
-            raise ConfigurationError(f"configuration_files: {name}: {reason}") from None
+            raise ConfigurationError(f"{values.where}configuration_files: {name}: {reason}") from None
     if texts:
         joined = "".join(f"{name}\n{text}" for name, text in sorted(texts.items()))
         records["configuration"] = {**texts, "hash": hashlib.sha256(joined.encode()).hexdigest()}
-    if metadata_json:
+    if values.metadata_json:
         try:
-            given = json.loads(metadata_json)
+            given = json.loads(values.metadata_json)
         except ValueError as error:
-            raise ConfigurationError(f"metadata_json: {error}") from None
+            raise ConfigurationError(f"{values.where}metadata_json: {error}") from None
         if not isinstance(given, dict) or not all(isinstance(entries, dict) for entries in given.values()):
-            raise ConfigurationError('metadata_json: {"record": {"key": "text"}} wanted')
+            raise ConfigurationError(f'{values.where}metadata_json: {{"record": {{"key": "text"}}}} wanted')
         for name, entries in given.items():
-            texts = {k: v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()}
-            records.setdefault(name, {}).update(texts)
+            record = records.setdefault(name, {})
+            record.update({k: v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()})
     return records
 
 

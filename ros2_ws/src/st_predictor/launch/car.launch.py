@@ -1,0 +1,83 @@
+"""The suite on the car: bridges, predictor, evaluator and recorder.
+
+    ros2 launch st_predictor car.launch.py config_dir:=/path/to/config can_channel:=can0 ncom_port:=3000
+"""
+
+from datetime import UTC, datetime
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+
+CONFIG = LaunchConfiguration("config_dir")
+VEHICLE = LaunchConfiguration("vehicle")
+DBC = LaunchConfiguration("dbc")
+SIGNALS = LaunchConfiguration("signals")
+PARAMETERS = LaunchConfiguration("parameters")
+OUTPUT = LaunchConfiguration("output")
+
+
+def argument(name, description, default=None):
+    return DeclareLaunchArgument(name, description=description, default_value=default)
+
+
+def text(node, name, *value):
+    """One parameter as an override. It names the node and comes after the file, else the node's section there wins."""
+    return ["-p", [f"{node}:{name}:='", *value, "'"]]
+
+
+def number(node, name, value):
+    return ["-p", [f"{node}:{name}:=", value]]
+
+
+def suite_node(package, executable, *overrides, **options):
+    clock = number(executable, "use_sim_time", LaunchConfiguration("use_sim_time"))
+    words = ["--params-file", PARAMETERS, *(word for pair in (clock, *overrides) for word in pair)]
+    return Node(
+        package=package, executable=executable, name=executable, output="screen", ros_arguments=words, **options)
+
+
+def generate_launch_description():
+    bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}
+    return LaunchDescription([
+        argument("config_dir", "folder with nodes.yaml, vehicle/ and can/ (config/ of the repository)"),
+        argument("vehicle", "vehicle file", [CONFIG, "/vehicle/leaf.yaml"]),
+        argument("parameters", "node parameters", [CONFIG, "/nodes.yaml"]),
+        argument("dbc", "DBC of the car's bus", [CONFIG, "/can/leaf_ze0.dbc"]),
+        argument("signals", "table from DBC signals to our names", [CONFIG, "/can/leaf_ze0.yaml"]),
+        argument("can_interface", "python-can interface", "socketcan"),
+        argument("can_channel", "channel of that interface", "can0"),
+        argument("ncom_port", "UDP port the INS sends NCOM to", "3000"),
+        argument("ncom_address", "local address to listen on", "0.0.0.0"),
+        argument("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
+        argument("bridges", "false: odometry and steering come from elsewhere", "true"),
+        argument("use_sim_time", "true: follow /clock", "false"),
+        suite_node(
+            "st_predictor", "recorder",
+            text("recorder", "output_directory", PathJoinSubstitution([OUTPUT, "bag"])),
+            ["-p", ["recorder:configuration_files:=['", VEHICLE, "', '", PARAMETERS, "']"]],
+        ),
+        suite_node(
+            "st_predictor", "evaluator",
+            text("evaluator", "vehicle_file", VEHICLE),
+            text("evaluator", "output_directory", PathJoinSubstitution([OUTPUT, "errors"])),
+        ),
+        suite_node("st_predictor", "predictor", text("predictor", "vehicle_file", VEHICLE)),
+        suite_node(
+            "oxts_bridge", "oxts_bridge",
+            number("oxts_bridge", "udp_port", LaunchConfiguration("ncom_port")),
+            text("oxts_bridge", "bind_address", LaunchConfiguration("ncom_address")),
+            **bridges,
+        ),
+        suite_node(
+            "canedge_bridge", "canedge_bridge",
+            text("canedge_bridge", "interface", LaunchConfiguration("can_interface")),
+            text("canedge_bridge", "channel", LaunchConfiguration("can_channel")),
+            text("canedge_bridge", "vehicle_file", VEHICLE),
+            text("canedge_bridge", "dbc_file", DBC),
+            text("canedge_bridge", "signals_file", SIGNALS),
+            **bridges,
+        ),
+    ])

@@ -1,0 +1,47 @@
+"""Predict and score again what a bag holds: the bag's INS and steering, this configuration, a new recording.
+
+    ros2 launch st_predictor replay.launch.py config_dir:=/path/to/config bag:=runs/sim/bag
+"""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, Shutdown, TimerAction
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
+
+# What came from the car; predictions and errors of the first run stay out.
+MEASURED = "/(ins|vehicle|can)/.*|/tf|/tf_static"
+# The nodes need this long to be there when the first message is played [s].
+START_DELAY = 3.0
+# /clock messages per second; the predictor's ticks follow them.
+CLOCK_RATE = "200"
+
+ARGUMENTS = {
+    "config_dir": (None, "folder with nodes.yaml and vehicle/ (config/ of the repository)"),
+    "vehicle": ([LaunchConfiguration("config_dir"), "/vehicle/leaf.yaml"], "vehicle file"),
+    "bag": (None, "bag directory to play"),
+    "speed": ("1.0", "times as fast as it was recorded"),
+    "output": (f"runs/replay-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the new recordings, must not exist"),
+}
+
+
+def generate_launch_description():
+    value = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    suite = IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(str(Path(__file__).with_name("car.launch.py"))),
+        launch_arguments={
+            "config_dir": value["config_dir"], "vehicle": value["vehicle"], "output": value["output"],
+            "bridges": "false", "use_sim_time": "true",
+        }.items(),
+    )
+    play = ExecuteProcess(
+        cmd=["ros2", "bag", "play", value["bag"], "--clock", CLOCK_RATE, "--rate", value["speed"], "--regex", MEASURED],
+        output="screen", on_exit=Shutdown(reason="the bag is over"),
+    )
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, suite, TimerAction(period=START_DELAY, actions=[play])])

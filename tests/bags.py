@@ -1,0 +1,38 @@
+"""Bags of numbered messages, made and read back without ROS."""
+
+import struct
+from pathlib import Path
+
+DEFINITION = "# a number with a text\nint64 number\nstring text\n"
+TYPE = "demo_msgs/msg/Numbered"
+TYPE_HASH = "RIHS01_" + "ab" * 32
+
+
+def numbered(number: int, text: str = "") -> bytes:
+    """A demo_msgs/Numbered in CDR, little endian."""
+    data = text.encode() + b"\0"
+    return b"\0\1\0\0" + struct.pack("<qI", number, len(data)) + data
+
+
+def read_numbers(path: Path) -> dict[str, list[int]]:
+    """What rosbags reads from a bag directory or file: the numbers of each topic, in time order."""
+    from rosbags.rosbag2 import Reader
+
+    found: dict[str, list[int]] = {}
+    with Reader(path) as reader:
+        for connection, _, raw in reader.messages():
+            found.setdefault(connection.topic, []).append(struct.unpack_from("<q", raw, 4)[0])
+    return found
+
+
+def read_numbers_with_mcap(path: Path) -> dict[str, list[int]]:
+    """The same with the mcap library, checksums checked, every message decoded by its schema."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    found: dict[str, list[int]] = {}
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            found.setdefault(channel.topic, []).append(message.number)
+    return found

@@ -1,0 +1,59 @@
+"""Nodes as processes of their own, on a ROS domain of their own, ended by their own handles."""
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+
+def executable(package: str, name: str) -> str:
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix, "lib", package, name)
+        if path.is_file():
+            return str(path)
+    pytest.skip(f"{name} is not installed: build the workspace (./st does)")
+
+
+class Processes:
+    """Processes of one test, ended by their own handles."""
+
+    def __init__(self, folder: Path, domain: int):
+        self.folder = folder
+        self.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+                            "ROS_LOG_DIR": str(folder / "ros_log")}
+        self._running: list[subprocess.Popen] = []
+
+    def start(self, command: list[str], name: str) -> subprocess.Popen:
+        with (self.folder / f"{name}.log").open("wb") as log:
+            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=self.environment)
+        self._running.append(process)
+        return process
+
+    def node(self, package: str, name: str, *parameters: str, arguments: tuple[str, ...] = ()) -> subprocess.Popen:
+        """A node by its console script. parameters: "name:=value"; arguments: further ROS arguments."""
+        words = [word for p in parameters for word in ("-p", p)]
+        return self.start([executable(package, name), "--ros-args", *arguments, *words], name)
+
+    def log(self, name: str) -> str:
+        return (self.folder / f"{name}.log").read_text()
+
+    def stop(self, process: subprocess.Popen, number: int = signal.SIGINT) -> int:
+        process.send_signal(number)
+        return process.wait(20)
+
+    def close(self) -> None:
+        for process in self._running:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 20.0, what: str = "") -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f"not within {seconds:g} s: {what}"
+        time.sleep(0.05)
