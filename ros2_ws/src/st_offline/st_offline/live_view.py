@@ -31,13 +31,13 @@ def view(heard: Heard, elapsed: float, duration: float | None, title: str) -> Re
 
 def error_table(heard: Heard) -> Table:
     """Mean | max | RMSE over the horizon means so far, one row per model and mode."""
-    table = Table(box=None, padding=(0, 2))
+    table = Table(box=None, padding=(0, 1))
     for column in (
         "model",
         "mode",
         "starts",
-        "longitudinal error, m\nmean | max | RMSE",
-        "lateral error, m\nmean | max | RMSE",
+        "longitudinal, m\nmean | max | RMSE",
+        "lateral, m\nmean | max | RMSE",
     ):
         table.add_column(column, justify="left" if column in ("model", "mode") else "right")
     for s in heard.summary.statistics if heard.summary else []:

@@ -15,7 +15,7 @@ from rich.live import Live
 from . import live_view
 from .node import Monitor
 from .paths import config
-from .suite import Child, Parameters, Suite, SuiteError, free_domain_id, merge
+from .suite import Parameters, Suite, SuiteError, free_domain_id, merge
 
 NODES = (  # package, executable: in the order they start; the listeners come first so that nothing is missed
     ("st_predictor", "recorder"),
@@ -24,8 +24,10 @@ NODES = (  # package, executable: in the order they start; the listeners come fi
     ("oxts_bridge", "oxts_bridge"),
     ("canedge_bridge", "canedge_bridge"),
 )
-# Ends in this order: what talks first, then what scores it, then what records the last word of both.
-STOP_ORDER = ("virtual_leaf", "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder")
+# The predictor ends while data still flow, so that its last tick is as good as any; what records the last word of all
+# the others ends last.
+STOP_ORDER = ("predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
+BEFORE_THE_END = 0.5  # s before a source runs dry the run ends
 START_TIMEOUT = 30.0  # s for all nodes to appear in the graph
 QUIET_REFRESH = 10.0  # s between lines where the output is no terminal
 
@@ -71,12 +73,12 @@ def run(
     parameters: Parameters,
     title: str,
     duration: float | None,
-    source: Callable[[Suite], Child] | None = None,
+    source: Callable[[Suite], float] | None = None,
     console: Console | None = None,
 ) -> Outcome:
     """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
 
-    duration in s; None: until Ctrl-C. Raises SuiteError when a node does not come up.
+    duration in s; None: until Ctrl-C, or until the source runs dry: it returns how long it lasts [s]. Raises SuiteError when a node does not come up.
     """
     console = console or Console()
     # A demo must not be heard by, or hear, another suite on this machine; the car uses the user's own domain.
@@ -89,16 +91,16 @@ def run(
             suite.start_node(package, executable)
         _wait_for_nodes(suite, monitor, stop)
         console.print(f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}")
-        leaf = source(suite) if source else None
+        if source:
+            lasts = source(suite) - BEFORE_THE_END
+            duration = min(duration or lasts, lasts)
         try:
-            _watch(suite, monitor, console, title, duration, leaf, stop)
+            _watch(suite, monitor, console, title, duration, stop)
         except SuiteError as error:
             problem = str(error)
         statuses = {}
         for name in STOP_ORDER:
             statuses.update(suite.stop(name))
-            if name == "evaluator":
-                _settle()
     return Outcome(statuses, stop.requested, problem)
 
 
@@ -116,25 +118,15 @@ def _wait_for_nodes(suite: Suite, monitor: Monitor, stop: "_StopRequest") -> Non
 
 
 def _watch(
-    suite: Suite,
-    monitor: Monitor,
-    console: Console,
-    title: str,
-    duration: float | None,
-    leaf: Child | None,
-    stop: "_StopRequest",
+    suite: Suite, monitor: Monitor, console: Console, title: str, duration: float | None, stop: "_StopRequest"
 ) -> None:
-    """Until the time is over, the virtual Leaf is done, or somebody pressed Ctrl-C. A node that dies ends the run."""
+    """Until the time is over or somebody pressed Ctrl-C. A process that dies ends the run."""
     started = time.monotonic()
     last_line = started
     with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:
         while not stop.wait(0.25):
             elapsed = time.monotonic() - started
-            if leaf is not None and leaf.process.poll() is not None:
-                if leaf.process.returncode:
-                    suite.check()
-                return
-            if leaf is None and duration is not None and elapsed > duration:
+            if duration is not None and elapsed > duration:
                 return
             suite.check()
             if console.is_terminal:
@@ -142,11 +134,6 @@ def _watch(
             elif time.monotonic() - last_line >= QUIET_REFRESH:
                 last_line = time.monotonic()
                 console.print(f"{title}: {elapsed:.0f} s; {live_view.ticks(monitor.heard)}")
-
-
-def _settle() -> None:
-    """Let the recorder hear the last summary before it is ended."""
-    time.sleep(0.5)
 
 
 class _StopRequest:

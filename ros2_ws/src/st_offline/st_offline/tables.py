@@ -12,12 +12,12 @@ STATISTICS = ("mean", "max", "rmse")
 
 def error_table(summary: dict[str, Any], title: str) -> Table:
     """summary: as in summary.json; errors in m over the horizon means."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 2))
-    table.add_column("mode")
-    table.add_column("model")
-    table.add_column("starts", justify="right")
-    table.add_column("longitudinal, m\nmean | max | RMSE", justify="right")
-    table.add_column("lateral, m\nmean | max | RMSE", justify="right")
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
+    table.add_column("mode", no_wrap=True)
+    table.add_column("model", no_wrap=True)
+    table.add_column("starts", justify="right", no_wrap=True)
+    table.add_column("longitudinal, m\nmean | max | RMSE", justify="right", no_wrap=True)
+    table.add_column("lateral, m\nmean | max | RMSE", justify="right", no_wrap=True)
     models = summary["models"]
     for mode in ("hindsight", "forecast"):
         for model, modes in models.items():
@@ -38,7 +38,7 @@ def _cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, Any]) -> 
         others = [m[mode][axis][statistic] for m in models.values()]
         best = abs(value) <= min(abs(v) for v in others if v is not None) + 5e-4
         text.append(" | " if i else "")
-        text.append(f"{value:6.3f}", style="bold" if best else "")
+        text.append(f"{value:.3f}", style="bold" if best else "")
     return text
 
 

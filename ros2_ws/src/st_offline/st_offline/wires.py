@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .paths import config, project_root
-from .suite import Child, Suite, SuiteError, find_executable, free_udp_port
+from .suite import Suite, SuiteError, find_executable, free_udp_port
 
 START_TIMEOUT = 20.0  # s until the virtual Leaf sends
 
@@ -41,8 +41,11 @@ class VirtualCar:
         bus = {"interface": "udp_multicast", "channel": self.channel}
         return bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, bus)
 
-    def start(self, suite: Suite, options: Sequence[str]) -> Child:
-        """Start it and wait until data flow; raises SuiteError with its own words if it does not."""
+    def start(self, suite: Suite, options: Sequence[str]) -> float:
+        """Start it and wait until data flow; returns how long they will [s].
+
+        Raises SuiteError with its own words if they do not.
+        """
         wires = {
             "--vehicle": self.vehicle,
             "--config": project_root() / "config",
@@ -55,13 +58,8 @@ class VirtualCar:
         leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *options, *words])
         end = time.monotonic() + START_TIMEOUT
         while time.monotonic() < end and leaf.process.poll() is None:
-            if any(_says_sending(line) for line in leaf.log.read_text().splitlines()):
-                return leaf
+            for line in leaf.log.read_text().splitlines():
+                if '"sending"' in line:
+                    return json.loads(line)["duration"]
             time.sleep(0.05)
-        if leaf.process.poll() == 0:
-            return leaf  # a very short drive is over already
         raise SuiteError(leaf.last_lines() or "the virtual Leaf did not start")
-
-
-def _says_sending(line: str) -> bool:
-    return line.startswith("{") and json.loads(line).get("state") == "sending"

@@ -7,6 +7,7 @@ from rich.console import Console
 
 from ..paths import config
 
+AFTERWARDS = 2.0  # s
 SCENARIOS = "S1 to S7 of the paper, sweep, step, lane_change, brake_in_turn, ramp_to_limit"
 
 
@@ -37,7 +38,8 @@ def demo(
         duration = 60.0
     options = ["--drive", str(drive.absolute())] if drive else ["--scenario", scenario, "--plant", plant]
     options += ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
-    options += ["--duration", str(duration)] if duration else []
+    # The car drives on while the predictor stops, so that no tick at the end goes without inputs.
+    options += ["--duration", str(duration + AFTERWARDS)] if duration else []
     options += [word for e in effect for word in ("--effect", e)]
     try:
         folder = output_folder(output, f"demo-{what}")
