@@ -12,9 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from .clock_correlation import STEP, resample
+from .clock_correlation import STEP, masked_correlation, resample
 from .clock_fit import DRIFT_PRIOR_PPM, Fit, Pair, coarse_offset, fit
-from .clock_steps import clock_step, window_lags
+from .clock_steps import WindowLag, clock_step, window_lags
 
 CUTOFFS = (0.5, 4.0)  # Hz: the first for a drift that has not been found yet, the second for the result
 STAMP_GRID = 50e-6  # s; loggers do not stamp finer than this, so no result is surer
@@ -286,6 +286,34 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
     if refusals:
         return replace(result, verdict=Verdict.REFUSED, reasons=(*result.reasons, refusals[0]))
     return result.doubted(*doubts)
+
+
+def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
+    """What the coarse search sees: offsets [s], reference minus other clock, and the mean correlation at each.
+
+    Empty where no signal is usable. Lags with less than 10 s in common are left out.
+    """
+    usable, _ = _usable(signals)
+    fine = _pairs(usable)[CUTOFFS[-1]] if usable else []
+    if not fine:
+        return np.zeros(0), np.zeros(0)
+    rows = [masked_correlation(p.reference, p.other, 10.0) for p in fine]
+    lags = np.arange(max(lag[0] for lag, _ in rows), min(lag[-1] for lag, _ in rows), STEP)
+    epoch = (int(usable[0].reference_time_ns[0]) - int(usable[0].other_time_ns[0])) * 1e-9
+    return lags + epoch, np.mean([np.interp(lags, lag, r) for lag, r in rows], axis=0) if len(lags) else lags
+
+
+def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment, search: float = 2.0) -> list[WindowLag]:
+    """What is left of the offset in stretches of 30 s by themselves; time in s after `at_ns`, other clock."""
+    usable, _ = _usable(signals)
+    fine = _pairs(usable)[CUTOFFS[-1]] if usable else []
+    if not fine:
+        return []
+    r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
+    middle = (alignment.at_ns - o0) * 1e-9
+    found = window_lags(fine, (alignment.offset_ns - (r0 - o0)) * 1e-9, search)
+    drift = alignment.drift_ppm * 1e-6
+    return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in found]
 
 
 def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,

@@ -50,12 +50,13 @@ EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSI
 class CanLog:
     """One recording of one logger, whatever number of files it came in.
 
-    absolute: whether times are UTC (as the logger's clock has it); else they count from the start of the log.
-    warnings: whole sentences that name the file.
+    start_ns: start of the first session as its header says, else the first frame. absolute: whether times are UTC (as
+    the logger's clock has it); else they count from the start of the log. warnings: whole sentences that name the file.
     """
 
     frames: Frames
     files: tuple[Path, ...]
+    start_ns: int
     absolute: bool = True
     warnings: tuple[str, ...] = field(default=())
 
@@ -70,14 +71,16 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
     errors: list[RunError] = []
     absolute: set[bool] = set()
     good: list[Path] = []
+    starts: list[int] = []
     for file in sorted(files, key=lambda f: (*session_of(f), str(f))):
         try:
-            frames, is_absolute, notes = _read_one(file)
+            frames, start_ns, is_absolute, notes = _read_one(file)
         except RunError as error:
             errors.append(error)
             continue
         parts.append(frames)
         good.append(file)
+        starts.append(start_ns)
         absolute.add(is_absolute)
         warnings += [f"{file}: {note}" for note in notes]
     if not parts:
@@ -88,17 +91,17 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
     if repeated:
         warnings.append(f"{good[0]}: {repeated} frames are in the log twice; one of each was kept")
     warnings += [str(error) for error in errors] + _missing_splits(good)
-    return CanLog(frames, tuple(good), absolute.pop(), tuple(warnings))
+    return CanLog(frames, tuple(good), min(starts), absolute.pop(), tuple(warnings))
 
 
-def _read_one(file: Path) -> tuple[Frames, bool, Sequence[str]]:
+def _read_one(file: Path) -> tuple[Frames, int, bool, Sequence[str]]:
     check_readable(file)
     refuse_makers_container(file)
     with file.open("rb") as stream:
         head = stream.read(4096)
     if head[:4] in (b"MDF ", b"UnFi"):
         log = read_mf4(file)
-        return log.frames, True, log.warnings
+        return log.frames, log.start_ns, True, log.warnings
     found = next((f for f in FORMATS if f.mark(head)), None)
     if found is None:
         if file.suffix.lower() in MF4_EXTENSIONS:
@@ -109,7 +112,8 @@ def _read_one(file: Path) -> tuple[Frames, bool, Sequence[str]]:
     if file.suffix.lower() not in found.extensions:
         notes.append(f"is a {found.name} log under the extension {file.suffix or '(none)'}; read as what it is")
     frames, trouble = _through_python_can(file, found)
-    return frames, bool(frames.time_ns[0] >= ABSOLUTE_FROM * 10**9), [*notes, *trouble]
+    start_ns = int(frames.time_ns[0])
+    return frames, start_ns, start_ns >= ABSOLUTE_FROM * 10**9, [*notes, *trouble]
 
 
 def _through_python_can(file: Path, kind: Format) -> tuple[Frames, list[str]]:

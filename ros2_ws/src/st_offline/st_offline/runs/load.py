@@ -100,8 +100,7 @@ def read_raw(source: RunSource, settings: ReadSettings) -> RawRun:
         raise source.problem
     ins = read_ncom(source.where)
     can = read_can_logs(source.can)
-    table = load_signal_table(_path(source, settings, "dbc", "leaf_ze0.dbc"),
-                              _path(source, settings, "signals", "leaf_ze0.yaml"))
+    table = load_signal_table(*signal_files(source, settings))
     signals = decode_signals(can.frames, table)
     steering = steering_of(signals, can.files[0], table)
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")
@@ -170,8 +169,10 @@ def hashes(source: RunSource) -> dict[str, str]:
     return found
 
 
-def _path(source: RunSource, settings: ReadSettings, key: str, default: str) -> Path:
-    return getattr(settings, key) or source.settings.get(key) or config(f"can/{default}")
+def signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:
+    """(DBC, table) of a run: of the settings, else of its run.yaml, else the Leaf's."""
+    return (settings.dbc or source.settings.get("dbc") or config("can/leaf_ze0.dbc"),
+            settings.signals or source.settings.get("signals") or config("can/leaf_ze0.yaml"))
 
 
 def _known(values: np.ndarray) -> np.ndarray | None:

@@ -1,0 +1,65 @@
+"""An INS recording and a CAN log, read as far as clock alignment needs them: what `st align` looks at."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from st_core.clock_alignment import Alignment, SharedSignal
+
+from . import csv
+from .can_logs import EXTENSIONS, CanLog, read_can_logs
+from .can_signals import CanSignals, decode_signals, load_signal_table
+from .clocks import align_clocks
+from .errors import RunError
+from .load import ReadSettings, signal_files
+from .ncom import Motion, read_ncom
+from .sources import RunSource, find_runs
+
+
+@dataclass(frozen=True)
+class Pair:
+    """shared: the signals the alignment rests on, or by which it can be looked at."""
+
+    name: str
+    motion: Motion
+    can: CanLog
+    signals: CanSignals
+    alignment: Alignment
+    shared: list[SharedSignal]
+    warnings: tuple[str, ...]
+
+
+def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
+    """files: one INS recording (NCOM, or CSV with speed and yaw) and CAN logs, or a folder or run.yaml that names them.
+
+    No steering is needed. Raises RunError.
+    """
+    source = _source(files)
+    if source.kind == "csv":
+        motion, warnings = csv.read_motion(source.where)
+    else:
+        ins = read_ncom(source.where)
+        motion, warnings = ins.motion, ins.warnings
+    can = read_can_logs(source.can)
+    signals = decode_signals(can.frames, load_signal_table(*signal_files(source, settings)))
+    offset = settings.offset if settings.offset is not None else source.settings.get("offset")
+    alignment, shared = align_clocks(motion, signals, offset, settings.search)
+    return Pair(source.name, motion, can, signals, alignment, shared, (*warnings, *can.warnings))
+
+
+def _source(files: Sequence[Path]) -> RunSource:
+    """CSV and CAN logs are a pair here only: elsewhere a CSV is a whole drive."""
+    tables = [f for f in files if f.suffix.lower() == ".csv"]
+    logs = [f for f in files if f.suffix.lower() in EXTENSIONS]
+    if len(tables) == 1 and len(logs) == len(files) - 1 and logs:
+        return RunSource(tables[0].stem, "csv", (tables[0],), tuple(logs))
+    runs = find_runs(files)
+    for run in runs:
+        if run.problem is not None:
+            raise run.problem
+    raw = [run for run in runs if run.kind == "ncom"]
+    if len(raw) != 1:
+        what = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
+        raise RunError(", ".join(map(str, files)), f"{what} of an INS recording and CAN logs is in there",
+                       "give one .ncom (or CSV) and its CAN logs")
+    return raw[0]

@@ -1,0 +1,172 @@
+"""Columns of a raw run as serialised messages of the suite: blocks of (topic, times, bytes) ready to be written."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rosbags.typesys.store import Typestore
+from st_core.vehicle import VehicleParameters
+
+from .bag import ODOMETRY, STEERING
+from .can_signals import CanSignals
+from .cdr import Layout
+from .frames import ERROR, EXTENDED, FD, REMOTE, Frames
+from .ncom import InsLog
+
+NCOM, WHEEL_SPEEDS, CAN_FRAMES = "st_msgs/msg/Ncom", "st_msgs/msg/WheelSpeeds", "st_msgs/msg/CanFrames"
+MAP_FRAME, INS_FRAME = "map", "ins_link"
+CAN_PERIOD_NS = 20_000_000  # of one can/frames message, as the live bridge sends them
+WHEEL_FIELDS = {"wheel_speed_front_left": "front_left", "wheel_speed_front_right": "front_right",
+                "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right",
+                "vehicle_speed": "vehicle_speed"}
+
+
+@dataclass(frozen=True)
+class Messages:
+    """Messages of one topic in order of time: message k is data[edges[k]:edges[k + 1]]. time_ns: when to play it."""
+
+    topic: str
+    type_name: str
+    time_ns: np.ndarray
+    data: memoryview
+    edges: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+def _fixed(topic: str, type_name: str, time_ns: np.ndarray, rows: np.ndarray) -> Messages:
+    edges = np.arange(len(rows) + 1, dtype=np.int64) * rows.shape[1]
+    return Messages(topic, type_name, time_ns, memoryview(rows.reshape(-1).data), edges)
+
+
+class Serialiser:
+    """Makes messages of a run. store: types of ROS and of the suite."""
+
+    def __init__(self, store: Typestore):
+        self._store = store
+        self._layouts: dict[str, Layout] = {}
+
+    def _message(self, type_name: str, **values: Any) -> Any:
+        return self._store.types[type_name](**values)
+
+    def _header(self, frame: str) -> Any:
+        time = self._message("builtin_interfaces/msg/Time", sec=0, nanosec=0)
+        return self._message("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+    def _layout(self, type_name: str, example: Any) -> Layout:
+        if type_name not in self._layouts:
+            self._layouts[type_name] = Layout(self._store, type_name, example)
+        return self._layouts[type_name]
+
+    def odometry(self, ins: InsLog, rows: slice) -> Messages:
+        """Pose of the INS point in the map (ENU), twist in body axes (FLU) at it; covariances not known: 0."""
+        zero = {k: 0.0 for k in "xyz"}
+        pose = self._message("geometry_msgs/msg/Pose", position=self._message("geometry_msgs/msg/Point", **zero),
+                             orientation=self._message("geometry_msgs/msg/Quaternion", **zero, w=1.0))
+        twist = self._message("geometry_msgs/msg/Twist", linear=self._message("geometry_msgs/msg/Vector3", **zero),
+                              angular=self._message("geometry_msgs/msg/Vector3", **zero))
+        layout = self._layout(ODOMETRY, self._message(
+            ODOMETRY, header=self._header(MAP_FRAME), child_frame_id=INS_FRAME,
+            pose=self._message("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+            twist=self._message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))))
+        time_ns = ins.time_ns[rows]
+        columns = {"header.stamp": time_ns}
+        for k, axis in enumerate("xyz"):
+            columns[f"pose.pose.position.{axis}"] = ins.position[k, rows]
+            columns[f"twist.twist.linear.{axis}"] = ins.velocity[k, rows]
+            columns[f"twist.twist.angular.{axis}"] = ins.rate[k, rows]
+        for axis, values in zip("xyzw", quaternion(ins.yaw[rows], ins.pitch[rows], ins.roll[rows]), strict=True):
+            columns[f"pose.pose.orientation.{axis}"] = values
+        return _fixed("/ins/odometry", ODOMETRY, time_ns, layout.rows(len(time_ns), columns))
+
+    def ncom(self, raw: np.ndarray, time_ns: np.ndarray) -> Messages:
+        """The packets as they were. raw: (n, 72) uint8."""
+        layout = self._layout(NCOM, self._message(NCOM, header=self._header(INS_FRAME),
+                                                  raw_packet=np.zeros(72, np.uint8)))
+        rows = layout.rows(len(raw), {"header.stamp": time_ns, "raw_packet": raw})
+        return _fixed("/ins/ncom", NCOM, time_ns, rows)
+
+    def steering(self, time_ns: np.ndarray, wheel: np.ndarray, valid: np.ndarray,
+                 vehicle: VehicleParameters) -> Messages:
+        """wheel: steering wheel angle, sign applied [rad]."""
+        layout = self._layout(STEERING, self._message(STEERING, header=self._header(""), steering_wheel_angle=0.0,
+                                                      road_wheel_angle=0.0, valid=True))
+        road = (wheel - vehicle.steering_wheel_offset) / vehicle.steering_ratio
+        columns = {"header.stamp": time_ns, "steering_wheel_angle": wheel, "road_wheel_angle": road, "valid": valid}
+        return _fixed("/vehicle/steering", STEERING, time_ns, layout.rows(len(time_ns), columns))
+
+    def wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
+        """One per frame of a CAN message, NaN for what that frame does not hold."""
+        nan = dict.fromkeys(WHEEL_FIELDS.values(), float("nan"))
+        layout = self._layout(WHEEL_SPEEDS, self._message(WHEEL_SPEEDS, header=self._header(""), valid=True, **nan))
+        found = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
+                 if (name, message) in signals.signals}
+        first = next(iter(found.values()))
+        time_ns = to_reference(first.time_ns)
+        columns: Mapping[str, np.ndarray] = {"header.stamp": time_ns, "valid": first.valid,
+                                             **{field: s.values for field, s in found.items()}}
+        return _fixed("/vehicle/wheel_speeds", WHEEL_SPEEDS, time_ns, layout.rows(len(time_ns), columns))
+
+    def can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> Messages:
+        """Frames of one bus, in messages of 20 ms. time_ns: of each frame, rising.
+
+        Each frame is 20 bytes and its data, padded to 4: stamp, id, four flags, length of the data, the data.
+        """
+        n = len(frames)
+        width = 20 + frames.payload.shape[1]
+        rows = np.zeros((n, width), np.uint8)
+        words = rows[:, :12].view("<i4")
+        words[:, 0], words[:, 1] = np.divmod(time_ns, 1_000_000_000)
+        words[:, 2] = (frames.id & ~np.uint32(EXTENDED)).view(np.int32)
+        for at, flag in ((13, ERROR), (14, REMOTE), (15, FD)):
+            rows[:, at] = (frames.flags & flag) != 0
+        rows[:, 12] = (frames.id & np.uint32(EXTENDED)) != 0
+        length = np.minimum(frames.length, frames.payload.shape[1]).astype(np.int64)
+        rows[:, 16] = length
+        rows[:, 20:] = frames.payload
+        rows[:, 20:][np.arange(width - 20) >= length[:, None]] = 0
+        padded = 20 + (length + 3) // 4 * 4
+        body = rows[np.arange(width) < padded[:, None]]
+        starts = np.concatenate(([0], np.cumsum(padded)))
+        cuts = np.nonzero(np.diff(time_ns // CAN_PERIOD_NS, prepend=-1))[0]
+        ends = np.append(cuts[1:], n)
+        head = self._can_head(bus_name)
+        data = bytearray()
+        edges = [0]
+        for first, last, at in zip(cuts.tolist(), ends.tolist(), time_ns[cuts].tolist(), strict=True):
+            head[4:8] = (at // 1_000_000_000).to_bytes(4, "little")
+            head[8:12] = (at % 1_000_000_000).to_bytes(4, "little")
+            head[-4:] = (last - first).to_bytes(4, "little")
+            data += head
+            # The last frame of a message ends with its data, as a serialiser leaves it.
+            spare = int(padded[last - 1] - 20 - length[last - 1])
+            data += body[starts[first] : starts[last] - spare].tobytes()
+            edges.append(len(data))
+        return Messages("/can/frames", CAN_FRAMES, time_ns[cuts], memoryview(bytes(data)), np.array(edges, np.int64))
+
+    def _can_head(self, bus_name: str) -> bytearray:
+        """Encapsulation, header and the number of frames."""
+        example = self._message(CAN_FRAMES, header=self._header(bus_name), frames=[])
+        return bytearray(self._store.serialize_cdr(example, CAN_FRAMES))
+
+
+def quaternion(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> tuple[np.ndarray, ...]:
+    """x, y, z, w of Rz(yaw) Ry(pitch) Rx(roll)."""
+    (cy, sy), (cp, sp), (cr, sr) = ((np.cos(a / 2), np.sin(a / 2)) for a in (yaw, pitch, roll))
+    return (cy * cp * sr - sy * sp * cr, cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr,
+            cy * cp * cr + sy * sp * sr)
+
+
+def in_time_order(parts: list[Messages]) -> Iterator[tuple[int, str, memoryview]]:
+    """(time in ns, topic, bytes) of all parts, merged."""
+    if not parts:
+        return
+    time_ns = np.concatenate([p.time_ns for p in parts])
+    which = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
+    place = np.concatenate([np.arange(len(p)) for p in parts])
+    order = np.argsort(time_ns, kind="stable")
+    edges = [p.edges.tolist() for p in parts]
+    for time, part, k in zip(time_ns[order].tolist(), which[order].tolist(), place[order].tolist(), strict=True):
+        yield time, parts[part].topic, parts[part].data[edges[part][k] : edges[part][k + 1]]
