@@ -18,7 +18,7 @@ MOST_POINTS = 4000  # of a line
 
 
 def alignment_figure(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Rows: a signal over the whole drive, the liveliest 10 s of another, correlation and what is left of the offset."""
+    """Rows: one signal over the whole drive; the liveliest 10 s of another; correlation, and what is left over."""
     with plt.rc_context(RC):
         figure, axes = plt.subplots(3, 2, figsize=(11, 8.2), height_ratios=(1, 1, 0.9))
         chosen = _chosen(signals)
@@ -125,7 +125,7 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
         ax.text(0.5, 0.5, "no signal to correlate", transform=ax.transAxes, ha="center")
         return
     zero = alignment.offset_ns * 1e-9
-    ax.plot(lags - zero, r, color=MEASURED_COLOUR, lw=0.9)
+    ax.plot(lags - zero, np.where(r == 0, np.nan, r), color=MEASURED_COLOUR, lw=0.9)
     for peak, style, name in ((alignment.peak, "o", "best"), (alignment.second_peak, "s", "second")):
         if peak is not None and peak[1] > 0:
             ax.plot(peak[0] - zero, peak[1], style, ms=5, color=OTHER_COLOUR, label=f"{name}: {peak[1]:.2f}")

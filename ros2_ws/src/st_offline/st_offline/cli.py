@@ -2,7 +2,7 @@
 
 import typer
 
-from .verbs import align, bench, demo, develop, live, ncom, recover
+from .verbs import align, bench, demo, develop, import_, live, ncom, recover
 
 app = typer.Typer(
     name="st",
@@ -16,6 +16,7 @@ app.command()(demo.demo)
 app.command()(live.live)
 app.command()(ncom.ncom)
 app.command()(align.align)
+app.command("import")(import_.import_)
 app.command()(recover.recover)
 app.command()(bench.bench)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.test)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import ReaderError
@@ -31,8 +32,11 @@ _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", 
 
 @dataclass(frozen=True)
 class BagDrive:
+    """topics: type -> topic that was read. records: what the recording says about itself, name -> {key: text}."""
+
     log: DriveLog
-    topics: Mapping[str, str]  # type -> topic that was read
+    topics: Mapping[str, str]
+    records: Mapping[str, Mapping[str, str]]
     warnings: tuple[str, ...]
 
 
@@ -81,7 +85,18 @@ def read_bag(path: Path, name: str | None = None) -> BagDrive:
                        "if it was cut off while recording, repair it with `st recover`") from None
     log, notes = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     warnings += notes
-    return BagDrive(log, topics, tuple(f"{path}: {note}" for note in warnings))
+    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in warnings))
+
+
+def records_of(path: Path) -> dict[str, dict[str, str]]:
+    """Metadata records of an MCAP recording, as the recorder and `st import` leave them; empty for other storage."""
+    records: dict[str, dict[str, str]] = {}
+    for file in [path] if path.is_file() else storage_files(path):
+        if file.suffix.lower() == ".mcap" and summary_of(file) is not None:
+            with file.open("rb") as stream:
+                records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
+    records.pop("rosbag2", None)
+    return records
 
 
 def storage_files(directory: Path) -> list[Path]:

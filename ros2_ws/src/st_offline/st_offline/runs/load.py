@@ -1,6 +1,7 @@
 """A run read into a DriveLog: decoded, its clocks aligned, and where every part of it came from."""
 
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -82,8 +83,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         loaded = _read_raw_run(source, vehicle, settings)
     elif source.kind == "bag":
         drive = bag.read_bag(source.where, source.name)
-        about = {"reader": "bag", "topics": dict(drive.topics)}
-        loaded = LoadedRun(drive.log, about, source.labels, drive.warnings)
+        about = {"reader": "bag", "topics": dict(drive.topics), "recorded": {k: dict(v) for k, v in drive.records.items()}}
+        loaded = LoadedRun(drive.log, about, source.labels or _recorded_labels(drive.records), drive.warnings)
     else:
         log, warnings = csv.read_drive(source.where)
         loaded = LoadedRun(replace(log, name=source.name), {"reader": "csv"}, source.labels, warnings)
@@ -132,6 +133,11 @@ def _read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings
     about = {"reader": "ncom and CAN log", "origin": list(ins.origin), "alignment": about_alignment(run.alignment),
              "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency}}
     return LoadedRun(log, about, source.labels, tuple(warnings), run.alignment)
+
+
+def _recorded_labels(records: Mapping[str, Mapping[str, str]]) -> tuple[Label, ...]:
+    """Labels that came with an imported run."""
+    return tuple(Label(*entry) for entry in json.loads(records.get("import", {}).get("labels", "[]")))
 
 
 def alignment_warnings(source: RunSource, alignment: Alignment, settings: ReadSettings) -> list[str]:

@@ -52,20 +52,21 @@ def align(
     (folder / "alignment.json").write_text(json.dumps(about_alignment(alignment), indent=2, allow_nan=False) + "\n")
     console.print(f"  {folder / 'alignment.json'}", highlight=False, soft_wrap=True)
     if pair.shared and alignment.offset_ns:
-        title = f"{pair.name}: {sentence(alignment)}"
+        title = f"{pair.name}: {sentence(alignment, pair.can.start_ns, pair.motion.absolute)}"
         alignment_figure(pair.shared, alignment, title, folder / "alignment.png")
         console.print(f"  {folder / 'alignment.png'}  [dim]both signals, before and after[/dim]", highlight=False,
                       soft_wrap=True)
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 
 
-def sentence(alignment) -> str:
-    """For a title: what came out."""
+def sentence(alignment, start_ns: int, absolute: bool) -> str:
+    """For a title: what came out. start_ns: of the CAN log; absolute: whether INS time is UTC."""
+    offset = (f"offset {_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
+              else f"CAN log starts at INS time {_seconds(alignment.to_reference_ns(start_ns))} s")
     if alignment.method == "by hand":
-        return f"clocks aligned by hand, offset {_seconds(alignment.offset_ns)} s"
-    return (f"clocks {alignment.verdict}, offset {_seconds(alignment.offset_ns)} s ± "
-            f"{alignment.offset_deviation * 1e3:.1f} ms, drift {alignment.drift_ppm:+.1f} ± "
-            f"{alignment.drift_deviation:.1f} ppm")
+        return f"{offset}, by hand"
+    return (f"{offset} ± {alignment.offset_deviation * 1e3:.1f} ms, drift {alignment.drift_ppm:+.1f} ± "
+            f"{alignment.drift_deviation:.1f} ppm, {alignment.verdict}")
 
 
 def report(pair, console) -> None:

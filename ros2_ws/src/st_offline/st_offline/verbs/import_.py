@@ -1,0 +1,98 @@
+"""`st import`: raw logs into one bag on one clock."""
+
+from pathlib import Path
+
+import typer
+
+
+def import_(
+    paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file (steering ratio and offset); default config/vehicle/leaf.yaml.", exists=True
+    ),
+    output: Path | None = typer.Option(
+        None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."
+    ),
+    offset: float | None = typer.Option(None, "--offset", help="INS minus CAN clock in seconds, by hand."),
+    search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
+    steering_sign: int = typer.Option(1, help="+1: the decoded sensor is left positive; -1: right positive."),
+    steering_latency: float = typer.Option(0.0, help="From the turn of the wheel to the frame in the log, s.", min=0.0),
+    dbc: Path | None = typer.Option(None, help="DBC of the bus; default config/can/leaf_ze0.dbc.", exists=True),
+    signals: Path | None = typer.Option(
+        None, help="Table from DBC signals to ours; default config/can/leaf_ze0.yaml.", exists=True
+    ),
+    strict: bool = typer.Option(False, "--strict", help="Refuse runs whose alignment is doubtful."),
+) -> None:
+    """Write INS recording and CAN logs as one rosbag2 MCAP: aligned, in one time base, raw packets and frames kept.
+
+    `ros2 bag play` of it drives the live nodes, and every st verb reads it. Exit status 0: all runs written; 1: some
+    were not (each says why); 2: nothing could be done.
+    """
+    from rich.console import Console
+    from st_core.errors import StCoreError
+    from st_core.vehicle import VehicleParameters
+
+    from ..output import OutputError, new_folder
+    from ..paths import config
+    from ..runs.errors import RunError
+    from ..runs.load import ReadSettings
+    from ..runs.sources import find_runs
+
+    console = Console()
+    if steering_sign not in (1, -1):
+        typer.echo(f"st import: --steering-sign: {steering_sign} is neither 1 nor -1", err=True)
+        raise typer.Exit(2)
+    vehicle = vehicle or config("vehicle/leaf.yaml")
+    try:
+        parameters = VehicleParameters.from_yaml(vehicle.read_text(encoding="utf-8"), str(vehicle))
+    except (OSError, UnicodeDecodeError, StCoreError) as error:
+        typer.echo(f"st import: {error}", err=True)
+        raise typer.Exit(2) from None
+    settings = ReadSettings(dbc=dbc, signals=signals, steering_sign=steering_sign, steering_latency=steering_latency,
+                            offset=offset, search=search, doubtful=not strict)
+    found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
+    if not found:
+        typer.echo(f"st import: {', '.join(map(str, paths))}: no raw logs (.ncom with CAN logs) are in there", err=True)
+        raise typer.Exit(2)
+    written = 0
+    for run in found:
+        try:
+            several = output is not None and len(found) > 1
+            folder = new_folder(output / run.name if several else output, f"import-{run.name}", create=False)
+            _import_one(run, parameters, folder, settings, console)
+            written += 1
+        except (RunError, OutputError) as error:
+            typer.echo(f"st import: {error}", err=True)
+    if written < len(found):
+        raise typer.Exit(1 if written else 2)
+
+
+def _import_one(source, parameters, folder: Path, settings, console) -> None:
+    import time
+
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from ..alignment_figure import alignment_figure
+    from ..runs.write import import_run
+    from .align import VERDICT_STYLE, sentence
+
+    began = time.perf_counter()
+    with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
+                  transient=True) as progress:
+        task = progress.add_task(f"{source.name}: reading and aligning", total=None)
+        done = import_run(source, parameters, folder, settings,
+                          lambda share: progress.update(task, description=f"{source.name}: writing", total=1.0,
+                                                        completed=share))
+    seconds = time.perf_counter() - began
+    for warning in done.warnings:
+        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+    alignment = done.run.alignment
+    text = sentence(alignment, done.run.can.start_ns, absolute=True)
+    if done.run.shared:
+        alignment_figure(done.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
+    style = VERDICT_STYLE[alignment.verdict]
+    console.print(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", highlight=False, soft_wrap=True)
+    console.print("  " + ", ".join(f"{topic} {count}" for topic, count in done.counts.items()), highlight=False,
+                  soft_wrap=True)
+    console.print(f"  {folder}  [dim]{done.span:.0f} s of driving in {seconds:.1f} s, {done.span / seconds:.0f} times "
+                  "real time[/dim]", highlight=False, soft_wrap=True)
