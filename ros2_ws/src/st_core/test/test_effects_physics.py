@@ -1,0 +1,294 @@
+"""First-order consequence of each effect, sign and size, against formulas worked out by hand.
+
+Steady cornering of the linear car, small angles: delta = l r / v + K v r, K = m (l_r C_r - l_f C_f) / (l C_f C_r).
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+from st_core.augmented import augment
+from st_core.models import MODELS, nonlinear_tyre
+from st_core.prediction import predict
+from st_core.types import ControlInput, VehicleState
+from st_core.tyres import GRAVITY, magic_formula_coefficients, magic_formula_force
+
+SPEED, ANGLE = 15.0, 1e-4  # m/s; rad, small enough for the closed forms
+DYNAMIC = pytest.mark.parametrize("base", ["linear", "nonlinear"])
+
+
+def steady_yaw_rate(model, car, speed=SPEED, angle=ANGLE, acceleration=0.0):
+    """Root of the equations: v_y_dot = r_dot = 0, heading east, extra states at rest."""
+    p = model.parameters(car)
+    w = model.inputs(angle, acceleration, p)
+
+    def residual(unknown):
+        velocity_y, yaw_rate, *extra = unknown.tolist()
+        derivative = model.rhs((0.0, 0.0, speed, velocity_y, 0.0, yaw_rate, *extra), w, p)
+        return [derivative[3], *derivative[5:]]
+
+    root = fsolve(residual, np.zeros(2 + len(model.extra_states)), xtol=1e-11)
+    assert np.abs(residual(root)).max() < 1e-9
+    return float(root[1])
+
+
+def gradient(model, car, speed=SPEED):
+    """Understeer gradient K [rad s^2/m] from the steady state."""
+    rate = steady_yaw_rate(model, car, speed)
+    return (ANGLE - car.wheelbase * rate / speed) / (speed * rate)
+
+
+def gradient_by_hand(car, front=1.0, rear=1.0, mass=1.0, shift=0.0):
+    c_f, c_r = front * car.cornering_stiffness_front, rear * car.cornering_stiffness_rear
+    l_f, l_r = car.cg_to_front_axle - shift, car.cg_to_rear_axle + shift
+    return mass * car.mass / car.wheelbase * (l_r / c_f - l_f / c_r)
+
+
+def test_gradient_of_the_bases(car):
+    assert gradient(MODELS["linear"], car) == pytest.approx(gradient_by_hand(car), rel=1e-5)
+
+
+@DYNAMIC
+def test_compliance_adds_to_the_understeer_gradient(leaf, base):
+    c = 1.5e-6
+    more = gradient(augment(base, {"steering_compliance": {"compliance": c}}), leaf) - gradient(MODELS[base], leaf)
+    assert more == pytest.approx(c * leaf.mass * leaf.cg_to_rear_axle / leaf.wheelbase, rel=1e-4)
+
+
+@DYNAMIC
+def test_roll_steer_adds_to_the_understeer_gradient(leaf, base):
+    more = gradient(augment(base, {"roll_steer": {"gradient": 0.0007}}), leaf) - gradient(MODELS[base], leaf)
+    assert more == pytest.approx(0.0007, rel=1e-4)
+
+
+@DYNAMIC
+@pytest.mark.parametrize(("effect", "values", "by_hand"), [
+    ("front_stiffness", {"factor": 0.8}, {"front": 0.8}),
+    ("rear_stiffness", {"factor": 0.8}, {"rear": 0.8}),
+])
+def test_stiffness_moves_the_gradient_on_both_kinds_of_tyre(leaf, base, effect, values, by_hand):
+    assert gradient(augment(base, {effect: values}), leaf) == pytest.approx(gradient_by_hand(leaf, **by_hand), rel=1e-4)
+
+
+@pytest.mark.parametrize(("effect", "values", "by_hand"), [
+    ("mass", {"factor": 1.2}, {"mass": 1.2}),
+    ("cg_position", {"shift": 0.1}, {"shift": 0.1}),
+])
+def test_mass_and_cg_move_the_gradient_of_linear_tyres(leaf, effect, values, by_hand):
+    model = augment("linear", {effect: values})
+    assert gradient(model, leaf) == pytest.approx(gradient_by_hand(leaf, **by_hand), rel=1e-4)
+
+
+def test_cg_moves_while_axles_and_ins_stay(leaf):
+    car = augment("linear", {"cg_position": {"shift": 0.1}}).effective_vehicle(leaf)
+    assert car.wheelbase == leaf.wheelbase
+    assert leaf.cg_to_front_axle - car.cg_to_front_axle == pytest.approx(0.1)  # closer to the front axle
+    in_body = [v.cg_to_front_axle - v.cg_to_ins_x for v in (car, leaf)]
+    assert in_body[0] == pytest.approx(in_body[1])
+
+
+@DYNAMIC
+def test_yaw_inertia_slows_the_turn_in_and_leaves_the_steady_state(leaf, base):
+    model = augment(base, {"yaw_inertia": {"factor": 1.25}})
+    assert steady_yaw_rate(model, leaf) == pytest.approx(steady_yaw_rate(MODELS[base], leaf), rel=1e-9)
+    state = (0.0, 0.0, SPEED, 0.0, 0.0, 0.0)
+    begins = []
+    for m in (model, MODELS[base]):
+        p = m.parameters(leaf)
+        begins.append(m.rhs(state, m.inputs(0.02, 0.0, p), p)[5])
+    assert begins[0] == pytest.approx(begins[1] / 1.25, rel=1e-12) and begins[0] > 0.0
+
+
+@DYNAMIC
+def test_ratio_and_offset_act_on_the_angle(leaf, base):
+    plain = steady_yaw_rate(MODELS[base], leaf)
+    slow = augment(base, {"steering_ratio": {"factor": 1.1}})
+    assert steady_yaw_rate(slow, leaf) == pytest.approx(plain / 1.1, rel=1e-6)
+    askew = augment(base, {"steering_offset": {"angle": 2e-4}})
+    assert steady_yaw_rate(askew, leaf, angle=0.0) == pytest.approx(2.0 * plain, rel=1e-6)  # to the left
+
+
+@DYNAMIC
+def test_bank_pulls_down_the_slope_unfelt(leaf, base):
+    bank = 0.001
+    model = augment(base, {"road_bank": {"angle": bank}})
+    k = gradient(MODELS[base], leaf)
+    expected = -k * GRAVITY * math.sin(bank) * SPEED / (leaf.wheelbase + k * SPEED**2)
+    assert steady_yaw_rate(model, leaf, angle=0.0) == pytest.approx(expected, rel=1e-4) and expected < 0.0
+    # Sliding freely down the slope the car accelerates and the accelerometer shows nothing.
+    p = model.parameters(leaf)
+    w, state = model.inputs(0.0, 0.0, p), (0.0, 0.0, SPEED, 0.0, 0.0, 0.0)
+    assert model.rhs(state, w, p)[3] == pytest.approx(-GRAVITY * math.sin(bank))
+    assert model.felt(state, w, p) == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+@DYNAMIC
+def test_wind_from_the_right_pushes_to_the_left_and_is_felt(leaf, base):
+    wind, area, arm = 0.02, 2.5, 0.25  # heading east, wind towards north; so weak that slip stays small
+    model = augment(base, {"crosswind": {"wind_x": 0.0, "wind_y": wind}})
+    force = 0.5 * 1.2 * area * SPEED * wind
+    p = model.parameters(leaf)
+    w, state = model.inputs(0.0, 0.0, p), (0.0, 0.0, SPEED, 0.0, 0.0, 0.0)
+    derivative = model.rhs(state, w, p)
+    assert derivative[3] == pytest.approx(force / leaf.mass, rel=1e-4)
+    assert derivative[5] == pytest.approx(arm * force / leaf.yaw_inertia, rel=1e-4)
+    assert model.felt(state, w, p)[1] == pytest.approx(force / leaf.mass, rel=1e-4)
+    # l r / v = -F_f / C_f + F_r / C_r with F_f = (l_r (m v r - F) - e F) / l, F_r = (l_f (m v r - F) + e F) / l.
+    # Still air's own side force is no part of the effect; the push along the drift of the car adds 1 % here.
+    l_f, l_r = leaf.cg_to_front_axle, leaf.cg_to_rear_axle
+    arms = (l_r + arm) / leaf.cornering_stiffness_front - (l_f - arm) / leaf.cornering_stiffness_rear
+    k = gradient(MODELS[base], leaf)
+    expected = force * arms / (leaf.wheelbase * (leaf.wheelbase / SPEED + k * SPEED))
+    assert steady_yaw_rate(model, leaf, angle=0.0) == pytest.approx(expected, rel=0.01) and expected > 0.0
+
+
+def test_headwind_and_wind_without_direction_do_not_steer(leaf):
+    model = augment("linear", {"crosswind": {"wind_x": -10.0, "wind_y": 0.0}})
+    assert steady_yaw_rate(model, leaf, angle=0.0) == pytest.approx(0.0, abs=1e-12)
+
+
+def axle_force(model, car, slip, acceleration=0.0):
+    """(front, rear) [N] of a dynamic base at equal slip angles."""
+    p = model.parameters(car)
+    return MODELS["nonlinear"].axles.forces(slip, slip, model.inputs(0.0, acceleration, p), p)
+
+
+def test_friction_scales_the_peak_and_leaves_the_slope(leaf):
+    wet, dry = augment("nonlinear", {"friction": {"factor": 0.7}}), MODELS["nonlinear"]
+    slips = np.linspace(-3.0, 0.0, 3000)
+    for axle in (0, 1):
+        peaks = [np.abs(axle_force(m, leaf, slips)[axle]).max() for m in (wet, dry)]
+        assert peaks[0] == pytest.approx(0.7 * peaks[1], rel=1e-3)
+        slopes = [axle_force(m, leaf, -1e-6)[axle] for m in (wet, dry)]
+        assert slopes[0] == pytest.approx(slopes[1], rel=1e-6)
+
+
+def forces_in_rhs(model, car, state, acceleration=0.0, angle=0.0):
+    """(front, rear) [N] of any model with level ground, small steering angle: from its accelerations."""
+    p = model.parameters(car)
+    w = model.inputs(angle, acceleration, p)
+    derivative = model.rhs(model.start_state(state, w, p), w, p)
+    total = car.mass * (derivative[3] + state[2] * state[5])
+    moment = car.yaw_inertia * derivative[5]
+    return ((car.cg_to_rear_axle * total + moment) / car.wheelbase,
+            (car.cg_to_front_axle * total - moment) / car.wheelbase)
+
+
+SLIDING = (0.0, 0.0, 12.0, -0.9, 0.0, 0.1)
+
+
+def test_lateral_load_transfer_takes_the_curvature_of_the_tyre(leaf):
+    share, track, front_part = 0.3, 1.54, 0.55
+    model = augment("nonlinear", {"lateral_load_transfer": {"share": share, "track": track, "front": front_part}})
+    plain = forces_in_rhs(MODELS["nonlinear"], leaf, SLIDING)
+    moved = share * sum(plain) * leaf.cg_height / track
+    p = nonlinear_tyre.parameters(leaf)
+    slips = MODELS["nonlinear"].axles.slip_angles(SLIDING, MODELS["nonlinear"].inputs(0.0, 0.0, p), p)
+    loads = [0.5 * load for load in nonlinear_tyre.axle_loads(0.0, p)]
+    changed = forces_in_rhs(model, leaf, SLIDING)
+    for axle, (tyre, part) in enumerate(((p.tyre_front, front_part), (p.tyre_rear, 1.0 - front_part))):
+        def one(load, slip=slips[axle], tyre=tyre):
+            return magic_formula_force(slip, *magic_formula_coefficients(load, tyre), tyre)
+
+        step = 20.0
+        curvature = (one(loads[axle] + step) - 2.0 * one(loads[axle]) + one(loads[axle] - step)) / step**2
+        lost = curvature * (part * moved) ** 2
+        assert changed[axle] - plain[axle] == pytest.approx(lost, rel=0.02)
+        assert abs(changed[axle]) < abs(plain[axle])
+
+
+@DYNAMIC
+def test_longitudinal_load_transfer_follows_the_load(leaf, base):
+    braking, height = -4.0, 0.5
+    model = augment(base, {"longitudinal_load_transfer": {"height": height}})
+    plain, changed = (forces_in_rhs(m, leaf, SLIDING, braking) for m in (MODELS[base], model))
+    moved = height * braking / GRAVITY
+    assert changed[0] / plain[0] == pytest.approx(1.0 - moved / leaf.cg_to_rear_axle, rel=1e-9)
+    assert changed[1] / plain[1] == pytest.approx(1.0 + moved / leaf.cg_to_front_axle, rel=1e-9)
+    assert changed[0] / plain[0] > 1.0 > changed[1] / plain[1]
+
+
+def test_longitudinal_load_transfer_of_linear_tyres_is_that_of_the_axle_loads(leaf):
+    model = augment("linear", {"longitudinal_load_transfer": {"height": leaf.cg_height}})
+    plain, changed = (forces_in_rhs(m, leaf, SLIDING, -4.0) for m in (MODELS["linear"], model))
+    p = nonlinear_tyre.parameters(leaf)
+    loads, static = nonlinear_tyre.axle_loads(-4.0, p), nonlinear_tyre.axle_loads(0.0, p)
+    assert np.divide(changed, plain) == pytest.approx(np.divide(loads, static), rel=1e-9)
+
+
+@DYNAMIC
+@pytest.mark.parametrize(("acceleration", "shares"), [(3.0, (1.0, 0.0)), (-5.0, (0.65, 0.35))])
+def test_combined_slip_leaves_the_ellipse(leaf, base, acceleration, shares):
+    model = augment(base, {"combined_slip": {"share": 1.0}})
+    plain, changed = (forces_in_rhs(m, leaf, SLIDING, acceleration) for m in (MODELS[base], model))
+    p = nonlinear_tyre.parameters(leaf)
+    for axle, tyre in enumerate((p.tyre_front, p.tyre_rear)):
+        load = nonlinear_tyre.axle_loads(acceleration, p)[axle]
+        increment = 0.5 * load / tyre.nominal_load - 1.0
+        peak = (tyre.p_dy1 + tyre.p_dy2 * increment) * load
+        left = math.sqrt(1.0 - (shares[axle] * leaf.mass * acceleration / peak) ** 2)
+        assert changed[axle] / plain[axle] == pytest.approx(left, rel=1e-9)
+
+
+@DYNAMIC
+@pytest.mark.parametrize("length", [0.1, 0.4, 1.2])  # 0.1 m at 12 m/s is below the shortest time constant
+def test_relaxation_lags_a_ramp_of_slip_by_its_length(leaf, base, length):
+    model = augment(base, {"tyre_relaxation": {"length": length}})
+    p, speed, slope = model.parameters(leaf), 12.0, 0.05
+    w = model.inputs(0.0, 0.0, p)
+    slip, step, extra = 0.0, 0.001, np.zeros(2)
+    for _ in range(1000):
+        # Pure side slip growing at `slope`: both axles slip alike.
+        slip += slope * step
+        state = (0.0, 0.0, speed, speed * math.tan(slip), 0.0, 0.0)
+        extra += step * np.array(model.rhs((*state, *extra.tolist()), w, p)[6:])
+    force = car_forces(model, leaf, (*state, *extra.tolist()), w, p)
+    late = (0.0, 0.0, speed, speed * math.tan(slip - slope * length / speed), 0.0, 0.0)
+    np.testing.assert_allclose(force, forces_in_rhs(MODELS[base], leaf, late), rtol=2e-3)
+
+
+def car_forces(model, car, state, w, p):
+    derivative = model.rhs(state, w, p)
+    total, moment = car.mass * derivative[3], car.yaw_inertia * derivative[5]
+    return ((car.cg_to_rear_axle * total + moment) / car.wheelbase,
+            (car.cg_to_front_axle * total - moment) / car.wheelbase)
+
+
+@DYNAMIC
+def test_relaxation_starts_settled(leaf, base):
+    model = augment(base, {"tyre_relaxation": {"length": 0.6}})
+    assert forces_in_rhs(model, leaf, SLIDING) == pytest.approx(forces_in_rhs(MODELS[base], leaf, SLIDING), rel=1e-12)
+
+
+def test_roll_follows_with_its_own_frequency(leaf):
+    model = augment("linear", {"roll_steer": {"gradient": 1e-9, "frequency": 2.0, "damping": 0.4}})
+    p = model.parameters(leaf)
+    w = model.inputs(0.0, 0.0, p)
+    state = (0.0, 0.0, 12.0, 0.0, 0.0, 0.0)
+    columns = [np.array(model.rhs((*state, *e), w, p)[6:]) for e in ((1.0, 0.0), (0.0, 1.0))]
+    eigenvalues = np.linalg.eigvals(np.column_stack(columns))
+    assert np.abs(eigenvalues) == pytest.approx([4.0 * math.pi] * 2)
+    assert eigenvalues.real == pytest.approx([-0.4 * 4.0 * math.pi] * 2)
+
+
+@pytest.mark.parametrize(("base", "effects", "same_as"), [
+    ("kinematic", ["tyre_slip"], "linear"),
+    ("linear", ["tyre_saturation"], "nonlinear"),
+    ("kinematic", ["tyre_slip", "tyre_saturation"], "nonlinear"),
+])
+def test_with_what_it_lacks_a_lower_model_is_the_higher_one(car, base, effects, same_as):
+    state, held = VehicleState(1.0, 2.0, 9.0, 0.1, 0.4, 0.2), ControlInput(0.15, -0.5)
+    lifted = predict(augment(base, effects), car, state, held).states
+    np.testing.assert_allclose(lifted, predict(same_as, car, state, held).states, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("base", ["linear", "nonlinear"])
+def test_taken_apart_at_the_axles_a_model_is_the_same_to_the_last_bit(car, base):
+    model, random = MODELS[base], np.random.default_rng(3)
+    p = model.parameters(car)
+    for _ in range(200):
+        state = tuple(random.uniform([-9, -9, -2, -2, -4, -1], [9, 9, 25, 2, 4, 1]).tolist())
+        w = model.inputs(float(random.uniform(-0.5, 0.5)), float(random.uniform(-8, 5)), p)
+        slips = model.axles.slip_angles(state, w, p)
+        assert model.axles.motion(state, *model.axles.forces(*slips, w, p), w, p) == model.rhs(state, w, p)
