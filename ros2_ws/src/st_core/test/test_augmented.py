@@ -1,0 +1,127 @@
+"""Models with effects added: what is refused, what a fit may change, and that nothing is made anew for new values."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from st_core.augmented import AugmentedModel, augment, neutral
+from st_core.composition import AugmentedParameters
+from st_core.effects import EFFECTS, applicable
+from st_core.errors import ConfigurationError
+from st_core.models import MODELS, get_model
+from st_core.prediction import predict
+from st_core.types import ControlInput, VehicleState
+
+STATE, HELD = VehicleState(0.0, 0.0, 12.0, 0.1, 0.3, 0.2), ControlInput(0.08, -0.5)
+
+
+@pytest.mark.parametrize(("base", "effects", "message"), [
+    ("bicycle", [], "unknown model 'bicycle'"),
+    ("linear", ["frction"], "unknown effect 'frction', did you mean friction?"),
+    ("linear", ["friction"], "effect friction: does not apply to a linear model, only to nonlinear"),
+    ("kinematic", ["mass"], "effect mass: does not apply to a kinematic model, only to linear or nonlinear"),
+    ("nonlinear", ["tyre_saturation"], "effect tyre_saturation: does not apply to a nonlinear model"),
+    ("linear", ["mass", "mass"], "one is named twice"),
+    ("linear", {"mass": {}}, "effect mass: factor: no value given"),
+    ("linear", {"mass": {"factor": 9.0}}, "effect mass: factor: 9.0 is outside 0.6 to 2 1"),
+    ("linear", {"mass": {"factor": "heavy"}}, "effect mass: factor: 'heavy' is not a number"),
+    ("linear", {"mass": {"factor": True}}, "effect mass: factor: True is not a number"),
+    ("linear", {"mass": {"factor": 1.0, "faktor": 1.0}}, "effect mass: faktor: unknown parameter; there are factor"),
+])
+def test_what_is_refused(base, effects, message):
+    with pytest.raises(ConfigurationError, match=message):
+        augment(base, effects)
+
+
+def test_effects_that_make_no_car_are_refused_by_name_of_the_quantity(leaf):
+    short = replace(leaf, cg_to_front_axle=0.4)
+    with pytest.raises(ConfigurationError, match="cg_to_front_axle"):
+        predict(augment("linear", {"cg_position": {"shift": 0.5}}), short, STATE, HELD)
+
+
+def test_a_lift_opens_the_effects_of_the_kind_it_leads_to(leaf):
+    model = augment("kinematic", ["tyre_slip", "tyre_saturation", "friction", "tyre_relaxation", "mass"])
+    expected = augment("nonlinear", ["friction", "tyre_relaxation", "mass"])
+    np.testing.assert_allclose(predict(model, leaf, STATE, HELD).states, predict(expected, leaf, STATE, HELD).states,
+                               rtol=1e-12, atol=1e-12)
+
+
+def test_constants_of_the_car_may_be_left_out_or_given(leaf):
+    short = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0}})
+    whole = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0, "track": 1.54, "front": 0.55}})
+    assert short.values == whole.values
+    narrow = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0, "track": 1.2}})
+    assert not np.allclose(predict(narrow, leaf, STATE, HELD).states, predict(short, leaf, STATE, HELD).states)
+
+
+def test_free_parameters_as_a_vector():
+    model = augment("nonlinear", ["crosswind", "friction", "roll_steer"])
+    names = [(effect, p.name) for effect, p in model.free]
+    assert names == [("crosswind", "wind_x"), ("crosswind", "wind_y"), ("friction", "factor"),
+                     ("roll_steer", "gradient")]
+    assert model.vector.tolist() == [1.0, 5.0, 0.8, 0.0005]
+    other = model.with_vector([2.0, -3.0, 0.9, 0.001])
+    assert other.vector.tolist() == [2.0, -3.0, 0.9, 0.001] and other.values["crosswind"]["arm"] == 0.25
+    assert model.vector.tolist() == [1.0, 5.0, 0.8, 0.0005]
+    with pytest.raises(ConfigurationError, match="effect friction: factor"):
+        model.with_vector([2.0, -3.0, 9.0, 0.001])
+    with pytest.raises(ConfigurationError, match="effect mass: not in this model"):
+        model.with_values({"mass": {"factor": 1.1}})
+
+
+def test_new_values_make_no_new_functions(leaf):
+    model = augment("nonlinear", ["friction", "tyre_relaxation", "steering_offset"])
+    for other in (model.with_vector(0.9 * model.vector), neutral(model),
+                  augment("nonlinear", ["steering_offset", "tyre_relaxation", "friction"])):
+        assert other.rhs is model.rhs and other.inputs is model.inputs and other.start is model.start
+        p, q = model.parameters(leaf), other.parameters(leaf)
+        assert type(p) is type(q) is AugmentedParameters
+        assert [type(theta) for theta in p.effects] == [type(theta) for theta in q.effects]
+
+
+@pytest.mark.parametrize("names", [["mass"], ["friction", "steering_delay"], ["sensor_lever_arm", "yaw_rate_bias"]])
+def test_effects_beside_the_equations_leave_those_of_the_base(leaf, names):
+    model, base = augment("nonlinear", names), MODELS["nonlinear"]
+    assert model.rhs is base.rhs and model.inputs is base.inputs
+    assert type(model.parameters(leaf)) is type(base.parameters(leaf))
+
+
+def test_parameters_hold_floats_and_travel_between_processes(car):
+    def leaves(p):
+        return [x for part in p for x in leaves(part)] if isinstance(p, tuple) else [p]
+
+    for base in MODELS:
+        p = augment(base, applicable(base)).parameters(car)
+        assert all(type(x) is float for x in leaves(p))
+        assert pickle.loads(pickle.dumps(p)) == p
+        assert all(type(a) is type(b) for a, b in zip(pickle.loads(pickle.dumps(p)).effects, p.effects, strict=True))
+
+
+@pytest.mark.parametrize("base", MODELS)
+def test_all_effects_at_once_are_neutral_at_null(car, base):
+    model = neutral(augment(base, applicable(base)))
+    np.testing.assert_array_equal(predict(model, car, STATE, HELD).states, predict(base, car, STATE, HELD).states)
+
+
+def test_more_effects_on_a_model_that_has_some(leaf):
+    first = augment("linear", {"mass": {"factor": 1.2}})
+    both = augment(first, {"yaw_inertia": {"factor": 0.9}})
+    assert both.base is MODELS["linear"] and dict(both.values["mass"]) == {"factor": 1.2}
+    expected = augment("linear", {"mass": {"factor": 1.2}, "yaw_inertia": {"factor": 0.9}})
+    np.testing.assert_array_equal(predict(both, leaf, STATE, HELD).states, predict(expected, leaf, STATE, HELD).states)
+    with pytest.raises(ConfigurationError, match="effect mass: in the model already"):
+        augment(first, ["mass"])
+
+
+def test_no_effect_at_all_is_the_base(leaf):
+    model = augment("nonlinear", [])
+    assert isinstance(model, AugmentedModel) and get_model(model) is model
+    plain = predict("nonlinear", leaf, STATE, HELD)
+    np.testing.assert_array_equal(predict(model, leaf, STATE, HELD).states, plain.states)
+
+
+def test_effects_are_sorted_by_the_order_they_act_in():
+    model = augment("linear", ["steering_lag", "steering_backlash", "steering_delay"])
+    assert [e.name for e in model.effects] == ["steering_delay", "steering_backlash", "steering_lag"]
+    assert sorted(EFFECTS, key=lambda n: EFFECTS[n].order).index("tyre_relaxation") < 20

@@ -1,0 +1,158 @@
+"""The registry refuses what is wrong, and takes the user's own effects from a folder."""
+
+import sys
+import textwrap
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from st_core import effects
+from st_core.augmented import augment
+from st_core.effects import EFFECTS, Effect, Parameter, get_effect, load_folder, register
+from st_core.errors import ConfigurationError, StCoreError
+from st_core.prediction import predict, predict_batch
+from st_core.types import ControlInput, InputSequence, VehicleState
+
+GAIN = Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), source="theory: 1", meaning="share")
+STATE = VehicleState(0.0, 0.0, 12.0, 0.0, 0.0, 0.1)
+
+BANK_FROM_A_MAP = '''
+    """Gravity along body y on a banked road, the bank from a map: a_y = -gain g sin(bank)."""
+
+    from st_core.effects import Effect, Parameter, register
+    from st_core.ops import sin
+    from st_core.tyres import GRAVITY
+
+
+    @register
+    class MappedBank(Effect):
+        name = "{name}"
+        physics = "a_y = -gain g sin(bank_angle)"
+        excited_by = "a road whose bank is known"
+        signals = ("bank_angle",)
+        parameters = (
+            Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="share", source="theory: 1"),
+        )
+
+        @staticmethod
+        def acceleration(at, given, theta):
+            a_y = -theta.gain * GRAVITY * sin(given[0])
+            return 0.0 * a_y, a_y, 0.0 * a_y
+'''
+
+
+@pytest.fixture(autouse=True)
+def registry():
+    """Each test leaves the registry as it found it."""
+    before, modules = dict(EFFECTS), set(sys.modules)
+    yield
+    EFFECTS.clear()
+    EFFECTS.update(before)
+    for name in [m for m in sys.modules if m.startswith("st_effects_") and m not in modules]:
+        del sys.modules[name]
+
+
+def write(folder, file, text):
+    (folder / file).write_text(textwrap.dedent(text))
+
+
+def define(**attributes):
+    body = {"name": "trial", "physics": "it does something", "excited_by": "driving of any kind", "parameters": (GAIN,),
+            "inputs": staticmethod(lambda angle, acceleration, signals, theta: (angle, acceleration))}
+    return type("Trial", (Effect,), {k: v for k, v in {**body, **attributes}.items() if v is not None})
+
+
+def test_a_complete_effect_is_taken():
+    assert register(define()) is get_effect("trial")
+
+
+@pytest.mark.parametrize(("attributes", "message"), [
+    ({"name": "Trial Effect"}, "must be a subclass of Effect with a name"),
+    ({"name": None}, "must be a subclass of Effect with a name"),
+    ({"name": "friction"}, r"effect friction: registered already, by .*friction\.py"),
+    ({"axle_force": staticmethod(len)}, "effect trial: unknown attribute axle_force, did you mean axle_forces?"),
+    ({"acceleration": lambda at, given, theta: (0.0, 0.0, 0.0)}, "effect trial: acceleration must be a @staticmethod"),
+    ({"physics": ""}, "effect trial: physics is not given"),
+    ({"parameters": ()}, "effect trial: no parameter that can be fitted"),
+    ({"parameters": (GAIN, GAIN)}, "a name is taken twice"),
+    ({"applies_to": frozenset(("bicycle",))}, "applies_to must name some of kinematic, linear, nonlinear"),
+    ({"extra_states": ("z",)}, "extra_states and rates go together"),
+    ({"prepared": ("z",)}, "go together"),
+    ({"observe": staticmethod(lambda measured, theta: measured)}, "observe and correct go together"),
+    ({"inputs": None}, "it has no hook"),
+])
+def test_an_incomplete_one_is_refused(attributes, message):
+    before = set(EFFECTS)
+    with pytest.raises(ConfigurationError, match=message):
+        register(define(**attributes))
+    assert set(EFFECTS) == before
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"null": 3.0}, "null is outside its bounds"), ({"initial": -1.0}, "initial is outside its bounds"),
+    ({"initial": 0.0}, "initial equals null"), ({"bounds": (1.0, 0.0)}, "not two rising numbers"),
+    ({"bounds": (0.0, np.inf)}, "not two rising numbers"), ({"source": " "}, "source is empty"),
+    ({"unit": ""}, "unit is empty"),
+])
+def test_a_parameter_that_contradicts_itself_is_refused(change, message):
+    with pytest.raises(ConfigurationError, match=message):
+        replace(GAIN, **change)
+
+
+def test_unknown_names_suggest_the_nearest():
+    with pytest.raises(ConfigurationError, match=r"unknown effect 'frction', did you mean friction\?"):
+        get_effect("frction")
+
+
+def test_effects_of_a_folder_take_part(tmp_path, leaf):
+    write(tmp_path, "mapped_bank.py", BANK_FROM_A_MAP.format(name="mapped_bank"))
+    write(tmp_path, "_helper.py", "raise RuntimeError('helpers are not imported unless asked for')")
+    assert load_folder(tmp_path) == ("mapped_bank",)
+    assert load_folder(tmp_path) == ("mapped_bank",)  # once more: not read again
+    assert effects.source_file(get_effect("mapped_bank")) == str(tmp_path / "mapped_bank.py")
+    model = augment("linear", ["mapped_bank"])
+    assert model.signals == ("bank_angle",)
+    bank = np.full(201, 0.03)
+    straight = np.zeros(201)
+    path = predict(model, leaf, STATE, InputSequence(straight, straight, {"bank_angle": bank}))
+    constant = predict(augment("linear", {"road_bank": {"angle": 0.03}}), leaf, STATE, ControlInput(0.0, 0.0))
+    np.testing.assert_allclose(path.states, constant.states, rtol=1e-13, atol=1e-13)
+    batch = predict_batch(model, leaf, np.array([STATE.as_tuple()] * 2), np.zeros(2), np.zeros(2),
+                          signals={"bank_angle": np.array([0.03, 0.0])})
+    np.testing.assert_allclose(batch[0], path.states, rtol=1e-12, atol=1e-12)
+    assert np.abs(batch[1] - batch[0]).max() > 0.1
+    for inputs in (ControlInput(0.0, 0.0), InputSequence(straight, straight)):
+        with pytest.raises(StCoreError, match="needs the signal bank_angle"):
+            predict(model, leaf, STATE, inputs)
+
+
+def test_modules_of_a_folder_may_share_a_helper(tmp_path):
+    write(tmp_path, "_common.py", "NAME = 'shared_bank'")
+    text = BANK_FROM_A_MAP.replace('"{name}"', "NAME")
+    text = text.replace("from st_core.ops", "from ._common import NAME\n    from st_core.ops")
+    write(tmp_path, "first.py", text)
+    assert load_folder(tmp_path) == ("shared_bank",)
+
+
+@pytest.mark.parametrize(("files", "message"), [
+    ({}, "holds no effect"),
+    ({"a.py": "import no_such_module"}, r"a\.py: cannot be loaded: ModuleNotFoundError: .*no_such_module"),
+    ({"a.py": "def f(:"}, r"a\.py: cannot be loaded: SyntaxError"),
+    ({"a.py": "x = 1"}, r"a\.py: registers no effect"),
+    ({"a.py": BANK_FROM_A_MAP.format(name="friction")}, r"a\.py: effect friction: registered already"),
+    ({"a.py": BANK_FROM_A_MAP.format(name="twice"), "b.py": BANK_FROM_A_MAP.format(name="twice")},
+     r"b\.py: effect twice: registered already, by .*a\.py"),
+])
+def test_what_does_not_load_is_loud_and_leaves_nothing_behind(tmp_path, files, message):
+    before = set(EFFECTS)
+    for file, text in files.items():
+        write(tmp_path, file, text)
+    for _ in range(2):  # a second attempt says the same
+        with pytest.raises(ConfigurationError, match=message):
+            load_folder(tmp_path)
+        assert set(EFFECTS) == before
+
+
+def test_folder_that_is_not_there(tmp_path):
+    with pytest.raises(ConfigurationError, match="nowhere: not a folder"):
+        load_folder(tmp_path / "nowhere")

@@ -1,0 +1,98 @@
+"""Effects on the sensor side: what they make of a known truth, and the way back, for logs and single samples."""
+
+import math
+
+import numpy as np
+import pytest
+from st_core import frames
+from st_core.augmented import augment
+from st_core.effects import Measured
+from st_core.log import DriveLog
+from st_core.models import MODELS
+from st_core.readings import corrected_log, corrected_sample, readings
+from st_core.types import InsSample, VehicleState
+
+TRUE = Measured(x=10.0, y=-4.0, yaw=0.7, velocity_x=12.0, velocity_y=0.3, yaw_rate=0.25, acceleration_x=0.4,
+                acceleration_y=2.9)
+STATE = (10.0, -4.0, 12.0, 0.3, 0.7, 0.25)
+
+
+@pytest.mark.parametrize(("effect", "values", "changed"), [
+    ("yaw_rate_bias", {"bias": 0.01}, {"yaw_rate": 0.26}),
+    ("yaw_rate_scale", {"factor": 1.04}, {"yaw_rate": 0.26}),
+    ("speed_scale", {"factor": 0.5 + 0.4}, {"velocity_x": 10.8, "velocity_y": 0.27}),
+    ("lateral_acceleration_bias", {"bias": -0.2}, {"acceleration_y": 2.7}),
+])
+def test_what_the_sensor_shows(effect, values, changed):
+    shown = augment("nonlinear", {effect: values}).observe(TRUE)
+    for name, value in shown._asdict().items():
+        assert value == pytest.approx(changed.get(name, getattr(TRUE, name)), rel=1e-12), name
+
+
+def test_unit_turned_to_the_left_sees_the_car_drift_to_the_right():
+    angle = 0.02
+    straight = TRUE._replace(velocity_y=0.0)
+    shown = augment("nonlinear", {"heading_misalignment": {"angle": angle}}).observe(straight)
+    assert shown.yaw == TRUE.yaw + angle and (shown.x, shown.y) == (TRUE.x, TRUE.y)
+    assert shown.velocity_y == pytest.approx(-math.sin(angle) * TRUE.velocity_x)
+    # Velocity over ground is what it is, whatever axes it is given in.
+    over_ground = [frames.body_to_map(m.velocity_x, m.velocity_y, m.yaw) for m in (shown, straight)]
+    assert over_ground[0] == pytest.approx(over_ground[1])
+
+
+def test_biases_are_added_after_scales_and_taken_off_before():
+    model = augment("linear", {"yaw_rate_scale": {"factor": 1.1}, "yaw_rate_bias": {"bias": 0.02}})
+    assert model.observe(TRUE).yaw_rate == pytest.approx(1.1 * 0.25 + 0.02)
+    assert model.correct(model.observe(TRUE)) == pytest.approx(TRUE)
+
+
+@pytest.mark.parametrize("base", ["linear", "nonlinear"])
+def test_readings_at_the_ins_are_those_of_a_rigid_body(leaf, base):
+    model = MODELS[base]
+    p = model.parameters(leaf)
+    w = model.inputs(0.1, -0.5, p)
+    shown = readings(model, leaf, STATE, w, p)
+    sample = frames.cg_to_ins(VehicleState(*STATE), 0, leaf.cg_to_ins_x, leaf.cg_to_ins_y)
+    assert shown[:6] == pytest.approx(sample[1:])
+    derivative = model.rhs(STATE, w, p)
+    at_cg = frames.ins_to_cg_acceleration(shown.acceleration_x, shown.acceleration_y, 0.25, derivative[5],
+                                          leaf.cg_to_ins_x, leaf.cg_to_ins_y)
+    assert at_cg == pytest.approx((-0.5 - 0.3 * 0.25, derivative[3] + 12.0 * 0.25))
+    assert math.isnan(readings(model, leaf, STATE).acceleration_y)
+
+
+def test_kinematic_model_feels_the_curve_it_drives(leaf):
+    model = MODELS["kinematic"]
+    p = model.parameters(leaf)
+    w = model.inputs(0.1, 0.0, p)
+    _, a_y = model.felt((0.0, 0.0, 8.0, 0.0, 0.0, 0.0), w, p)
+    assert a_y == pytest.approx(8.0**2 * w[1])
+
+
+def test_lever_arm_moves_the_point_that_is_measured(leaf):
+    model = augment("linear", {"sensor_lever_arm": {"x": 0.3, "y": -0.2}})
+    here, there = readings(MODELS["linear"], leaf, STATE), readings(model, leaf, STATE)
+    forward, left = frames.map_to_body(there.x - here.x, there.y - here.y, 0.7)
+    assert (forward, left) == pytest.approx((0.3, -0.2))
+    assert there.velocity_y - here.velocity_y == pytest.approx(0.3 * 0.25)
+    assert there.velocity_x - here.velocity_x == pytest.approx(0.2 * 0.25)
+
+
+def test_logs_and_samples_are_corrected_alike():
+    model = augment("nonlinear", ["heading_misalignment", "speed_scale", "yaw_rate_scale", "yaw_rate_bias"])
+    time_ns = np.arange(5, dtype=np.int64) * 10_000_000
+    columns = [np.linspace(a, a + 0.1, 5) for a in (3.0, 4.0, 0.2, 11.0, 0.1, 0.3)]
+    log = DriveLog("short", time_ns, *columns, time_ns, np.zeros(5))
+    corrected = corrected_log(model, log)
+    assert corrected.acceleration_x is None and corrected.acceleration_y is None
+    for i in range(5):
+        sample = corrected_sample(model, InsSample(int(time_ns[i]), *(float(c[i]) for c in columns)))
+        assert sample.time_ns == time_ns[i]
+        for name in ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate"):
+            assert getattr(sample, name) == pytest.approx(getattr(corrected, name)[i], rel=1e-14), name
+
+
+def test_models_without_sensor_effects_hand_samples_through():
+    sample = InsSample(5, 1.0, 2.0, 0.3, 4.0, 0.5, 0.6)
+    assert corrected_sample(MODELS["linear"], sample) is sample
+    assert corrected_sample(augment("linear", ["mass"]), sample) is sample
