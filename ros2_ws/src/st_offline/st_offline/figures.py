@@ -13,30 +13,32 @@ from .results import Results, Track
 from .style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 
 SEGMENTS = 6  # predictions drawn on the map
+MEANING = {"hindsight": "measured inputs", "forecast": "inputs held"}
 
 
 def paths_figure(results: Results, title: str, file: Path) -> None:
     """Map of measured and predicted paths beside the horizon-mean errors over the start time.
 
-    Predictions are the hindsight ones (measured inputs over the horizon, as in the paper); thin lines in the error
-    plots are the forecasts (inputs held). Longitudinal + = predicted ahead, lateral + = predicted to the left.
+    The predictions on the map are the hindsight ones (measured inputs over the horizon, as in the paper). Hindsight and
+    forecast have error plots of their own, for their scales differ by an order of magnitude where the driver acts.
+    Longitudinal + = predicted ahead, lateral + = predicted to the left.
     """
     with plt.rc_context(RC):
-        figure = plt.figure(figsize=(11, 5.6))
-        grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1))
+        figure = plt.figure(figsize=(13, 5.4))
+        grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 1, 1))
         _draw_map(figure.add_subplot(grid[:, 0]), results)
-        upper = figure.add_subplot(grid[0, 1])
-        lower = figure.add_subplot(grid[1, 1], sharex=upper)
-        _draw_errors(upper, results, "longitudinal_mean", "longitudinal error, m\n(+ = predicted ahead)")
-        _draw_errors(lower, results, "lateral_mean", "lateral error, m\n(+ = predicted left)")
-        upper.tick_params(labelbottom=False)
-        upper.set_title("Mean error over each 5 s horizon", fontsize=9)
-        lower.set_xlabel("start of the prediction, s after the first measurement")
-        handles = [
-            Line2D([], [], color="k", lw=1.4, label="hindsight: measured inputs"),
-            Line2D([], [], color="k", lw=0.7, alpha=0.6, label="forecast: inputs held"),
-        ]
-        lower.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2)
+        for column, (mode, meaning) in enumerate(MEANING.items(), start=1):
+            upper = figure.add_subplot(grid[0, column])
+            lower = figure.add_subplot(grid[1, column], sharex=upper)
+            _draw_errors(upper, results, mode, "longitudinal_mean")
+            _draw_errors(lower, results, mode, "lateral_mean")
+            upper.set_title(f"{mode.capitalize()}: {meaning}", fontsize=9)
+            upper.tick_params(labelbottom=False)
+            lower.set_xlabel("start of the prediction, s")
+            if column == 1:
+                upper.set_ylabel("mean longitudinal error, m\n(+ = predicted ahead)")
+                lower.set_ylabel("mean lateral error, m\n(+ = predicted left)")
+        figure.align_ylabels()
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
         figure.savefig(file)
         plt.close(figure)
@@ -62,23 +64,20 @@ def _draw_map(axes: plt.Axes, results: Results) -> None:
     axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=len(handles))
 
 
-def _draw_errors(axes: plt.Axes, results: Results, quantity: str, label: str) -> None:
+def _draw_errors(axes: plt.Axes, results: Results, mode: str, quantity: str) -> None:
     origin = results.track.time_ns[0] if len(results.track.time_ns) else 0
     axes.axhline(0, color="k", lw=0.6)
     for model in results.models():
-        for mode, width, alpha in (("forecast", 0.7, 0.5), ("hindsight", 1.4, 1.0)):
-            scores = [s for s in results.select(model, mode) if s.complete]
-            time = np.array([(s.start_ns - origin) * 1e-9 for s in scores])
-            value = np.array([getattr(s, quantity) for s in scores])
-            breaks = np.nonzero(np.diff(time) > 1.0)[0] + 1  # no line across starts that were not scored
-            axes.plot(
-                np.insert(time, breaks, np.nan),
-                np.insert(value, breaks, np.nan),
-                color=MODEL_COLOUR[model],
-                lw=width,
-                alpha=alpha,
-            )
-    axes.set_ylabel(label)
+        scores = [s for s in results.select(model, mode) if s.complete]
+        time = np.array([(s.start_ns - origin) * 1e-9 for s in scores])
+        value = np.array([getattr(s, quantity) for s in scores])
+        breaks = np.nonzero(np.diff(time) > 1.0)[0] + 1  # no line across starts that were not scored
+        axes.plot(
+            np.insert(time, breaks, np.nan),
+            np.insert(value, breaks, np.nan),
+            color=MODEL_COLOUR[model],
+            ls=MODEL_LINE[model],
+        )
 
 
 def _chosen_starts(results: Results) -> list[int]:

@@ -48,4 +48,4 @@ def finding(summary: dict[str, Any]) -> str:
     known = sorted((value, model) for model, value in lateral.items() if value is not None)
     if not known:
         return "no complete horizon"
-    return "lateral RMSE " + ", ".join(f"{model} {value:.2f} m" for value, model in known)
+    return "in hindsight, lateral RMSE " + ", ".join(f"{model} {value:.2f} m" for value, model in known)
