@@ -83,7 +83,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         loaded = _read_raw_run(source, vehicle, settings)
     elif source.kind == "bag":
         drive = bag.read_bag(source.where, source.name)
-        about = {"reader": "bag", "topics": dict(drive.topics), "recorded": {k: dict(v) for k, v in drive.records.items()}}
+        recorded = {name: dict(record) for name, record in drive.records.items()}
+        about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
         loaded = LoadedRun(drive.log, about, source.labels or _recorded_labels(drive.records), drive.warnings)
     else:
         log, warnings = csv.read_drive(source.where)

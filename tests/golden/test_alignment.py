@@ -1,0 +1,114 @@
+"""The public synthetic pair: CAN log and INS log of one drive on two clocks, with the truth in its README.
+
+    t_ins = (t_can + 3.2170 s) (1 + 40e-6),    t_can the instant a value was true, counted from the start of the log
+
+Frames of the INS are stamped 1.5 to 2.3 ms late on purpose, those of the car are not.
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from st_core.clock_alignment import Alignment, Verdict, align, by_hand
+from st_offline.cli import app
+from st_offline.runs.can_logs import read_can_logs
+from st_offline.runs.can_signals import CanSignals, decode_signals, load_signal_table
+from st_offline.runs.clocks import align_clocks, shared_signals
+from st_offline.runs.csv import read_motion
+from support import ROOT, shared
+from typer.testing import CliRunner
+
+OFFSET, DRIFT = 3.2170, 40e-6
+LATE = {"RT_VelocityLevel": 0.0015, "RT_HeadingPitchRoll": 0.0017, "RT_RateVehicle": 0.0019,
+        "RT_IsoOrientation": 0.0021, "RT_IsoVsVelocity": 0.0023}
+
+
+class Pair:
+    def __init__(self):
+        self.log = read_can_logs([shared("vectors/can/synthetic_leaf_rt.mf4")])
+        self.motion, _ = read_motion(shared("vectors/can/synthetic_rt_own_log.csv"))
+        table = load_signal_table(ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml")
+        self.signals = decode_signals(self.log.frames, table)
+
+    def error(self, result: Alignment, at_ns: int) -> float:
+        """Found minus true INS time [s] of an instant of the CAN clock."""
+        since = (at_ns - self.log.start_ns) * 1e-9
+        return result.to_reference_ns(at_ns) * 1e-9 - (since + OFFSET) * (1 + DRIFT)
+
+    def without(self, *starts: str) -> CanSignals:
+        kept = {k: s for k, s in self.signals.signals.items() if not k[0].startswith(starts)}
+        return CanSignals(kept, {})
+
+
+@pytest.fixture(scope="module")
+def pair() -> Pair:
+    return Pair()
+
+
+def test_offset_and_drift_of_the_pair(pair: Pair) -> None:
+    """As `st align` does it, knowing nothing of the latencies: within 1 ms and 5 ppm everywhere in the log."""
+    result, _ = align_clocks(pair.motion, pair.signals)
+    assert result.verdict is Verdict.GOOD, result.reasons
+    frames = pair.log.frames.time_ns
+    errors = [pair.error(result, int(t)) for t in (frames[0], frames[len(frames) // 2], frames[-1])]
+    assert max(map(abs, errors)) < 1e-3
+    assert max(map(abs, errors)) < 2 * result.offset_deviation
+    assert abs(result.drift_ppm - 1e6 * DRIFT) < min(5.0, 3 * result.drift_deviation)
+
+
+def test_known_latencies_leave_microseconds(pair: Pair) -> None:
+    signals = [replace(s, latency=LATE[s.name.split("(")[1].rstrip(")")], latency_uncertainty=0.0)
+               for s in shared_signals(pair.motion, pair.signals)]
+    assert len(signals) == len(LATE)
+    result = align(signals)
+    assert abs(pair.error(result, result.at_ns)) < min(1e-4, 3 * result.offset_deviation)
+    assert abs(result.drift_ppm - 1e6 * DRIFT) < 1.0
+    for row in result.signals:
+        assert abs(row.difference) < max(3 * row.deviation, 5e-5)
+
+
+def test_every_signal_shows_its_own_latency(pair: Pair) -> None:
+    """Differences between the signals are differences of stamping: to 0.1 ms of the truth."""
+    result, _ = align_clocks(pair.motion, pair.signals)
+    lag = {row.name.split("(")[1].rstrip(")"): row.difference for row in result.signals}
+    for name, late in LATE.items():
+        assert lag["RT_RateVehicle"] - lag[name] == pytest.approx(late - LATE["RT_RateVehicle"], abs=1e-4)
+
+
+def test_wheel_speed_alone_is_a_doubtful_substitute(pair: Pair) -> None:
+    result, _ = align_clocks(pair.motion, pair.without("ins_"))
+    assert result.verdict is Verdict.DOUBTFUL
+    assert "no INS frames" in result.reasons[-1]
+    assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
+
+
+def test_steering_alone_is_a_doubtful_substitute(pair: Pair) -> None:
+    result, _ = align_clocks(pair.motion, pair.without("ins_", "wheel", "vehicle"))
+    assert result.verdict is Verdict.DOUBTFUL
+    assert "steering against yaw rate" in result.reasons[-1]
+    assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
+
+
+def test_nothing_shared_is_refused_and_can_be_given_by_hand(pair: Pair) -> None:
+    nothing = pair.without("ins_", "wheel", "vehicle", "steering")
+    result, _ = align_clocks(pair.motion, nothing)
+    assert result.verdict is Verdict.REFUSED
+    assert "give the offset by hand" in result.reasons[0]
+    given, _ = align_clocks(pair.motion, nothing, offset=OFFSET - pair.log.start_ns * 1e-9)
+    assert given.method == by_hand(0, 0).method
+    assert given.offset_ns == pytest.approx(OFFSET * 1e9 - pair.log.start_ns, abs=1000)
+
+
+def test_the_command_says_so_and_draws_it(pair: Pair, tmp_path) -> None:
+    files = [str(shared(f"vectors/can/{name}")) for name in ("synthetic_rt_own_log.csv", "synthetic_leaf_rt.mf4")]
+    run = CliRunner().invoke(app, ["align", *files, "--output", str(tmp_path / "out")])
+    assert run.exit_code == 0, run.output
+    assert "good" in run.output
+    result = json.loads((tmp_path / "out/alignment.json").read_text())
+    assert result["drift_ppm"] == pytest.approx(40, abs=5)
+    at = (result["at_ns"] - pair.log.start_ns) * 1e-9
+    # A float of 1.6e9 s has steps of 0.2 us.
+    assert result["offset_s"] + result["at_ns"] * 1e-9 == pytest.approx((at + OFFSET) * (1 + DRIFT), abs=1e-3)
+    assert (tmp_path / "out/alignment.png").stat().st_size > 20_000
+    assert np.isclose(result["common_time_s"], 60, atol=1)
