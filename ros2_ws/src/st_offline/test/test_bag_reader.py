@@ -1,0 +1,174 @@
+"""Bags: the quick way reads what rosbags reads, of both storages; foreign topics are passed over; bad bags say why."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from st_offline.runs import bag
+from st_offline.runs.bag import ODOMETRY, STEERING, definitions, read_bag
+from st_offline.runs.cdr import Layout, typestore
+from st_offline.runs.errors import RunError
+from st_predictor.mcap import BagWriter
+
+STORE = typestore(definitions())
+START_NS = 1_700_000_000_123_456_789
+N = 500
+
+
+def make(name: str, **values: Any) -> Any:
+    return STORE.types[name](**values)
+
+
+def header(time_ns: int, frame: str = "map") -> Any:
+    sec, nanosec = divmod(time_ns, 10**9)
+    stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+    return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+
+def odometry(k: int, frame: str = "map") -> tuple[int, bytes]:
+    time_ns = START_NS + k * 10_000_000
+    yaw = 0.02 * k
+    zero = {"x": 0.0, "y": 0.0, "z": 0.0}
+    pose = make("geometry_msgs/msg/Pose", position=make("geometry_msgs/msg/Point", x=0.1 * k, y=-0.2 * k, z=1.0),
+                orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2)))
+    linear = make("geometry_msgs/msg/Vector3", **{**zero, "x": 10.0, "y": 0.01 * k})
+    twist = make("geometry_msgs/msg/Twist", linear=linear,
+                 angular=make("geometry_msgs/msg/Vector3", **{**zero, "z": 0.3}))
+    message = make(ODOMETRY, header=header(time_ns, frame), child_frame_id="ins_link",
+                   pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+                   twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)))
+    return time_ns, bytes(STORE.serialize_cdr(message, ODOMETRY))
+
+
+def steering(k: int, valid: bool = True) -> tuple[int, bytes]:
+    time_ns = START_NS + 2_000_000 + k * 10_000_000
+    message = make(STEERING, header=header(time_ns, ""), steering_wheel_angle=0.01 * k, road_wheel_angle=0.001 * k,
+                   valid=valid)
+    return time_ns, bytes(STORE.serialize_cdr(message, STEERING))
+
+
+def text(k: int) -> tuple[int, bytes]:
+    name = "std_msgs/msg/String"
+    return START_NS + k * 10**9, bytes(STORE.serialize_cdr(make(name, data="x" * k), name))
+
+
+Topics = dict[tuple[str, str], Sequence[tuple[int, bytes]]]
+OURS: Topics = {("/ins/odometry", ODOMETRY): [odometry(k) for k in range(N)],
+                ("/vehicle/steering", STEERING): [steering(k) for k in range(N)],
+                ("/notes", "std_msgs/msg/String"): [text(k) for k in range(3)]}
+
+
+def write_ours(folder: Path, topics: Topics) -> Path:
+    writer = BagWriter(folder)
+    for (topic, name), messages in topics.items():
+        number = writer.add_topic(topic, name, definition=STORE.generate_msgdef(name, ros_version=2)[0],
+                                  type_hash=STORE.hash_rihs01(name))
+        for time_ns, data in messages:
+            writer.write(number, data, time_ns)
+    writer.close()
+    return folder
+
+
+def write_rosbags(folder: Path, topics: Topics, storage: StoragePlugin) -> Path:
+    with Writer(folder, version=9, storage_plugin=storage) as writer:
+        for (topic, name), messages in topics.items():
+            connection = writer.add_connection(topic, name, typestore=STORE)
+            for time_ns, data in messages:
+                writer.write(connection, time_ns, data)
+    return folder
+
+
+def check(path: Path) -> None:
+    log = read_bag(path).log
+    k = np.arange(N)
+    assert np.array_equal(log.ins_time_ns, START_NS + k * 10_000_000)
+    assert np.array_equal(log.steering_time_ns, START_NS + 2_000_000 + k * 10_000_000)
+    np.testing.assert_array_equal(log.x, 0.1 * k)
+    np.testing.assert_array_equal(log.velocity_y, 0.01 * k)
+    np.testing.assert_allclose(log.yaw, 0.02 * k, atol=1e-9)
+    np.testing.assert_array_equal(log.road_wheel_angle, 0.001 * k)
+    np.testing.assert_array_equal(log.steering_wheel_angle, 0.01 * k)
+
+
+@pytest.mark.parametrize("storage", ["ours", "mcap", "sqlite3"])
+def test_a_bag_of_any_recorder(tmp_path: Path, storage: str) -> None:
+    folder = tmp_path / "drive"
+    if storage == "ours":
+        write_ours(folder, OURS)
+    else:
+        write_rosbags(folder, OURS, StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3)
+    check(folder)
+    (file,) = bag.storage_files(folder)
+    check(file)
+    alone = tmp_path / f"alone{file.suffix}"  # a storage file without its metadata.yaml
+    alone.write_bytes(file.read_bytes())
+    check(alone)
+
+
+def test_the_quick_way_is_the_way_taken_and_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_ours(tmp_path / "drive", OURS)
+    taken = []
+    quick_way = bag._from_chunks
+    monkeypatch.setattr(bag, "_from_chunks", lambda *given: taken.append(quick_way(*given)) or taken[-1])
+    quick = read_bag(folder).log
+    assert [columns is not None for columns in taken] == [True, True]
+    monkeypatch.setattr(bag, "_from_chunks", lambda *_: None)
+    slow = read_bag(folder).log
+    for name in ("ins_time_ns", "x", "y", "yaw", "velocity_x", "yaw_rate", "steering_time_ns", "road_wheel_angle"):
+        np.testing.assert_array_equal(getattr(quick, name), getattr(slow, name))
+
+
+def test_frame_ids_that_change_fall_back_to_the_slow_way(tmp_path: Path) -> None:
+    mixed = [odometry(k, "map" if k % 2 else "earth") for k in range(N)]
+    check(write_ours(tmp_path / "drive", {**OURS, ("/ins/odometry", ODOMETRY): mixed}))
+
+
+def test_unusable_messages_are_left_out_and_counted(tmp_path: Path) -> None:
+    messages = [steering(k, valid=k % 10 != 0) for k in range(N)]
+    messages[55] = messages[54]
+    drive = read_bag(write_ours(tmp_path / "drive", {**OURS, ("/vehicle/steering", STEERING): messages}))
+    assert len(drive.log.steering_time_ns) == N - 51
+    assert any("50 steering messages hold no usable value" in w for w in drive.warnings)
+    assert any("1 steering messages are not newer" in w for w in drive.warnings)
+
+
+def test_missing_topics_and_doubles_are_named(tmp_path: Path) -> None:
+    odometry_only = {key: m for key, m in OURS.items() if key[1] != STEERING}
+    with pytest.raises(RunError, match=r"no message of type st_msgs/msg/Steering is in it; it has /ins/odometry"):
+        read_bag(write_ours(tmp_path / "one", odometry_only))
+    doubled = {**{key: m for key, m in OURS.items() if key[1] == STEERING},
+               ("/a", ODOMETRY): OURS["/ins/odometry", ODOMETRY], ("/b", ODOMETRY): OURS["/ins/odometry", ODOMETRY]}
+    with pytest.raises(RunError, match="several topics are of type nav_msgs/msg/Odometry: /a, /b"):
+        read_bag(write_ours(tmp_path / "two", doubled))
+    named = {**OURS, ("/other/odometry", ODOMETRY): [odometry(k, "elsewhere") for k in range(5)]}
+    check(write_ours(tmp_path / "three", named))
+
+
+def test_bags_that_are_none(tmp_path: Path) -> None:
+    whole = bag.storage_files(write_ours(tmp_path / "drive", OURS))[0].read_bytes()
+    for name, content, message in (
+        ("empty.mcap", b"", "the file is empty"),
+        ("text.mcap", b"not a bag at all" * 10, "cannot be read as a bag"),
+        ("cut.mcap", whole[: len(whole) // 2], "cannot be read as a bag .*repair it with `st recover`"),
+        ("text.db3", b"not a bag at all" * 10, "cannot be read as a bag"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(RunError, match=f"{name}: {message}"):
+            read_bag(tmp_path / name)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "metadata.yaml").write_text("nonsense: 1\n")
+    with pytest.raises(RunError, match="folder"):
+        read_bag(tmp_path / "folder")
+
+
+def test_a_layout_serialises_as_rosbags_does() -> None:
+    layout = Layout(STORE, ODOMETRY, STORE.deserialize_cdr(odometry(3)[1], ODOMETRY))
+    yaw = 0.02 * np.arange(N)
+    rows = layout.rows(N, {
+        "header.stamp": START_NS + np.arange(N) * 10_000_000, "pose.pose.position.x": 0.1 * np.arange(N),
+        "pose.pose.position.y": -0.2 * np.arange(N), "twist.twist.linear.y": 0.01 * np.arange(N),
+        "pose.pose.orientation.z": np.sin(yaw / 2), "pose.pose.orientation.w": np.cos(yaw / 2)})
+    assert [row.tobytes() for row in rows] == [odometry(k)[1] for k in range(N)]
