@@ -1,7 +1,9 @@
-"""Bags of numbered messages, made and read back without ROS."""
+"""Bags of numbered messages, made and read back without ROS; and the messages of recorded runs."""
 
 import struct
+from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 DEFINITION = "# a number with a text\nint64 number\nstring text\n"
 TYPE = "demo_msgs/msg/Numbered"
@@ -36,3 +38,32 @@ def read_numbers_with_mcap(path: Path) -> dict[str, list[int]]:
         for _, channel, _, message in reader.iter_decoded_messages():
             found.setdefault(channel.topic, []).append(message.number)
     return found
+
+
+def read_messages(directory: Path) -> dict[str, list[Any]]:
+    """All messages of a bag by topic, in the order of their receipt."""
+    from rosbags.highlevel import AnyReader
+
+    messages = defaultdict(list)
+    with AnyReader([directory]) as reader:
+        for connection, _, raw in reader.messages():
+            messages[connection.topic].append(reader.deserialize(raw, connection.msgtype))
+    return messages
+
+
+def nanoseconds(stamp: Any) -> int:
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+def stamps(messages: list[Any]) -> list[int]:
+    """Header stamps [ns]."""
+    return [nanoseconds(m.header.stamp) for m in messages]
+
+
+def health(messages: dict[str, list[Any]]) -> dict[str, list[tuple[int, int, str]]]:
+    """What each check of /diagnostics said: (stamp [ns], level, text) in order, by "node: check"."""
+    said = defaultdict(list)
+    for message in messages["/diagnostics"]:
+        for status in message.status:
+            said[status.name].append((nanoseconds(message.header.stamp), status.level, status.message))
+    return said

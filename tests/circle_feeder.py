@@ -1,10 +1,7 @@
 """Publishes odometry and steering of a car on a circle, exactly known, so that predictions can be checked by hand.
 
-    python circle_feeder.py --duration 5 [--rate 100] [--radius 30] [--speed 8] [--silence steering:1:2] ...
-
-The INS point moves on the circle at constant speed, left turn; header stamps are the host's clock. A --silence
-SIGNAL:FROM:UNTIL leaves one signal out between two times [s]; --jump T:BY moves all stamps after T by BY seconds;
---nan FROM:UNTIL sends odometry with NaN.
+The INS point moves on the circle at constant speed, a left turn that starts in the origin towards east. Stamps are the
+host's clock unless told otherwise. Run with --help for what can be made to go wrong.
 """
 
 import argparse
@@ -14,6 +11,7 @@ import time
 import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
 from st_msgs.msg import Steering
 from st_ros.stamps import from_nanoseconds
 
@@ -40,36 +38,14 @@ def within(t: float, spans: list[tuple[float, float]]) -> bool:
     return any(begin <= t < end for begin, end in spans)
 
 
-def spans_of(texts: list[str]) -> list[tuple[float, float]]:
-    return [(float(a), float(b)) for a, b in (text.split(":") for text in texts)]
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--duration", type=float, default=5.0)
-    parser.add_argument("--rate", type=float, default=100.0)
-    parser.add_argument("--radius", type=float, default=30.0)
-    parser.add_argument("--speed", type=float, default=8.0)
-    parser.add_argument("--angle", type=float, default=math.atan(2.7 / 30.0))
-    parser.add_argument("--frame", default="map")
-    parser.add_argument("--silence", action="append", default=[])
-    parser.add_argument("--nan", action="append", default=[])
-    parser.add_argument("--jump", default="")
-    parser.add_argument("--subscribers", type=int, default=1, help="begin when this many listen to each topic")
-    parser.add_argument("--zero", type=int, default=0, help="stamp of t = 0 [ns]; 0: now")
-    options = parser.parse_args()
-    silence = {
-        signal: spans_of([text.partition(":")[2] for text in options.silence if text.startswith(signal)])
-        for signal in ("odometry", "steering")
-    }
-    nan = spans_of(options.nan)
-    jump_at, jump_by = spans_of([options.jump])[0] if options.jump else (math.inf, 0.0)
-
+    options = parse_arguments()
     rclpy.init()
     node = rclpy.create_node("feeder")
     qos = QoSProfile(depth=50)
     ins = node.create_publisher(Odometry, "ins/odometry", qos)
     steering = node.create_publisher(Steering, "vehicle/steering", qos)
+    clock = node.create_publisher(Clock, "/clock", qos) if options.loop else None
     while min(ins.get_subscription_count(), steering.get_subscription_count()) < options.subscribers:
         time.sleep(0.02)
     zero_ns, began = options.zero or time.time_ns(), time.monotonic()
@@ -77,18 +53,43 @@ def main() -> None:
     for k in range(round(options.duration * options.rate)):
         t = k / options.rate
         time.sleep(max(0.0, began + t - time.monotonic()))
-        stamp_ns = zero_ns + round((t + (jump_by if t >= jump_at else 0.0)) * 1e9)
-        if not within(t, silence["odometry"]):
+        if options.loop:
+            t %= options.loop
+        stamp_ns = zero_ns + round((t + sum(by for begin, end, by in options.jump if begin <= t < end)) * 1e9)
+        if clock:
+            clock.publish(Clock(clock=from_nanoseconds(stamp_ns)))
+        if not within(t, options.silent_odometry):
             message = odometry(stamp_ns, t, options)
-            if within(t, nan):
+            if within(t, options.nan):
                 message.twist.twist.linear.x = math.nan
             ins.publish(message)
-        if not within(t, silence["steering"]):
-            angle = Steering(road_wheel_angle=options.angle, steering_wheel_angle=17.3 * options.angle, valid=True)
+        if not within(t, options.silent_steering):
+            angle = Steering(road_wheel_angle=options.angle, steering_wheel_angle=17.3 * options.angle)
+            angle.valid = not within(t, options.invalid_steering)
             angle.header.stamp = from_nanoseconds(stamp_ns)
             steering.publish(angle)
     node.destroy_node()
     rclpy.shutdown()
+
+
+def parse_arguments() -> argparse.Namespace:
+    def numbers(text: str) -> tuple[float, ...]:
+        return tuple(map(float, text.split(":")))
+
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--duration", type=float, default=5.0)
+    parser.add_argument("--rate", type=float, default=100.0)
+    parser.add_argument("--radius", type=float, default=30.0)
+    parser.add_argument("--speed", type=float, default=8.0)
+    parser.add_argument("--angle", type=float, default=0.09, help="of the road wheels [rad]")
+    parser.add_argument("--frame", default="map")
+    for name in ("silent-odometry", "silent-steering", "invalid-steering", "nan"):
+        parser.add_argument(f"--{name}", action="append", default=[], type=numbers, metavar="FROM:UNTIL")
+    parser.add_argument("--jump", action="append", default=[], type=numbers, metavar="FROM:UNTIL:BY", help="of stamps")
+    parser.add_argument("--loop", type=float, default=0.0, help="start over every so many seconds, and publish /clock")
+    parser.add_argument("--subscribers", type=int, default=1, help="begin when this many listen to each topic")
+    parser.add_argument("--zero", type=int, default=0, help="stamp of the start [ns]; 0: now")
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

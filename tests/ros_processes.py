@@ -1,7 +1,9 @@
 """Nodes as processes of their own, on a ROS domain of their own, ended by their own handles."""
 
 import os
+import random
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -18,16 +20,34 @@ def executable(package: str, name: str) -> str:
     pytest.skip(f"{name} is not installed: build the workspace (./st does)")
 
 
+def free_domain() -> int:
+    """A ROS domain that nobody on this machine uses: the discovery port of its first participant can be bound."""
+    domains = list(range(1, 101))
+    random.shuffle(domains)  # two test runs that look at the same moment shall not find the same one
+    for domain in domains:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain + 10))
+            except OSError:
+                continue
+            return domain
+    raise RuntimeError("no free ROS domain")
+
+
 class Processes:
     """Processes of one test, ended by their own handles."""
 
-    def __init__(self, folder: Path, domain: int):
+    def __init__(self, folder: Path):
+        """folder: for logs, as NAME.log."""
         self.folder = folder
-        self.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-                            "ROS_LOG_DIR": str(folder / "ros_log")}
+        self.environment = os.environ | {
+            "ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": str(folder / "ros_log"),
+        }
         self._running: list[subprocess.Popen] = []
 
     def start(self, command: list[str], name: str) -> subprocess.Popen:
+        """Output goes to NAME.log."""
         with (self.folder / f"{name}.log").open("wb") as log:
             process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=self.environment)
         self._running.append(process)

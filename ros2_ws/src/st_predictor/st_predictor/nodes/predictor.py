@@ -46,6 +46,7 @@ class PredictorNode(Node):
         self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", latched)
         self._counter = TickCounter()
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
+        self._last_start_ns: int | None = None
         self._not_finite: set[str] = set()
         self._slowest_tick = 0.0
         self._period = 1.0 / values.rate
@@ -62,7 +63,7 @@ class PredictorNode(Node):
         now_ns = self.get_clock().now().nanoseconds
         missed = self._counter.missed(now_ns + self._timer.time_until_next_call(), round(self._period * 1e9))
         self._inputs.drain()
-        start = self._core.start(now_ns)
+        start = self._start(now_ns)
         before, self._skip = self._skip, start if isinstance(start, Skip) else None
         self._counter.count(missed, self._skip.kind if self._skip else None)
         if isinstance(start, Start):
@@ -70,6 +71,17 @@ class PredictorNode(Node):
         if (before and before.kind) != (self._skip and self._skip.kind):
             self._diagnostics.publish()
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - began)
+
+    def _start(self, now_ns: int) -> Start | Skip:
+        start = self._core.start(now_ns)
+        if isinstance(start, Skip):
+            return start
+        before, self._last_start_ns = self._last_start_ns, start.time_ns
+        if start.time_ns != before:
+            return start
+        # The same prediction twice would tell a planner nothing and count twice in the statistics.
+        signal, age = max(self._core.ages(now_ns).items(), key=lambda item: item[1])
+        return Skip("stale", f"{signal}: nothing new since the last tick, newest sample is {age:.2f} s old")
 
     def _predict(self, start: Start) -> None:
         for model, (path_publisher, prediction_publisher) in self._outputs.items():
