@@ -20,6 +20,16 @@ def test_float_and_array_agree(name):
     np.testing.assert_allclose(single, batch, rtol=1e-15)
 
 
+@pytest.mark.parametrize("name", ["sin", "cos"])
+@pytest.mark.parametrize("size", [3.0, 1.0e4, 1.0e9])
+def test_long_arrays_are_as_exact_as_short_ones(name, size):
+    angles = np.concatenate([np.random.default_rng(3).uniform(-size, size, 5000), [0.0, math.pi, -math.pi, math.pi / 2]])
+    function = getattr(ops, name)
+    np.testing.assert_allclose(function(angles), [function(a) for a in angles.tolist()], rtol=0, atol=3e-16)
+    with np.errstate(invalid="ignore"):
+        assert np.isnan(function(np.full(1000, math.nan))).all() and np.isnan(function(np.full(1000, math.inf))).all()
+
+
 class Wrapped:
     """A kind of number nothing here knows."""
 
