@@ -15,8 +15,8 @@ import numpy as np
 
 _sin, _cos, _tan, _atan, _sqrt = math.sin, math.cos, math.tan, math.atan, math.sqrt
 _NAN = math.nan
-# numpy hands sine and cosine to the C library one by one, 12 ns each. Its tangent is a vector function on newer x86, 1 ns;
-# with t = tan(x / 2) the absolute error is 2.3e-16 at any size of x. Below this many numbers the calls cost more.
+# numpy hands sine and cosine to the C library one by one, 12 ns each. Its tangent is a vector function on newer x86,
+# 1 ns; with t = tan(x / 2) the absolute error is 2.3e-16 at any size of x. Below this many numbers the calls cost more.
 _MANY = 256
 
 
