@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
-import yaml
-
 from .errors import ConfigurationError
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
+from .yaml_text import check_keys, load, number, quoted
 
 
 @dataclass(frozen=True)
@@ -145,15 +144,17 @@ class VehicleParameters:
         Raises ConfigurationError, one line: origin, key, what is wrong, the limit and what to do.
         """
         try:
-            return cls._from_document(_load(text))
+            return cls.from_document(load(text))
         except ConfigurationError as error:
             raise ConfigurationError(f"{origin}: {error}") from None
 
     @classmethod
-    def _from_document(cls, document: Any) -> "VehicleParameters":
+    def from_document(cls, document: Any) -> "VehicleParameters":
+        """Parameters from a vehicle file that is parsed already; raises ConfigurationError naming the key."""
         if not isinstance(document, dict):
             raise ConfigurationError("not a list of `key: {value, unit, source}`; see config/vehicle/leaf.yaml")
-        _check_keys("", document, ["name", *VEHICLE_QUANTITIES, *TYRES], required=["name", *VEHICLE_QUANTITIES, *TYRES])
+        keys = ["name", *VEHICLE_QUANTITIES, *TYRES]
+        check_keys("", document, keys, required=keys)
         name = document["name"]
         if not isinstance(name, str) or not name.strip():
             raise ConfigurationError(f"name: {name!r} is not a text; write the name of the car")
@@ -165,14 +166,14 @@ class VehicleParameters:
             if not isinstance(section, dict):
                 raise ConfigurationError(f"{tyre}: not a section of `key: {{value, unit, source}}`")
             required = [key for key, quantity in TYRE_QUANTITIES.items() if quantity.required]
-            _check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
+            check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
             tyres[tyre] = MagicFormula(**_read(f"{tyre}.", section, TYRE_QUANTITIES, sources))
         vehicle = cls(name=name, **values, **tyres, sources=sources)
         return _with_derived_scales(vehicle, document)
 
     def to_yaml(self) -> str:
         """A vehicle file, SI units, that `from_yaml` reads back to the same parameters (and hash)."""
-        lines = [f"name: {_scalar(self.name)}"]
+        lines = [f"name: {quoted(self.name)}"]
         lines += [self._line(key, getattr(self, key), quantity, "") for key, quantity in VEHICLE_QUANTITIES.items()]
         for tyre in TYRES:
             lines.append(f"{tyre}:")
@@ -182,7 +183,7 @@ class VehicleParameters:
 
     def _line(self, key: str, value: float, quantity: Quantity, prefix: str) -> str:
         source = self.sources.get(prefix + key, "default" if not quantity.required else "not stated")
-        return f"{key}: {{value: {_number(value)}, unit: {_scalar(quantity.si_unit)}, source: {_scalar(source)}}}"
+        return f"{key}: {{value: {number(value)}, unit: {quoted(quantity.si_unit)}, source: {quoted(source)}}}"
 
     @cached_property
     def hash(self) -> str:
@@ -198,54 +199,13 @@ def _with_derived_scales(vehicle: VehicleParameters, document: Mapping[str, Any]
              ("tyre_rear", vehicle.cornering_stiffness_rear, vehicle.static_tyre_load_rear))
     changes: dict[str, Any] = {}
     sources = dict(vehicle.sources)
-    for name, stiffness, load in axles:
+    for name, stiffness, static_load in axles:
         if "lambda_ky" not in document[name]:
             tyre = getattr(vehicle, name)
-            changes[name] = tyre._replace(lambda_ky=stiffness_scale(stiffness, load, tyre))
+            changes[name] = tyre._replace(lambda_ky=stiffness_scale(stiffness, static_load, tyre))
             sources[f"{name}.lambda_ky"] = "derived: C / (2 abs(K)) at the static load of one tyre"
     values = {f.name: getattr(vehicle, f.name) for f in fields(vehicle)}
     return VehicleParameters(**(values | changes | {"sources": sources}))
-
-
-class _Loader(yaml.SafeLoader):
-    """Refuses a key given twice; YAML itself keeps the last one without a word."""
-
-    def construct_mapping(self, node, deep=False):
-        seen = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                raise ConfigurationError(f"{key!r}: a key must be a text (line {key_node.start_mark.line + 1})")
-            if key in seen:
-                raise ConfigurationError(f"{key}: given twice (line {key_node.start_mark.line + 1}); remove one")
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-def _load(text: str) -> Any:
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f", line {mark.line + 1}" if mark else ""
-        raise ConfigurationError(f"not valid YAML{place}: {getattr(error, 'problem', None) or error}") from None
-
-
-def _check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], required: list[str]) -> None:
-    for key in section:
-        if key not in known:
-            near = _nearest(str(key), known)
-            raise ConfigurationError(f"{prefix}{key}: unknown key{near}; known are {', '.join(known)}")
-    for key in required:
-        if key not in section:
-            raise ConfigurationError(f"{prefix}{key}: missing; add it")
-
-
-def _nearest(key: str, known: list[str]) -> str:
-    import difflib
-
-    near = difflib.get_close_matches(key, known, n=1)
-    return f", did you mean {near[0]}?" if near else ""
 
 
 def _read(prefix: str, section: Mapping[str, Any], quantities: Mapping[str, Quantity],
@@ -285,12 +245,3 @@ def _read_one(key: str, entry: Any, quantity: Quantity) -> tuple[float, str]:
 def _check_bounds(key: str, value: float, quantity: Quantity) -> None:
     if not quantity.minimum <= value <= quantity.maximum:  # NaN is outside too
         raise ConfigurationError(f"{key}: {value:g} is outside {quantity.limit()}; check value and unit")
-
-
-def _number(value: float) -> str:
-    text = repr(float(value))
-    return text if "e" not in text or "." in text else text.replace("e", ".0e")
-
-
-def _scalar(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)

@@ -1,46 +1,44 @@
-"""Effects of the user: every module of a folder."""
+"""Effects of the user: every module of a folder. The import system does the looking and reading."""
 
 import hashlib
 import importlib
+import pkgutil
 import sys
-from pathlib import Path
+from importlib.machinery import FileFinder
 from types import ModuleType
 
 from ..errors import ConfigurationError
 from ._base import EFFECTS
 
 
-def load_folder(path: str | Path) -> tuple[str, ...]:
+def load_folder(path: str) -> tuple[str, ...]:
     """Import every module of a folder (names that begin with _ are helpers) and return the effects registered, sorted.
 
     A folder loaded before is not read again. Raises ConfigurationError naming the file when there is no such folder, a
     module fails to import or registers nothing, or a name is taken; nothing of that folder is then registered.
     """
-    folder = Path(path).resolve()
-    if not folder.is_dir():
+    finder = pkgutil.get_importer(str(path))
+    if not isinstance(finder, FileFinder):
         raise ConfigurationError(f"{path}: not a folder of effects")
     # The same folder has the same package name in every process: compiled kernels are cached by it.
-    package = "st_effects_" + hashlib.sha256(str(folder).encode()).hexdigest()[:12]
+    package = "st_effects_" + hashlib.sha256(finder.path.encode()).hexdigest()[:12]
     if package not in sys.modules:
-        _load(folder, package)
+        _load(finder, package)
     return tuple(sorted(name for name, effect in EFFECTS.items() if effect.__module__.startswith(package + ".")))
 
 
-def _load(folder: Path, package: str) -> None:
-    files = sorted(file for file in folder.glob("*.py") if not file.name.startswith("_"))
-    if not files:
-        raise ConfigurationError(f"{folder}: holds no effect, that is no *.py")
+def _load(finder: FileFinder, package: str) -> None:
+    importlib.invalidate_caches()
+    names = sorted(name for name, _ in pkgutil.iter_importer_modules(finder) if not name.startswith("_"))
+    if not names:
+        raise ConfigurationError(f"{finder.path}: holds no effect, that is no *.py")
     known = set(EFFECTS)
     root = ModuleType(package)
-    root.__path__ = [str(folder)]
+    root.__path__ = [finder.path]
     sys.modules[package] = root
-    importlib.invalidate_caches()
     try:
-        for file in files:
-            before = len(EFFECTS)
-            _import(f"{package}.{file.stem}", file)
-            if len(EFFECTS) == before:
-                raise ConfigurationError(f"{file}: registers no effect; decorate its class with @register")
+        for name in names:
+            _import(f"{package}.{name}", f"{finder.path}/{name}.py")
     except ConfigurationError:
         for name in set(EFFECTS) - known:
             del EFFECTS[name]
@@ -49,7 +47,8 @@ def _load(folder: Path, package: str) -> None:
         raise
 
 
-def _import(module: str, file: Path) -> None:
+def _import(module: str, file: str) -> None:
+    before = len(EFFECTS)
     try:
         importlib.import_module(module)
     except ConfigurationError as error:
@@ -57,3 +56,5 @@ def _import(module: str, file: Path) -> None:
     except Exception as error:
         text = " ".join(str(error).split())
         raise ConfigurationError(f"{file}: cannot be loaded: {type(error).__name__}: {text}") from error
+    if len(EFFECTS) == before:
+        raise ConfigurationError(f"{file}: registers no effect; decorate its class with @register")
