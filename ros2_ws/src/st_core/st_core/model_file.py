@@ -1,0 +1,215 @@
+"""A model as a file, model.yaml: base model, effects with values and intervals, and where they come from.
+
+    base: nonlinear
+    vehicle: {name: "Nissan Leaf ZE0", hash: "..."}             and, when embedded, parameters: {a vehicle file}
+    effects:
+      steering_lag:
+        time_constant: {value: 0.08, unit: "s", interval: [0.07, 0.09], source: "..."}
+    provenance: {date: "2026-11-21", version: "0.1.0", data: {"run.ncom": "sha256 ..."}, note: "..."}
+    hash: "..."
+
+The values hold for one car: the one of `vehicle.hash`. An interval covers the true value in 95 of 100 cases, as far as
+its source says; null where it is not known. The hash is over base, values and vehicle; a file whose content does not
+fit its hash was changed since and is refused, one without a hash is taken as it is.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from . import __version__
+from .augmented import AugmentedModel, augment
+from .effects import get_effect
+from .errors import ConfigurationError
+from .vehicle import VehicleParameters
+from .yaml_text import check_keys, load, number, quoted
+
+Interval = tuple[float, float] | None
+HEADER = "# Model file: base model, effects on top of it (SI units, 95 % intervals), and where they come from.\n"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Value of one parameter of an effect [its unit], its 95 % interval where known, and where it comes from."""
+
+    value: float
+    interval: Interval = None
+    source: str = "not stated"
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """date: of the estimate, ISO 8601. version: of st_core. data: sha256 by name of each run used. note: free text."""
+
+    date: str = ""
+    version: str = __version__
+    data: Mapping[str, str] = field(default_factory=dict)
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """What a model.yaml says. base: name of the base model. effects: estimates by effect and parameter.
+
+    vehicle: the car, when embedded. vehicle_name, vehicle_hash: of the car the values hold for; "" where not said.
+    """
+
+    base: str
+    effects: Mapping[str, Mapping[str, Estimate]]
+    vehicle: VehicleParameters | None = None
+    vehicle_name: str = ""
+    vehicle_hash: str = ""
+    provenance: Provenance = field(default_factory=Provenance)
+
+    @classmethod
+    def of(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: Provenance,
+           intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated",
+           embed: bool = True) -> "ModelFile":
+        """The file of a model. intervals: by (effect, parameter). embed: put the vehicle's parameters in the file."""
+        effects = {effect.name: {p.name: Estimate(model.values[effect.name][p.name],
+                                                  (intervals or {}).get((effect.name, p.name)),
+                                                  source if p.fit else p.source) for p in effect.parameters}
+                   for effect in model.effects}
+        return cls(model.base.name, effects, vehicle if embed else None, vehicle.name, vehicle.hash, provenance)
+
+    def model(self) -> AugmentedModel:
+        """The model. Raises ConfigurationError for an effect unknown or not applicable, or a value out of bounds."""
+        return augment(self.base, {e: {p: v.value for p, v in parts.items()} for e, parts in self.effects.items()})
+
+    def check_vehicle(self, vehicle: VehicleParameters, origin: str) -> None:
+        """Raises ConfigurationError when the values hold for another car than `vehicle`, read from `origin`."""
+        if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
+            wanted, there = (f"{name!r} {digest[:12]}" for name, digest in (
+                (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
+            raise ConfigurationError(f"vehicle.hash: the values hold for {wanted}, {origin} is {there}; "
+                                     "take the vehicle file they were found with")
+
+    @property
+    def hash(self) -> str:
+        """sha256 (hex) of base, values and vehicle; intervals, sources and provenance do not enter."""
+        values = {e: {p: float(v.value).hex() for p, v in sorted(parts.items())}
+                  for e, parts in sorted(self.effects.items())}
+        return hashlib.sha256(json.dumps([self.base, values, self.vehicle_hash]).encode()).hexdigest()
+
+    def to_yaml(self) -> str:
+        """A model file that `from_yaml` reads back to an equal ModelFile."""
+        lines = [f"base: {self.base}"]
+        if self.vehicle_hash or self.vehicle_name:
+            lines += ["vehicle:", f"  name: {quoted(self.vehicle_name)}", f"  hash: {quoted(self.vehicle_hash)}"]
+        if self.vehicle:
+            lines += ["  parameters:", *(f"    {line}" for line in self.vehicle.to_yaml().splitlines())]
+        lines.append("effects:" if self.effects else "effects: {}")
+        for name, parts in self.effects.items():
+            units = {p.name: p.unit for p in get_effect(name).parameters}
+            lines += [f"  {name}:", *(f"    {key}: {_entry(part, units[key])}" for key, part in parts.items())]
+        p = self.provenance
+        lines += ["provenance:", f"  date: {quoted(p.date)}", f"  version: {quoted(p.version)}"]
+        lines += ["  data:" if p.data else "  data: {}"]
+        lines += [f"    {quoted(name)}: {quoted(digest)}" for name, digest in p.data.items()]
+        lines += [f"  note: {quoted(p.note)}", f"hash: {quoted(self.hash)}"]
+        return HEADER + "\n".join(lines) + "\n"
+
+    @classmethod
+    def from_yaml(cls, text: str, origin: str = "model") -> "ModelFile":
+        """What a model file says. origin: name shown in errors, usually the path.
+
+        Effects of the user must have been loaded (`effects.load_folder`). Raises ConfigurationError, one line: origin,
+        key, what is wrong, the limit and what to do.
+        """
+        try:
+            return cls._from_document(load(text))
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{origin}: {error}") from None
+
+    @classmethod
+    def _from_document(cls, document: Any) -> "ModelFile":
+        document = _mapping("the file", document)
+        check_keys("", document, ["base", "vehicle", "effects", "provenance", "hash"], required=["base", "effects"])
+        effects = {str(name): _effect(str(name), entry)
+                   for name, entry in _mapping("effects", document["effects"] or {}).items()}
+        file = cls(_text("base", document["base"]), effects, *_vehicle(document.get("vehicle")),
+                   _provenance(document.get("provenance")))
+        file.model()
+        stated = document.get("hash")
+        if stated is not None and stated != file.hash:
+            raise ConfigurationError(f"hash: {str(stated)[:12]} is not that of the content, {file.hash[:12]}: base, a "
+                                     "value or the vehicle was changed since; remove the line hash to accept that")
+        return file
+
+
+def _entry(estimate: Estimate, unit: str) -> str:
+    interval = "null"
+    if estimate.interval is not None:
+        interval = f"[{', '.join(number(limit) for limit in estimate.interval)}]"
+    return (f"{{value: {number(estimate.value)}, unit: {quoted(unit)}, interval: {interval}, "
+            f"source: {quoted(estimate.source)}}}")
+
+
+def _effect(name: str, entry: Any) -> dict[str, Estimate]:
+    parameters = {p.name: p for p in get_effect(name).parameters}
+    entry = _mapping(f"effects.{name}", entry)
+    check_keys(f"effects.{name}.", entry, list(parameters), required=[k for k, p in parameters.items() if p.fit])
+    estimates = {}
+    for key in entry:
+        where = f"effects.{name}.{key}"
+        part = _mapping(where, entry[key])
+        check_keys(f"{where}.", part, ["value", "unit", "interval", "source"], required=["value", "unit"])
+        unit = parameters[key].unit
+        if str(part["unit"]) != unit:
+            raise ConfigurationError(f"{where}: unit {str(part['unit'])!r} is not {unit}; convert the value")
+        value = parameters[key].check(part["value"], where)
+        source = _text(f"{where}.source", part.get("source", "not stated"))
+        estimates[key] = Estimate(value, _interval(where, part.get("interval"), value), source)
+    return estimates
+
+
+def _interval(where: str, given: Any, value: float) -> Interval:
+    if given is None:
+        return None
+    numbers = isinstance(given, list) and all(isinstance(g, int | float) and not isinstance(g, bool) for g in given)
+    if not numbers or len(given) != 2 or not given[0] <= value <= given[1]:
+        raise ConfigurationError(f"{where}.interval: {given!r} is not [low, high] around the value {value:g}")
+    return float(given[0]), float(given[1])
+
+
+def _vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
+    """(embedded vehicle or None, name, hash)."""
+    if section is None:
+        return None, "", ""
+    section = _mapping("vehicle", section)
+    check_keys("vehicle.", section, ["name", "hash", "parameters"], required=["name", "hash"])
+    name, digest = (_text(f"vehicle.{key}", section[key]) for key in ("name", "hash"))
+    if "parameters" not in section:
+        return None, name, digest
+    try:
+        vehicle = VehicleParameters.from_document(section["parameters"])
+    except ConfigurationError as error:
+        raise ConfigurationError(f"vehicle.parameters: {error}") from None
+    if vehicle.hash != digest:
+        raise ConfigurationError(f"vehicle.hash: {digest[:12]} is not that of vehicle.parameters, {vehicle.hash[:12]}; "
+                                 "restore the car the effects were found with")
+    return vehicle, name, digest
+
+
+def _provenance(section: Any) -> Provenance:
+    section = _mapping("provenance", section or {})
+    check_keys("provenance.", section, ["date", "version", "data", "note"])
+    data = {str(k): _text(f"provenance.data.{k}", v)
+            for k, v in _mapping("provenance.data", section.get("data") or {}).items()}
+    texts = {key: _text(f"provenance.{key}", section.get(key, "")) for key in ("date", "version", "note")}
+    return Provenance(data=data, **texts)
+
+
+def _mapping(where: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ConfigurationError(f"{where}: not a section of `key: value`; see docs/effects.md")
+    return value
+
+
+def _text(where: str, value: Any) -> str:
+    # A date that is not quoted is one already for YAML.
+    if isinstance(value, bool | int | float | list | dict) or value is None:
+        raise ConfigurationError(f"{where}: {value!r} is not a text; put it in quotes")
+    return str(value)

@@ -1,0 +1,127 @@
+"""model.yaml: read back what was written, and say file, key and limit of every mistake."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from st_core.augmented import augment
+from st_core.effects import EFFECTS, applicable
+from st_core.errors import ConfigurationError
+from st_core.model_file import Estimate, ModelFile, Provenance
+from st_core.models import MODELS
+from st_core.prediction import predict
+from st_core.types import ControlInput, VehicleState
+
+STATE, HELD = VehicleState(0.0, 0.0, 12.0, 0.1, 0.3, 0.2), ControlInput(0.08, -0.5)
+PROVENANCE = Provenance("2026-11-21", "0.1.0", {"run one.ncom": "ab12", 'with "quotes".mf4': "cd34"},
+                        "fitted: 7 runs, ü")
+
+
+def written(leaf, embed=True) -> ModelFile:
+    model = augment("nonlinear", {"steering_lag": {"time_constant": 0.08}, "crosswind": {"wind_x": 1e-7, "wind_y": 5.0},
+                                  "friction": {"factor": 0.85}})
+    intervals = {("steering_lag", "time_constant"): (0.07, 0.09), ("crosswind", "wind_y"): (4.0, 6.5)}
+    return ModelFile.of(model, leaf, PROVENANCE, intervals, source="fit to two runs", embed=embed)
+
+
+MINIMAL = """
+base: linear
+effects:
+  mass:
+    factor: {value: 1.1, unit: "1"}
+"""
+
+
+@pytest.mark.parametrize("embed", [True, False])
+def test_what_is_written_is_read_back(leaf, embed):
+    file = written(leaf, embed)
+    again = ModelFile.from_yaml(file.to_yaml(), "model.yaml")
+    assert again == file and again.hash == file.hash and again.provenance == PROVENANCE
+    assert (again.vehicle.hash if again.vehicle else "") == (leaf.hash if embed else "")
+    assert again.vehicle_hash == leaf.hash
+    assert again.effects["steering_lag"]["time_constant"] == Estimate(0.08, (0.07, 0.09), "fit to two runs")
+    assert again.effects["crosswind"]["wind_x"].interval is None and again.effects["crosswind"]["arm"].value == 0.25
+    path = predict(again.model(), leaf, STATE, HELD)
+    np.testing.assert_array_equal(path.states, predict(file.model(), leaf, STATE, HELD).states)
+
+
+@pytest.mark.parametrize("base", MODELS)
+def test_every_effect_survives_the_file(leaf, base):
+    file = ModelFile.of(augment(base, applicable(base)), leaf, Provenance())
+    again = ModelFile.from_yaml(file.to_yaml())
+    assert again == file and again.model().values == file.model().values
+
+
+def test_a_file_written_by_hand_needs_little():
+    file = ModelFile.from_yaml(MINIMAL)
+    assert file.model().values["mass"]["factor"] == 1.1
+    assert (file.vehicle, file.vehicle_hash, file.provenance.date) == (None, "", "")
+    assert ModelFile.from_yaml("base: linear\neffects: {}").model().effects == ()
+    dated = ModelFile.from_yaml(MINIMAL + "provenance: {date: 2026-11-21}\n")  # YAML makes a date of it
+    assert dated.provenance.date == "2026-11-21"
+
+
+def test_hash_is_of_what_changes_a_prediction(leaf):
+    file = written(leaf)
+    assert replace(file, provenance=Provenance(), vehicle=None).hash == file.hash
+    changes = {"base": "linear", "effects": {}, "vehicle_hash": "0"}
+    assert len({file.hash, *(replace(file, **{k: v}).hash for k, v in changes.items())}) == 4
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("base: nonlinear", "base: bicycle", r"unknown model 'bicycle'"),
+    ("base: nonlinear", "base: linear", r"effect friction: does not apply to a linear model"),
+    ("base: nonlinear\n", "", r"base: missing"),
+    ("base: nonlinear", "base: 3", r"base: 3 is not a text"),
+    ("provenance:", "provenence:", r"provenence: unknown key, did you mean provenance\?"),
+    ("steering_lag:", "steering_lagg:", r"unknown effect 'steering_lagg', did you mean steering_lag\?"),
+    ("time_constant:", "time:", r"effects\.steering_lag\.time: unknown key"),
+    ("value: 0.08", "value: 0.8", r"effects\.steering_lag\.time_constant: 0\.8 is outside 0 to 0\.5 s"),
+    ("value: 0.08", "value: fast", r"effects\.steering_lag\.time_constant: 'fast' is not a number"),
+    ("value: 0.08, ", "", r"effects\.steering_lag\.time_constant\.value: missing"),
+    ('unit: "s"', 'unit: "ms"', r"effects\.steering_lag\.time_constant: unit 'ms' is not s; convert"),
+    ("[0.07, 0.09]", "[0.09, 0.07]", r"interval: \[0\.09, 0\.07\] is not \[low, high\] around the value 0\.08"),
+    ("[0.07, 0.09]", "0.01", r"interval: 0\.01 is not \[low, high\]"),
+    ("value: 0.08", "value: 0.081", r"hash: .* is not that of the content"),
+    ("value: 1590.0", "value: 1600.0", r"vehicle\.hash: .* is not that of vehicle\.parameters"),
+    ("mass: {value: 1590.0", "mass: {value: 1.0", r"vehicle\.parameters: mass: 1 is outside"),
+    ("date:", "day:", r"provenance\.day: unknown key"),
+    ('"ab12"', "12", r"provenance\.data\.run one\.ncom: 12 is not a text"),
+    ("  steering_lag:", "  mass: 3\n  steering_lag:", r"effects\.mass: not a section"),
+    ("effects:", "effects: [", r"not valid YAML, line"),
+    ("    wind_x:", "    wind_y: {value: 1.0, unit: m/s}\n    wind_x:", r"wind_y: given twice"),
+])
+def test_mistakes_name_file_key_and_limit(leaf, old, new, message):
+    text = written(leaf).to_yaml()
+    assert old in text
+    with pytest.raises(ConfigurationError, match=rf"^model\.yaml: .*{message}") as caught:
+        ModelFile.from_yaml(text.replace(old, new, 1), "model.yaml")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "- 1", "linear", "base: linear", "base: linear\neffects: [mass]"])
+def test_what_is_no_model_file_is_said_so(text):
+    with pytest.raises(ConfigurationError, match=r"^m: (the file: not a section|effects)"):
+        ModelFile.from_yaml(text, "m")
+
+
+def test_edited_by_hand_is_accepted_without_the_hash(leaf):
+    lines = written(leaf).to_yaml().replace("value: 0.08", "value: 0.081").splitlines()
+    file = ModelFile.from_yaml("\n".join(line for line in lines if not line.startswith("hash:")))
+    assert file.effects["steering_lag"]["time_constant"].value == 0.081
+
+
+def test_another_car_is_refused(leaf):
+    file = written(leaf)
+    file.check_vehicle(leaf, "leaf.yaml")
+    ModelFile.from_yaml(MINIMAL).check_vehicle(leaf, "leaf.yaml")
+    with pytest.raises(ConfigurationError, match=r"vehicle\.hash: the values hold for .*, heavy\.yaml is .*; take"):
+        file.check_vehicle(replace(leaf, mass=1700.0), "heavy.yaml")
+
+
+def test_plain_yaml_tools_read_it(leaf):
+    document = yaml.safe_load(written(leaf).to_yaml())
+    assert document["effects"]["crosswind"]["wind_x"]["value"] == 1e-7
+    assert document["vehicle"]["parameters"]["mass"]["value"] == 1590.0
+    assert set(document["effects"]) <= set(EFFECTS)
