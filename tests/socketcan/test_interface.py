@@ -1,90 +1,163 @@
-"""A real SocketCAN with a virtual interface: kernel filters and stamps, link down and up, interface removed and back.
+"""The receive side while its interface goes down, comes up, vanishes and returns. On a real SocketCAN."""
 
-Needs a kernel with AF_CAN and the rights to make an interface (`ip link add type vcan`).
-"""
-
-import shutil
-import socket
-import struct
-import subprocess
+import os
+import threading
 import time
+from pathlib import Path
 
+import can
 import pytest
 from canedge_bridge.error_frames import BusState
-from canedge_bridge.transport import id_filters, open_bus
+from canedge_bridge.transport import id_filters, link_is_up, open_bus
+from ros_processes import wait_for
 
-NAME = "stvcan0"
-
-
-def ip(*words):
-    command = [shutil.which("ip") or "/sbin/ip", "link", *words]
-    return subprocess.run(command, check=False, capture_output=True, text=True)
+pytestmark = pytest.mark.socketcan
 
 
-@pytest.fixture
-def interface():
-    try:
-        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
-    except OSError as error:
-        pytest.skip(f"no CAN in this kernel: {error}")
-    made = ip("add", NAME, "type", "vcan")
-    if made.returncode:
-        pytest.skip(f"no virtual CAN interface can be made here: {made.stderr.strip()}")
-    ip("set", NAME, "up")
-    yield NAME
-    ip("del", NAME)
+def wait_for_state(receiver, wanted):
+    wait_for(lambda: receiver.status().state is wanted, what=f"{wanted}, it is {receiver.status()}")
 
 
-def raw_error_frame(name, identifier):
-    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as sender:
-        sender.bind((name,))
-        sender.send(struct.pack("=IB3x8s", 0x20000000 | identifier, 8, bytes(8)))
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
 
 
-def test_kernel_filters_and_stamps(interface, frame):
-    with open_bus("socketcan", interface) as sender, \
-            open_bus("socketcan", interface, id_filters([(0x002, False), (0x284, False)])) as bus:
-        before = time.time()
-        for identifier in (0x001, 0x002, 0x283, 0x284, 0x7FF):
-            sender.send(frame(identifier, "01"))
-        arrived = [bus.recv(5.0) for _ in range(2)]
-        assert [m.arbitration_id for m in arrived] == [0x002, 0x284]
-        assert bus.recv(0.1) is None
-        assert all(before - 1e-5 <= m.timestamp <= time.time() for m in arrived)
-
-
-def test_the_life_of_an_interface(interface, frame, start_receiver, until):
-    receiver = start_receiver(lambda: open_bus("socketcan", interface, id_filters([(2, False)])),
-                              network_interface=interface, silence=0.5)
-
-    def send(identifier):
-        with open_bus("socketcan", interface) as sender:
-            sender.send(frame(identifier, "01"))
-
-    def state(wanted):
-        return until(lambda: receiver.status().state is wanted)
-
-    assert until(lambda: receiver.status().opened == 1)
-    send(2)
-    assert state(BusState.OK)
-    raw_error_frame(interface, 0x040)
-    assert state(BusState.BUS_OFF)
+def test_the_life_of_an_interface(interface, start_receiver):
+    receiver = start_receiver(filters=id_filters([(2, False)]))
+    wait_for(lambda: receiver.status().opened == 1)
+    interface.send(2)
+    wait_for_state(receiver, BusState.OK)
+    interface.send_error(0x040)
+    wait_for_state(receiver, BusState.BUS_OFF)
     assert receiver.status().last_error == "bus-off"
-    send(2)
-    assert state(BusState.OK)
-    ip("set", interface, "down")
-    assert state(BusState.DOWN)
-    ip("set", interface, "up")
-    assert state(BusState.SILENT)
-    send(2)
-    assert state(BusState.OK)
+    interface.send(2)
+    wait_for_state(receiver, BusState.OK)
+    interface.down()
+    wait_for_state(receiver, BusState.DOWN)
+    interface.up()
+    wait_for_state(receiver, BusState.SILENT)
+    interface.send(2)
+    wait_for_state(receiver, BusState.OK)
     assert receiver.status().opened == 1
-    ip("del", interface)
-    assert state(BusState.GONE)
-    ip("add", interface, "type", "vcan")
-    ip("set", interface, "up")
-    assert state(BusState.SILENT)
-    send(2)
-    assert state(BusState.OK)
+    interface.delete()
+    wait_for_state(receiver, BusState.GONE)
+    interface.create()
+    wait_for_state(receiver, BusState.SILENT)
+    interface.send(2)
+    wait_for_state(receiver, BusState.OK)
     assert receiver.status().opened == 2
     assert receiver.status().callback_errors == 0
+
+
+def test_absent_at_start(interface, start_receiver):
+    interface.delete()
+    receiver = start_receiver()
+    wait_for(lambda: receiver.status().failures >= 2)
+    assert [state for state, _ in receiver.states] == [BusState.GONE]
+    interface.create()
+    wait_for_state(receiver, BusState.SILENT)
+    interface.send(2, b"\1")
+    wait_for(lambda: receiver.seen)
+    assert receiver.status().opened == 1
+
+
+def test_down_at_start(interface, start_receiver):
+    interface.down()
+    assert link_is_up(interface.name) is False
+    receiver = start_receiver()
+    wait_for_state(receiver, BusState.DOWN)
+    interface.up()
+    wait_for_state(receiver, BusState.SILENT)
+    interface.send(2, b"\1")
+    wait_for(lambda: receiver.seen)
+    assert receiver.status().state is BusState.OK
+
+
+def test_down_and_up_ten_times_on_one_socket(interface, start_receiver):
+    receiver = start_receiver()
+    wait_for(lambda: receiver.status().opened == 1)
+    for k in range(10):
+        interface.down()
+        interface.up()
+        interface.send(k + 1)
+        wait_for(lambda k=k: len(receiver.seen) == k + 1)
+    assert [frame.arbitration_id for frame, _ in receiver.seen] == list(range(1, 11))
+    assert receiver.status().opened == 1
+
+
+def test_deleted_and_made_anew_leaves_no_socket_behind(interface, start_receiver):
+    receiver = start_receiver()
+    wait_for(lambda: receiver.status().opened == 1)
+    before = open_files()
+    for k in range(4):
+        interface.delete()
+        wait_for_state(receiver, BusState.GONE)
+        interface.create()
+        wait_for(lambda k=k: receiver.status().opened == k + 2)
+        interface.send(2)
+        wait_for_state(receiver, BusState.OK)
+    wait_for(lambda: open_files() == before, what=f"{open_files()} files are open, {before} were")
+
+
+def test_renamed_away_and_back(interface, start_receiver):
+    """As udev may do with an adapter: the open socket would follow it, but it was asked for by its name."""
+    receiver = start_receiver()
+    wait_for(lambda: receiver.status().opened == 1)
+    name = interface.name
+    interface.down()
+    interface.rename("stother0")
+    interface.up()
+    wait_for_state(receiver, BusState.GONE)
+    interface.down()
+    interface.rename(name)
+    interface.up()
+    wait_for_state(receiver, BusState.SILENT)
+    interface.send(2)
+    wait_for_state(receiver, BusState.OK)
+
+
+def test_pulled_out_and_put_back_under_full_load(interface, start_receiver):
+    receiver = start_receiver()
+    wait_for(lambda: receiver.status().opened == 1)
+    done = threading.Event()
+
+    def load():
+        while not done.is_set():
+            try:
+                with open_bus("socketcan", interface.name) as bus:
+                    while not done.is_set():
+                        bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=bytes(8)))
+                        time.sleep(0.0005)
+            except (OSError, can.CanError):
+                time.sleep(0.01)
+
+    sender = threading.Thread(target=load)
+    sender.start()
+    try:
+        for k in range(3):
+            wait_for_state(receiver, BusState.OK)
+            interface.delete()
+            wait_for(lambda k=k: BusState.GONE in [state for state, _ in receiver.states[k:]])
+            interface.create()
+            count = receiver.status().frames
+            wait_for(lambda count=count: receiver.status().frames > count + 50)
+    finally:
+        done.set()
+        sender.join()
+    assert receiver.status().callback_errors == 0
+
+
+@pytest.mark.parametrize("trouble", ["down", "delete"])
+def test_stop_does_not_wait_for_the_interface(trouble, interface, start_receiver):
+    receiver = start_receiver()
+    wait_for(lambda: receiver.status().opened == 1)
+    getattr(interface, trouble)()
+    wait_for(lambda: receiver.status().state in (BusState.DOWN, BusState.GONE))
+    receiver.stop()
+    assert not any(thread.name == "can receiver" for thread in threading.enumerate())
+
+
+def test_no_such_interface_is_an_error_of_one_line(interface):
+    with pytest.raises(OSError, match="No such device") as trouble:
+        open_bus("socketcan", "no-such-can")
+    assert os.strerror(trouble.value.errno) == "No such device"

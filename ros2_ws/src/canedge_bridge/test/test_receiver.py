@@ -1,7 +1,7 @@
 """The receive thread on real buses (virtual, loopback), and its answers to what drivers raise.
 
 What a driver raises when an interface goes down or vanishes is scripted here with the errors SocketCAN gives, because
-most test machines have no CAN in their kernel; test_socketcan.py provokes the same on a real one.
+most test machines have no CAN in their kernel; tests/socketcan provokes the same on a real one.
 """
 
 import errno

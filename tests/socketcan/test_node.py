@@ -1,0 +1,197 @@
+"""The whole canedge_bridge process on a real SocketCAN: frames in, topics and diagnostics out, over DDS."""
+
+import os
+import signal
+import time
+from collections import defaultdict
+from contextlib import suppress
+
+import can
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="no ROS here")
+pytest.importorskip("st_msgs.msg", reason="the workspace is not built")
+
+from canedge_bridge.transport import open_bus  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from ros_processes import Processes  # noqa: E402
+from st_msgs.msg import CanFrames, Steering, WheelSpeeds  # noqa: E402
+from support import ROOT  # noqa: E402
+from vcan import REMOTE_FLAG  # noqa: E402
+
+pytestmark = [pytest.mark.socketcan, pytest.mark.ros]
+
+OK, WARN, ERROR = 0, 1, 2
+
+
+class Rig:
+    """The node as a process, and everything it has published so far."""
+
+    def __init__(self, processes, interface, can_files, **parameters):
+        dbc, signals = can_files
+        given = {"interface": "socketcan", "channel": interface.name, "dbc_file": dbc, "signals_file": signals,
+                 "vehicle_file": ROOT / "config" / "vehicle" / "leaf.yaml", "silence_after": 0.5, **parameters}
+        self.processes = processes
+        self.process = processes.node("canedge_bridge", "canedge_bridge", *(f"{k}:={v}" for k, v in given.items()))
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=int(processes.environment["ROS_DOMAIN_ID"]))
+        self.node = rclpy.create_node("rig", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.seen = defaultdict(list)
+        for topic, kind in (("vehicle/steering", Steering), ("vehicle/wheel_speeds", WheelSpeeds),
+                            ("can/frames", CanFrames), ("/diagnostics", DiagnosticArray)):
+            self.node.create_subscription(kind, topic, self.seen[topic].append, 1000)
+
+    def wait_for(self, condition, seconds=60.0):
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, f"{self.check('bus')}; {self.processes.log('canedge_bridge')}"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def more(self, topic, count=5):
+        """Waits for that many further messages and returns them."""
+        seen = self.seen[topic]
+        start = len(seen)
+        self.wait_for(lambda: len(seen) >= start + count)
+        return seen[start:]
+
+    def check(self, name):
+        """(level, message) of the newest check of that name; (None, "") before the first."""
+        for array in reversed(self.seen["/diagnostics"]):
+            for status in array.status:
+                if status.name == f"canedge_bridge: {name}":
+                    return status.level[0], status.message
+        return None, ""
+
+    def wait_for_check(self, name, level, words=""):
+        self.wait_for(lambda: self.check(name)[0] == level and words in self.check(name)[1])
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def start(interface, can_files, tmp_path):
+    """start(parameter=value, ...) -> Rig"""
+    processes, rigs = Processes(tmp_path), []
+
+    def begin(**parameters) -> Rig:
+        rigs.append(Rig(processes, interface, can_files, **parameters))
+        return rigs[-1]
+
+    yield begin
+    processes.close()
+    for rig in rigs:
+        rig.close()
+
+
+@pytest.fixture
+def steer(interface, decoder):
+    """steer() -> a task that sends steering at 100 Hz and front wheel speeds at 50 Hz from inside the kernel."""
+    buses = []
+
+    def begin(angle=0.2):
+        bus = open_bus("socketcan", interface.name)
+        buses.append(bus)
+        steering = [decoder.encode("Leaf_Steering", {"steering_wheel_angle": angle}, k) for k in range(16)]
+        speeds = [decoder.encode("Leaf_WheelSpeedFront", {"vehicle_speed": 8.0}, k) for k in range(256)]
+        bus.send_periodic(speeds, 0.02)
+        return bus.send_periodic(steering, 0.01)
+
+    yield begin
+    for bus in buses:
+        with suppress(can.CanError):  # its interface may be gone
+            bus.shutdown()
+
+
+def test_from_the_kernel_to_the_topics(start, steer):
+    rig = start()
+    steer(0.2)
+    messages = rig.more("vehicle/steering", 100)
+    assert all(m.valid and m.steering_wheel_angle == pytest.approx(0.2, abs=1e-3) for m in messages)
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+    assert stamps == sorted(set(stamps))
+    assert rig.more("vehicle/wheel_speeds")[-1].vehicle_speed == pytest.approx(8.0)
+    rig.wait_for_check("bus", OK)
+    rig.wait_for_check("signals", OK)
+    assert rig.processes.stop(rig.process, signal.SIGTERM) == 0
+
+
+def test_down_up_deleted_and_made_anew_under_a_running_node(start, steer, interface):
+    rig = start()
+    rig.wait_for_check("bus", WARN, "no frame yet")
+    steer()
+    rig.more("vehicle/steering")
+    interface.down()
+    rig.wait_for_check("bus", ERROR, "down")
+    interface.up()
+    rig.more("vehicle/steering")  # the kernel's own sender goes on by itself
+    rig.wait_for_check("bus", OK)
+    interface.delete()
+    rig.wait_for_check("bus", ERROR, "gone")
+    interface.create()
+    steer()
+    assert all(m.valid for m in rig.more("vehicle/steering", 20)[1:])
+    rig.wait_for_check("bus", OK)
+    assert rig.process.poll() is None
+    assert rig.processes.stop(rig.process) == 0
+    assert "Traceback" not in rig.processes.log("canedge_bridge")
+
+
+def test_started_before_the_interface_exists(start, steer, interface):
+    interface.delete()
+    rig = start()
+    rig.wait_for_check("bus", ERROR, "gone")
+    interface.create()
+    steer()
+    rig.more("vehicle/steering")
+    rig.wait_for_check("bus", OK)
+    assert rig.processes.stop(rig.process) == 0
+
+
+def test_bus_off_is_told_and_heals(start, steer, interface):
+    """The interface has no controller that could go off: its error frames, and the silence after them, are real."""
+    rig = start()
+    rig.wait_for_check("bus", WARN, "no frame yet")
+    interface.send_error(0x004, bytes.fromhex("0020000000000000"))
+    rig.wait_for_check("bus", WARN, "error-passive: controller (transmit error-passive)")
+    interface.send_error(0x040)
+    rig.wait_for_check("bus", ERROR, "bus-off")
+    steer()
+    rig.more("vehicle/steering")
+    rig.wait_for_check("bus", OK)
+    assert rig.processes.stop(rig.process) == 0
+
+
+def test_every_frame_on_the_bus_is_recorded_as_it_was(start, interface):
+    rig = start(publish_frames=True)
+    rig.wait_for_check("bus", WARN, "no frame yet")
+    interface.send(0x123, b"\1\2\3")
+    interface.send_fd(0x123, bytes(64))
+    interface.send(REMOTE_FLAG | 0x124)
+    interface.send_error(0x040)
+    interface.send(0x80000000 | 0x18FEF100, bytes(8))
+    rig.wait_for(lambda: sum(len(m.frames) for m in rig.seen["can/frames"]) >= 4)
+    frames = [f for m in rig.seen["can/frames"] for f in m.frames]
+    assert [(f.id, f.is_extended, f.is_remote, f.is_error, bytes(f.data)) for f in frames] == [
+        (0x123, False, False, False, b"\1\2\3"), (0x124, False, True, False, b""),
+        (0x040, False, False, True, bytes(8)), (0x18FEF100, True, False, False, bytes(8))]
+    assert rig.processes.stop(rig.process) == 0
+
+
+def test_a_node_that_was_halted_goes_on_where_the_bus_is(start, steer):
+    """SIGSTOP for longer than the receive buffer lasts; then what is published is new again."""
+    rig = start()
+    steer()
+    rig.more("vehicle/steering")
+    os.kill(rig.process.pid, signal.SIGSTOP)
+    halted = time.time()
+    time.sleep(4.0)
+    os.kill(rig.process.pid, signal.SIGCONT)
+    rig.wait_for(lambda: (seen := rig.seen["vehicle/steering"]) and seen[-1].header.stamp.sec > halted + 5)
+    assert rig.more("vehicle/steering", 20)[-1].valid
+    assert rig.processes.stop(rig.process) == 0
