@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from support import ROOT
 
 
 def executable(package: str, name: str) -> str:
@@ -47,9 +48,9 @@ class Processes:
         self._running: list[subprocess.Popen] = []
 
     def start(self, command: list[str], name: str) -> subprocess.Popen:
-        """Output goes to NAME.log."""
+        """Runs in the root of the repository; output goes to NAME.log."""
         with (self.folder / f"{name}.log").open("wb") as log:
-            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=self.environment)
+            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=self.environment, cwd=ROOT)
         self._running.append(process)
         return process
 

@@ -52,7 +52,7 @@ class Parameter:
             if not isinstance(value, Sequence) or isinstance(value, str):
                 raise ConfigurationError(f"{self.name}: {value!r} is not a list")
             return [str(v) for v in value] if all(isinstance(d, str) for d in self.default) else list(value)
-        if not isinstance(value, expected):
+        if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
             raise ConfigurationError(f"{self.name}: {value!r} is a {type(value).__name__}, {expected.__name__} wanted")
         if self.choices and value not in self.choices:
             raise ConfigurationError(f"{self.name}: {value!r} is not {self.limit()}")

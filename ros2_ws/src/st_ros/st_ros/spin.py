@@ -25,7 +25,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
     once before it is destroyed; it can still publish).
     """
     stop = _StopRequest()
-    node = None
+    node = executor = None
     status = 0
     try:
         # rclpy's own handlers shut the context down at once: no last word could be published.
@@ -49,6 +49,8 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
             if hasattr(node, "close"):
                 node.close()
             status = status or getattr(node, "exit_status", 0)
+            if executor is not None:
+                executor.shutdown()  # left to the interpreter's exit, its destructor may find its context gone and complain
             node.destroy_node()
         rclpy.try_shutdown()
     return status

@@ -59,6 +59,7 @@ class EvaluatorNode(Node):
         self.create_timer(WORK_PERIOD, self._work, clock=steady)
         self.create_timer(SUMMARY_PERIOD, self._publish_summary, clock=steady)
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
+        self.get_logger().info(f"scores {', '.join(self._models)} with {self._vehicle.name}")
 
     def _open_bag(self, values, settings) -> tuple[BagWriter | None, dict[str, int]]:
         if not values.output_directory:

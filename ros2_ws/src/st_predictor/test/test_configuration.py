@@ -1,0 +1,139 @@
+"""config/nodes.yaml and the launch files against what the nodes declare and the packages install."""
+
+import ast
+import importlib
+import math
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+
+from ros_processes import Processes, wait_for
+from st_predictor import params
+from st_ros.parameters import BUILT_IN, Parameter
+from support import ROOT
+
+pytestmark = pytest.mark.ros
+LAUNCH = ROOT / "ros2_ws" / "src" / "st_predictor" / "launch"
+LAUNCH_FILES = sorted(LAUNCH.glob("*.launch.py"))
+NODES_YAML = ROOT / "config" / "nodes.yaml"
+
+
+def declared() -> dict[str, tuple[Parameter, ...]]:
+    return {
+        "predictor": params.PREDICTOR,
+        "evaluator": params.EVALUATOR,
+        "recorder": params.RECORDER,
+        "oxts_bridge": importlib.import_module("oxts_bridge.settings").PARAMETERS,
+        "canedge_bridge": importlib.import_module("canedge_bridge.node").PARAMETERS,
+    }
+
+
+def test_every_parameter_stands_in_the_file_and_no_other() -> None:
+    document = yaml.safe_load(NODES_YAML.read_text())
+    assert document.keys() == declared().keys()
+    for node, table in declared().items():
+        assert document[node].keys() == {"ros__parameters"}
+        assert document[node]["ros__parameters"].keys() == {p.name for p in table}, node
+
+
+def test_values_of_the_file_are_the_defaults() -> None:
+    document = yaml.safe_load(NODES_YAML.read_text())
+    for node, table in declared().items():
+        for parameter in table:
+            value = parameter.check(document[node]["ros__parameters"][parameter.name])
+            if parameter.name.endswith("_file") and value:
+                assert (ROOT / value).is_file(), f"{node}.{parameter.name}"
+            elif isinstance(value, float) and math.isnan(value):
+                assert math.isnan(parameter.default), f"{node}.{parameter.name}"
+            else:
+                assert value == parameter.default, f"{node}.{parameter.name}"
+
+
+def test_every_value_has_a_comment_with_its_range() -> None:
+    """The range of the table is the range a person reads."""
+    text = NODES_YAML.read_text()
+    for node, table in declared().items():
+        section = re.search(rf"^{node}:\n(.*?)(?=^\w|\Z)", text, re.S | re.M).group(1)
+        for parameter in table:
+            line = re.search(rf"(?:^ *# .*\n)?^ +{parameter.name}:.*$", section, re.M).group(0)
+            assert "#" in line, f"{node}.{parameter.name}"
+            if math.isfinite(parameter.minimum) and isinstance(parameter.default, float):
+                numbers = re.search(r"\((-?[\d.e]+|-pi) to (-?[\d.e]+|pi)", line).groups()
+                shown = [float(n.replace("pi", f"{math.pi}")) for n in numbers]
+                assert shown == pytest.approx([parameter.minimum, parameter.maximum]), f"{node}.{parameter.name}"
+
+
+@pytest.mark.parametrize("file", LAUNCH_FILES, ids=lambda f: f.name)
+def test_launch_file_compiles(file: Path) -> None:
+    compile(file.read_text(), file.name, "exec")
+
+
+def calls(file: Path, *functions: str) -> list[ast.Call]:
+    tree = ast.parse(file.read_text())
+    return [n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") in functions]
+
+
+def test_launched_nodes_are_installed_and_their_parameters_exist() -> None:
+    nodes = {tuple(a.value for a in call.args[:2]) for call in calls(LAUNCH / "car.launch.py", "suite_node")}
+    assert {executable for _, executable in nodes} == declared().keys()
+    for package, executable in nodes:
+        setup = (ROOT / "ros2_ws" / "src" / package / "setup.py").read_text()
+        assert re.search(rf"'{executable} = {package}\.", setup), f"{package} installs no {executable}"
+    overrides = [[a.value for a in call.args[:2]] for call in calls(LAUNCH / "car.launch.py", "text", "number")
+                 if all(isinstance(a, ast.Constant) for a in call.args[:2])]
+    assert len(overrides) >= 10
+    for node, name in overrides:
+        assert name in BUILT_IN or name in {p.name for p in declared()[node]}, f"{node}.{name}"
+    literal = re.findall(r'"(\w+):(\w+):=', (LAUNCH / "car.launch.py").read_text())
+    assert literal == [("recorder", "configuration_files")]
+    assert "configuration_files" in {p.name for p in params.RECORDER}
+
+
+def test_launch_arguments_that_are_used_are_declared() -> None:
+    declared_by_car = {call.args[0].value for call in calls(LAUNCH / "car.launch.py", "argument")}
+    used = {call.args[0].value for call in calls(LAUNCH / "car.launch.py", "LaunchConfiguration")}
+    assert used == declared_by_car
+    for file in LAUNCH_FILES:
+        if file.name == "car.launch.py":
+            continue
+        (include,) = calls(file, "IncludeLaunchDescription")
+        handed = {k.value for d in ast.walk(include) if isinstance(d, ast.Dict) for k in d.keys}
+        assert handed <= declared_by_car, file.name
+
+
+def test_virtual_leaf_knows_every_option_it_is_launched_with() -> None:
+    text = (LAUNCH / "sim.launch.py").read_text()
+    options = set(re.findall(r'"(--[a-z-]+)"', text))
+    assert "--scenario" in options
+    setup = (ROOT / "ros2_ws" / "src" / "st_sim" / "setup.py").read_text()
+    module, function = re.search(r"virtual_leaf = ([\w.]+):(\w+)", setup).groups()
+    program = f"import sys; sys.argv = ['virtual_leaf', '--help']; from {module} import {function}; {function}()"
+    shown = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert options <= set(re.findall(r"--[a-z-]+", shown.stdout))
+
+
+def test_all_nodes_start_from_the_file(processes: Processes) -> None:
+    """rcl reads it: NaN, empty lists and all; each node says it is up and ends with status 0."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    arguments = ("--params-file", str(NODES_YAML))
+    nodes = [
+        processes.node("oxts_bridge", "oxts_bridge", f"oxts_bridge:udp_port:={port}", arguments=arguments),
+        processes.node("canedge_bridge", "canedge_bridge", "canedge_bridge:interface:=udp_multicast",
+                       f"canedge_bridge:channel:=239.74.163.{1 + port % 250}", arguments=arguments),
+        processes.node("st_predictor", "predictor", arguments=arguments),
+        processes.node("st_predictor", "evaluator", arguments=arguments),
+        processes.node("st_predictor", "recorder", f"recorder:output_directory:={processes.folder / 'bag'}",
+                       arguments=arguments),
+    ]
+    for name in declared():
+        wait_for(lambda name=name: f"[{name}]" in processes.log(name), what=f"{name} up: {processes.log(name)}")
+    assert [processes.stop(node) for node in nodes] == [0] * 5, [processes.log(name) for name in declared()]

@@ -1,0 +1,122 @@
+"""Messages to plain values and back."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+pytest.importorskip("st_msgs", reason="needs the built workspace")
+
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message, serialize_message
+from st_core.prediction import Start, predict
+from st_core.types import STATE_NAMES, ControlInput, InsSample, Trajectory, VehicleState
+from st_core.vehicle import VehicleParameters
+from st_msgs.msg import Prediction
+from st_predictor import convert
+from st_predictor.bag_metadata import INFINITE_NS
+from st_ros.stamps import from_nanoseconds
+from support import ROOT
+
+pytestmark = pytest.mark.ros
+TIME_NS = 1_790_000_000_123_456_789
+VEHICLE = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").read_text())
+
+
+def odometry(yaw: float = 2.0, frame: str = "map") -> Odometry:
+    message = Odometry()
+    message.header.stamp, message.header.frame_id = from_nanoseconds(TIME_NS), frame
+    pose, twist = message.pose.pose, message.twist.twist
+    pose.position.x, pose.position.y, pose.position.z = 10.0, -20.0, 3.0
+    pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    twist.linear.x, twist.linear.y, twist.angular.z = 8.0, 0.1, -0.3
+    return message
+
+
+def test_odometry_is_the_ins_sample() -> None:
+    sample = convert.ins_sample(odometry(), "map")
+    assert sample == pytest.approx(InsSample(TIME_NS, 10.0, -20.0, 2.0, 8.0, 0.1, -0.3), rel=1e-15)
+    assert sample.time_ns == TIME_NS
+
+
+def test_roll_and_pitch_leave_the_yaw() -> None:
+    """Yaw of the z-y-x sequence: a car on a slope points where it points."""
+    yaw, pitch, roll = 1.2, 0.2, -0.3
+    message = odometry()
+    cy, sy, cp, sp, cr, sr = (f(a / 2) for a in (yaw, pitch, roll) for f in (math.cos, math.sin))
+    q = message.pose.pose.orientation
+    q.w, q.x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    q.y, q.z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    assert convert.ins_sample(message, "map").yaw == pytest.approx(yaw)
+
+
+def test_odometry_that_cannot_be_used_says_why() -> None:
+    assert "'odom'" in convert.ins_sample(odometry(frame="odom"), "map")
+    message = odometry()
+    message.twist.twist.linear.y = math.nan
+    assert "NaN" in convert.ins_sample(message, "map")
+    message = odometry()
+    message.pose.pose.position.x = math.inf
+    assert "infinite" in convert.ins_sample(message, "map")
+    message = odometry()
+    message.pose.pose.orientation.w = message.pose.pose.orientation.z = 0.0
+    assert "unit quaternion" in convert.ins_sample(message, "map")
+
+
+def start_and_trajectory() -> tuple[Start, Trajectory]:
+    state = VehicleState(1.0, 2.0, 9.0, 0.2, 3.0, 0.4)
+    inputs = ControlInput(0.05, -0.5)
+    return Start(TIME_NS, state, inputs), predict("nonlinear", VEHICLE, state, inputs)
+
+
+def test_prediction_survives_the_wire() -> None:
+    start, trajectory = start_and_trajectory()
+    message = convert.prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "ab" * 32)
+    again = deserialize_message(serialize_message(message), Prediction)
+    start_ns, state, inputs, read = convert.read_prediction(again)
+    assert (start_ns, state, inputs, read.step) == (TIME_NS, start.state, start.inputs, 0.05)
+    np.testing.assert_array_equal(read.states, trajectory.states)
+    assert (again.model, again.configuration_hash, again.header.frame_id) == ("nonlinear", "ab" * 32, "map")
+
+
+def test_prediction_that_cannot_be_used_says_why() -> None:
+    start, trajectory = start_and_trajectory()
+
+    def broken(**changes) -> str:
+        message = convert.prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "")
+        for name, value in changes.items():
+            setattr(message, name, value)
+        return convert.read_prediction(message)
+
+    assert "length" in broken(yaw=[0.0, 1.0])
+    assert "step" in broken(step=0.0)
+    assert "step" in broken(step=math.nan)
+    assert "start state" in broken(x=[math.nan] * 101)
+    assert "length" in broken(**{name: [] for name in STATE_NAMES})
+
+
+def test_path_is_reused_and_complete() -> None:
+    start, trajectory = start_and_trajectory()
+    builder = convert.PathBuilder("map", 101)
+    builder.fill(TIME_NS - 10**9, Trajectory(0.05, trajectory.states + 5.0), VEHICLE)
+    path = builder.fill(start.time_ns, trajectory, VEHICLE)
+    for k, pose in enumerate(path.poses):
+        x, y, _, _, yaw, _ = trajectory.states[k]
+        assert pose.pose.position.x == pytest.approx(x - 0.398 * math.cos(yaw))
+        assert pose.pose.position.y == pytest.approx(y - 0.398 * math.sin(yaw))
+        assert pose.pose.orientation.z == pytest.approx(math.sin(yaw / 2))
+        assert pose.pose.orientation.w == pytest.approx(math.cos(yaw / 2))
+        assert pose.header.stamp == from_nanoseconds(TIME_NS + k * 50_000_000)
+
+
+def test_qos_in_the_words_of_a_bag() -> None:
+    plain = convert.recorded_qos(QoSProfile(depth=50))
+    assert (plain.reliability, plain.durability) == ("reliable", "volatile")
+    assert (plain.history, plain.depth) == ("keep_last", 50)
+    assert (plain.deadline_ns, plain.lifespan_ns, plain.liveliness_lease_ns) == (INFINITE_NS,) * 3
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=2))
+    assert convert.recorded_qos(latched).durability == "transient_local"
+    assert convert.recorded_qos(latched).to_entry()["deadline"] == {"sec": 2, "nsec": 0}

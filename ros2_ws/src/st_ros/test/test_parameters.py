@@ -1,0 +1,61 @@
+"""Checks of one parameter; the whole of `declare` is tested by the nodes that refuse to start."""
+
+import math
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+
+from st_ros.parameters import ConfigurationError, Parameter, read_yaml_parameters
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.mark.parametrize(("default", "given", "expected"), [
+    (1.0, 2, 2.0), (1.0, 2.5, 2.5), (1, 3, 3), (True, False, False), ("a", "b", "b"),
+    ([], None, []), ([], ["x"], ["x"]), (["a"], ["b", "c"], ["b", "c"]), ([0.0], [1.0, 2.0], [1.0, 2.0]),
+])
+def test_value_in_the_declared_type(default, given, expected) -> None:
+    value = Parameter("p", default, "").check(given)
+    assert value == expected
+    assert type(value) is type(expected)
+
+
+@pytest.mark.parametrize(("default", "given"), [
+    (1.0, "fast"), (1.0, True), (1, 1.5), (1, True), ("a", 5), (["a"], "a"), (True, 1), (1.0, None),
+])
+def test_wrong_type_is_refused(default, given) -> None:
+    with pytest.raises(ConfigurationError, match=r"^p: "):
+        Parameter("p", default, "").check(given)
+
+
+def test_range_is_inclusive_and_named_with_its_unit() -> None:
+    parameter = Parameter("p", 1.0, "", "m/s", 0.5, 2.0)
+    assert [parameter.check(v) for v in (0.5, 2.0)] == [0.5, 2.0]
+    for value in (0.499, 2.001, math.inf, math.nan):
+        with pytest.raises(ConfigurationError, match=r"outside 0\.5 to 2 m/s"):
+            parameter.check(value)
+
+
+def test_nan_stands_for_not_given_where_it_is_the_default() -> None:
+    parameter = Parameter("p", math.nan, "", "1", 1.0, 60.0)
+    assert math.isnan(parameter.check(math.nan))
+    with pytest.raises(ConfigurationError, match="outside 1 to 60"):
+        parameter.check(0.0)
+
+
+def test_choices() -> None:
+    parameter = Parameter("p", "a", "", choices=("a", "b"))
+    assert parameter.check("b") == "b"
+    with pytest.raises(ConfigurationError, match="one of a, b"):
+        parameter.check("c")
+
+
+def test_values_of_a_node_in_a_file(tmp_path) -> None:
+    file = tmp_path / "p.yaml"
+    file.write_text("""
+/**: {ros__parameters: {a: 1, b: 1}}
+node: {ros__parameters: {b: 2}}
+other: {ros__parameters: {a: 5}}
+""")
+    assert read_yaml_parameters(file, "node") == {"a": 1, "b": 2}
