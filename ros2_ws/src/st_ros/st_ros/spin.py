@@ -50,7 +50,8 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
                 node.close()
             status = status or getattr(node, "exit_status", 0)
             if executor is not None:
-                executor.shutdown()  # left to the interpreter's exit, its destructor may find its context gone and complain
+                # Left to the interpreter's exit, its destructor may find the context gone and complain.
+                executor.shutdown()
             node.destroy_node()
         rclpy.try_shutdown()
     return status
