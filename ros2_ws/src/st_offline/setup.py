@@ -6,7 +6,7 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"": ["py.typed"]},
+    package_data={"": ["py.typed", "*.jinja"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/st_offline"]),
         ("share/st_offline", ["package.xml"]),

@@ -222,15 +222,17 @@ def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
             model, vehicle, states, angle[:, 0].copy(), acceleration[:, 0].copy(), step * steps, step)
     errors = {key: position_errors(t, *measured, vehicle) for key, t in trajectories.items()}
     known_ins, known_steering = np.isfinite(acceleration).all(axis=1), np.isfinite(angle).all(axis=1)
-    incomplete = {"INS not known over the horizon": ~known_ins,
-                  "steering not known over the horizon": known_ins & ~known_steering}
+    complete, ended = known_ins & known_steering, times[:, -1] > signals.end_ns
+    incomplete = {"the recording ends before the horizon": ended,
+                  "INS not known over the horizon": ~known_ins & ~ended,
+                  "steering not known over the horizon": known_ins & ~known_steering & ~ended}
     conditions = {
         "speed": speed[:, ::2].mean(axis=1), "lateral_acceleration": (speed * yaw_rate)[:, ::2].mean(axis=1),
         "velocity_x_dot": acceleration[:, ::2].mean(axis=1),
         "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / (0.5 * step)).mean(axis=1)),
         "heading_change": yaw[:, -1] - yaw[:, 0],
     }
-    conditions = {name: np.where(known_ins & known_steering, values, np.nan) for name, values in conditions.items()}
+    conditions = {name: np.where(complete, values, np.nan) for name, values in conditions.items()}
     return Block(errors, trajectories, conditions, {name: int(b.sum()) for name, b in incomplete.items() if b.any()})
 
 

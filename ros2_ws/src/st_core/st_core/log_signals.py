@@ -4,6 +4,7 @@ The vectorised counterpart of `alignment.MeasurementHistory`: at the same instan
 same numbers. Checked by: test_log_signals.py.
 """
 
+from copy import copy
 from typing import Literal
 
 import numpy as np
@@ -24,9 +25,27 @@ class LogSignals:
 
     def __init__(self, log: DriveLog, maximum_gap: float, filter_cutoff: float, acceleration: Acceleration = "causal"):
         self.log = log
+        self.maximum_gap = maximum_gap
         self._gap_ns = round(maximum_gap / NANOSECOND)
+        self._filter: tuple[float, Acceleration] = (filter_cutoff, acceleration)
         _, self.velocity_x_dot = filtered_derivative(
             log.ins_time_ns, log.velocity_x, filter_cutoff, maximum_gap, acceleration)
+
+    def of(self, log: DriveLog) -> "LogSignals":
+        """Another drive, with the same settings."""
+        same = all(np.may_share_memory(getattr(log, name), getattr(self.log, name))
+                   for name in ("ins_time_ns", "velocity_x")) and len(log.velocity_x) == len(self.log.velocity_x)
+        if not same:
+            return LogSignals(log, self.maximum_gap, *self._filter)
+        other = copy(self)
+        other.log = log
+        return other
+
+    @property
+    def end_ns(self) -> int:
+        """The last instant at which both INS and steering may be known [ns]; 0 without one of them."""
+        times = self.log.ins_time_ns, self.log.steering_time_ns
+        return min(int(t[-1]) if len(t) else 0 for t in times)
 
     def ins_at(self, times_ns: np.ndarray, *names: str) -> list[np.ndarray]:
         """The named INS signals (fields of DriveLog, or velocity_x_dot) at instants of any shape [ns]."""
@@ -35,7 +54,11 @@ class LogSignals:
 
     def road_wheel_angle_at(self, times_ns: np.ndarray) -> np.ndarray:
         """Road wheel angle [rad], left +, at instants of any shape [ns]."""
-        return self._at(self.log.steering_time_ns, [self.log.road_wheel_angle], times_ns)[0]
+        return self.sample(self.log.steering_time_ns, self.log.road_wheel_angle, times_ns)
+
+    def sample(self, time_ns: np.ndarray, values: np.ndarray, wanted_ns: np.ndarray) -> np.ndarray:
+        """Any signal, known at time_ns [ns, rising], at wanted instants of any shape [ns]."""
+        return self._at(time_ns, [values], wanted_ns)[0]
 
     def states_at(self, times_ns: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
         """States at the CG, (n, 6), columns as types.STATE_NAMES; see `frames.ins_to_cg`."""

@@ -138,6 +138,9 @@ def test_starts_that_cannot_be_used_are_counted(leaf):
     assert result.skipped["INS not known"] in (5, 6, 7) and result.skipped["steering not known"] in (3, 4, 5)
     assert len(result.starts_ns) + sum(result.skipped.values()) == len(regular_starts(log, 0.1))
     assert sum(result.incomplete.values()) == (~result.errors["kinematic", "hindsight"].complete).sum() > 20
+    assert result.incomplete["the recording ends before the horizon"] in (10, 11)
+    assert result.incomplete["INS not known over the horizon"] in (9, 10, 11)
+    assert result.incomplete["steering not known over the horizon"] in (9, 10, 11)
     slow = EvaluationSettings(PredictionSettings(horizon=1.0, minimum_speed=9.0))
     assert evaluate_log(["kinematic"], leaf, log, slow).skipped["slower than 9 m/s"] > 20
 

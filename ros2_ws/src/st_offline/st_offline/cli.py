@@ -2,7 +2,7 @@
 
 import typer
 
-from .verbs import align, bench, demo, develop, import_, live, ncom, recover
+from .verbs import align, bench, demo, develop, evaluate, import_, live, ncom, recover
 
 app = typer.Typer(
     name="st",
@@ -15,6 +15,7 @@ app = typer.Typer(
 app.command()(demo.demo)
 app.command()(live.live)
 app.command()(ncom.ncom)
+app.command()(evaluate.evaluate)
 app.command()(align.align)
 app.command("import")(import_.import_)
 app.command()(recover.recover)

@@ -1,0 +1,1 @@
+"""`st evaluate`: recordings in, the paper's table and figures out."""

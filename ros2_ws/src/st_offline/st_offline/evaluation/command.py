@@ -1,0 +1,101 @@
+"""What `st evaluate` does: find the runs, evaluate them with a progress bar, write and show the results."""
+
+import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from ..runs import RunSource, find_runs
+from . import batch
+from .document import Choices, settings_in_words, write_results
+from .overview import finding
+from .tables import terminal_table
+from .work import RunReport, Task
+
+FORMATS = ("png", "pdf", "svg")
+WHAT_IS_WHAT = {
+    "page": "the whole report, one file", "json": "every number, docs/evaluation.md", "table": "the table above",
+    "latex": "the same in the paper's form", "seconds": "by second of the horizon", "bins": "by condition",
+    "manoeuvres": "by part of the drive",
+}
+
+
+class CommandError(RuntimeError):
+    """Nothing can be started; one line for the user."""
+
+
+def results_folder(given: Path | None) -> Path:
+    """A folder that holds nothing yet. Raises CommandError."""
+    folder = given or Path("runs") / f"evaluate-{datetime.now(UTC):%Y%m%d-%H%M%S}"
+    try:
+        if folder.exists() and any(folder.iterdir()):
+            raise CommandError(f"{folder} is not empty: name another --output (nothing is ever overwritten)")
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"{folder}: {error.strerror}") from None
+    return folder.absolute()
+
+
+def run_command(paths: Sequence[Path], task: Task, over: str, vehicle_file: str, workers: int,
+                scheduler: str | None, console: Console) -> int:
+    """Exit status: 0 when every run was evaluated, else 1. Raises CommandError."""
+    unknown = [form for form in task.formats if form not in FORMATS]
+    if unknown:
+        raise CommandError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
+    began = time.perf_counter()
+    sources = find_runs(paths)
+    if not sources:
+        raise CommandError("no recording found")
+    choices = Choices(task, over, vehicle_file)
+    found = evaluate_all(sources, task, workers, scheduler, console)
+    good = [report for report in found if not report.problem]
+    title = finding(good, over) if good else "No run could be evaluated"
+    with console.status("writing the report"):
+        files = write_results(found, choices, title)
+    if good:
+        console.print(terminal_table(good, over, title, console.width))
+    for key, value in settings_in_words(choices).items():
+        console.print(f"[dim]{key}: {value}[/dim]", highlight=False, soft_wrap=True)
+    for key, what in WHAT_IS_WHAT.items():
+        console.print(f"  {files[key]}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
+    failed = [report for report in found if report.problem]
+    for report in failed:
+        console.print(f"[red]{report.name}[/red]: {report.problem}", highlight=False, soft_wrap=True, markup=True)
+    console.print(_times(good, time.perf_counter() - began), highlight=False)
+    return 1 if failed else 0
+
+
+def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
+                 console: Console) -> list[RunReport]:
+    """Every run, in the order of the sources, problems said at once."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    found: dict[str, RunReport] = {}
+    with Progress(*columns, console=console, transient=True) as progress:
+        runs = progress.add_task("runs", total=len(sources))
+        starts = progress.add_task("", visible=False)
+        try:
+            watch = _watcher(progress, starts)
+            for report in batch.reports(sources, task, workers, scheduler, watch):
+                found[report.name] = report
+                progress.advance(runs)
+        except batch.WorkersError as error:
+            raise CommandError(str(error)) from None
+    return [found[source.name] for source in sources]
+
+
+def _watcher(progress: Progress, bar: TaskID) -> Callable[[RunSource], Callable[[int, int], None]]:
+    def watch(source: RunSource) -> Callable[[int, int], None]:
+        progress.update(bar, description=f"{source.name}: reading", total=None, completed=0, visible=True)
+        return lambda done, total: progress.update(bar, description=source.name, total=total, completed=done)
+
+    return watch
+
+
+def _times(reports: Sequence[RunReport], wall: float) -> str:
+    parts = {part: sum(r.seconds.get(part, 0.0) for r in reports) for part in ("read", "predict", "draw")}
+    spent = ", ".join(f"{part} {seconds:.1f} s" for part, seconds in parts.items())
+    hours = sum(r.about["duration"] for r in reports) / 3600.0
+    return f"[dim]{len(reports)} runs, {hours:.2f} h of driving in {wall:.1f} s ({spent})[/dim]"

@@ -1,0 +1,122 @@
+"""Figures into files: PNG and PDF for papers, SVG that takes the page's own colours, light or dark."""
+
+import io
+import itertools
+import re
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+
+from ..style import MEASURED_COLOUR, MODEL_COLOUR, RC
+
+TEXT, GRID = "#1c2126", "#e6e6e6"
+# Colours as the figures have them -> style sheet variables of the page.
+_VARIABLES = {
+    TEXT: "var(--text)", GRID: "var(--rule)", MEASURED_COLOUR: "var(--measured)",
+    **{colour: f"var(--{model})" for model, colour in MODEL_COLOUR.items()},
+}
+SETTINGS = {
+    **RC, "text.color": TEXT, "axes.edgecolor": TEXT, "axes.labelcolor": TEXT, "xtick.color": TEXT, "ytick.color": TEXT,
+    "grid.color": GRID, "svg.fonttype": "none", "svg.hashsalt": "st", "font.family": "sans-serif", "pdf.fonttype": 42,
+}
+WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
+TITLE_LETTERS = 104  # of a line of the title
+PAGE_DPI = 110  # of what is drawn as pixels inside an SVG
+MOST_POINTS = 900  # of a line; more cannot be told apart on 9 inches
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One figure: key for file names, title that states the finding, how to read it, and the SVG for the page."""
+
+    key: str
+    title: str
+    caption: str
+    svg: str
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where figures go: files of these formats in a folder (None: no files); prefix: of their ids on the page."""
+
+    folder: Path | None
+    formats: tuple[str, ...]
+    prefix: str = ""
+
+
+def style():
+    """Context in which every figure is made and saved."""
+    return plt.rc_context(SETTINGS)
+
+
+def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> Drawn:
+    """Save the figure and close it. Files carry the title; on the page it stands beside the figure."""
+    lines = textwrap.wrap(title, TITLE_LETTERS)
+    heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
+    # Laid out once: that takes longer than the drawing.
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    if where.folder is not None and where.formats:
+        where.folder.mkdir(parents=True, exist_ok=True)
+        for form in where.formats:
+            date = {"CreationDate": None} if form == "pdf" else None
+            figure.savefig(where.folder / f"{key}.{form}", metadata=date)
+    width, height = figure.get_size_inches()
+    below = heading.get_window_extent().y0 / figure.dpi
+    heading.set_visible(False)
+    svg = io.StringIO()
+    figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
+                   bbox_inches=Bbox([[0.0, 0.0], [width, min(below, height)]]))
+    plt.close(figure)
+    return Drawn(key, title, caption, page_svg(svg.getvalue(), f"{where.prefix}{key}-"))
+
+
+def page_svg(svg: str, prefix: str) -> str:
+    """The <svg> element for a page: colours as variables, fonts from the page, ids of its own, a third of the size."""
+    svg = svg[svg.index("<svg"):]
+    svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)
+    for colour, variable in _VARIABLES.items():
+        svg = svg.replace(colour, variable)
+    svg = svg.replace("#000000", "var(--text)")
+    svg = re.sub(r"font-family: [^;\"]*;? ?", "", svg)
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
+    svg = re.sub(r'(\bid="|url\(#|xlink:href="#)', rf"\g<1>{prefix}", svg)
+    svg = re.sub(r"-?\d+\.\d{2,}", _short, svg)
+    svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
+    svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r'\1 role="img"', svg, count=1)
+    return re.sub(r"\s*\n\s*", " ", svg)
+
+
+def _short(number: re.Match) -> str:
+    # A tenth of a point in drawings 650 points wide; small numbers are opacities and line widths.
+    value = float(number.group())
+    return f"{value:.1f}" if abs(value) >= 2.0 else f"{value:.3g}"
+
+
+def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A line of at most MOST_POINTS that looks the same: smallest and largest value of each stretch stay."""
+    if len(time) <= MOST_POINTS:
+        return time, values
+    edges = np.linspace(0, len(time), MOST_POINTS // 2 + 1).astype(int)
+    keep = []
+    for a, b in itertools.pairwise(edges.tolist()):
+        part = values[a:b]
+        if np.isnan(part).all():
+            keep.append(a)
+        else:
+            keep += sorted({a + int(np.nanargmin(part)), a + int(np.nanargmax(part))})
+    return time[keep], values[keep]
+
+
+def broken(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same line with a break (NaN) wherever its points are more than `gap` apart."""
+    at = np.flatnonzero(np.diff(time) > gap) + 1
+    return np.insert(time.astype(float), at, np.nan), np.insert(values.astype(float), at, np.nan)

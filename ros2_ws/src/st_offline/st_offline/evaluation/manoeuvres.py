@@ -1,0 +1,100 @@
+"""A drive in parts: labels where the run has them, else turns, circles, straights, braking found in the measurement."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from st_core.log import DriveLog
+
+from ..runs import Label
+
+GRID = 0.1  # s
+SMOOTHING = 1.0  # s, moving average; a double lane change keeps its two sides
+STANDSTILL = 0.5  # m/s
+# A bend begins above the first and ends below the second: a radius of 100 m and 200 m, or a slow car at 0.8 m/s^2.
+CURVATURE = (0.01, 0.005)  # 1/m
+LATERAL_ACCELERATION = (0.8, 0.4)  # m/s^2
+SHORTEST = 1.5  # s; what is shorter belongs to its neighbour
+HARD = 0.7  # m/s^2, mean forward acceleration that makes a straight one of braking or accelerating
+BEND, U_TURN, CIRCLE = np.radians([30.0, 150.0, 240.0])  # heading change from which a bend is a turn, U-turn, circle
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """Part of a drive, [s] after its first INS measurement. heading_change [rad], left +."""
+
+    name: str
+    start: float
+    end: float
+    heading_change: float
+
+
+def manoeuvres(log: DriveLog, labels: Sequence[Label] = ()) -> list[Manoeuvre]:
+    """The labelled parts if there are any, else the ones detected, in order of time."""
+    if len(log.ins_time_ns) < 2:
+        return []
+    time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    if labels:
+        edges = [np.interp((part.start, part.end), time, log.yaw) for part in labels]
+        return [Manoeuvre(part.name, part.start, part.end, float(yaw[1] - yaw[0]))
+                for part, yaw in zip(labels, edges, strict=True)]
+    grid = np.arange(0.0, time[-1] + 0.5 * GRID, GRID)
+    speed, yaw_rate, yaw = (np.interp(grid, time, v) for v in (log.velocity_x, log.yaw_rate, log.yaw))
+    states = _states(_smooth(speed), _smooth(yaw_rate))
+    parts = []
+    for first, last in _stretches(states, round(SHORTEST / GRID)):
+        turned = float(yaw[last] - yaw[first])
+        gained = float(speed[last] - speed[first]) / max(grid[last] - grid[first], GRID)
+        parts.append(Manoeuvre(_name(states[first], turned, gained), float(grid[first]), float(grid[last]), turned))
+    return parts
+
+
+def assign(parts: Sequence[Manoeuvre], middles: np.ndarray) -> list[np.ndarray]:
+    """For each part, which of the horizons with these middles [s] belong to it, as rows of booleans."""
+    return [(middles >= part.start) & (middles < part.end) for part in parts]
+
+
+def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
+    """-2 standing, -1 right, 0 straight, 1 left, with hysteresis."""
+    curvature, lateral = yaw_rate / np.maximum(speed, 1.0), speed * yaw_rate
+    enter = (np.abs(curvature) > CURVATURE[0]) | (np.abs(lateral) > LATERAL_ACCELERATION[0])
+    stay = (np.abs(curvature) > CURVATURE[1]) | (np.abs(lateral) > LATERAL_ACCELERATION[1])
+    sides = np.sign(yaw_rate).astype(int)
+    states = np.zeros(len(speed), int)
+    side = 0
+    for i, (v, begins, goes_on, here) in enumerate(zip(speed, enter, stay, sides, strict=True)):
+        side = here if begins or (goes_on and here == side) else 0
+        states[i] = -2 if v < STANDSTILL else side
+    return states
+
+
+def _stretches(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
+    """(first, last) of equal states; in `states`, a stretch too short for itself joins its longer neighbour."""
+    while True:
+        edges = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]
+        spans = list(itertools.pairwise(edges))
+        short = [(b - a, i) for i, (a, b) in enumerate(spans) if b - a < shortest]
+        if not short or len(spans) == 1:
+            # The last point of a stretch is the first of the next, so that heading changes add up.
+            return [(a, min(b, len(states) - 1)) for a, b in spans]
+        _, i = min(short)
+        neighbours = [j for j in (i - 1, i + 1) if 0 <= j < len(spans)]
+        longest = max(neighbours, key=lambda j: spans[j][1] - spans[j][0])
+        states[slice(*spans[i])] = states[spans[longest][0]]
+
+
+def _name(state: int, turned: float, acceleration: float) -> str:
+    if state == -2:
+        return "standing"
+    size = abs(turned)
+    if state == 0 and size < BEND:
+        return "braking" if acceleration < -HARD else "accelerating" if acceleration > HARD else "straight"
+    shape = "wide curve" if state == 0 else "circle" if size >= CIRCLE else "U-turn" if size >= U_TURN else "turn"
+    return ("left " if (state or turned) > 0 else "right ") + (shape if size >= BEND else "bend")
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    width = min(2 * round(0.5 * SMOOTHING / GRID) + 1, len(values))
+    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
+    return np.convolve(padded, np.full(width, 1.0 / width), mode="valid")

@@ -1,0 +1,257 @@
+"""The figures of one run: segments, errors over time, slip and forces, error against horizon and acceleration."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.lines import Line2D
+from st_core.frames import cg_to_ins_position
+from st_core.log_evaluation import LogEvaluation, evaluate_blocks
+from st_core.log_signals import LogSignals
+from st_core.models import Model
+from st_core.vehicle import VehicleParameters
+
+from ..style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
+from .drawing import TEXT, WIDTH, Drawn, Place, broken, finish, style, thinned
+
+SIDE = {"longitudinal": "ahead", "lateral": "left"}
+AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in SIDE.items()}
+NOTICEABLE = 0.5  # m; half of what is left of a lane beside a car
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What the figures of a run are made from, and where they go. starts: times [s] to look at closely."""
+
+    evaluation: LogEvaluation
+    models: Sequence[Model]
+    vehicle: VehicleParameters
+    signals: LogSignals
+    starts: Sequence[float]
+    place: Place
+
+    @property
+    def name(self) -> str:
+        return self.evaluation.name
+
+    def colour(self, model: str) -> str:
+        return MODEL_COLOUR.get(model, TEXT)
+
+    def line(self, model: str) -> dict[str, Any]:
+        """How matplotlib draws the line of a model."""
+        return {"color": self.colour(model), "ls": MODEL_LINE.get(model, "solid")}
+
+
+def run_figures(drawing: Drawing) -> list[Drawn]:
+    """All figures that this run has data for."""
+    if not any(e.n_starts for e in drawing.evaluation.errors.values()):
+        return []
+    from .slip_figure import slip
+
+    figures = (segments, horizon_means, slip, error_against_horizon, error_against_acceleration)
+    with style():
+        drawn = [make(drawing) for make in figures]
+    return [figure for figure in drawn if figure is not None]
+
+
+def complete_in_all(evaluation: LogEvaluation) -> np.ndarray:
+    """Which starts every model completed in hindsight."""
+    return np.all([e.complete for (_, mode), e in evaluation.errors.items() if mode == "hindsight"], axis=0)
+
+
+def chosen_starts(evaluation: LogEvaluation, wanted: Sequence[float], count: int = 4) -> np.ndarray:
+    """Rows of the complete starts nearest to the wanted times [s], or `count` of them spread over the run."""
+    complete = np.flatnonzero(complete_in_all(evaluation))
+    if not len(complete):
+        return complete
+    if wanted:
+        rows = [complete[np.abs(evaluation.time[complete] - t).argmin()] for t in wanted]
+    else:
+        # Not the very first and last: they say least about the drive.
+        rows = complete[np.linspace(0, len(complete) - 1, count + 2).round().astype(int)[1:-1]]
+    return np.unique(rows)
+
+
+def segments(drawing: Drawing) -> Drawn | None:
+    """Measured and predicted paths from a few starts, and the errors over those horizons: the paper's first figure."""
+    evaluation = drawing.evaluation
+    rows = chosen_starts(evaluation, drawing.starts)
+    if not len(rows):
+        return None
+    starts, length = evaluation.starts_ns[rows], float(evaluation.horizon[-1])
+    _, block = next(evaluate_blocks(drawing.models, drawing.vehicle, drawing.signals, starts, evaluation.settings))
+    figure = plt.figure(figsize=(WIDTH, 5.9))
+    layout = figure.add_gridspec(3, len(rows), height_ratios=(1.75, 1, 1))
+    first: list[plt.Axes | None] = [None, None]
+    for column, (row, start_ns) in enumerate(zip(rows, starts, strict=True)):
+        axes = figure.add_subplot(layout[0, column])
+        _measured_path(axes, drawing, start_ns, length)
+        for model in drawing.models:
+            x, y = _ins_path(block.trajectories[model.name, "hindsight"][column], drawing.vehicle)
+            axes.plot(x, y, **drawing.line(model.name))
+        axes.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {evaluation.conditions['speed'][row]:.1f} m/s",
+                       fontsize=9)
+        axes.set_xlabel("east, m")
+        axes.set_ylabel("" if column else "north, m")
+        for k, axis in ((0, "longitudinal"), (1, "lateral")):
+            axes = figure.add_subplot(layout[1 + k, column], sharey=first[k])
+            first[k] = first[k] or axes
+            axes.axhline(0, color=TEXT, lw=0.6)
+            for model in drawing.models:
+                errors = block.errors[model.name, "hindsight"][column]
+                axes.plot(evaluation.horizon, errors[:, k], **drawing.line(model.name))
+            axes.set_xlim(0, length)
+            axes.set_ylabel("" if column else f"{axis}, m\n(+ = {SIDE[axis]})")
+            axes.set_xlabel("horizon, s" if k else "")
+            axes.tick_params(labelleft=not column)
+    legend(figure, drawing, [Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured, the horizon")])
+    ends = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())
+            for m in drawing.models}
+    worst = ", ".join(f"{model} {value:.2f} m" for model, value in ends.items())
+    these = "these starts" if len(rows) > 1 else "this start"
+    title = f"{drawing.name}: largest distance after {length:g} s from {these}: {worst}"
+    caption = ("Predictions with the measured inputs (hindsight) from chosen starts, and their errors over the "
+               "horizon, along and across the measured heading.")
+    return finish(figure, drawing.place, "segments", title, caption)
+
+
+def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: float) -> None:
+    log, span = drawing.signals.log, round(length * 1e9)
+    inside = slice(*np.searchsorted(log.ins_time_ns, (start_ns, start_ns + span)))
+    around = slice(*np.searchsorted(log.ins_time_ns, (start_ns - span, start_ns + 2 * span)))
+    x, y = log.x[inside], log.y[inside]
+    half = 0.5 * max(np.ptp(x), np.ptp(y)) * 1.15 + 2.0
+    middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
+    near = (np.abs(log.x - middle[0]) < half) & (np.abs(log.y - middle[1]) < half)
+    every = max(1, int(near.sum()) // 400)
+    axes.plot(*(np.where(near, v, np.nan)[::every] for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
+    every = max(1, len(log.x[around]) // 200)
+    axes.plot(log.x[around][::every], log.y[around][::every], color=MEASURED_COLOUR, lw=1.2)
+    every = max(1, len(x) // 100)
+    axes.plot(x[::every], y[::every], color=MEASURED_COLOUR, lw=5, alpha=0.45, solid_capstyle="butt")
+    axes.plot(x[:1], y[:1], "o", ms=4, color=TEXT, zorder=5)
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+
+
+def _ins_path(states: np.ndarray, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
+    return cg_to_ins_position(states[:, 0], states[:, 1], states[:, 4], vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
+
+
+def horizon_means(drawing: Drawing) -> Drawn:
+    """Horizon-mean errors of all models over the start time, and the speed then: the paper's second figure."""
+    evaluation = drawing.evaluation
+    figure, (upper, lower, context) = plt.subplots(
+        3, 1, figsize=(WIDTH, 5.2), height_ratios=(1.3, 1.3, 0.9), sharex=True)
+    for axes, k, axis in ((upper, 0, "longitudinal"), (lower, 1, "lateral")):
+        axes.axhline(0, color=TEXT, lw=0.6)
+        for model in drawing.models:
+            line = evaluation.errors[model.name, "hindsight"].mean[:, k]
+            # Linear and nonlinear often lie on each other: the wider one shows on both sides.
+            width = 2.4 if model.name == "linear" else 1.0
+            axes.plot(*_over_time(evaluation, line), color=drawing.colour(model.name), lw=width)
+        axes.set_ylabel(AXIS_LABEL[axis])
+    speed, lateral = evaluation.conditions["speed"], evaluation.conditions["lateral_acceleration"]
+    context.plot(*_over_time(evaluation, speed), color=TEXT, lw=1.0)
+    context.plot(*_over_time(evaluation, lateral), color=MEASURED_COLOUR, lw=1.0)
+    context.set_ylabel("mean over\nthe horizon")
+    context.set_xlabel("start of the prediction $t_0$, s after the first INS measurement")
+    extra = [Line2D([], [], color=TEXT, lw=1.0, label="speed, m/s"),
+             Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]
+    legend(figure, drawing, extra, solid=True)
+    length = evaluation.horizon[-1]
+    title = f"{drawing.name}: {ranking(evaluation, 'lateral')}"
+    caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), over the time it starts."
+    return finish(figure, drawing.place, "horizon_means", title, caption)
+
+
+def _over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return broken(*thinned(evaluation.time, values), gap=max(1.0, 3.0 * float(np.ptp(evaluation.time)) / 600.0))
+
+
+def error_against_horizon(drawing: Drawing) -> Drawn:
+    """Root mean square error at each point of the horizon, hindsight and forecast."""
+    evaluation = drawing.evaluation
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.4))
+    for axes, k, axis in zip(panels, (0, 1), ("longitudinal", "lateral"), strict=True):
+        for model in drawing.models:
+            for mode, width, alpha in (("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)):
+                line = drawing.line(model.name) | ({"ls": ":"} if mode == "forecast" else {})
+                profile = evaluation.errors[model.name, mode].profile_rmse[:, k]
+                axes.plot(evaluation.horizon, profile, **line, lw=width, alpha=alpha)
+        # The forecast's guess at the driver is many times the model's own error: a logarithm keeps both in sight.
+        axes.set_yscale("log")
+        axes.set_ylim(bottom=0.01)
+        axes.set_xlim(0, evaluation.horizon[-1])
+        axes.set_xlabel("horizon, s")
+        axes.set_ylabel(f"{axis} RMSE, m")
+        axes.yaxis.set_major_formatter("{x:g}")
+    legend(figure, drawing, [Line2D([], [], color=TEXT, lw=0.9, ls=":", label="forecast: inputs held")])
+    parts = []
+    for model in drawing.models:
+        profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
+        beyond = np.flatnonzero(profile > NOTICEABLE)
+        parts.append(f"{model.name} " + (f"after {evaluation.horizon[beyond[0]]:.1f} s" if len(beyond) else "never"))
+    title = f"{drawing.name}: lateral RMSE exceeds {NOTICEABLE:g} m in hindsight: {', '.join(parts)}"
+    caption = ("RMSE over all starts at each point of the horizon. Hindsight: measured inputs, what the model is to "
+               "blame for. Forecast: inputs held, what a planner has.")
+    return finish(figure, drawing.place, "error_against_horizon", title, caption)
+
+
+def error_against_acceleration(drawing: Drawing) -> Drawn:
+    """Horizon means against the mean lateral acceleration of the horizon: points, and their median in steps."""
+    evaluation = drawing.evaluation
+    lateral = evaluation.conditions["lateral_acceleration"]
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+    largest: dict[str, tuple[float, float]] = {}
+    for axes, k, axis in zip(panels, (0, 1), ("longitudinal", "lateral"), strict=True):
+        axes.axhline(0, color=TEXT, lw=0.6)
+        for model in drawing.models:
+            errors = evaluation.errors[model.name, "hindsight"]
+            value = errors.mean[:, k]
+            known = np.flatnonzero(errors.complete)
+            shown = known[:: max(1, len(known) // 1000)]
+            # As pixels: a thousand points as shapes would be most of the page.
+            axes.plot(lateral[shown], value[shown], ".", ms=3, alpha=0.3, color=drawing.colour(model.name), mew=0,
+                      rasterized=True)
+            middles, medians = _medians(lateral[known], value[known])
+            axes.plot(middles, medians, **drawing.line(model.name), lw=1.6)
+            if axis == "lateral" and len(medians):
+                at = int(np.abs(medians).argmax())
+                largest[model.name] = (float(medians[at]), float(middles[at]))
+        axes.set_xlabel("mean lateral acceleration, m/s² (+ = left)")
+        axes.set_ylabel(AXIS_LABEL[axis])
+    legend(figure, drawing, [Line2D([], [], color=TEXT, marker=".", ls="", ms=4, label="one start")])
+    parts = [f"{model} {value:+.2f} m at {at:+.1f} m/s²" for model, (value, at) in largest.items()]
+    title = f"{drawing.name}: largest median lateral error: {', '.join(parts)}"
+    caption = "Horizon means in hindsight; the lines are medians of steps of 0.5 m/s² that hold at least five starts."
+    return finish(figure, drawing.place, "error_against_acceleration", title, caption)
+
+
+def _medians(x: np.ndarray, y: np.ndarray, width: float = 0.5, least: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    steps = np.round(x / width).astype(int)
+    found = [(s * width, np.median(y[steps == s])) for s in np.unique(steps) if (steps == s).sum() >= least]
+    return np.array([f[0] for f in found]), np.array([f[1] for f in found])
+
+
+def ranking(evaluation: LogEvaluation, axis: str) -> str:
+    """One sentence: RMSE of every model in hindsight, the best first, and how much worse the worst is."""
+    values = sorted((evaluation.errors[m, "hindsight"].statistics(axis)[2], m) for m in evaluation.models)
+    values = [(v, m) for v, m in values if math.isfinite(v)]
+    if not values:
+        return "no complete horizon"
+    text = f"{axis} RMSE of the horizon means: " + ", ".join(f"{m} {v:.2f} m" for v, m in values)
+    ratio = values[-1][0] / max(values[0][0], 1e-6)
+    return text + (f" ({ratio:.1f} times)" if len(values) > 1 and ratio > 1.15 else "")
+
+
+def legend(figure: plt.Figure, drawing: Drawing, extra: Sequence[Line2D], solid: bool = False,
+           models: Sequence[Model] | None = None) -> None:
+    """Below the figure: the models, and what else it shows. solid: whether all models are drawn as whole lines."""
+    handles = [Line2D([], [], **drawing.line(m.name) | ({"ls": "solid"} if solid else {}), label=m.name)
+               for m in (drawing.models if models is None else models)]
+    figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)

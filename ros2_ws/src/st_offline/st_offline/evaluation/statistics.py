@@ -1,0 +1,94 @@
+"""What evaluation.json says of one run: plain values, from the arrays of a LogEvaluation. docs/evaluation_json.md."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from st_core.binning import bins
+from st_core.log_evaluation import AXES, MODES, LogEvaluation, ModelErrors
+
+from .manoeuvres import Manoeuvre, assign
+
+KINDS = ("mean", "max", "rmse")
+
+Entry = dict[str, Any]
+
+
+def entry(errors: ModelErrors, select: np.ndarray | None = None) -> Entry:
+    """Statistics over horizon means, and under `samples` over all points of all horizons; None where nothing counts."""
+    chosen = errors.complete if select is None else errors.complete & select
+    count = int(chosen.sum())
+    return {
+        "n_starts": count,
+        "n_incomplete": int((~errors.complete if select is None else ~errors.complete & select).sum()),
+        **{axis: _kinds(*errors.statistics(axis, "means", chosen)) for axis in AXES},
+        "samples": {"n_starts": count, **{axis: _kinds(*errors.statistics(axis, "samples", chosen)) for axis in AXES}},
+    }
+
+
+def by_model(evaluation: LogEvaluation, select: np.ndarray | None = None) -> dict[str, dict[str, Entry]]:
+    """{model: {mode: entry}}."""
+    return {model: {mode: entry(evaluation.errors[model, mode], select) for mode in MODES}
+            for model in evaluation.models}
+
+
+def by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]]]:
+    """{model: {mode: {second: {axis: {mean, max, rmse}}}}}: the error at 1, 2, ... s, over the complete starts."""
+    return {model: {mode: _seconds(evaluation.errors[model, mode]) for mode in MODES} for model in evaluation.models}
+
+
+def _seconds(errors: ModelErrors) -> dict[str, Entry]:
+    values = errors.at_seconds[errors.complete]
+    if not len(values):
+        return {}
+    return {str(k + 1): {axis: _kinds(float(v.mean()), float(np.abs(v).max()), float(np.sqrt(np.square(v).mean())))
+                         for axis, v in zip(AXES, values[:, k].T, strict=True)} for k in range(values.shape[1])}
+
+
+def by_bin(evaluation: LogEvaluation) -> list[Entry]:
+    """One entry for each bin that holds a start; see st_core.binning."""
+    return [{"quantity": b.quantity, "label": b.label, "low": b.low, "high": b.high,
+             "models": by_model(evaluation, b.select)} for b in bins(evaluation)]
+
+
+def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[Manoeuvre]) -> list[Entry]:
+    """One entry for each part of the drive; a start belongs to the part that holds the middle of its horizon."""
+    middles = evaluation.time + 0.5 * float(evaluation.horizon[-1])
+    return [{"name": part.name, "start": part.start, "end": part.end,
+             "heading_change_deg": math.degrees(part.heading_change), "models": by_model(evaluation, rows)}
+            for part, rows in zip(parts, assign(parts, middles), strict=True)]
+
+
+def pooled(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[str, dict[str, Entry]]:
+    """{model: {mode: entry}} of several such documents together, as if their starts were those of one run."""
+    models = dict.fromkeys(model for document in entries for model in document)
+    return {model: {mode: _joined([document[model][mode] for document in entries if model in document])
+                    for mode in MODES} for model in models}
+
+
+def pooled_by(entries: Sequence[Entry], *keys: str) -> list[Entry]:
+    """Entries that agree in `keys` joined into one, in order of first appearance of each."""
+    groups: dict[tuple, list[Entry]] = {}
+    for one in entries:
+        groups.setdefault(tuple(one[key] for key in keys), []).append(one)
+    return [{**{k: v for k, v in group[0].items() if k in {*keys, "low", "high"}}, "count": len(group),
+             "models": pooled([one["models"] for one in group])} for group in groups.values()]
+
+
+def _joined(entries: Sequence[Entry]) -> Entry:
+    joined: Entry = {key: sum(e[key] for e in entries) for key in ("n_starts", "n_incomplete") if key in entries[0]}
+    for axis in AXES:
+        known = [(e["n_starts"], e[axis]) for e in entries if e["n_starts"]]
+        total = sum(n for n, _ in known)
+        joined[axis] = _kinds(
+            sum(n * v["mean"] for n, v in known) / total, max(v["max"] for _, v in known),
+            math.sqrt(sum(n * v["rmse"] ** 2 for n, v in known) / total)) if total else _kinds(*[math.nan] * 3)
+    if "samples" in entries[0]:
+        joined["samples"] = _joined([e["samples"] for e in entries])
+    return joined
+
+
+def _kinds(*values: float) -> Entry:
+    """JSON has no NaN: nothing scored is None."""
+    return {kind: float(v) if math.isfinite(v) else None for kind, v in zip(KINDS, values, strict=True)}

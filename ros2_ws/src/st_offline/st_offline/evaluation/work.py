@@ -1,0 +1,140 @@
+"""One run from its files to its part of the report; runs in this process or in a worker."""
+
+import csv
+import math
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from st_core.errors import StCoreError
+from st_core.log_evaluation import AXES, EvaluationSettings, LogEvaluation, evaluate_log
+from st_core.log_signals import LogSignals
+from st_core.models import Model, get_model
+from st_core.vehicle import VehicleParameters
+
+from ..runs import ReadSettings, RunError, RunSource, read
+from . import statistics
+from .drawing import Drawn, Place
+from .manoeuvres import manoeuvres
+from .run_figures import Drawing, ranking, run_figures
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be done with every run. models: names. starts: times [s] to look at closely, () for a choice.
+
+    folder: gets runs/<name>/ with starts.csv and figures; None: nothing is written. formats: of the figures.
+    """
+
+    vehicle: VehicleParameters
+    models: tuple[str, ...]
+    settings: EvaluationSettings = field(default_factory=EvaluationSettings)
+    read: ReadSettings = field(default_factory=ReadSettings)
+    starts: tuple[float, ...] = ()
+    folder: Path | None = None
+    formats: tuple[str, ...] = ("png", "pdf")
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """What one run contributes; plain values and drawings, so that it can come from another process.
+
+    problem: why there is nothing else. finding: one sentence. about: provenance, counts, alignment, warnings.
+    seconds: wall time by part.
+    """
+
+    name: str
+    problem: str = ""
+    finding: str = ""
+    about: dict[str, Any] = field(default_factory=dict)
+    models: dict[str, Any] = field(default_factory=dict)
+    seconds_ahead: dict[str, Any] = field(default_factory=dict)
+    bins: list[dict[str, Any]] = field(default_factory=list)
+    manoeuvres: list[dict[str, Any]] = field(default_factory=list)
+    figures: list[Drawn] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None) -> RunReport:
+    """Read, evaluate and draw one run. What is wrong with it becomes its `problem`, never an exception."""
+    try:
+        return _evaluate(source, task, progress)
+    except (RunError, StCoreError) as error:
+        return RunReport(source.name, problem=" ".join(str(error).split()))
+    except MemoryError:
+        return RunReport(source.name, problem=f"{source.where}: too large for the memory of this machine")
+    except OSError as error:
+        return RunReport(source.name, problem=f"{error.filename or source.where}: {error.strerror or error}")
+
+
+def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunReport:
+    marks = [time.perf_counter()]
+    run = read(source, task.vehicle, task.read)
+    marks.append(time.perf_counter())
+    models = [get_model(name) for name in task.models]
+    evaluation = evaluate_log(models, task.vehicle, run.log, task.settings, progress=progress)
+    marks.append(time.perf_counter())
+    parts = manoeuvres(run.log, run.labels)
+    if not any(errors.n_starts for errors in evaluation.errors.values()):
+        raise RunError(source.where, _why_nothing(evaluation, run.log.overlap))
+    folder = task.folder / "runs" / slug(source.name) if task.folder else None
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_starts(folder / "starts.csv", evaluation)
+    figures = run_figures(_drawing(task, evaluation, models, run.log, folder))
+    marks.append(time.perf_counter())
+    about = {
+        "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
+        "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
+        "labels": "given" if run.labels else "detected",
+        "alignment": {"verdict": run.alignment.verdict.value, "reasons": list(run.alignment.reasons)},
+        "warnings": list(run.warnings), "provenance": dict(run.provenance),
+    }
+    return RunReport(
+        source.name, "", ranking(evaluation, "lateral"), about, statistics.by_model(evaluation),
+        statistics.by_second(evaluation), statistics.by_bin(evaluation), statistics.by_manoeuvre(evaluation, parts),
+        figures, dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
+
+
+def _drawing(task: Task, evaluation: LogEvaluation, models: list[Model], log, folder: Path | None) -> Drawing:
+    prediction = task.settings.prediction
+    signals = LogSignals(log, prediction.maximum_gap, prediction.filter_cutoff, task.settings.acceleration)
+    place = Place(folder, task.formats, f"{slug(evaluation.name)}-")
+    return Drawing(evaluation, models, task.vehicle, signals, task.starts, place)
+
+
+def _why_nothing(evaluation: LogEvaluation, overlap: float) -> str:
+    length = float(evaluation.horizon[-1])
+    if overlap < length:
+        return f"nothing to score: INS and steering overlap for {overlap:.1f} s, one horizon is {length:g} s"
+    counts = {**evaluation.skipped, **evaluation.incomplete}
+    return "nothing to score: " + ", ".join(f"{reason} ({count} starts)" for reason, count in counts.items())
+
+
+def slug(name: str) -> str:
+    """A name as a file name: letters, digits, dot, dash and underscore."""
+    return re.sub(r"[^\w.-]+", "_", name, flags=re.ASCII).strip(".") or "run"
+
+
+def write_starts(file: Path, evaluation: LogEvaluation) -> None:
+    """One row per prediction: when, under what conditions, and the horizon means of all models; docs/evaluation.md."""
+    columns = {"start_ns": evaluation.starts_ns.astype(str), "t0_s": _text(evaluation.time, 3),
+               **{name: _text(values, 5) for name, values in evaluation.conditions.items()}}
+    for (model, mode), errors in evaluation.errors.items():
+        for k, axis in enumerate(AXES):
+            columns[f"{model}_{mode}_{axis}_mean"] = _text(errors.mean[:, k], 5)
+    with file.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+
+
+def _text(values: np.ndarray, digits: int) -> list[str]:
+    """Numbers as text; nothing where not known."""
+    return ["" if math.isnan(v) else f"{v:.{digits}f}" for v in values.tolist()]

@@ -1,0 +1,86 @@
+"""`st evaluate`: the paper's table and figures from recordings."""
+
+from pathlib import Path
+from typing import Literal
+
+import typer
+
+from ..paths import config
+
+MODELS = ["kinematic", "linear", "nonlinear"]
+
+
+def evaluate(
+    runs: list[Path] = typer.Argument(
+        ..., help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False
+    ),
+    model: list[str] = typer.Option(MODELS, "--model", help="kinematic, linear, nonlinear; repeatable."),
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
+    ),
+    output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
+    at: str = typer.Option("", help="Starts to look at closely, s: 1,10,19,28. Default: four spread over the run."),
+    acceleration: Literal["causal", "zero-phase"] = typer.Option(
+        "causal", help="Filter of the forward speed before its derivative; causal is what the car can do."
+    ),
+    inputs: Literal["interpolate", "hold"] = typer.Option(
+        "interpolate", help="Measured inputs within an integration step: interpolated, or held over it."
+    ),
+    table: Literal["means", "samples"] = typer.Option(
+        "means", help="Statistics shown: over the horizon means, as the paper, or over all samples."
+    ),
+    horizon: float = typer.Option(5.0, help="s, a whole number of steps."),
+    step: float = typer.Option(0.05, help="s, of the integration."),
+    interval: float = typer.Option(0.1, help="s, between starts."),
+    minimum_speed: float = typer.Option(0.5, help="m/s; no prediction starts below."),
+    figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
+    offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
+    dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
+    signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
+    steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
+    workers: int = typer.Option(1, help="Runs evaluated side by side (Dask).", min=1),
+    scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
+) -> None:
+    """Predict every 100 ms of each run with each model, score it against the measurement, write tables and figures.
+
+    A run that cannot be used is named and the others go on. Exit status: 0 all runs evaluated, 1 some not, 2 nothing
+    could be started.
+    """
+    # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
+    from rich.console import Console
+    from st_core.errors import StCoreError
+    from st_core.log_evaluation import EvaluationSettings
+    from st_core.models import get_model
+    from st_core.prediction import PredictionSettings
+    from st_core.vehicle import VehicleParameters
+
+    from ..evaluation.command import CommandError, results_folder, run_command
+    from ..evaluation.work import Task
+    from ..runs import ReadSettings
+
+    vehicle = vehicle or config("vehicle/leaf.yaml")
+    try:
+        prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
+        filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
+        settings = EvaluationSettings(prediction, interval, filtering, inputs)
+        task = Task(
+            vehicle=VehicleParameters.from_yaml(vehicle.read_text(), str(vehicle)),
+            models=tuple(get_model(name).name for name in dict.fromkeys(model)),
+            settings=settings,
+            read=ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset),
+            starts=_numbers(at),
+            folder=results_folder(output),
+            formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
+        )
+        status = run_command(runs, task, table, str(vehicle), workers, scheduler, Console())
+    except (StCoreError, CommandError) as error:
+        typer.echo(f"st evaluate: {error}", err=True)
+        raise typer.Exit(2) from None
+    raise typer.Exit(status)
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        raise typer.BadParameter(f"--at {text!r}: numbers of seconds with commas between are wanted") from None
