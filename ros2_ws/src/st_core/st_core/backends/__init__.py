@@ -1,0 +1,54 @@
+"""Backends: many predictions at once from the functions of a Model, which stay as they are.
+
+A backend is a module with
+
+    LANES                                                       columns are advanced in groups of so many
+    advance(model, p, start, w, offsets, step, points) -> out   RK4 of all columns
+
+    p: `model.parameters(vehicle)`. start: (states, n), n a multiple of LANES. w: (fields, m), as `model.inputs` gives.
+    offsets: (2 * steps + 1,); column i has w[:, offsets[k] + i] at time k * step / 2. points: step numbers, rising.
+    out: (len(points), 6, n), the states there. NaN in a column gives NaN in that column.
+
+numpy_batch needs nothing more than numpy; numba_lanes is five to twenty times faster and needs numba. Neither numba nor
+casadi is imported before it is asked for.
+"""
+
+import importlib.util
+import logging
+from functools import cache
+from types import ModuleType
+
+from ..errors import ConfigurationError
+
+NAMES = ("lanes", "numpy")
+
+
+def get_backend(name: str | None = None) -> ModuleType:
+    """The backend of that name; None: lanes where numba is installed, else numpy, saying so once in one line.
+
+    Raises ConfigurationError for an unknown name, or for lanes without numba.
+    """
+    if name is None:
+        name = "lanes" if has_numba() else "numpy"
+        if name == "numpy":
+            _say_numpy()
+    if name == "numpy":
+        from . import numpy_batch
+        return numpy_batch
+    if name == "lanes":
+        if not has_numba():
+            raise ConfigurationError("backend lanes: numba is not installed; install it or take backend numpy")
+        from . import numba_lanes
+        return numba_lanes
+    raise ConfigurationError(f"unknown backend {name!r}; known are {', '.join(NAMES)}")
+
+
+@cache
+def has_numba() -> bool:
+    """Whether numba is installed; it is not imported to find out."""
+    return importlib.util.find_spec("numba") is not None
+
+
+@cache
+def _say_numpy() -> None:
+    logging.getLogger(__name__).warning("numba is not installed: batches run in numpy, about five times slower")

@@ -1,0 +1,210 @@
+"""Lanes: predictions side by side in vector registers, compiled by numba from the model's own functions.
+
+Every function a model reaches is inlined into one loop over lanes that holds a whole Runge-Kutta step; LLVM turns it
+into vector instructions. Two vectors are worked on at a time, because the chain of operations within one is long.
+Measured: docs/performance.md.
+"""
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any
+
+import llvmlite.binding
+import numba
+import numpy as np
+from numba.core import types
+from numba.core.errors import NumbaError
+from numba.extending import intrinsic
+
+from .. import ops
+from ..models import Model
+from ..types import STATE_NAMES
+from . import numba_cache, numpy_batch, structure
+from .numba_ops import FLAGS, inline
+
+# With 8 the loop over lanes is not vectorised and seven times slower; 16, 32 and 64 are within 10 %.
+LANES = 64
+INTERLEAVE = 2
+STOP = frozenset((ops.__name__,))
+
+_compiled: dict[Any, Any] = {}
+_inlined: set = set()
+_lock = Lock()
+
+
+def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
+            points: np.ndarray) -> np.ndarray:
+    """See the package. A model that numba cannot compile runs in numpy; one line says so."""
+    p = _floats(p)
+    kernel = _kernel(model, p, len(w), len(start))
+    if kernel is None:
+        return numpy_batch.advance(model, p, start, w, offsets, step, points)
+    columns = start.shape[1]
+    out = np.empty((len(points), len(STATE_NAMES), columns))
+    kernel(np.array(list(_leaves(p))), np.ascontiguousarray(start).ravel(), columns, np.ascontiguousarray(w).ravel(),
+           w.shape[1], np.ascontiguousarray(offsets, np.int64), step, np.ascontiguousarray(points, np.int64),
+           out.ravel())
+    return out
+
+
+def _floats(p: Any) -> Any:
+    if not isinstance(p, tuple):
+        return float(p)
+    values = map(_floats, p)
+    return type(p)(*values) if hasattr(p, "_fields") else tuple(values)
+
+
+def _leaves(p: Any) -> Iterator[float]:
+    if isinstance(p, tuple):
+        for value in p:
+            yield from _leaves(value)
+    else:
+        yield p
+
+
+def _kernel(model: Model, p: Any, fields: int, states: int):
+    # Values are not in the key: a fit changes them a thousand times and compiles once.
+    shape = numba.typeof(p)
+    key = (model.rhs, shape, fields, states)
+    with _lock:
+        if key not in _compiled:
+            _compiled[key] = _compile(model, shape, fields, states)
+        return _compiled[key]
+
+
+def _compile(model: Model, shape, fields: int, states: int):
+    for function in structure.reachable(model.rhs, STOP):
+        if function not in _inlined:
+            _inlined.add(inline(function))
+    kernel = _make(model.rhs, _parameters(shape), _load(fields), _load(states), states)
+    try:
+        made_of = structure.fingerprint(model.rhs, STOP)
+        numba_cache.enable(kernel, f"{made_of} {shape} {fields} {states}")
+    except structure.Unnamed:
+        pass  # compiled in every process
+    try:
+        with _interleaved():
+            kernel.compile(SIGNATURE)
+    except NumbaError as error:
+        reason = " ".join(str(error).split())
+        logging.getLogger(__name__).warning("model %s runs in numpy; numba cannot compile it: %.300s", model.name,
+                                            reason)
+        return None
+    return kernel
+
+
+@contextmanager
+def _interleaved() -> Iterator[None]:
+    # LLVM's own choice is one vector at a time. The option is global to the process, so it is taken back.
+    llvmlite.binding.set_option("st_core", f"-force-vector-interleave={INTERLEAVE}")
+    try:
+        yield
+    finally:
+        llvmlite.binding.set_option("st_core", "-force-vector-interleave=0")
+
+
+_ROW, _INDICES = types.float64[::1], types.int64[::1]
+SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, types.float64, _INDICES, _ROW)
+
+
+def _make(rhs, parameters, load_w, load_state, states: int):
+    @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
+    def kernel(values, start, columns, w, row, offsets, step, points, out):
+        p = parameters(values)
+        half, sixth = 0.5 * step, step / 6.0
+        state = np.empty(states * LANES)
+        for first in range(0, columns, LANES):
+            for lane in range(LANES):
+                _store(state, LANES, lane, load_state(start, columns, first + lane))
+            k = 0
+            for wanted in range(len(points)):
+                while k < points[wanted]:
+                    a, b, c = offsets[2 * k] + first, offsets[2 * k + 1] + first, offsets[2 * k + 2] + first
+                    for lane in range(LANES):
+                        s = load_state(state, LANES, lane)
+                        w_middle = load_w(w, row, b + lane)
+                        k1 = rhs(s, load_w(w, row, a + lane), p)
+                        k2 = rhs(_add(s, half, k1), w_middle, p)
+                        k3 = rhs(_add(s, half, k2), w_middle, p)
+                        k4 = rhs(_add(s, step, k3), load_w(w, row, c + lane), p)
+                        increment = _add(_add(k1, 2.0, _add(k2, 1.0, k3)), 1.0, k4)
+                        _store(state, LANES, lane, _add(s, sixth, increment))
+                    k += 1
+                for lane in range(LANES):
+                    place = wanted * SIX * columns + first + lane
+                    for i in range(SIX):
+                        out[place + i * columns] = state[i * LANES + lane]
+    return kernel
+
+
+SIX = len(STATE_NAMES)
+
+
+# The number of states and fields is known when a kernel is made; these move whole tuples of them, lane by lane.
+
+def _parameters(shape):
+    @intrinsic
+    def parameters(_, values):
+        """p, nested as it was, from its numbers in a row."""
+        def generate(context, builder, signature, arguments):
+            row = context.make_array(signature.args[0])(context, builder, arguments[0])
+            place = iter(range(10**9))
+
+            def build(kind):
+                if isinstance(kind, types.BaseTuple):
+                    return context.make_tuple(builder, kind, [build(k) for k in kind.types])
+                return builder.load(builder.gep(row.data, [context.get_constant(types.intp, next(place))]))
+            return build(shape)
+        return shape(values), generate
+    return parameters
+
+
+def _load(count: int):
+    @intrinsic
+    def load(_, table, row, column):
+        """A tuple: table[i * row + column] for i < count."""
+        result = types.UniTuple(types.float64, count)
+
+        def generate(context, builder, signature, arguments):
+            data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+            places = [_place(context, builder, i, *arguments[1:]) for i in range(count)]
+            return context.make_tuple(
+                builder, result, [builder.load(builder.gep(data, [place], inbounds=True)) for place in places])
+        return result(table, types.intp, types.intp), generate
+    return load
+
+
+@intrinsic
+def _store(_, table, row, column, values):
+    """table[i * row + column] = values[i]."""
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        for i, value in enumerate(_numbers(context, builder, signature.args[3], arguments[3])):
+            place = _place(context, builder, i, *arguments[1:3])
+            builder.store(value, builder.gep(data, [place], inbounds=True))
+        return context.get_dummy_value()
+    return types.none(table, types.intp, types.intp, values), generate
+
+
+@intrinsic
+def _add(_, first, factor, second):
+    """first + factor * second, number by number of two tuples."""
+    result = types.UniTuple(types.float64, len(first))
+
+    def generate(context, builder, signature, arguments):
+        left = _numbers(context, builder, signature.args[0], arguments[0])
+        right = _numbers(context, builder, signature.args[2], arguments[2])
+        sums = [builder.fadd(a, builder.fmul(arguments[1], b, flags=FLAGS), flags=FLAGS)
+                for a, b in zip(left, right, strict=True)]
+        return context.make_tuple(builder, result, sums)
+    return result(first, types.float64, second), generate
+
+
+def _numbers(context, builder, kind, value):
+    return [context.cast(builder, builder.extract_value(value, i), k, types.float64) for i, k in enumerate(kind.types)]
+
+
+def _place(context, builder, i, row, column):
+    return builder.add(column, builder.mul(context.get_constant(types.intp, i), row, flags=("nsw",)), flags=("nsw",))

@@ -1,0 +1,133 @@
+"""The vocabulary of `st_core.ops` for numba: branch-free, so that a loop over lanes becomes vector instructions.
+
+Sine, cosine: x = n pi/2 + r, |r| <= pi/4, pi/2 in two parts of which the first has 33 bits: exact to |n| = 2^20, that
+is 1.6e6 rad. Arc tangent: four ranges, in each atan x = base + atan t with |t| <= tan(pi/16), one division. The
+polynomials interpolate at Chebyshev nodes in r^2 or t^2; their relative error is below 4e-17. All in Estrin's form, as
+it is the length of the chain of operations that limits the speed. Checked by: test_backends_lanes.py.
+"""
+
+import math
+
+import numpy as np
+from numba.core import types
+from numba.extending import intrinsic, overload
+
+from .. import ops
+
+# Without nnan and ninf: logs hold NaN, and NaN has to come out. Flags do not spread to callees: every helper has them.
+FLAGS = ("contract", "nsz", "arcp")
+OPTIONS = {"fastmath": set(FLAGS), "error_model": "numpy", "forceinline": True}
+
+SIGN = np.int64(-(2**63))
+MAGNITUDE = np.int64(2**63 - 1)
+ONE = np.int64(0x3FF0000000000000)  # bits of 1.0
+
+ROUND = 1.5 * 2.0**52  # adding it leaves the nearest integer in the low bits
+TWO_OVER_PI = 0.6366197723675814
+HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100509014471e-11
+
+S1, S2, S3 = -0.16666666666666666, 0.008333333333330905, -0.00019841269836710015
+S4, S5, S6 = 2.755731608182638e-06, -2.5051128069891774e-08, 1.591788278413412e-10
+C1, C2, C3 = 0.04166666666666657, -0.0013888888888865072, 2.4801587282473078e-05
+C4, C5, C6 = -2.755731205923296e-07, 2.087538637959625e-09, -1.1341301033703834e-11
+
+A1, A2, A3, A4 = -0.33333333333333237, 0.19999999999759535, -0.1428571418839279, 0.1111109631395563
+A5, A6, A7 = -0.09089834727936934, 0.07652053010009252, -0.05909144496510272
+LOW, HIGH = 0.198912367379658, 5.027339492125846  # tan(pi/16), 1 / tan(pi/16)
+TAN_PI_8 = 0.41421356237309503
+PI_8, THREE_PI_8, HALF_PI = 0.39269908169872414, 1.1780972450961724, 1.5707963267948966
+
+
+def inline(function, implementation=None):
+    """Let compiled code call a plain function, inlined at every call. Returns the function."""
+    @overload(function, jit_options=OPTIONS, strict=False)
+    def typed(*args, **kwargs):
+        return implementation or function
+    return function
+
+
+@intrinsic
+def _bits(_, x):
+    def generate(context, builder, signature, arguments):
+        return builder.bitcast(arguments[0], context.get_value_type(types.int64))
+    return types.int64(types.float64), generate
+
+
+@intrinsic
+def _number(_, x):
+    def generate(context, builder, signature, arguments):
+        return builder.bitcast(arguments[0], context.get_value_type(types.float64))
+    return types.float64(types.int64), generate
+
+
+@inline
+def _sine_cosine(x):
+    """Sine and cosine of r, and n in the low bits of an integer. Called twice for one x it is computed once."""
+    shifted = x * TWO_OVER_PI + ROUND
+    n = shifted - ROUND
+    r = (x - n * HALF_PI_HIGH) - n * HALF_PI_LOW
+    z = r * r
+    z2 = z * z
+    z4 = z2 * z2
+    s = (S1 + z * S2) + z2 * (S3 + z * S4) + z4 * (S5 + z * S6)
+    c = (C1 + z * C2) + z2 * (C3 + z * C4) + z4 * (C5 + z * C6)
+    return r + r * z * s, (1.0 - 0.5 * z) + z2 * c, _bits(shifted)
+
+
+def _sin(x):
+    s, c, n = _sine_cosine(x)
+    return _number(_bits(c if n & 1 else s) ^ ((n & 2) << 62))
+
+
+def _cos(x):
+    s, c, n = _sine_cosine(x)
+    return _number(_bits(s if n & 1 else c) ^ (((n + 1) & 2) << 62))
+
+
+def _tan(x):
+    return ops.sin(x) / ops.cos(x)
+
+
+def _atan(x):
+    # With signed u = +-1 the sign takes part from the start and costs nothing at the end of the chain.
+    a = _number(_bits(x) & MAGNITUDE)
+    u = _number((_bits(x) & SIGN) | ONE)
+    below_one = a < 1.0
+    middle = (a > LOW) & (a < HIGH)
+    n = x if below_one else -u
+    d = 1.0 if below_one else a
+    c = -TAN_PI_8 if below_one else TAN_PI_8
+    c = (c if middle else 0.0) * u
+    near = PI_8 if below_one else THREE_PI_8
+    far = 0.0 if below_one else HALF_PI
+    base = (near if middle else far) * u
+    t = (n + c * d) / (d - c * n)
+    z = t * t
+    z2 = z * z
+    z4 = z2 * z2
+    p = ((A1 + z * A2) + z2 * (A3 + z * A4)) + z4 * ((A5 + z * A6) + z2 * A7)
+    return (base + t) + t * z * p
+
+
+def _sqrt(x):
+    return math.sqrt(x)
+
+
+def _sign(x):
+    return 1.0 if x > 0.0 else -1.0 if x < 0.0 else x
+
+
+def _absolute(x):
+    return _number(_bits(x) & MAGNITUDE)
+
+
+def _maximum(x, limit):
+    return limit if x < limit else x
+
+
+def _minimum(x, limit):
+    return limit if x > limit else x
+
+
+for _name in ops.NAMES:
+    inline(getattr(ops, _name), globals()[f"_{_name}"])

@@ -1,0 +1,100 @@
+"""What a function is made of: every plain function it calls, and all values they hold, found without running it."""
+
+import hashlib
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
+from typing import Any
+
+
+def reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> list[FunctionType]:
+    """The function and all plain functions it can reach, each once, callees first.
+
+    Reached are functions named in its code or held in its closure, also as attribute of a module. stop: modules whose
+    functions are not looked at.
+    """
+    found: dict[FunctionType, None] = {}
+    _collect(function, stop, found, set())
+    return list(found)
+
+
+def _collect(function: FunctionType, stop: frozenset[str], found: dict, seen: set) -> None:
+    if function in seen or function.__module__ in stop:
+        return
+    seen.add(function)
+    for _, value in references(function):
+        if isinstance(value, FunctionType):
+            _collect(value, stop, found, seen)
+    found[function] = None
+
+
+def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """(name, value) of everything outside its own body that the code of a function refers to."""
+    cells = function.__closure__ or ()
+    yield from zip(function.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True)
+    names = _names(function.__code__)
+    for name in names:
+        value = function.__globals__.get(name)
+        if isinstance(value, ModuleType):
+            yield from ((f"{name}.{attribute}", getattr(value, attribute)) for attribute in names
+                        if hasattr(value, attribute))
+        elif name in function.__globals__:
+            yield name, value
+
+
+def _names(code: CodeType) -> list[str]:
+    inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in _names(constant)]
+    return list(dict.fromkeys((*code.co_names, *inner)))
+
+
+class Unnamed(Exception):
+    """A value that has no name which is the same in every process."""
+
+
+def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> str:
+    """sha256 (hex) of a function, of all it can reach, of the values they hold and of the files they are written in.
+
+    The same in every process for the same sources. Raises Unnamed where that cannot be: an object held in a closure
+    that is neither a number, text, tuple, class, module nor plain function.
+    """
+    digest = hashlib.sha256()
+    functions = reachable(function, stop)
+    number = {f: str(i) for i, f in enumerate(functions)}
+    name = partial(_name, number=number, stop=stop)
+    for file in sorted({f.__code__.co_filename for f in functions}):
+        digest.update(hashlib.sha256(_content(file)).digest())
+    for f in functions:
+        held = [f"{key}={name(value)}" for key, value in references(f)]
+        defaults = [name(value) for value in (f.__defaults__ or ())]
+        parts = (f.__module__, f.__qualname__, f.__code__.co_code.hex(), _constants(f.__code__), *held, *defaults)
+        digest.update("\x00".join(parts).encode() + b"\x01")
+    return digest.hexdigest()
+
+
+def _content(file: str) -> bytes:
+    try:
+        return Path(file).read_bytes()
+    except OSError:
+        return b""  # typed in at a prompt: its code and constants are hashed all the same
+
+
+def _constants(code: CodeType) -> str:
+    return repr([_constants(c) + c.co_code.hex() if isinstance(c, CodeType) else c for c in code.co_consts])
+
+
+def _name(value: Any, number: dict[FunctionType, str], stop: frozenset[str]) -> str:
+    if value is None or isinstance(value, bool | int | float | str | bytes):
+        return f"{type(value).__name__}:{value!r}"
+    if isinstance(value, FunctionType):
+        return f"function {number[value]}" if value in number else f"{value.__module__}.{value.__qualname__}"
+    if isinstance(value, ModuleType):
+        return f"module {value.__name__}"
+    if isinstance(value, type):
+        return f"class {value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
+    if isinstance(value, tuple):
+        inner = ",".join(_name(v, number, stop) for v in value)
+        return f"{_name(type(value), number, stop)}({inner})"
+    if isinstance(value, BuiltinFunctionType) and isinstance(value.__self__, ModuleType):
+        return f"{value.__module__}.{value.__qualname__}"
+    raise Unnamed(f"{value!r}")

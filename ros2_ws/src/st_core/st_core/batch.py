@@ -1,0 +1,190 @@
+"""Predictions over a recorded drive, all at once: from a log and start times to states at the horizon points wanted.
+
+The numbers are those of `prediction.predict` with the inputs the log holds; how they are computed is a backend's
+affair. Work goes block by block: besides what is handed back, memory holds the two inputs of the log on the grid, 16
+bytes each half step, and the tables of one block.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from . import frames, stability
+from .backends import get_backend
+from .errors import ConfigurationError
+from .filtering import NANOSECOND
+from .log import DriveLog
+from .log_signals import Acceleration, LogSignals
+from .models import Model, get_model
+from .prediction import step_count
+from .readings import corrected_log, readings
+from .start_grid import Block, plan
+from .types import STATE_NAMES
+from .vehicle import VehicleParameters
+
+Inputs = Literal["measured", "held"]
+Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class LogPrediction:
+    """One model from n starts, at k points of the horizon. starts_ns: (n,). time: (k,) after the start [s].
+
+    states: (n, k, 6) at the CG, columns as STATE_NAMES. NaN from where an input is not known; all NaN where the start
+    state is not.
+    """
+
+    model: Model
+    vehicle: VehicleParameters
+    starts_ns: np.ndarray
+    time: np.ndarray
+    states: np.ndarray
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        """x, y, velocity_x, velocity_y, yaw, yaw_rate: (n, k)."""
+        if name not in STATE_NAMES:
+            raise AttributeError(name)
+        return self.states[:, :, STATE_NAMES.index(name)]
+
+
+def predict_log(model: str | Model, vehicle: VehicleParameters, log: DriveLog | LogSignals, starts_ns: np.ndarray,
+                horizon: float = 5.0, step: float = 0.05, *, inputs: Inputs = "measured",
+                points: Sequence[float] | None = None, substeps: int | Literal["auto"] = 1, backend: str | None = None,
+                maximum_gap: float = 0.1, filter_cutoff: float = 5.0, acceleration: Acceleration = "causal",
+                signals: Signals | None = None) -> LogPrediction:
+    """Predict from many instants of a drive; see `LogBatch` for the arguments and for several models or values."""
+    batch = LogBatch(log, starts_ns, horizon, step, inputs=inputs, points=points, substeps=substeps, backend=backend,
+                     maximum_gap=maximum_gap, filter_cutoff=filter_cutoff, acceleration=acceleration, signals=signals)
+    return batch.predict(model, vehicle)
+
+
+class LogBatch:
+    """Starts in one drive, sampled once, to be predicted with any models, cars and values.
+
+    starts_ns: any instants [ns]. Fastest where they are multiples of half an integration step apart: then everything
+    that depends on the inputs alone is computed once for the log, not for each start.
+    horizon, step [s]. inputs: measured = those of the log over the horizon (hindsight); held = those at the start.
+    points [s]: of the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps in a step;
+    auto = as few as are stable at the speeds of the log. A step too long for those is warned of once.
+    backend: lanes or numpy; None: the fastest there is. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
+    LogSignals; they are taken from there when `log` is one. signals: what a model asks for beyond its inputs,
+    (time [ns], values) by name.
+    Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, substeps
+    below 1 and an unknown backend. Checked by: test_batch.py, against Evaluator and `predict`.
+    """
+
+    def __init__(self, log: DriveLog | LogSignals, starts_ns: np.ndarray, horizon: float = 5.0, step: float = 0.05, *,
+                 inputs: Inputs = "measured", points: Sequence[float] | None = None,
+                 substeps: int | Literal["auto"] = 1, backend: str | None = None, maximum_gap: float = 0.1,
+                 filter_cutoff: float = 5.0, acceleration: Acceleration = "causal", signals: Signals | None = None):
+        if inputs not in ("measured", "held"):
+            raise ConfigurationError(f"inputs: {inputs!r} is neither measured nor held")
+        if substeps != "auto" and (not isinstance(substeps, int) or not 1 <= substeps <= stability.MOST_SUBSTEPS):
+            raise ConfigurationError(f"substeps: {substeps!r} is not auto and outside 1 to {stability.MOST_SUBSTEPS}")
+        self._backend = get_backend(backend)
+        self.signals = log if isinstance(log, LogSignals) else LogSignals(log, maximum_gap, filter_cutoff, acceleration)
+        self.starts_ns = np.asarray(starts_ns, np.int64).ravel()
+        self.step, self.steps = step, step_count(horizon, step)
+        self.points = self._numbers(points)
+        self._inputs, self._substeps, self._others = inputs, substeps, dict(signals or {})
+        self._unique, self._place = np.unique(self.starts_ns, return_inverse=True)
+        self._speeds = self._occurring_speeds()
+        self._sampled: dict[tuple[int, int], list[np.ndarray]] = {}
+
+    def _numbers(self, points: Sequence[float] | None) -> np.ndarray:
+        if points is None:
+            return np.arange(self.steps + 1)
+        wanted = np.asarray(points, float).ravel()
+        numbers = np.round(wanted / self.step).astype(np.int64)
+        if np.any(np.abs(numbers * self.step - wanted) > 1.0e-9) or np.any(np.diff(numbers) <= 0) or not len(numbers) \
+                or numbers[0] < 0 or numbers[-1] > self.steps:
+            raise ConfigurationError(f"points: {list(points)} are not rising multiples of {self.step:g} s within the "
+                                     f"horizon of {self.steps * self.step:g} s")
+        return numbers
+
+    def _occurring_speeds(self) -> tuple[float, ...]:
+        if not len(self._unique):
+            return ()
+        last = int(self._unique[-1]) + round(self.steps * self.step / NANOSECOND)
+        log = self.signals.log
+        used = np.abs(log.velocity_x[slice(*np.searchsorted(log.ins_time_ns, (int(self._unique[0]), last)))])
+        return (float(used.min()), float(used.max())) if len(used) else ()
+
+    @property
+    def time(self) -> np.ndarray:
+        """The horizon points [s]."""
+        return self.step * self.points
+
+    def predict(self, model: str | Model, vehicle: VehicleParameters) -> LogPrediction:
+        """States of one model at the horizon points, (n, k, 6)."""
+        model = get_model(model)
+        for name in model.signals:
+            if name not in self._others:
+                raise ConfigurationError(f"model {model.name} needs the signal {name}, which was not given")
+        count = self._count_substeps(model, vehicle)
+        car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
+        signals = self._corrected(model)
+        result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
+        for block in self._blocks(count):
+            values = self._sample(block, signals, model)
+            states = signals.states_at(block.starts_ns, car).T
+            result[:, :, block.rows] = self._advance(block, values, states, model, p, count)
+        states = result if np.array_equal(self._unique, self.starts_ns) else result[:, :, self._place]
+        return LogPrediction(model, vehicle, self.starts_ns, self.time, states.transpose(2, 0, 1))
+
+    def errors(self, prediction: LogPrediction) -> np.ndarray:
+        """(n, k, 3): longitudinal, lateral [m] and yaw [rad], predicted minus measured, at the INS point.
+
+        As `evaluation.position_errors`; sensor effects of the model are applied to the prediction.
+        """
+        half = np.round(self.points * (self.step / NANOSECOND)).astype(np.int64)
+        x, y, yaw = self.signals.ins_at(self.starts_ns[:, None] + half, "x", "y", "yaw")
+        with np.errstate(all="ignore"):
+            seen = readings(prediction.model, prediction.vehicle, tuple(np.moveaxis(prediction.states, -1, 0)))
+            longitudinal, lateral = frames.map_to_body(seen.x - x, seen.y - y, yaw)
+            return np.stack([longitudinal, lateral, frames.wrap_angle(seen.yaw - yaw)], axis=-1)
+
+    def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
+        if self._substeps == "auto":
+            return stability.substeps_needed(model, vehicle, self._speeds, self.step)
+        stability.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
+        return self._substeps
+
+    def _blocks(self, count: int) -> Iterator[Block]:
+        half_steps = np.arange(2 * self.steps * count + 1) * (0.5 * self.step / count / NANOSECOND)
+        # Held inputs are wanted at the start alone.
+        wanted = np.round(half_steps).astype(np.int64) if self._inputs == "measured" else np.zeros(1, np.int64)
+        return plan(self._unique, wanted, self._backend.LANES)
+
+    def _corrected(self, model: Model) -> LogSignals:
+        log = corrected_log(model, self.signals.log, self.signals.maximum_gap)
+        return self.signals if log is self.signals.log else self.signals.of(log)
+
+    def _sample(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
+        """Road wheel angle, velocity_x_dot and the model's signals at all instants of a block."""
+        key = (block.number, block.times_ns.size)
+        kept = signals is self.signals and block.shared
+        if kept and key in self._sampled:
+            angle, acceleration = self._sampled[key]
+        else:
+            angle = signals.road_wheel_angle_at(block.times_ns)
+            acceleration, = signals.ins_at(block.times_ns, "velocity_x_dot")
+        if kept:
+            self._sampled[key] = [angle, acceleration]
+        others = [signals.sample(*self._others[name], block.times_ns) for name in model.signals]
+        return [angle, acceleration, *others]
+
+    def _advance(self, block: Block, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
+                 substeps: int) -> np.ndarray:
+        angle, acceleration, *others = values
+        with np.errstate(all="ignore"):
+            w = block.table(model.inputs(angle, acceleration, p, *others))
+            start = model.start_state(tuple(states), tuple(w[:, block.offsets[0]:block.offsets[0] + block.count]), p)
+        columns = np.full((len(start), block.columns), np.nan)
+        for column, value in zip(columns, start, strict=True):
+            column[:block.count] = value
+        offsets = block.offsets if self._inputs == "measured" else np.zeros(2 * self.steps * substeps + 1, np.int64)
+        out = self._backend.advance(model, p, columns, w, offsets, self.step / substeps, self.points * substeps)
+        return out[:, :, block.wanted]

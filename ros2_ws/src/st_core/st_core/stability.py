@@ -1,0 +1,101 @@
+"""Whether the integration step is short enough for the stiffness and the speed at hand.
+
+The lateral dynamics of a car become stiffer as it slows down: the damping goes with C / (m v). Under classical
+Runge-Kutta a mode with eigenvalue s is damped as long as |R(h s)| <= 1; beyond that a prediction diverges although the
+car would not. minimum_slip_speed is the models' own floor to that: below it the stiffness stays what it is there.
+"""
+
+import warnings
+from collections.abc import Iterable
+
+import numpy as np
+
+from .models import Model, get_model
+from .vehicle import VehicleParameters
+
+MOST_SUBSTEPS = 64
+FASTEST = 60.0  # m/s, where the search for the lowest stable speed begins
+_LATERAL = (3, 5)  # velocity_y, yaw_rate; and what states follow the six
+_SMALL = 1.0e-5  # of the difference quotients [m/s, rad/s]
+_said: set[tuple[str, str, float]] = set()
+
+
+class StepTooLongWarning(UserWarning):
+    """The integration step leaves the stability region of Runge-Kutta at a speed that occurs."""
+
+
+def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) -> np.ndarray:
+    """Eigenvalues [1/s] of velocity_y, yaw_rate and the extra states about straight driving at a speed [m/s].
+
+    By central differences of the model's own equations. Checked by: test_stability.py, against handling.linear_system.
+    """
+    model = get_model(model)
+    p = model.parameters(vehicle)
+    w = model.inputs(0.0, 0.0, p, *(0.0 for _ in model.signals))
+    state = [float(s) for s in model.start_state((0.0, 0.0, float(speed), 0.0, 0.0, 0.0), w, p)]
+    rows = [*_LATERAL, *range(6, len(state))]
+
+    def derivative(changed: int, by: float) -> np.ndarray:
+        moved = list(state)
+        moved[changed] += by
+        return np.array(model.rhs(tuple(moved), w, p), float)[rows]
+
+    jacobian = [(derivative(row, _SMALL) - derivative(row, -_SMALL)) / (2.0 * _SMALL) for row in rows]
+    return np.linalg.eigvals(np.array(jacobian).T)
+
+
+def growth(model: str | Model, vehicle: VehicleParameters, speed: float, step: float) -> float:
+    """Largest factor per step [1] by which Runge-Kutta lets a mode grow that the car itself damps; <= 1: stable.
+
+        |1 + z + z^2/2 + z^3/6 + z^4/24|,  z = step * eigenvalue, real part of the eigenvalue < 0
+    """
+    modes = lateral_modes(model, vehicle, speed)
+    z = step * modes[modes.real < -1.0e-9]
+    return float(np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))).max(initial=0.0))
+
+
+def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
+    """The speed [m/s] above which steps of `step` [s] are stable; 0 when they are at all speeds, inf when at none.
+
+    With minimum_slip_speed set low, RK4 at 50 ms needs 2.65 m/s for the Leaf and 3.97 m/s for the Genesis.
+    """
+    speeds = np.geomspace(FASTEST, 0.05, 200)
+    unstable = [growth(model, vehicle, v, step) > 1.0 for v in speeds]
+    if not any(unstable):
+        return 0.0
+    first = unstable.index(True)
+    if first == 0:
+        return np.inf
+    low, high = speeds[first], speeds[first - 1]
+    while high - low > 1.0e-6:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if growth(model, vehicle, middle, step) > 1.0 else (low, middle)
+    return float(high)
+
+
+def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
+    """Into how many equal parts a step must be divided to be stable at all the speeds [m/s]; at most MOST_SUBSTEPS."""
+    speeds = list(speeds)
+    for count in range(1, MOST_SUBSTEPS):
+        if all(growth(model, vehicle, v, step / count) <= 1.0 for v in speeds):
+            return count
+    return MOST_SUBSTEPS
+
+
+def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> None:
+    """StepTooLongWarning, once for a model, car and step, when a step [s] is too long at one of the speeds [m/s]."""
+    model = get_model(model)
+    key = (model.name, vehicle.name, step)
+    if key in _said:
+        return
+    factors = {float(v): growth(model, vehicle, v, step) for v in speeds}
+    worst = max(factors, key=factors.get, default=None)
+    if worst is None or factors[worst] <= 1.0:
+        return
+    _said.add(key)
+    enough = substeps_needed(model, vehicle, factors, step)
+    above = lowest_stable_speed(model, vehicle, step)
+    warnings.warn(
+        f"{model.name} model of {vehicle.name}: integration steps of {step * 1e3:g} ms are too long at {worst:.2f} m/s,"
+        f" predictions diverge; stable above {above:.2f} m/s, or with substeps={enough}",
+        StepTooLongWarning, stacklevel=3)

@@ -1,0 +1,114 @@
+"""Start times laid out for a batch: which instants to sample, and where each start finds its own among them.
+
+Windows of starts 0.1 s apart overlap fifty-fold. Where the starts are multiples of half an integration step apart, the
+instants are shared: one grid for the log, stored as [phase, index] of grid point g = index * q + phase, q half steps
+between starts. Then neighbouring starts are neighbours in memory at every instant, and no window is ever copied. Starts
+at odd times get instants of their own in the same layout.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+SHARED_BLOCK = 8192  # starts, 33 000 grid points
+OWN_BLOCK = 2**17  # instants
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some columns of a batch. rows: which of the starts. wanted: the column of each of them.
+
+    starts_ns: (count,) of the columns. times_ns: instants to sample, (m,) where shared, else (instants, columns).
+    offsets: column i has its instant k at `offsets[k] + i` of a row of the table. columns: count made up to a multiple.
+    """
+
+    number: int
+    rows: slice
+    wanted: np.ndarray
+    starts_ns: np.ndarray
+    times_ns: np.ndarray
+    offsets: np.ndarray
+    columns: int
+    spacing: int = 0
+
+    @property
+    def count(self) -> int:
+        return len(self.starts_ns)
+
+    @property
+    def shared(self) -> bool:
+        """Whether starts share instants."""
+        return self.spacing > 0
+
+    def table(self, fields: tuple) -> np.ndarray:
+        """(fields, m): quantities known at times_ns, each an array or a number, in the order `offsets` speaks of."""
+        result = np.empty((len(fields), self.times_ns.size))
+        for row, field in zip(result, fields, strict=True):
+            values = np.broadcast_to(field, self.times_ns.shape)
+            if self.shared:
+                values = values.reshape(-1, self.spacing).T
+            row.reshape(values.shape)[:] = values
+        return result
+
+
+def plan(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
+    """Blocks that cover all starts. starts_ns: rising. instants_ns: after each start, rising from 0."""
+    runs = _runs(starts_ns, instants_ns)
+    columns = sum(_padded(cover, lanes) for _, _, cover in runs)
+    if runs and columns <= 2 * len(starts_ns) + lanes:
+        yield from _shared(starts_ns, instants_ns, lanes, runs)
+    else:
+        yield from _own(starts_ns, instants_ns, lanes)
+
+
+def _runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, int, int]]:
+    """(rows, half steps between columns, columns) of stretches with overlapping windows; empty where there is no grid.
+    """
+    if len(instants_ns) < 2 or not len(starts_ns):
+        return []
+    half, count = int(instants_ns[1]), len(instants_ns)
+    if not np.array_equal(instants_ns, half * np.arange(count)):
+        return []
+    between = np.diff(starts_ns)
+    runs = []
+    for part in np.split(np.arange(len(starts_ns)), np.flatnonzero(between >= half * count) + 1):
+        steps = between[part[0]:part[-1]]
+        if np.any(steps % half):
+            return []
+        spacing = int(np.gcd.reduce(steps // half)) if len(steps) else count
+        cover = int(starts_ns[part[-1]] - starts_ns[part[0]]) // (half * spacing) + 1
+        runs.append((slice(int(part[0]), int(part[-1]) + 1), spacing, cover))
+    return runs
+
+
+def _shared(starts_ns, instants_ns, lanes, runs) -> Iterator[Block]:
+    half, count, number = int(instants_ns[1]), len(instants_ns), 0
+    k = np.arange(count)
+    for rows, spacing, cover in runs:
+        place = (starts_ns[rows] - starts_ns[rows.start]) // (half * spacing)
+        for first in range(0, cover, SHARED_BLOCK):
+            here = min(SHARED_BLOCK, cover - first)
+            begin, end = np.searchsorted(place, (first, first + here)) + rows.start
+            columns = _padded(here, lanes)
+            indices = columns + (count - 1) // spacing
+            origin = int(starts_ns[rows.start]) + first * half * spacing
+            yield Block(number, slice(int(begin), int(end)), place[begin - rows.start:end - rows.start] - first,
+                        origin + half * spacing * np.arange(here), origin + half * np.arange(indices * spacing),
+                        (k % spacing) * indices + k // spacing, columns, spacing)
+            number += 1
+
+
+def _own(starts_ns, instants_ns, lanes) -> Iterator[Block]:
+    count = len(instants_ns)
+    size = _padded(max(min(OWN_BLOCK // count, SHARED_BLOCK), 1), lanes)
+    for number, first in enumerate(range(0, len(starts_ns), size)):
+        starts = starts_ns[first:first + size]
+        columns = _padded(len(starts), lanes)
+        made_up = np.pad(starts, (0, columns - len(starts)), mode="edge")
+        yield Block(number, slice(first, first + len(starts)), np.arange(len(starts)), starts,
+                    instants_ns[:, None] + made_up, np.arange(count) * columns, columns)
+
+
+def _padded(count: int, lanes: int) -> int:
+    return -(-count // lanes) * lanes
