@@ -25,10 +25,15 @@ class MeasurementHistory:
     """
 
     def __init__(self, span: float, maximum_gap: float, filter_cutoff: float):
+        self._settings = span, maximum_gap, filter_cutoff
         self._cutoff = filter_cutoff
         self.ins = TimeSeries(INS_COLUMNS, span, maximum_gap, angles=("yaw",))
         self.steering = TimeSeries(("road_wheel_angle",), span, maximum_gap)
         self.generation = 0
+
+    def like(self) -> "MeasurementHistory":
+        """An empty history with the same settings."""
+        return MeasurementHistory(*self._settings)
 
     def add_ins(self, sample: InsSample) -> bool:
         """Take an INS sample (INS point, see InsSample). False if it was refused."""

@@ -10,6 +10,8 @@ import numpy as np
 from . import frames
 from .alignment import DERIVATIVE, YAW, MeasurementHistory
 from .filtering import NANOSECOND
+from .model_view import ModelView
+from .models import MODELS, Model, get_model
 from .prediction import PredictionSettings, predict
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
@@ -53,8 +55,13 @@ def position_errors(trajectory: Trajectory, x, y, yaw, cg_to_ins_x: float, cg_to
     """
     t = trajectory
     predicted_x, predicted_y = frames.cg_to_ins_position(t.x, t.y, t.yaw, cg_to_ins_x, cg_to_ins_y)
+    return pose_errors(predicted_x, predicted_y, t.yaw, x, y, yaw)
+
+
+def pose_errors(predicted_x, predicted_y, predicted_yaw, x, y, yaw):
+    """As `position_errors`, of what the INS would show against what it showed."""
     longitudinal, lateral = frames.map_to_body(predicted_x - x, predicted_y - y, yaw)
-    return longitudinal, lateral, frames.wrap_angle(t.yaw - yaw)
+    return longitudinal, lateral, frames.wrap_angle(predicted_yaw - yaw)
 
 
 def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Sequence[np.ndarray],
@@ -77,20 +84,23 @@ class _Pending:
 class Evaluator:
     """Scores every prediction once its horizon has passed in the measurements.
 
-    span [s]: how much measurement is kept; at least two horizons. Memory is bounded: by the span, and by
-    MAXIMUM_PENDING predictions waiting (the oldest then end incomplete).
+    span [s]: how much measurement is kept; at least two horizons. models: those beside the known ones, of model files.
+    Memory is bounded: by the span, and by MAXIMUM_PENDING predictions waiting (the oldest then end incomplete).
     """
 
     # After the end of a horizon this long is waited for a signal that lags behind [s].
     PATIENCE = 1.0
     MAXIMUM_PENDING = 3000
 
-    def __init__(self, vehicle: VehicleParameters, settings: PredictionSettings | None = None, span: float = 30.0):
+    def __init__(self, vehicle: VehicleParameters, settings: PredictionSettings | None = None, span: float = 30.0,
+                 models: Sequence[Model] = ()):
         self.vehicle = vehicle
         self.settings = settings or PredictionSettings()
-        span = max(span, 2.0 * self.settings.horizon + self.PATIENCE)
+        span = ModelView.span(models, max(span, 2.0 * self.settings.horizon + self.PATIENCE))
         self._span_ns = round(span / NANOSECOND)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
+        self._views = {m.name: ModelView(m, vehicle, self.history) for m in (*MODELS.values(), *models)}
+        self._ahead_ns = max(view.ahead_ns for view in self._views.values())
         self._waiting: dict[tuple[int, int, float], list[_Pending]] = {}
         self._overtaken: list[Score] = []
 
@@ -102,6 +112,8 @@ class Evaluator:
     def add_ins(self, sample: InsSample) -> bool:
         """Take an INS sample; False if it was refused. When its time jumps back, what was waiting ends incomplete."""
         generation = self.history.generation
+        for view in self._views.values():
+            view.add_ins(sample)
         accepted = self.history.add_ins(sample)
         if self.history.generation != generation:
             self._give_up(list(self._waiting), "the measurement's time jumped back")
@@ -109,7 +121,15 @@ class Evaluator:
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Take a road wheel angle [rad], left +; False if it was refused."""
+        for view in self._views.values():
+            view.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
+
+    def view(self, model: str) -> ModelView:
+        """What that model makes of the measurements. Raises ConfigurationError for an unknown one."""
+        if model not in self._views:
+            get_model(model)  # says which there are
+        return self._views[model]
 
     def add_prediction(self, model: str, start_ns: int, start: VehicleState, inputs: ControlInput,
                        trajectory: Trajectory) -> None:
@@ -131,7 +151,7 @@ class Evaluator:
         late = (ins if newest_ns is None else newest_ns) - round(self.PATIENCE / NANOSECOND)
         for key in sorted(self._waiting):
             end = _grid_ns(key, 2 * key[1])
-            if end <= min(ins, steering) or end <= late:
+            if end <= min(ins, steering - self._ahead_ns) or end <= late:
                 scores += self._score(key, self._waiting.pop(key))
         return scores
 
@@ -165,10 +185,13 @@ class Evaluator:
                      or self._why("steering", self.history.steering, times, angle, start_ns))
         scores = []
         for pending in group:
-            again = predict(pending.model, self.vehicle, pending.start, inputs, steps * step, step)
+            view = self.view(pending.model)
+            known = inputs if view.plain else view.measured(times)
+            again = predict(view.model, self.vehicle, pending.start, known, steps * step, step)
             issued = pending.trajectory
             for mode, trajectory, reason in (("forecast", issued, no_position), ("hindsight", again, no_inputs)):
-                errors = position_errors(trajectory, *measured, self.vehicle.cg_to_ins_x, self.vehicle.cg_to_ins_y)
+                shown = view.shown(trajectory)
+                errors = pose_errors(shown.x, shown.y, shown.yaw, *measured)
                 scores.append(make_score(pending.model, mode, start_ns, step, errors, reason))
         return scores
 

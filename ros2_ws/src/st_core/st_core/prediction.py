@@ -13,6 +13,7 @@ from . import frames, integrate
 from .alignment import MeasurementHistory
 from .errors import ConfigurationError, StCoreError
 from .filtering import NANOSECOND
+from .model_view import ModelView
 from .models import Model, get_model
 from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
@@ -58,10 +59,14 @@ class PredictionSettings:
         return step_count(self.horizon, self.step)
 
 
-def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings) -> str:
-    """sha256 (hex) of everything a prediction depends on besides its inputs: vehicle values and settings."""
+def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings, model_hash: str = "") -> str:
+    """sha256 (hex) of everything a prediction depends on besides its inputs: vehicle values and settings.
+
+    model_hash: of the model file, for a model that comes from one.
+    """
     values = {key: float(value).hex() for key, value in asdict(settings).items()}
-    return hashlib.sha256(json.dumps([vehicle.hash, values], sort_keys=True).encode()).hexdigest()
+    content = [vehicle.hash, values, *([model_hash] if model_hash else [])]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState, inputs: ControlInput | InputSequence,
@@ -156,31 +161,46 @@ class Skip:
 class Predictor:
     """The live prediction: measurements in, a start and its trajectories out.
 
-    models: names. Raises ConfigurationError for an unknown or no model.
+    models: names, or models such as those of a model file. Raises ConfigurationError for an unknown or no model, and
+    for one that needs signals nobody measures here.
     """
 
     # Kept so that a late sample still finds its place and the filter its past.
     SPAN = 2.0
 
-    def __init__(self, vehicle: VehicleParameters, models: Sequence[str], settings: PredictionSettings | None = None):
+    def __init__(self, vehicle: VehicleParameters, models: Sequence[str | Model],
+                 settings: PredictionSettings | None = None):
         self.vehicle = vehicle
         self.settings = settings or PredictionSettings()
         if not models:
             raise ConfigurationError("models: empty; name at least one")
-        self._models = {name: get_model(name) for name in models}
+        found = [get_model(model) for model in models]
+        for model in found:
+            if model.signals:
+                raise ConfigurationError(f"model {model.name}: needs {model.signals[0]}, which is not measured live")
         span = max(self.SPAN, 2.0 * self.settings.stale_after + 2.0 * self.settings.maximum_gap)
+        span = ModelView.span(found, span)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
+        self._views = {model.name: ModelView(model, vehicle, self.history) for model in found}
 
     @property
     def models(self) -> tuple[str, ...]:
-        return tuple(self._models)
+        return tuple(self._views)
+
+    def car(self, model: str) -> VehicleParameters:
+        """The car as that model takes it to be, for the lever arm from its CG to the INS."""
+        return self._views[model].car
 
     def add_ins(self, sample: InsSample) -> bool:
         """Take an INS sample; False if it was refused (see MeasurementHistory)."""
+        for view in self._views.values():
+            view.add_ins(sample)
         return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Take a road wheel angle [rad], left +; False if it was refused."""
+        for view in self._views.values():
+            view.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 
     def ages(self, now_ns: int) -> dict[str, float]:
@@ -239,8 +259,11 @@ class Predictor:
         return "INS and steering: no common instant"
 
     def run(self, start: Start, model: str) -> Trajectory:
-        """The trajectory of one model from a start, its inputs held."""
-        if model not in self._models:
-            raise ConfigurationError(f"model {model!r} is not configured; there are {', '.join(self._models)}")
-        settings = self.settings
-        return predict(self._models[model], self.vehicle, start.state, start.inputs, settings.horizon, settings.step)
+        """The trajectory of one model from a start, its inputs held. At the CG as that model has it, see `car`."""
+        if model not in self._views:
+            raise ConfigurationError(f"model {model!r} is not configured; there are {', '.join(self._views)}")
+        view, settings = self._views[model], self.settings
+        state, inputs = start.state, start.inputs
+        if not view.plain:
+            state, inputs = view.start(start.time_ns, settings.steps, settings.step)
+        return predict(view.model, self.vehicle, state, inputs, settings.horizon, settings.step)
