@@ -102,6 +102,11 @@ class Alignment:
         """Reference time minus other time at an instant of the other clock [ns]."""
         return int(self.to_reference_ns(other_ns)) - other_ns
 
+    @property
+    def ambiguous(self) -> bool:
+        """Whether another offset fits nearly as well."""
+        return self.peak is not None and self.second_peak is not None and self.second_peak[1] > AMBIGUOUS * self.peak[1]
+
     def doubted(self, *reasons: str) -> "Alignment":
         """The same, at most doubtful, with further reasons."""
         if not reasons:
@@ -263,7 +268,7 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
     elif weakest < GOOD_PEAK:
         worst = min(result.signals, key=lambda s: s.correlation)
         doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, {GOOD_PEAK} expected")
-    if r_second > AMBIGUOUS * r_first:
+    if result.ambiguous:
         doubts.append(f"another offset fits nearly as well: {result.second_peak[0]:+.2f} s with correlation "
                       f"{r_second:.2f} against {result.peak[0]:+.2f} s with {r_first:.2f} (repeated laps?)")
     if solution.offset_deviation > USABLE_DEVIATION:

@@ -11,7 +11,7 @@ import numpy as np
 from can.io import asc, blf, canutils, trc
 
 from .errors import RunError, check_readable
-from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, joined, without_duplicates
+from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, in_file_order, joined, without_duplicates
 from .mf4 import MAKERS_CONTAINERS, read_mf4, refuse_makers_container, session_of
 
 BLOCK = 65536
@@ -129,8 +129,7 @@ def _through_python_can(file: Path, kind: Format) -> tuple[Frames, list[str]]:
     if not parts:
         what = f"no whole frame is in it ({trouble[0]})" if trouble else "the log holds no frames"
         raise RunError(file, what, "copy or export it again")
-    frames = parts[0] if len(parts) == 1 else _in_file_order(parts)
-    frames, steps = continued(frames)
+    frames, steps = continued(in_file_order(parts))
     trouble += [f"the logger's clock was set back by {-size:.3f} s; the rest was put behind it" for _, size in steps]
     return joined([frames]), trouble
 
@@ -172,13 +171,6 @@ def _bus(channel: Any) -> int:
         return (channel + 1) % 256
     digits = "".join(itertools.takewhile(str.isdigit, reversed(str(channel or ""))))[::-1]
     return (int(digits) + 1) % 256 if digits else 0
-
-
-def _in_file_order(parts: Sequence[Frames]) -> Frames:
-    width = max(p.payload.shape[1] for p in parts)
-    return Frames(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("time_ns", "id")),
-                  np.concatenate([np.pad(p.payload, ((0, 0), (0, width - p.payload.shape[1]))) for p in parts]),
-                  *(np.concatenate([getattr(p, name) for p in parts]) for name in ("length", "bus", "flags")))
 
 
 def _missing_splits(files: Sequence[Path]) -> list[str]:

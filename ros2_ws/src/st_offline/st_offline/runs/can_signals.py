@@ -11,7 +11,7 @@ from canedge_bridge.signals import ANGLES, MessageSpec, SignalTable, load_table
 
 from .can_checks import check_frames
 from .errors import RunError
-from .frames import Frames
+from .frames import ERROR, EXTENDED, REMOTE, Frames
 
 
 @dataclass(frozen=True)
@@ -50,23 +50,28 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     The same rules as the live decoder: length, checksum, counter, range and rate (canedge_bridge.decode). Where time
     does not rise (two buses with the same message), the first frame of each instant is kept.
     """
-    data = np.nonzero(frames.is_data)[0]
-    payload = np.ascontiguousarray(frames.payload[:, :8])
-    everything = len(data) == len(frames)
-    decoded = decode_log(table.database, *(a if everything else a[data] for a in (frames.id, payload, frames.length)),
-                         messages=list(table.messages))
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
-    for name, columns in decoded.items():
-        spec = table.messages[name]
-        rows = columns.rows if everything else data[columns.rows]
+    # One message after the other: the signals of all at once would be the largest thing in memory.
+    order = np.argsort(frames.id, kind="stable")
+    sorted_ids = frames.id[order]
+    for name, spec in table.messages.items():
+        identifier, extended = spec.key
+        key = identifier | (EXTENDED if extended else 0)
+        rows = order[slice(*np.searchsorted(sorted_ids, (key, key + 1)).tolist())]
+        rows = rows[frames.flags[rows] & (REMOTE | ERROR) == 0]
+        payload = np.ascontiguousarray(frames.payload[rows, :8])
+        decoded = decode_log(table.database, frames.id[rows], payload, frames.length[rows], [name]).get(name)
+        if decoded is None:
+            continue
+        rows, payload = rows[decoded.rows], payload[decoded.rows]
         time_ns = frames.time_ns[rows]
-        ours = _ours(spec, columns)
-        keep, valid, fault = check_frames(spec, payload[rows], time_ns, ours)
+        ours = _ours(spec, decoded)
+        keep, valid, fault = check_frames(spec, payload, time_ns, ours)
         if fault:
             faults[name] = fault
         keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
-        for our, values in _with_unix_time(ours).items():
+        for our, values in with_unix_time(ours).items():
             good = keep & np.isfinite(values)
             if good.any():
                 signals[our, name] = Signal(our, name, time_ns[good], values[good], valid[good], rows[good])
@@ -102,17 +107,41 @@ def _ours(spec: MessageSpec, columns: MessageColumns) -> dict[str, np.ndarray]:
     return values
 
 
-def _with_unix_time(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The parts of GPS time put together to UTC [s]."""
-    to_unix = None
+def with_unix_time(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The parts of GPS time put together to UTC [s], NaN where they make none: canedge_bridge.gps_time in columns."""
     if "gps_time" in values:
-        to_unix, parts = gps_time.from_milli_time, gps_time.MILLI_TIME_PARTS
+        gps, offset = values["gps_time"], np.abs(values["gps_utc_offset"])
+        as_unix = np.where(gps > 0, gps + gps_time.GPS_EPOCH_UNIX, np.nan)
+        unix = np.where(offset > 0, as_unix - offset, _to_utc(as_unix))
     elif "gps_century" in values:
-        to_unix, parts = gps_time.from_date_time, gps_time.DATE_TIME_PARTS
-    if to_unix is not None:
-        rows = np.stack([values[p] for p in parts], axis=1).tolist()
-        values = {**values, "ins_unix_time": np.array([to_unix(dict(zip(parts, row, strict=True))) for row in rows])}
-    return {name: value for name, value in values.items() if not name.startswith("gps_")}
+        part = {name: values[name].astype(np.int64) for name in gps_time.DATE_TIME_PARTS[:6]}
+        day = _day_number(part["gps_century"] * 100 + part["gps_year_of_century"], part["gps_month"], part["gps_day"])
+        clock = (part["gps_hour"] < 24) & (part["gps_minute"] < 60)
+        seconds = day * 86400.0 + part["gps_hour"] * 3600 + part["gps_minute"] * 60
+        fraction = values["gps_second"] + values["gps_second_fraction"]
+        unix = _to_utc(np.where(clock, seconds + fraction, np.nan))
+    else:
+        return values
+    return {**{name: v for name, v in values.items() if not name.startswith("gps_")}, "ins_unix_time": unix}
+
+
+def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
+    """GPS seconds on the Unix scale to UTC. Leap seconds are looked up once per hour in the data."""
+    known = np.isfinite(gps_as_unix)
+    hours, place = np.unique(np.floor(gps_as_unix[known] / 3600.0), return_inverse=True)
+    leaps = np.array([gps_time.leap_seconds(h * 3600.0 - gps_time.leap_seconds(h * 3600.0)) for h in hours.tolist()])
+    unix = gps_as_unix.copy()
+    unix[known] -= leaps[place] if len(leaps) else 0.0
+    return unix
+
+
+def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndarray:
+    """Days since 1970-01-01, NaN where there is no such day."""
+    possible = (year >= 1) & (month >= 1) & (month <= 12) & (day >= 1)
+    months = (np.where(possible, year, 1970) - 1970) * 12 + np.where(possible, month, 1) - 1
+    first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
+    following = (months + 1).astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
+    return np.where(possible & (day <= following - first), first + day - 1.0, np.nan)
 
 
 __all__ = ["CanSignals", "Signal", "decode_signals", "load_signal_table", "steering_of"]

@@ -28,6 +28,9 @@ SMALLEST = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 CURVATURE_FROM = 3.0  # m/s; slower, yaw rate over speed is noise
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
 METHODS_DIFFER = 0.01  # s
+NEAR = 60.0  # s; what a logger's clock is trusted with where the signals leave a choice
+CHECKED_WITHIN = 2.0  # s
+ALIKE = 0.97  # of the best correlation
 
 
 def shared_signals(ins: Motion, can: CanSignals) -> list[SharedSignal]:
@@ -81,21 +84,34 @@ def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, sear
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
         return by_hand(round(offset * 1e9), at_ns), pairs
     if ins.absolute and (frames := _time_frames(can)) is not None:
-        return _checked_time_frame(frames, pairs if not warning else [], search), pairs
+        return _checked_time_frame(frames, pairs if not warning else []), pairs
     if not pairs:
         return refused("the CAN log holds no signal that the INS recording has too; give the offset by hand"), pairs
     result = align(pairs, search=search)
+    if result.ambiguous and search is None and ins.absolute:
+        result = _nearest(pairs, result)
     return (result.doubted(warning) if warning else result), pairs
 
 
-def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], search: tuple[float, float] | None) -> Alignment:
+def _nearest(pairs: list[SharedSignal], result: Alignment) -> Alignment:
+    """Where several offsets fit alike: the one near the logger's own clock, if that is one of them."""
+    near = align(pairs, search=(-NEAR, NEAR))
+    if near.verdict is Verdict.REFUSED or near.peak[1] < ALIKE * result.peak[1]:
+        return result
+    return near.doubted("several offsets fit alike (repeated laps or manoeuvres); taken is the one that agrees with "
+                        f"the logger's own clock to {NEAR:.0f} s")
+
+
+def _checked_time_frame(frames: Signal, pairs: list[SharedSignal]) -> Alignment:
     known = np.isfinite(frames.values)
     result = align_by_time_frame(frames.time_ns[known], np.round(frames.values[known] * 1e6).astype(np.int64) * 1000,
                                  TIME_FRAME_RESOLUTION.get(frames.message, 0.01),
                                  INS_ON_CAN_LATENCY, INS_ON_CAN_LATENCY_DEVIATION)
     if not pairs:
         return result
-    check = align(pairs, search=search)
+    # Near the time frame's own answer: on a proving ground the same lap fits many times.
+    offset = result.offset_at_ns(result.at_ns) * 1e-9
+    check = align(pairs, search=(offset - CHECKED_WITHIN, offset + CHECKED_WITHIN))
     if check.verdict is Verdict.REFUSED:
         return result.doubted(f"the shared signals do not confirm it: {check.reasons[-1]}")
     difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9

@@ -45,6 +45,15 @@ def empty() -> Frames:
                   np.zeros(0, np.uint8), np.zeros(0, np.uint8))
 
 
+def in_file_order(parts: Sequence[Frames]) -> Frames:
+    """All frames, one part behind the other, whatever their times."""
+    if len(parts) == 1:
+        return parts[0]
+    width = max(p.payload.shape[1] for p in parts)
+    parts = [replace(p, payload=_widened(p.payload, width)) for p in parts]
+    return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Frames)})
+
+
 def joined(parts: Sequence[Frames]) -> Frames:
     """All frames, in order of time; frames of equal time stay in the order of the parts."""
     parts = [p for p in parts if len(p)]
@@ -52,11 +61,13 @@ def joined(parts: Sequence[Frames]) -> Frames:
         return empty()
     width = max(p.payload.shape[1] for p in parts)
     parts = [replace(p, payload=_widened(p.payload, width)) for p in parts]
-    one = parts[0] if len(parts) == 1 else Frames(
-        **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Frames)})
-    if len(one) > 1 and (one.time_ns[1:] < one.time_ns[:-1]).any():
-        one = one.select(np.argsort(one.time_ns, kind="stable"))
-    return one
+    time_ns = np.concatenate([p.time_ns for p in parts])
+    sorted_already = not (time_ns[1:] < time_ns[:-1]).any()
+    if sorted_already and len(parts) == 1:
+        return parts[0]
+    order = slice(None) if sorted_already else np.argsort(time_ns, kind="stable")
+    # Column by column: never more than one of them is there a third time.
+    return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts])[order] for f in fields(Frames)})
 
 
 def _widened(payload: np.ndarray, width: int) -> np.ndarray:
@@ -102,4 +113,5 @@ def continued(frames: Frames, smallest: float = 0.005) -> tuple[Frames, list[tup
     return frames.shifted(frames.time_ns + correction), found
 
 
-__all__ = ["ERROR", "EXTENDED", "FD", "REMOTE", "SENT", "Frames", "continued", "empty", "joined", "without_duplicates"]
+__all__ = ["ERROR", "EXTENDED", "FD", "REMOTE", "SENT", "Frames", "continued", "empty", "in_file_order", "joined",
+           "without_duplicates"]

@@ -18,7 +18,8 @@ from . import bag, csv
 from .can_logs import CanLog, read_can_logs
 from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, steering_of
 from .clocks import align_clocks
-from .errors import RunError
+from .errors import RunError, check_readable
+from .frames import empty
 from .ncom import InsLog, read_ncom
 from .sources import Label, RunSource
 
@@ -96,15 +97,22 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     return replace(loaded, log=log, provenance={**loaded.provenance, "files": hashes(source)})
 
 
-def read_raw(source: RunSource, settings: ReadSettings) -> RawRun:
-    """INS recording and CAN logs of a run of kind "ncom". Raises RunError; a refused alignment is returned as such."""
+def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True) -> RawRun:
+    """INS recording and CAN logs of a run of kind "ncom".
+
+    keep_frames: False leaves the raw frames out as soon as they are decoded; they are most of what is in memory.
+    Raises RunError; a refused alignment is returned as such.
+    """
     if source.problem is not None:
         raise source.problem
-    ins = read_ncom(source.where)
+    check_readable(source.where)
     can = read_can_logs(source.can)
     table = load_signal_table(*signal_files(source, settings))
     signals = decode_signals(can.frames, table)
     steering = steering_of(signals, can.files[0], table)
+    if not keep_frames:
+        can = replace(can, frames=empty())
+    ins = read_ncom(source.where)
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")
     alignment, shared = align_clocks(ins.motion, signals, offset, settings.search)
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
@@ -115,7 +123,7 @@ def _read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings
     if vehicle is None:
         raise RunError(source.where, "the steering of a CAN log needs the steering ratio and offset of the car",
                        "give its vehicle file")
-    run = read_raw(source, settings)
+    run = read_raw(source, settings, keep_frames=False)
     warnings = [*run.warnings, *alignment_warnings(source, run.alignment, settings)]
     steering_ns = steering_times(run, settings)
     good = run.steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)

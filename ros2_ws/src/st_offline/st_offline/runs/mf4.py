@@ -14,8 +14,9 @@ import numpy as np
 
 from . import mdf_blocks
 from .errors import RunError, check_readable
-from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, joined
+from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, in_file_order, joined
 
+PIECE = 1 << 20  # records
 MAKERS_CONTAINERS = (".mfc", ".mfe", ".mfm")
 _KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
 _BUS = re.compile(r"CAN[ _]?(\d+)")
@@ -72,9 +73,9 @@ def read_mf4(path: Path) -> Mf4:
         parts = []
         steps: list[tuple[int, float]] = []
         for group in range(len(log.groups)):
-            part = _group_frames(log, group, start_ns)
-            if part is not None and len(part):
-                part, found = continued(part)
+            pieces = list(_group_frames(log, group, start_ns))
+            if pieces:
+                part, found = continued(in_file_order(pieces))
                 steps += found
                 parts.append(part)
     if not parts:
@@ -152,11 +153,19 @@ def _is_whole(log: Any, group: int) -> bool:
     return True
 
 
-def _group_frames(log: Any, group: int, start_ns: int) -> Frames | None:
+def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
+    """The frames of a group, a million at a time."""
     name = _frame_channel(log, group)
-    if name is None or not log.groups[group].channel_group.cycles_nr:
-        return None
-    signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True)
+    if name is None:
+        return
+    bus = _bus_of(log, group)
+    for first in range(0, log.groups[group].channel_group.cycles_nr, PIECE):
+        signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
+                         record_count=PIECE)
+        yield _frames(name, signal, bus, start_ns)
+
+
+def _frames(name: str, signal: Any, bus: int, start_ns: int) -> Frames:
     rows, n = signal.samples, len(signal.samples)
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
 
@@ -178,7 +187,7 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Frames | None:
         time_ns=start_ns + np.round(signal.timestamps * 1e9).astype(np.int64),
         id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(EXTENDED), np.uint32(0)),
         payload=payload, length=length.astype(np.uint8),
-        bus=member("BusChannel", _bus_of(log, group)).astype(np.uint8), flags=flags,
+        bus=member("BusChannel", bus).astype(np.uint8), flags=flags,
     )
 
 

@@ -11,6 +11,7 @@ from st_core.vehicle import VehicleParameters
 from .bag import ODOMETRY, STEERING
 from .can_signals import CanSignals
 from .cdr import Layout
+from .covariance import Covariances
 from .frames import ERROR, EXTENDED, FD, REMOTE, Frames
 from .ncom import InsLog
 
@@ -60,8 +61,8 @@ class Serialiser:
             self._layouts[type_name] = Layout(self._store, type_name, example)
         return self._layouts[type_name]
 
-    def odometry(self, ins: InsLog, rows: slice) -> Messages:
-        """Pose of the INS point in the map (ENU), twist in body axes (FLU) at it; covariances not known: 0."""
+    def odometry(self, ins: InsLog, rows: slice, covariances: Covariances) -> Messages:
+        """Pose of the INS point in the map (ENU), twist in body axes (FLU) at it."""
         zero = {k: 0.0 for k in "xyz"}
         pose = self._message("geometry_msgs/msg/Pose", position=self._message("geometry_msgs/msg/Point", **zero),
                              orientation=self._message("geometry_msgs/msg/Quaternion", **zero, w=1.0))
@@ -72,7 +73,8 @@ class Serialiser:
             pose=self._message("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
             twist=self._message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))))
         time_ns = ins.time_ns[rows]
-        columns = {"header.stamp": time_ns}
+        pose_covariance, twist_covariance = covariances.of(ins, rows)
+        columns = {"header.stamp": time_ns, "pose.covariance": pose_covariance, "twist.covariance": twist_covariance}
         for k, axis in enumerate("xyz"):
             columns[f"pose.pose.position.{axis}"] = ins.position[k, rows]
             columns[f"twist.twist.linear.{axis}"] = ins.velocity[k, rows]
@@ -153,10 +155,12 @@ class Serialiser:
 
 
 def quaternion(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> tuple[np.ndarray, ...]:
-    """x, y, z, w of Rz(yaw) Ry(pitch) Rx(roll)."""
+    """x, y, z, w of Rz(yaw) Ry(pitch) Rx(roll), w >= 0."""
     (cy, sy), (cp, sp), (cr, sr) = ((np.cos(a / 2), np.sin(a / 2)) for a in (yaw, pitch, roll))
-    return (cy * cp * sr - sy * sp * cr, cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr,
-            cy * cp * cr + sy * sp * sr)
+    w = cy * cp * cr + sy * sp * sr
+    sign = np.where(w < 0, -1.0, 1.0)
+    x, y, z = cy * cp * sr - sy * sp * cr, cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr
+    return sign * x, sign * y, sign * z, sign * w
 
 
 def in_time_order(parts: list[Messages]) -> Iterator[tuple[int, str, memoryview]]:

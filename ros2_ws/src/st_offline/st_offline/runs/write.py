@@ -14,6 +14,7 @@ from st_predictor.mcap import BagWriter
 from ..results import versions
 from .bag import definitions
 from .cdr import typestore
+from .covariance import Covariances
 from .errors import RunError
 from .load import RawRun, ReadSettings, about_alignment, alignment_warnings, hashes, read_raw, steering_times
 from .rows import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, Messages, Serialiser, in_time_order
@@ -75,6 +76,7 @@ class _Blocks:
     def __init__(self, run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser):
         self._run, self._vehicle, self._settings, self._make = run, vehicle, settings, serialiser
         columns = run.ins.columns
+        self._covariances = Covariances(columns)
         structure_b = columns.navigation_status == 11
         self._packets = np.nonzero(~structure_b)[0]
         self._packet_ns = _filled(columns.utc_ns[self._packets], run.ins.time_ns)
@@ -92,7 +94,7 @@ class _Blocks:
 
     def messages(self, start_ns: int, end_ns: int) -> list[Messages]:
         run, make = self._run, self._make
-        parts = [make.odometry(run.ins, _between(run.ins.time_ns, start_ns, end_ns))]
+        parts = [make.odometry(run.ins, _between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
         packets = _between(self._packet_ns, start_ns, end_ns)
         parts.append(make.ncom(run.ins.columns.raw[self._packets[packets]], self._packet_ns[packets]))
         rows = _between(self._steering_ns, start_ns, end_ns)

@@ -1,0 +1,76 @@
+"""How sure the INS says it is, as the 6 x 6 covariances of nav_msgs/Odometry: as the live bridge sends, in columns."""
+
+import numpy as np
+from oxts_bridge.batch import Columns
+from oxts_bridge.channels import decode_channel
+
+from .ncom import InsLog
+
+# As in oxts_bridge.convert: large enough that no filter believes it, finite so that none breaks.
+UNKNOWN_VARIANCE = 1e6
+_CHANNELS = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),
+             5: ("RollAcc", "PitchAcc", "HeadingAcc")}
+
+
+class Covariances:
+    """Accuracies of one file; each holds from the packet that carries it until the next."""
+
+    def __init__(self, columns: Columns):
+        self._held = {}
+        for channel, names in _CHANNELS.items():
+            index = np.nonzero((columns.channel == channel) & columns.has_status)[0]
+            fields = [decode_channel(channel, columns.batch_s(k)) for k in index]
+            values = np.array([[_number(f.get(name)) for name in names] for f in fields]).reshape(-1, 3)
+            self._held[channel] = index, np.radians(values) if channel == 5 else values
+
+    def of(self, ins: InsLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        """(pose, twist) covariances, (n, 36) each, of the odometry of some fixes.
+
+        Pose: east, north, up, then rotations about the fixed axes. Twist: body axes. Variances of what the unit does
+        not vouch for, and of angular rates, are UNKNOWN_VARIANCE.
+        """
+        packets = ins.rows[rows]
+        yaw, pitch, roll = (a[rows] for a in (ins.yaw, ins.pitch, ins.roll))
+        pose, twist = np.zeros((len(packets), 6, 6)), np.zeros((len(packets), 6, 6))
+        position, known = self._at(3, packets)
+        pose[:, :3, :3] = _diagonal(position, known)
+        angles, known = self._at(5, packets)
+        turn = _rotation(yaw, np.zeros_like(yaw), np.zeros_like(yaw))
+        pose[:, 3:, 3:] = _turned(angles, known, np.swapaxes(turn, 1, 2))
+        velocity, known = self._at(4, packets)
+        twist[:, :3, :3] = _turned(velocity, known, _rotation(yaw, pitch, roll))
+        twist[:, 3:, 3:] = np.eye(3) * UNKNOWN_VARIANCE
+        return pose.reshape(-1, 36), twist.reshape(-1, 36)
+
+    def _at(self, channel: int, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) standard deviations at packets, and where all three are known."""
+        index, values = self._held[channel]
+        if not len(index):
+            return np.zeros((len(packets), 3)), np.zeros(len(packets), bool)
+        newest = np.searchsorted(index, packets, side="right") - 1
+        found = np.where((newest >= 0)[:, None], values[np.maximum(newest, 0)], np.nan)
+        known = np.isfinite(found).all(axis=1)
+        return np.where(known[:, None], found, 0.0), known
+
+
+def _number(value: object) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _diagonal(deviation: np.ndarray, known: np.ndarray) -> np.ndarray:
+    variance = np.where(known[:, None], deviation**2, UNKNOWN_VARIANCE)
+    return variance[:, :, None] * np.eye(3)
+
+
+def _turned(deviation: np.ndarray, known: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """R^T diag(variance) R, (n, 3, 3)."""
+    turned = np.einsum("nij,ni,nik->njk", rotation, deviation**2, rotation)
+    return np.where(known[:, None, None], turned, np.eye(3) * UNKNOWN_VARIANCE)
+
+
+def _rotation(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) body axes to map axes, Rz(yaw) Ry(pitch) Rx(roll)."""
+    (sy, cy), (sp, cp), (sr, cr) = ((np.sin(a), np.cos(a)) for a in (yaw, pitch, roll))
+    return np.stack([cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
+                     sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr,
+                     -sp, cp * sr, cp * cr], axis=1).reshape(-1, 3, 3)
