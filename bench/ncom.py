@@ -21,10 +21,18 @@ def packets(count: int) -> list[bytes]:
     """A clean 250 Hz drive with the channels a unit cycles through: 0 every 10th, then accuracies, biases,
     receivers."""
     minute, ms = 23_702_000, 2_630
-    base = ncom.Packet(navigation_status=4, acceleration=(0.1, -0.2, -9.8), angular_rate=(0.001, 0.002, 0.1),
-                       latitude=0.9,
-                       longitude=-0.02, altitude=100.0, velocity_ned=(10.0, 5.0, -0.1), heading=0.5, pitch=0.01,
-                       roll=-0.02)
+    base = ncom.Packet(
+        navigation_status=4,
+        acceleration=(0.1, -0.2, -9.8),
+        angular_rate=(0.001, 0.002, 0.1),
+        latitude=0.9,
+        longitude=-0.02,
+        altitude=100.0,
+        velocity_ned=(10.0, 5.0, -0.1),
+        heading=0.5,
+        pitch=0.01,
+        roll=-0.02,
+    )
     others = [3, 4, 5, 1, 2, 6, 7, 12, 16, 48, 23, 27]
     result = []
     for i in range(count):

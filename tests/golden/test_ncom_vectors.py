@@ -15,11 +15,32 @@ from oxts_bridge.export import write_csv
 from oxts_bridge.stream import NcomParser
 from support import shared
 
-CASES = ("startup", "all_channels", "extremes", "corrupt", "inner_checksums", "rollover", "triggers", "wheel_speed",
-         "drive_100hz", "filters", "local_frame", "manual_channels")
+CASES = (
+    "startup",
+    "all_channels",
+    "extremes",
+    "corrupt",
+    "inner_checksums",
+    "rollover",
+    "triggers",
+    "wheel_speed",
+    "drive_100hz",
+    "filters",
+    "local_frame",
+    "manual_channels",
+)
 FOLDER = "vectors/ncom"
-ABSOLUTE = {"time": 1e-6, "tow": 1e-6, "WSpeedTime": 1e-6, "TrigTime": 1e-6, "Trig2Time": 1e-6, "DigitalOutTime": 1e-6,
-            "Trig3Time": 1e-6, "Trig4Time": 1e-6, "DigitalOut2Time": 1e-6}
+ABSOLUTE = {
+    "time": 1e-6,
+    "tow": 1e-6,
+    "WSpeedTime": 1e-6,
+    "TrigTime": 1e-6,
+    "Trig2Time": 1e-6,
+    "DigitalOutTime": 1e-6,
+    "Trig3Time": 1e-6,
+    "Trig4Time": 1e-6,
+    "DigitalOut2Time": 1e-6,
+}
 
 
 def rows(path):
@@ -50,15 +71,23 @@ def written(tmp_path_factory):
 def allow_minute_at_once(name, packet, expected, first_timed):
     """The vendor applies the first channel 0 only to the packet after the one that carries it; we stamp that one
     too."""
-    return name in ("time", "week", "tow") and expected[packet][name] == "" and packet == first_timed \
+    return (
+        name in ("time", "week", "tow")
+        and expected[packet][name] == ""
+        and packet == first_timed
         and expected[packet]["channel"] == "0"
+    )
 
 
 def allow_first_angular_acceleration(name, packet, expected, first_timed):
     """The vendor differentiates its first timed packet against rate 0 at time 0: 1e-10 deg/s^2 instead of a
     difference."""
-    return name in ("Yx", "Yy", "Yz") and packet == first_timed + 1 and expected[packet - 1]["time"] == "" \
+    return (
+        name in ("Yx", "Yy", "Yz")
+        and packet == first_timed + 1
+        and expected[packet - 1]["time"] == ""
         and abs(float(expected[packet][name])) < 1e-8
+    )
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -67,10 +96,14 @@ def test_every_packet_as_the_vendor_reads_it(case, written):
     assert len(got) == len(expected) > 0
     assert set(expected[0]) <= set(got[0])
     first_timed = next(i for i, row in enumerate(got) if row["time"])
-    different = [(i, name, want[name], got[i][name]) for i, want in enumerate(expected) for name in want
-                 if not same(name, want[name], got[i][name])
-                 and not allow_minute_at_once(name, i, expected, first_timed)
-                 and not allow_first_angular_acceleration(name, i, expected, first_timed)]
+    different = [
+        (i, name, want[name], got[i][name])
+        for i, want in enumerate(expected)
+        for name in want
+        if not same(name, want[name], got[i][name])
+        and not allow_minute_at_once(name, i, expected, first_timed)
+        and not allow_first_angular_acceleration(name, i, expected, first_timed)
+    ]
     assert different == []
     allowed = sum(allow_minute_at_once("time", i, expected, first_timed) for i in range(len(expected)))
     assert allowed <= 1
@@ -98,9 +131,13 @@ def test_every_status_change_as_the_vendor_reads_it(case, written):
     expected = changes(rows(shared(f"{FOLDER}/{case}.status.csv")))
     got = changes(rows(written / f"{case}.status.csv"))
     assert expected
-    different = [(key, want, got.get(key)) for key, want in expected.items()
-                 if key not in got or want[:2] != got[key][:2]
-                 or (not same(key[1], want[2], got[key][2]) and not allow_wheel_wrap(key[1], want, got[key]))]
+    different = [
+        (key, want, got.get(key))
+        for key, want in expected.items()
+        if key not in got
+        or want[:2] != got[key][:2]
+        or (not same(key[1], want[2], got[key][2]) and not allow_wheel_wrap(key[1], want, got[key]))
+    ]
     assert different == []
     vendor_fields = {row["field"] for name in CASES for row in rows(shared(f"{FOLDER}/{name}.status.csv"))}
     assert [key for key in got if key not in expected and key[1] in vendor_fields] == []
@@ -156,7 +193,7 @@ def test_stream_and_file_decoder_agree_for_any_portions(case, portion):
     data = shared(f"{FOLDER}/{case}.ncom").read_bytes()
     columns = decode_file(data)
     parser = NcomParser()
-    received = [packet for at in range(0, len(data), portion) for packet in parser.feed(data[at:at + portion])]
+    received = [packet for at in range(0, len(data), portion) for packet in parser.feed(data[at : at + portion])]
     kept = [i for i in range(len(columns)) if columns.navigation_status[i] != ncom.STRUCTURE_B]
     assert [packet.offset for packet in received] == columns.offset[kept].tolist()
     assert [packet.kind for packet in received] == [KINDS[kind] for kind in columns.kind[kept]]

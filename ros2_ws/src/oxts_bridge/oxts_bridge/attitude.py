@@ -30,9 +30,17 @@ class Attitude:
         sy, cy = sin(self.yaw), cos(self.yaw)
         sp, cp = sin(self.pitch), cos(self.pitch)
         sr, cr = sin(roll), cos(roll)
-        self._rows = (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
-                      sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr,
-                      -sp, cp * sr, cp * cr)
+        self._rows = (
+            cy * cp,
+            cy * sp * sr - sy * cr,
+            cy * sp * cr + sy * sr,
+            sy * cp,
+            sy * sp * sr + cy * cr,
+            sy * sp * cr - cy * sr,
+            -sp,
+            cp * sr,
+            cp * cr,
+        )
 
     def quaternion(self) -> Quaternion:
         """x, y, z, w of the rotation body to ENU, w >= 0."""
@@ -60,8 +68,9 @@ class Attitude:
         axes."""
         rows = self._rows
         ve, vn, vu = enu_variances
-        xx, xy, xz = (ve * rows[0] * rows[j] + vn * rows[3] * rows[3 + j] + vu * rows[6] * rows[6 + j] for j in (0, 1,
-                                                                                                                 2))
+        xx, xy, xz = (
+            ve * rows[0] * rows[j] + vn * rows[3] * rows[3 + j] + vu * rows[6] * rows[6 + j] for j in (0, 1, 2)
+        )
         yy, yz = (ve * rows[1] * rows[j] + vn * rows[4] * rows[3 + j] + vu * rows[7] * rows[6 + j] for j in (1, 2))
         zz = ve * rows[2] ** 2 + vn * rows[5] ** 2 + vu * rows[8] ** 2
         return xx, xy, xz, xy, yy, yz, xz, yz, zz

@@ -107,7 +107,7 @@ def find_packets(data: bytes, counters: Counters) -> np.ndarray:
     while size - at >= PACKET_SIZE:
         if in_step:
             count = min(rows, (size - at) // PACKET_SIZE)
-            block = bytes_[at:at + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
+            block = bytes_[at : at + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
             good = block[:, 0] == SYNC
             good &= np.add.reduce(block[:, 1:71], axis=1, dtype=np.uint8) == block[:, 71]
             run = count if good.all() else int(good.argmin())
@@ -118,7 +118,7 @@ def find_packets(data: bytes, counters: Counters) -> np.ndarray:
                 continue
             counters.checksum_errors += data[at] == SYNC
         else:
-            raw = data[at:at + PACKET_SIZE]
+            raw = data[at : at + PACKET_SIZE]
             if raw[0] == SYNC and sum(raw[1:71]) & 0xFF == raw[71] and plausible(raw):
                 in_step, rows = True, _FIRST_ROWS
                 continue
@@ -149,9 +149,13 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     gps_ns = np.full(n, UNKNOWN_TIME)
     order = np.zeros(n, np.int8)
     hints = np.flatnonzero((status == 10) & (minutes >= 0))
-    gps_ms, order[timed], jumps = packet_times(milliseconds[timed], minutes[timed], timed, [(i, minutes[i])
-                                                                                            for i in hints],
-                                               lambda a, b: bool((raw[timed[a]] == raw[timed[b]]).all()))
+    gps_ms, order[timed], jumps = packet_times(
+        milliseconds[timed],
+        minutes[timed],
+        timed,
+        [(i, minutes[i]) for i in hints],
+        lambda a, b: bool((raw[timed[a]] == raw[timed[b]]).all()),
+    )
     gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
     kind = _KIND[status]
     _trigger_times(raw, status, channel, kind, gps_ns, order)
@@ -160,15 +164,29 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     counters.late = int((order == 2).sum())
 
     columns = Columns(
-        offset=offset, raw=raw, kind=kind, order=order, gps_ns=gps_ns,
-        utc_ns=utc_times(gps_ns, UNKNOWN_TIME, *_utc_offsets(raw, status, channel)), milliseconds=milliseconds,
-        navigation_status=status, channel=channel,
-        acceleration=_i24(buffer, n, 3, ACCELERATION_UNIT), angular_rate=_i24(buffer, n, 12, ANGULAR_RATE_UNIT),
+        offset=offset,
+        raw=raw,
+        kind=kind,
+        order=order,
+        gps_ns=gps_ns,
+        utc_ns=utc_times(gps_ns, UNKNOWN_TIME, *_utc_offsets(raw, status, channel)),
+        milliseconds=milliseconds,
+        navigation_status=status,
+        channel=channel,
+        acceleration=_i24(buffer, n, 3, ACCELERATION_UNIT),
+        angular_rate=_i24(buffer, n, 12, ANGULAR_RATE_UNIT),
         latitude=np.ndarray((n,), "<f8", buffer, 23, (PACKET_SIZE,)).copy(),
         longitude=np.ndarray((n,), "<f8", buffer, 31, (PACKET_SIZE,)).copy(),
         altitude=_altitude(buffer, n),
-        velocity_ned=_i24(buffer, n, 43, VELOCITY_UNIT), heading=_empty, pitch=_empty, roll=_empty,
-        approximate=_IS_APPROXIMATE[status], has_status=has_status, counters=counters, time_jumps=jumps)
+        velocity_ned=_i24(buffer, n, 43, VELOCITY_UNIT),
+        heading=_empty,
+        pitch=_empty,
+        roll=_empty,
+        approximate=_IS_APPROXIMATE[status],
+        has_status=has_status,
+        counters=counters,
+        time_jumps=jumps,
+    )
     columns.heading, columns.pitch, columns.roll = _i24(buffer, n, 52, ANGLE_UNIT)
     _mask(columns)
     return columns
@@ -182,7 +200,7 @@ def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
     bytes_ = np.frombuffer(data, np.uint8)
     breaks = np.flatnonzero(np.diff(offset) != PACKET_SIZE) + 1
     starts, ends = [0, *breaks], [*breaks, len(offset)]
-    runs = [bytes_[offset[start]:offset[end - 1] + PACKET_SIZE] for start, end in zip(starts, ends, strict=True)]
+    runs = [bytes_[offset[start] : offset[end - 1] + PACKET_SIZE] for start, end in zip(starts, ends, strict=True)]
     return (runs[0] if len(runs) == 1 else np.concatenate(runs)).reshape(-1, PACKET_SIZE)
 
 
@@ -211,8 +229,9 @@ def _channel_0_minutes(buffer: memoryview, n: int, channel: np.ndarray, has_stat
     return minutes
 
 
-def _trigger_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray,
-                   order: np.ndarray) -> None:
+def _trigger_times(
+    raw: np.ndarray, status: np.ndarray, channel: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order: np.ndarray
+) -> None:
     before = b""
     for i in np.flatnonzero(kind == TRIGGER):
         packet = raw[i].tobytes()
@@ -233,8 +252,9 @@ def _utc_offsets(raw: np.ndarray, status: np.ndarray, channel: np.ndarray) -> tu
     return where, byte[where].astype(np.int64) >> 1
 
 
-def _count(counters: Counters, raw: np.ndarray, status: np.ndarray, channel: np.ndarray,
-           has_status: np.ndarray) -> None:
+def _count(
+    counters: Counters, raw: np.ndarray, status: np.ndarray, channel: np.ndarray, has_status: np.ndarray
+) -> None:
     first = np.add.reduce(raw[:, 1:22], axis=1, dtype=np.uint8)
     wrong = first != raw[:, 22]
     wrong |= first + np.add.reduce(raw[:, 22:61], axis=1, dtype=np.uint8) != raw[:, 61]
@@ -271,8 +291,12 @@ def _nothing_found(name: str, data: bytes) -> str:
     if not data:
         return f"{name}: empty file, no NCOM packet in it"
     head = data[:4]
-    looks = {b"OggS": "an Ogg container (.xcom files are one; export NCOM from it first)", b"\x7fELF": "a program",
-             b"PK\x03\x04": "a zip archive", b"MDF ": "an MDF log"}.get(head)
+    looks = {
+        b"OggS": "an Ogg container (.xcom files are one; export NCOM from it first)",
+        b"\x7fELF": "a program",
+        b"PK\x03\x04": "a zip archive",
+        b"MDF ": "an MDF log",
+    }.get(head)
     if looks is None:
         printable = sum(32 <= c < 127 or c in b"\t\r\n" for c in data[:512])
         looks = "text" if printable > 0.95 * len(data[:512]) else f"bytes {head.hex(' ')} ..."

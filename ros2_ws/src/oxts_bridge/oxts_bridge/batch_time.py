@@ -19,8 +19,13 @@ from .gps_time import (
 from .stream import DUPLICATE
 
 
-def packet_times(ms: np.ndarray, minutes: np.ndarray, index: np.ndarray, hints: Sequence[tuple[int, int]],
-                 equal: Callable[[int, int], bool]) -> tuple[np.ndarray, np.ndarray, int]:
+def packet_times(
+    ms: np.ndarray,
+    minutes: np.ndarray,
+    index: np.ndarray,
+    hints: Sequence[tuple[int, int]],
+    equal: Callable[[int, int], bool],
+) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order of each timed packet, and the number of time jumps.
 
     ms, minutes: of each timed packet, minutes -1 where it has no channel 0. index: its packet number. hints: (packet

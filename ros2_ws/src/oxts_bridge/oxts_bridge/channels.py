@@ -7,8 +7,9 @@ from .fields import Field, Value
 from .gps_time import LAST_MINUTE
 from .ncom import NcomError
 
-FIELDS: dict[int, dict[str, Field]] = {channel: {field.name: field for field in fields} for channel,
-                                       fields in TABLE.items()}
+FIELDS: dict[int, dict[str, Field]] = {
+    channel: {field.name: field for field in fields} for channel, fields in TABLE.items()
+}
 _DECODERS = {channel: tuple((field.name, field.decoder()) for field in fields) for channel, fields in TABLE.items()}
 
 
@@ -74,13 +75,19 @@ def encode_trigger(channel: int, gps_nanoseconds: int, count: int) -> bytes:
     1..255."""
     if channel not in TRIGGER_CHANNELS:
         raise NcomError(f"channel {channel} is not one of the trigger channels {sorted(TRIGGER_CHANNELS)}")
-    ticks = round(gps_nanoseconds / 4_000)
+    ticks = (gps_nanoseconds + 2_000) // 4_000
     milliseconds, fine = divmod(ticks + 125, 250)
     minutes, milliseconds = divmod(milliseconds, 60_000)
     name = TRIGGER_CHANNELS[channel].removesuffix("Time")
-    return encode_channel(channel, {f"{name}Minutes": minutes, f"{name}Milliseconds": milliseconds,
-                                    f"{name}Fine": fine - 125,
-                                    f"{name}Count": count})
+    return encode_channel(
+        channel,
+        {
+            f"{name}Minutes": minutes,
+            f"{name}Milliseconds": milliseconds,
+            f"{name}Fine": fine - 125,
+            f"{name}Count": count,
+        },
+    )
 
 
 def _encode_long_range(values: Mapping[str, Value]) -> bytes:
@@ -103,5 +110,13 @@ def known(channel: int) -> bool:
     return channel in TABLE
 
 
-__all__ = ["FIELDS", "TABLE", "TRIGGER_CHANNELS", "decode_channel", "encode_channel", "encode_trigger", "known",
-           "trigger_nanoseconds"]
+__all__ = [
+    "FIELDS",
+    "TABLE",
+    "TRIGGER_CHANNELS",
+    "decode_channel",
+    "encode_channel",
+    "encode_trigger",
+    "known",
+    "trigger_nanoseconds",
+]

@@ -154,8 +154,9 @@ class NavSatFixMaker:
         covariance[0] = accuracy.east**2 if known else 0.0
         covariance[4] = accuracy.north**2 if known else 0.0
         covariance[8] = accuracy.up**2 if known else 0.0
-        message.position_covariance_type = (NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known
-                                            else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
+        message.position_covariance_type = (
+            NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN
+        )
         return message
 
 
@@ -176,8 +177,9 @@ class TransformMaker:
         return self._message
 
 
-def static_transforms(stamp_ns: int, map_frame: str, odom_frame: str, base_frame: str, ins_frame: str,
-                      base_to_ins: Vector) -> TFMessage:
+def static_transforms(
+    stamp_ns: int, map_frame: str, odom_frame: str, base_frame: str, ins_frame: str, base_to_ins: Vector
+) -> TFMessage:
     """map -> odom (identity: the INS does not drift away from the map) and base_link -> ins_link."""
     transforms = []
     for parent, child, offset in ((map_frame, odom_frame, (0.0, 0.0, 0.0)), (base_frame, ins_frame, base_to_ins)):
@@ -212,8 +214,9 @@ class TimeReferenceMaker:
         return self._message
 
 
-def make_trigger(stamp_ns: int, map_frame: str, channel: int, count: int, position: Vector | None,
-                 motion: Motion | None) -> Trigger:
+def make_trigger(
+    stamp_ns: int, map_frame: str, channel: int, count: int, position: Vector | None, motion: Motion | None
+) -> Trigger:
     """position, motion: at the event; None where they are not known."""
     message = Trigger(header=Header(frame_id=map_frame), source=channel, count=count)
     set_stamp(message.header, stamp_ns)
@@ -226,8 +229,9 @@ def make_trigger(stamp_ns: int, map_frame: str, channel: int, count: int, positi
     return message
 
 
-def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: StatusTracker, counters: Counters,
-                time_jumps: int) -> InsStatus:
+def make_status(
+    stamp_ns: int, ins_frame: str, navigation_status: int, status: StatusTracker, counters: Counters, time_jumps: int
+) -> InsStatus:
     """Everything the status channels have said so far."""
     number, get = status.number, status.get
     message = InsStatus(header=Header(frame_id=ins_frame), navigation_status=navigation_status)
@@ -262,4 +266,3 @@ def make_status(stamp_ns: int, ins_frame: str, navigation_status: int, status: S
 
 def _integer(value: Value) -> int:
     return -1 if value is None else int(value)
-

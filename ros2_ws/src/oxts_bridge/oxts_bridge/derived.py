@@ -22,10 +22,41 @@ UNKNOWN_SPEED_ACCURACY = 0.14
 # set clock.
 LONGEST_STEP = 10.0
 
-NAMES = ("Vf", "Vl", "Speed2d", "Speed3d", "Track", "Slip", "Curvature", "Dist2d", "Dist3d", "Af", "Al", "Ad", "Wf",
-         "Wl", "Wd",
-         "Yx", "Yy", "Yz", "FiltAx", "FiltAy", "FiltAz", "FiltYx", "FiltYy", "FiltYz", "IsoVoX", "IsoVoY", "IsoVoZ",
-         "IsoVhX", "IsoVhY", "IsoVhZ", "IsoAoX", "IsoAoY", "IsoAoZ")
+NAMES = (
+    "Vf",
+    "Vl",
+    "Speed2d",
+    "Speed3d",
+    "Track",
+    "Slip",
+    "Curvature",
+    "Dist2d",
+    "Dist3d",
+    "Af",
+    "Al",
+    "Ad",
+    "Wf",
+    "Wl",
+    "Wd",
+    "Yx",
+    "Yy",
+    "Yz",
+    "FiltAx",
+    "FiltAy",
+    "FiltAz",
+    "FiltYx",
+    "FiltYy",
+    "FiltYz",
+    "IsoVoX",
+    "IsoVoY",
+    "IsoVoZ",
+    "IsoVhX",
+    "IsoVhY",
+    "IsoVhZ",
+    "IsoAoX",
+    "IsoAoY",
+    "IsoAoZ",
+)
 
 
 @dataclass
@@ -98,8 +129,9 @@ def _to_level_heading(ned: np.ndarray, heading: np.ndarray) -> np.ndarray:
     return np.array([ned[0] * c + ned[1] * s, -ned[0] * s + ned[1] * c, ned[2]])
 
 
-def _speed_and_slip(out: dict, velocity: np.ndarray, heading: np.ndarray, yaw_rate: np.ndarray,
-                    accuracy: np.ndarray) -> None:
+def _speed_and_slip(
+    out: dict, velocity: np.ndarray, heading: np.ndarray, yaw_rate: np.ndarray, accuracy: np.ndarray
+) -> None:
     north, east, down = velocity
     speed = np.hypot(north, east)
     out["Speed2d"] = speed
@@ -128,7 +160,7 @@ def _distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
     for name, speed in (("Dist2d", out["Speed2d"]), ("Dist3d", out["Speed3d"])):
         usable = ~np.isnan(speed) & ~np.isnan(seconds)
         series = np.flatnonzero(usable & (columns.kind == REGULAR) & (columns.order == 0))
-        series = series[_sets_minute(columns, series):]
+        series = series[_sets_minute(columns, series) :]
         distance = np.full(len(speed), np.nan)
         if len(series):
             step = np.diff(seconds[series])
@@ -167,8 +199,10 @@ def _angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) -> N
 
 def _filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Settings) -> None:
     regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
-    groups = (("FiltA", columns.acceleration, settings.acceleration_filter),
-              ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), settings.rate_filter))
+    groups = (
+        ("FiltA", columns.acceleration, settings.acceleration_filter),
+        ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), settings.rate_filter),
+    )
     for prefix, signal, changes in groups:
         for axis, values in zip("xyz", signal, strict=True):
             filtered = np.full(len(seconds), np.nan)
@@ -178,8 +212,13 @@ def _filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Settin
             out[prefix + axis] = filtered
 
 
-def _run_filter(filtered: np.ndarray, series: np.ndarray, seconds: np.ndarray, values: np.ndarray,
-                changes: list[tuple[int, tuple[float | None, float | None]]]) -> None:
+def _run_filter(
+    filtered: np.ndarray,
+    series: np.ndarray,
+    seconds: np.ndarray,
+    values: np.ndarray,
+    changes: list[tuple[int, tuple[float | None, float | None]]],
+) -> None:
     low_pass = LowPass()
     waiting = list(changes)
     for i, time, value in zip(series.tolist(), seconds[series].tolist(), values[series].tolist(), strict=True):
@@ -190,8 +229,9 @@ def _run_filter(filtered: np.ndarray, series: np.ndarray, seconds: np.ndarray, v
             filtered[i] = output
 
 
-def _without_gravity(columns: Columns, velocity: np.ndarray, heading: np.ndarray, level: list[list[np.ndarray]],
-                     acceleration: np.ndarray) -> np.ndarray:
+def _without_gravity(
+    columns: Columns, velocity: np.ndarray, heading: np.ndarray, level: list[list[np.ndarray]], acceleration: np.ndarray
+) -> np.ndarray:
     """Acceleration of the vehicle over ground in vehicle axes (FRD): a = A + R_no^T (g - (2 w_ie + w_en) x v)."""
     latitude, height = columns.latitude, columns.altitude
     north, east, down = velocity
@@ -202,8 +242,13 @@ def _without_gravity(columns: Columns, velocity: np.ndarray, heading: np.ndarray
     turn_north = 2 * EARTH_RATE * c + east / (normal + height)
     turn_east = -north / (meridian + height)
     turn_down = -2 * EARTH_RATE * s - east * s / c / (normal + height)
-    extra = np.array([-(turn_east * down - turn_down * east), -(turn_down * north - turn_north * down),
-                      gravity(latitude, height) - (turn_north * east - turn_east * north)])
+    extra = np.array(
+        [
+            -(turn_east * down - turn_down * east),
+            -(turn_down * north - turn_north * down),
+            gravity(latitude, height) - (turn_north * east - turn_east * north),
+        ]
+    )
     return acceleration + _apply_transposed(level, _to_level_heading(extra, heading))
 
 

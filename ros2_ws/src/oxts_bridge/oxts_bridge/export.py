@@ -13,14 +13,42 @@ from .gps_time import WEEK_MS
 from .status import PARTS, StatusTracker
 from .surface import surface_angles
 
-BASIC = ("pkt", "start_offset", "out_type", "nav_mode", "channel", "time", "week", "tow", "quality", "Ax", "Ay", "Az",
-         "Wx", "Wy", "Wz", "Lat", "Lon", "Alt", "Vn", "Ve", "Vd", "Heading", "Pitch", "Roll")
+BASIC = (
+    "pkt",
+    "start_offset",
+    "out_type",
+    "nav_mode",
+    "channel",
+    "time",
+    "week",
+    "tow",
+    "quality",
+    "Ax",
+    "Ay",
+    "Az",
+    "Wx",
+    "Wy",
+    "Wz",
+    "Lat",
+    "Lon",
+    "Alt",
+    "Vn",
+    "Ve",
+    "Vd",
+    "Heading",
+    "Pitch",
+    "Roll",
+)
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
 # The vendor shows robot interface codes it has no name for as 10.
 _LARGEST_CODE = {"UmacStatus": 10}
 # Their invalid mark means "nothing new": the last value stands, as in the vendor's tools.
-_KEPT = frozenset(name for fields in FIELDS.values() for name, field in fields.items()
-                  if name.startswith("Inn") or name == "Undulation" or field.validity is INVERTED_B6)
+_KEPT = frozenset(
+    name
+    for fields in FIELDS.values()
+    for name, field in fields.items()
+    if name.startswith("Inn") or name == "Undulation" or field.validity is INVERTED_B6
+)
 _ROWS_AT_ONCE = 1 << 15
 
 
@@ -58,12 +86,25 @@ def _table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
     navigation = (columns.kind != EMPTY) & (columns.kind != STATUS) & (columns.navigation_status > 1)
     quality = np.where(navigation, np.where(columns.approximate, "approx", "valid"), "")
     basic = [
-        np.arange(n), columns.offset, _out_types(columns), columns.navigation_status, columns.channel,
-        float_seconds(columns), _optional(gps_ms // WEEK_MS, in_series),
-        np.where(in_series, gps_ms % WEEK_MS / 1e3, np.nan), quality, *columns.acceleration,
+        np.arange(n),
+        columns.offset,
+        _out_types(columns),
+        columns.navigation_status,
+        columns.channel,
+        float_seconds(columns),
+        _optional(gps_ms // WEEK_MS, in_series),
+        np.where(in_series, gps_ms % WEEK_MS / 1e3, np.nan),
+        quality,
+        *columns.acceleration,
         *degrees(columns.angular_rate),
-        degrees(columns.latitude), degrees(columns.longitude), columns.altitude, *columns.velocity_ned,
-        np.where(heading < 0, heading + 360.0, heading), degrees(columns.pitch), degrees(columns.roll)]
+        degrees(columns.latitude),
+        degrees(columns.longitude),
+        columns.altitude,
+        *columns.velocity_ned,
+        np.where(heading < 0, heading + 360.0, heading),
+        degrees(columns.pitch),
+        degrees(columns.roll),
+    ]
     table = dict(zip(BASIC, basic, strict=True))
     derived = derive(columns, settings)
     table.update((name, derived[name]) for name in NAMES)

@@ -37,6 +37,7 @@ POSITIVE = Validity("> 0", lambda raw, data: raw > 0, mark=0)
 BIT0 = Validity("bit 0 = 1", lambda raw, data: bool(raw & 1), mark=0)
 MINUTE_MS = Validity("< 60000", lambda raw, data: raw < 60000, mark=0xFFFF)
 GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, mark=0)
+OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag=4)
 INVERTED_B6 = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag=6, flag_valid=0x7F)
 INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag=7, flag_valid=0x7F)
 LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag=6)
@@ -49,8 +50,11 @@ def not_(*marks: int) -> Validity:
 
 def aged_not(*marks: int) -> Validity:
     """As not_, and the age in b6 must be below 150."""
-    return Validity("b6 < 150 and not " + ", ".join(map(str, marks)),
-                    lambda raw, data: data[6] < 150 and raw not in marks, mark=marks[0])
+    return Validity(
+        "b6 < 150 and not " + ", ".join(map(str, marks)),
+        lambda raw, data: data[6] < 150 and raw not in marks,
+        mark=marks[0],
+    )
 
 
 BYTE = not_(0xFF)
@@ -111,7 +115,7 @@ class Field:
             return
         if self.kind.startswith("text"):
             size = int(self.kind[4:])
-            buffer[self.at:self.at + size] = _text_bytes(str(value or ""))[:size].ljust(size, b"\0")
+            buffer[self.at : self.at + size] = _text_bytes(str(value or ""))[:size].ljust(size, b"\0")
             return
         write = wire(_wire_kind(self.kind), self.at).write
         if self.kind == "f32":

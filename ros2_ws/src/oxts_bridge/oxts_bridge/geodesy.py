@@ -23,8 +23,11 @@ def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, fl
     """Earth-centred x, y, z [m] of latitude, longitude [rad], height above the ellipsoid [m]."""
     normal = radii(latitude)[1]
     across = (normal + height) * cos(latitude)
-    return (across * cos(longitude), across * sin(longitude),
-            (normal * (1 - ECCENTRICITY_SQUARED) + height) * sin(latitude))
+    return (
+        across * cos(longitude),
+        across * sin(longitude),
+        (normal * (1 - ECCENTRICITY_SQUARED) + height) * sin(latitude),
+    )
 
 
 def to_geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
@@ -57,8 +60,9 @@ class LocalFrame:
         if not (isfinite(self.latitude) and isfinite(self.longitude) and isfinite(self.altitude)):
             raise ValueError(f"origin {self.latitude}, {self.longitude}, {self.altitude} is not finite")
         object.__setattr__(self, "_ecef", to_ecef(self.latitude, self.longitude, self.altitude))
-        object.__setattr__(self, "_rotation", (sin(self.latitude), cos(self.latitude), sin(self.longitude),
-                                               cos(self.longitude)))
+        object.__setattr__(
+            self, "_rotation", (sin(self.latitude), cos(self.latitude), sin(self.longitude), cos(self.longitude))
+        )
 
     def enu(self, latitude: float, longitude: float, altitude: float) -> tuple[float, float, float]:
         """East, north, up [m] of a position from the origin."""
@@ -74,8 +78,9 @@ class LocalFrame:
         s_lat, c_lat, s_lon, c_lon = self._rotation
         outward = -s_lat * north + c_lat * up
         x0, y0, z0 = self._ecef
-        return to_geodetic(x0 - s_lon * east + c_lon * outward, y0 + c_lon * east + s_lon * outward,
-                           z0 + c_lat * north + s_lat * up)
+        return to_geodetic(
+            x0 - s_lon * east + c_lon * outward, y0 + c_lon * east + s_lon * outward, z0 + c_lat * north + s_lat * up
+        )
 
 
 def along_heading(east: float, north: float, heading: float) -> tuple[float, float]:
@@ -89,8 +94,9 @@ def ellipsoidal_height(altitude: float, undulation: float) -> float:
     return altitude + undulation
 
 
-def origin_from_channel_25(x: float, y: float, heading_deg: float, latitude: float, longitude: float,
-                           altitude: float) -> tuple[float, float, float, float]:
+def origin_from_channel_25(
+    x: float, y: float, heading_deg: float, latitude: float, longitude: float, altitude: float
+) -> tuple[float, float, float, float]:
     """Local frame of old firmware: origin latitude, longitude [rad], altitude [m], heading [deg] from the present
     position.
 
@@ -111,5 +117,3 @@ def wrap_degrees(angle: float) -> float:
     """To (-180, 180]."""
     wrapped = (angle + 180.0) % 360.0 - 180.0
     return 180.0 if wrapped == -180.0 else wrapped
-
-

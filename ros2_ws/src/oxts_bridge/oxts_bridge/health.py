@@ -22,8 +22,17 @@ _NEVER = float("-inf")
 class Health:
     """Checks from the counts of parser, status and source. The node fills in the plain attributes as packets come."""
 
-    def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
-                 source: Callable[[], SourceStatus | None], live: bool, ellipsoidal: bool, silence_after: float):
+    def __init__(
+        self,
+        parser: NcomParser,
+        status: StatusTracker,
+        origin: Origin,
+        statistics: StreamStatistics,
+        source: Callable[[], SourceStatus | None],
+        live: bool,
+        ellipsoidal: bool,
+        silence_after: float,
+    ):
         """live: packets come as they are measured, so stamps can be compared with the host's clock."""
         self.navigation_status: int | None = None
         self.heard = _NEVER
@@ -63,13 +72,21 @@ class Health:
         faults = (counters.checksum_errors, counters.skipped_bytes, counters.late, self._statistics.gaps)
         new = [now - before for now, before in zip(faults, self._before, strict=True)]
         self._before = faults
-        values = {"rate [Hz]": window.rate, "gaps": self._statistics.gaps, "longest step [s]": window.longest,
-                  "packets": counters.packets, "checksum errors": counters.checksum_errors,
-                  "inner checksum warnings": counters.inner_checksum_warnings, "skipped bytes": counters.skipped_bytes,
-                  "late": counters.late, "duplicates": counters.duplicates, "triggers": counters.triggers,
-                  "reserved navigation status": counters.unknown_statuses,
-                  "unknown channels": counters.unknown_channels,
-                  "age [s]": age}
+        values = {
+            "rate [Hz]": window.rate,
+            "gaps": self._statistics.gaps,
+            "longest step [s]": window.longest,
+            "packets": counters.packets,
+            "checksum errors": counters.checksum_errors,
+            "inner checksum warnings": counters.inner_checksum_warnings,
+            "skipped bytes": counters.skipped_bytes,
+            "late": counters.late,
+            "duplicates": counters.duplicates,
+            "triggers": counters.triggers,
+            "reserved navigation status": counters.unknown_statuses,
+            "unknown channels": counters.unknown_channels,
+            "age [s]": age,
+        }
         if source.done:
             return Check("stream", OK, "replay finished", values)
         if self.heard == _NEVER:
@@ -86,11 +103,18 @@ class Health:
         if self.navigation_status is None:
             return Check("solution", WARN, "no navigation status yet")
         get, accuracy = self._status.get, Accuracy.from_status(self._status)
-        values = {"position mode": mode_text(get("GpsPosMode")), "velocity mode": mode_text(get("GpsVelMode")),
-                  "orientation mode": mode_text(get("GpsAttMode")), "satellites": get("GpsNumObs"),
-                  "position accuracy east [m]": accuracy.east, "position accuracy north [m]": accuracy.north,
-                  "heading accuracy [rad]": accuracy.heading, "PTP status": get("PtpStatus"),
-                  "NTRIP status": get("NtripStatus"), "IMU temperature [degC]": get("ImuTemperature")}
+        values = {
+            "position mode": mode_text(get("GpsPosMode")),
+            "velocity mode": mode_text(get("GpsVelMode")),
+            "orientation mode": mode_text(get("GpsAttMode")),
+            "satellites": get("GpsNumObs"),
+            "position accuracy east [m]": accuracy.east,
+            "position accuracy north [m]": accuracy.north,
+            "heading accuracy [rad]": accuracy.heading,
+            "PTP status": get("PtpStatus"),
+            "NTRIP status": get("NtripStatus"),
+            "IMU temperature [degC]": get("ImuTemperature"),
+        }
         values = {key: value for key, value in values.items() if value not in (None, "")}
         text = rule(self.navigation_status).text
         if self.navigation_status == LOCKED:
@@ -113,24 +137,31 @@ class Health:
         if not (accuracy.position_known and accuracy.velocity_known and accuracy.attitude_known):
             degraded.append("accuracies (channels 3, 4, 5): covariances unknown")
         if self._origin.frame is None:
-            degraded.append("map origin: ins/odometry and tf wait for "
-                            + ("the unit's local frame" if self._origin.source == UNIT else "the first fix"))
+            degraded.append(
+                "map origin: ins/odometry and tf wait for "
+                + ("the unit's local frame" if self._origin.source == UNIT else "the first fix")
+            )
         elif self._origin.used != self._origin.source:
             degraded.append("the unit's local frame (channels 66, 67): map origin is the first fix")
         if self._parser.utc_offset is None:
             missing.append("UTC offset (leap-second table used)")
         if status.get("SerialNumber") is None and status.get("SerialNumber24") is None:
             missing.append("serial number")
-        values = {"also missing": ", ".join(missing) or "nothing", "channels seen": len(status.seen),
-                  "map origin": self._origin.used or "none"}
+        values = {
+            "also missing": ", ".join(missing) or "nothing",
+            "channels seen": len(status.seen),
+            "map origin": self._origin.used or "none",
+        }
         if degraded:
             return Check("completeness", WARN, "missing: " + "; ".join(degraded), values)
         return Check("completeness", OK, "complete", values)
 
     def _time(self) -> Check:
         offset = self._parser.utc_offset
-        values = {"time jumps": self._parser.time_jumps,
-                  "UTC offset [s]": "leap-second table" if offset is None else offset}
+        values = {
+            "time jumps": self._parser.time_jumps,
+            "UTC offset [s]": "leap-second table" if offset is None else offset,
+        }
         figures = self._statistics.stamp_minus_host() if self._live else None
         if figures is None:
             return Check("time", OK, "not compared with the host's clock" if not self._live else "no time yet", values)

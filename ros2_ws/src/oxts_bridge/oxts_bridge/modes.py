@@ -2,15 +2,40 @@
 8."""
 
 _POST = ("Doppler", "SPS", "differential", "float", "integer")
-MODES = dict(enumerate((
-    "none", "search", "Doppler", "SPS", "differential", "RTK float", "RTK integer", "SBAS", "OmniSTAR VBS",
-    "OmniSTAR HP",
-    "no data", "blanked", *(f"post-processed {name}" for name in _POST), "OmniSTAR XP", "CDGPS", "not recognised",
-    *(f"gx {name}" for name in _POST), *(f"ix {name}" for name in _POST), "PPP converging", "PPP", "unknown")))
+MODES = dict(
+    enumerate(
+        (
+            "none",
+            "search",
+            "Doppler",
+            "SPS",
+            "differential",
+            "RTK float",
+            "RTK integer",
+            "SBAS",
+            "OmniSTAR VBS",
+            "OmniSTAR HP",
+            "no data",
+            "blanked",
+            *(f"post-processed {name}" for name in _POST),
+            "OmniSTAR XP",
+            "CDGPS",
+            "not recognised",
+            *(f"gx {name}" for name in _POST),
+            *(f"ix {name}" for name in _POST),
+            "PPP converging",
+            "PPP",
+            "unknown",
+        )
+    )
+)
 
 NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2
-_STATUS = {**dict.fromkeys((3, 13, 21, 26), FIX), **dict.fromkeys((7, 8, 9, 17, 18, 30, 31), SBAS_FIX),
-           **dict.fromkeys((4, 5, 6, 14, 15, 16, 22, 23, 24, 27, 28, 29), GBAS_FIX)}
+_STATUS = {
+    **dict.fromkeys((3, 13, 21, 26), FIX),
+    **dict.fromkeys((7, 8, 9, 17, 18, 30, 31), SBAS_FIX),
+    **dict.fromkeys((4, 5, 6, 14, 15, 16, 22, 23, 24, 27, 28, 29), GBAS_FIX),
+}
 
 
 def mode_text(mode: int | None) -> str:

@@ -29,9 +29,17 @@ class Accuracy:
     @classmethod
     def from_status(cls, status: StatusTracker) -> "Accuracy":
         number = status.number
-        return cls(number("EastAcc"), number("NorthAcc"), number("AltAcc"), number("VeAcc"), number("VnAcc"),
-                   number("VdAcc"),
-                   radians(number("RollAcc")), radians(number("PitchAcc")), radians(number("HeadingAcc")))
+        return cls(
+            number("EastAcc"),
+            number("NorthAcc"),
+            number("AltAcc"),
+            number("VeAcc"),
+            number("VnAcc"),
+            number("VdAcc"),
+            radians(number("RollAcc")),
+            radians(number("PitchAcc")),
+            radians(number("HeadingAcc")),
+        )
 
     @property
     def position_known(self) -> bool:
@@ -79,5 +87,13 @@ def motion_of(received: Received) -> Motion | None:
         return None
     attitude = Attitude(packet.heading, packet.pitch, packet.roll)
     velocity = enu_from_ned(packet.velocity_ned)
-    return Motion(packet.latitude, packet.longitude, packet.altitude, attitude, velocity, attitude.to_body(velocity),
-                  flu_from_frd(packet.angular_rate), flu_from_frd(packet.acceleration))
+    return Motion(
+        packet.latitude,
+        packet.longitude,
+        packet.altitude,
+        attitude,
+        velocity,
+        attitude.to_body(velocity),
+        flu_from_frd(packet.angular_rate),
+        flu_from_frd(packet.acceleration),
+    )

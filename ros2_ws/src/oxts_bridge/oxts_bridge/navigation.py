@@ -31,8 +31,9 @@ RULES: dict[int, Rule] = {
     7: Rule("firmware blocked"),
     10: Rule("status only", status=True, kind="status"),
     11: Rule("structure B"),
-    20: Rule("trigger while initialising", imu=True, navigation="approximate", status=True, trigger=True,
-             kind="trigger"),
+    20: Rule(
+        "trigger while initialising", imu=True, navigation="approximate", status=True, trigger=True, kind="trigger"
+    ),
     21: Rule("trigger while locking", imu=True, navigation="valid", status=True, trigger=True, kind="trigger"),
     22: Rule("trigger while locked", imu=True, navigation="valid", status=True, trigger=True, kind="trigger"),
 }

@@ -82,24 +82,66 @@ def decode(data: bytes) -> Packet:
 
 def decode_unchecked(data: bytes) -> Packet:
     """As decode(), for 72 bytes already known to be a structure A packet."""
-    (ms, x0, x1, y0, y1, z0, z1, p0, p1, q0, q1, r0, r1, status, latitude, longitude, altitude,
-     n0, n1, e0, e1, d0, d1, h0, h1, t0, t1, l0, l1, channel, batch_s) = _LAYOUT.unpack(data)
+    (
+        ms,
+        x0,
+        x1,
+        y0,
+        y1,
+        z0,
+        z1,
+        p0,
+        p1,
+        q0,
+        q1,
+        r0,
+        r1,
+        status,
+        latitude,
+        longitude,
+        altitude,
+        n0,
+        n1,
+        e0,
+        e1,
+        d0,
+        d1,
+        h0,
+        h1,
+        t0,
+        t1,
+        l0,
+        l1,
+        channel,
+        batch_s,
+    ) = _LAYOUT.unpack(data)
     return Packet(
         ms,
-        (NAN if x1 == -128 and not x0 else (x1 << 16 | x0) * ACCELERATION_UNIT,
-         NAN if y1 == -128 and not y0 else (y1 << 16 | y0) * ACCELERATION_UNIT,
-         NAN if z1 == -128 and not z0 else (z1 << 16 | z0) * ACCELERATION_UNIT),
-        (NAN if p1 == -128 and not p0 else (p1 << 16 | p0) * ANGULAR_RATE_UNIT,
-         NAN if q1 == -128 and not q0 else (q1 << 16 | q0) * ANGULAR_RATE_UNIT,
-         NAN if r1 == -128 and not r0 else (r1 << 16 | r0) * ANGULAR_RATE_UNIT),
-        status, latitude, longitude, altitude,
-        (NAN if n1 == -128 and not n0 else (n1 << 16 | n0) * VELOCITY_UNIT,
-         NAN if e1 == -128 and not e0 else (e1 << 16 | e0) * VELOCITY_UNIT,
-         NAN if d1 == -128 and not d0 else (d1 << 16 | d0) * VELOCITY_UNIT),
+        (
+            NAN if x1 == -128 and not x0 else (x1 << 16 | x0) * ACCELERATION_UNIT,
+            NAN if y1 == -128 and not y0 else (y1 << 16 | y0) * ACCELERATION_UNIT,
+            NAN if z1 == -128 and not z0 else (z1 << 16 | z0) * ACCELERATION_UNIT,
+        ),
+        (
+            NAN if p1 == -128 and not p0 else (p1 << 16 | p0) * ANGULAR_RATE_UNIT,
+            NAN if q1 == -128 and not q0 else (q1 << 16 | q0) * ANGULAR_RATE_UNIT,
+            NAN if r1 == -128 and not r0 else (r1 << 16 | r0) * ANGULAR_RATE_UNIT,
+        ),
+        status,
+        latitude,
+        longitude,
+        altitude,
+        (
+            NAN if n1 == -128 and not n0 else (n1 << 16 | n0) * VELOCITY_UNIT,
+            NAN if e1 == -128 and not e0 else (e1 << 16 | e0) * VELOCITY_UNIT,
+            NAN if d1 == -128 and not d0 else (d1 << 16 | d0) * VELOCITY_UNIT,
+        ),
         NAN if h1 == -128 and not h0 else (h1 << 16 | h0) * ANGLE_UNIT,
         NAN if t1 == -128 and not t0 else (t1 << 16 | t0) * ANGLE_UNIT,
         NAN if l1 == -128 and not l0 else (l1 << 16 | l0) * ANGLE_UNIT,
-        channel, batch_s)
+        channel,
+        batch_s,
+    )
 
 
 def encode(packet: Packet) -> bytes:
@@ -124,9 +166,19 @@ def encode(packet: Packet) -> bytes:
     for value in (packet.heading, packet.pitch, packet.roll):
         late += _i24_parts(value, ANGLE_UNIT)
     try:
-        data = bytearray(_LAYOUT.pack(packet.milliseconds, *words, packet.navigation_status, packet.latitude,
-                                      packet.longitude,
-                                      packet.altitude, *late, packet.channel, packet.batch_s))
+        data = bytearray(
+            _LAYOUT.pack(
+                packet.milliseconds,
+                *words,
+                packet.navigation_status,
+                packet.latitude,
+                packet.longitude,
+                packet.altitude,
+                *late,
+                packet.channel,
+                packet.batch_s,
+            )
+        )
     except (struct.error, OverflowError) as error:
         raise NcomError(f"packet does not fit the wire: {error}") from None
     data[0] = SYNC

@@ -58,9 +58,16 @@ class OxtsBridge(LifecycleNode):
         self._parser, self._status, self._events = NcomParser(), StatusTracker(), EventLog()
         self._origin, self._statistics = Origin(s.origin_source, given), StreamStatistics()
         self._accuracy = Accuracy.from_status(self._status)
-        self._health = Health(self._parser, self._status, self._origin, self._statistics, self._source_status,
-                              self._live,
-                              s.altitude_is_ellipsoidal, s.silence_after)
+        self._health = Health(
+            self._parser,
+            self._status,
+            self._origin,
+            self._statistics,
+            self._source_status,
+            self._live,
+            s.altitude_is_ellipsoidal,
+            s.silence_after,
+        )
         self._untimed_since: float | None = None
         self._shown: tuple | None = None
         self._shown_at = self._clock_at = float("-inf")
@@ -106,8 +113,9 @@ class OxtsBridge(LifecycleNode):
         s = self._settings
         if self._live:
             return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._changed.trigger)
-        return ReplaySource(Path(s.replay_file), self._on_data, self._on_replay_restart, s.speed_factor, s.loop,
-                            s.start_offset)
+        return ReplaySource(
+            Path(s.replay_file), self._on_data, self._on_replay_restart, s.speed_factor, s.loop, s.start_offset
+        )
 
     def _stop_source(self) -> None:
         if self._source is not None:
@@ -136,8 +144,9 @@ class OxtsBridge(LifecycleNode):
                 self._take(received, wanted)
             except Exception as error:  # a packet nobody thought of must not end the thread that reads all others
                 self._health.failures += 1
-                self.get_logger().error(f"packet at byte {received.offset} failed: {error!r}",
-                                        throttle_duration_sec=10.0)
+                self.get_logger().error(
+                    f"packet at byte {received.offset} failed: {error!r}", throttle_duration_sec=10.0
+                )
         return len(packets)
 
     def _on_replay_restart(self) -> None:
@@ -224,8 +233,16 @@ class OxtsBridge(LifecycleNode):
             return
         self._shown, self._shown_at = shown, now
         stamp = received.utc_ns if received.utc_ns is not None else received.received_ns
-        self._outputs.status(convert.make_status(stamp, self._settings.ins_frame, self._health.navigation_status or 0,
-                                                 self._status, self._parser.counters, self._parser.time_jumps))
+        self._outputs.status(
+            convert.make_status(
+                stamp,
+                self._settings.ins_frame,
+                self._health.navigation_status or 0,
+                self._status,
+                self._parser.counters,
+                self._parser.time_jumps,
+            )
+        )
 
 
 def main() -> None:

@@ -32,16 +32,19 @@ PARAMETERS = (
     Parameter("origin_source", FIRST_FIX, "origin of the map frame", choices=(FIRST_FIX, GIVEN, UNIT)),
     Parameter("origin_latitude", math.nan, "for origin_source given", "deg", -90.0, 90.0),
     Parameter("origin_longitude", math.nan, "for origin_source given", "deg", -180.0, 180.0),
-    Parameter("origin_altitude", math.nan, "for origin_source given; geoid or ellipsoid as the unit sends", "m", -1e4,
-              1e5),
+    Parameter(
+        "origin_altitude", math.nan, "for origin_source given; geoid or ellipsoid as the unit sends", "m", -1e4, 1e5
+    ),
     Parameter("altitude_is_ellipsoidal", False, "the unit is configured to send ellipsoidal altitude"),
-    Parameter("stamp_source", NCOM, "header stamps: UTC measured by the unit, or host receive time", choices=(NCOM,
-                                                                                                              RECEIVE)),
+    Parameter(
+        "stamp_source", NCOM, "header stamps: UTC measured by the unit, or host receive time", choices=(NCOM, RECEIVE)
+    ),
     Parameter("status_period", 1.0, "ins/status at least this often, and at every change of mode", "s", 0.05, 60.0),
     Parameter("silence_after", 1.0, "no packet for this long is an error", "s", 0.05, 60.0),
     Parameter("angular_velocity_stddev", 0.0, "for covariances, the unit sends none; 0: unknown", "rad/s", 0.0, 10.0),
-    Parameter("linear_acceleration_stddev", 0.0, "for covariances, the unit sends none; 0: unknown", "m/s^2", 0.0,
-              100.0),
+    Parameter(
+        "linear_acceleration_stddev", 0.0, "for covariances, the unit sends none; 0: unknown", "m/s^2", 0.0, 100.0
+    ),
 )
 
 

@@ -63,15 +63,19 @@ class UdpSource:
         self._on_data, self._on_change = on_data, on_change
         self._heard = float("-inf")
         self._stop = threading.Event()
+        self._tried = threading.Event()
         self._thread = threading.Thread(target=self._run, name="ncom-udp", daemon=True)
 
     def start(self) -> None:
+        """Returns when the port is open, or could not be opened."""
         self._thread.start()
+        self._tried.wait()
 
     def stop(self) -> None:
-        """Ends the thread; returns within about 0.2 s."""
+        """Ends the thread, if it runs; returns within about 0.2 s."""
         self._stop.set()
-        self._thread.join()
+        if self._thread.is_alive():
+            self._thread.join()
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -122,8 +126,9 @@ class UdpSource:
             status.sender = sender
 
     def _tell(self, trouble: str) -> None:
-        if trouble != self.status.trouble:
-            self.status.trouble = trouble
+        changed, self.status.trouble = trouble != self.status.trouble, trouble
+        self._tried.set()
+        if changed:
             self._on_change()
 
     def _explain(self, error: OSError) -> str:
@@ -151,8 +156,15 @@ class ReplaySource:
     """Feeds a file packet by packet at the pace of its own times. Raises NcomError or OSError at once for a file
     without."""
 
-    def __init__(self, path: Path, on_data: OnData, on_restart: Callable[[], None], speed_factor: float = 1.0,
-                 loop: bool = False, start_offset: float = 0.0):
+    def __init__(
+        self,
+        path: Path,
+        on_data: OnData,
+        on_restart: Callable[[], None],
+        speed_factor: float = 1.0,
+        loop: bool = False,
+        start_offset: float = 0.0,
+    ):
         """start_offset: [s] after the first time in the file; what comes before only sets the status. on_restart: at
         a loop."""
         self.status = SourceStatus(f"file {path}")
@@ -170,7 +182,8 @@ class ReplaySource:
 
     def stop(self) -> None:
         self._stop.set()
-        self._thread.join()
+        if self._thread.is_alive():
+            self._thread.join()
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -189,7 +202,7 @@ class ReplaySource:
                 wait = start + due * 1e-9 / self._speed - time.monotonic()
                 if wait > 0 and self._stop.wait(wait):
                     return
-            self._on_data(self._data[offset:offset + 72], time.time_ns(), due >= 0)
+            self._on_data(self._data[offset : offset + 72], time.time_ns(), due >= 0)
             self.status.datagrams += 1
             self.status.progress = number / count
 

@@ -9,7 +9,8 @@ from .geodesy import origin_from_channel_25, wrap_degrees
 # Fields that only make sense together with others; the derived value stands for them.
 PARTS = frozenset(
     {"GpsMinutes", "UpTimeCode", "WSpeedMilliseconds", "OldRefX", "OldRefY", "OldRefHeading"}
-    | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]})
+    | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]}
+)
 LOCAL_FRAME = ("RefLat", "RefLon", "RefAlt", "RefHeading")
 # A filtered lag forgets with this share per message (vendor's choice).
 _LAG_SHARE = 0.01
@@ -17,8 +18,10 @@ _LAG_SHARE = 0.01
 # 57).
 _NEVER_SKIPPED = frozenset({12, 23, 45, 57})
 
-_CYCLIC = {channel: tuple((name, 1 << field.cyclic) for name, field in fields.items() if field.cyclic)
-           for channel, fields in FIELDS.items()}
+_CYCLIC = {
+    channel: tuple((name, 1 << field.cyclic) for name, field in fields.items() if field.cyclic)
+    for channel, fields in FIELDS.items()
+}
 
 
 class StatusTracker:
@@ -34,8 +37,13 @@ class StatusTracker:
         self._local_frame: dict[str, Value] = {}
         self._wheel: tuple[float, int] | None = None
 
-    def update(self, channel: int, data: bytes, gps_seconds: float | None = None,
-               position: tuple[float, float, float] | None = None) -> dict[str, Value]:
+    def update(
+        self,
+        channel: int,
+        data: bytes,
+        gps_seconds: float | None = None,
+        position: tuple[float, float, float] | None = None,
+    ) -> dict[str, Value]:
         """Take the 8 bytes of a channel; returns the fields it sets (empty if the same bytes came last time).
 
         gps_seconds: time of the packet, for wheel speed. position: its latitude, longitude [rad], altitude [m], for
@@ -111,23 +119,30 @@ class StatusTracker:
             fields.update(self._local_frame)
             fields["RefHeading"] = wrap_degrees(fields["RefHeading"])
 
-    def _old_origin(self, fields: dict, data: bytes, gps_seconds: float | None,
-                    position: tuple[float, float, float] | None) -> None:
+    def _old_origin(
+        self, fields: dict, data: bytes, gps_seconds: float | None, position: tuple[float, float, float] | None
+    ) -> None:
         x, y, heading = (fields.pop(name) for name in ("OldRefX", "OldRefY", "OldRefHeading"))
         newer = all(self._local_frame.get(name) is not None for name in LOCAL_FRAME)
         marked = None in (x, y, heading) or data == b"\x80\0\0\0\x80\0\0\0"
         if newer or marked or position is None:
             return
         latitude, longitude, altitude, heading = origin_from_channel_25(x, y, heading, *position)
-        fields.update(RefLat=latitude * _DEGREES, RefLon=longitude * _DEGREES, RefAlt=altitude,
-                      RefHeading=wrap_degrees(heading))
+        fields.update(
+            RefLat=latitude * _DEGREES, RefLon=longitude * _DEGREES, RefAlt=altitude, RefHeading=wrap_degrees(heading)
+        )
 
 
 _DEGREES = 1 / radians(1)
-_DERIVE = {23: StatusTracker._system, 25: StatusTracker._old_origin, 45: StatusTracker._wheel_speed,
-           48: StatusTracker._dilution,
-           66: StatusTracker._origin, 67: StatusTracker._origin,
-           **dict.fromkeys(TRIGGER_CHANNELS, StatusTracker._trigger)}
+_DERIVE = {
+    23: StatusTracker._system,
+    25: StatusTracker._old_origin,
+    45: StatusTracker._wheel_speed,
+    48: StatusTracker._dilution,
+    66: StatusTracker._origin,
+    67: StatusTracker._origin,
+    **dict.fromkeys(TRIGGER_CHANNELS, StatusTracker._trigger),
+}
 
 
 def up_time(code: int) -> int:

@@ -95,7 +95,7 @@ class NcomParser:
         at = 0
         while size - at >= PACKET_SIZE:
             if buffer[at] == SYNC:
-                raw = buffer[at:at + PACKET_SIZE]
+                raw = buffer[at : at + PACKET_SIZE]
                 if sum(raw[1:71]) & 0xFF == raw[71] and (self._in_step or plausible(raw)):
                     self._in_step = True
                     received = self._accept(raw, self._consumed + at, received_ns)

@@ -8,8 +8,9 @@ from .fields import Value
 NAMES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 
 
-def surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...]]]) -> list[tuple[int, int, str,
-                                                                                                  Value]]:
+def surface_angles(
+    columns: Columns, surfaces: list[tuple[int, tuple[Value, ...]]]
+) -> list[tuple[int, int, str, Value]]:
     """Changes of the three angles [deg], heading 0..360, as (packet, channel of the packet, field, value).
 
     surfaces: from which packet on which surface angles (heading, pitch, roll from NED [deg], None invalid) hold.
@@ -32,8 +33,11 @@ def surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...]
         roll = np.degrees(np.arctan2(relative[2, 1], relative[2, 2]))
         for i, *values in zip((usable + start).tolist(), heading.tolist(), pitch.tolist(), roll.tolist(), strict=True):
             old = before or (None, None, None)
-            changes.extend((i, int(columns.channel[i]), name, value)
-                           for name, value, was in zip(NAMES, values, old, strict=True) if value != was)
+            changes.extend(
+                (i, int(columns.channel[i]), name, value)
+                for name, value, was in zip(NAMES, values, old, strict=True)
+                if value != was
+            )
             before = tuple(values)
     return changes
 
@@ -41,6 +45,10 @@ def surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...]
 def rotation(heading: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
     """Rz(heading) Ry(pitch) Rx(roll), (3, 3, ...)."""
     sh, ch, sp, cp, sr, cr = (f(angle) for angle in (heading, pitch, roll) for f in (np.sin, np.cos))
-    return np.array([[ch * cp, ch * sp * sr - sh * cr, ch * sp * cr + sh * sr],
-                     [sh * cp, sh * sp * sr + ch * cr, sh * sp * cr - ch * sr],
-                     [-sp, cp * sr, cp * cr]])
+    return np.array(
+        [
+            [ch * cp, ch * sp * sr - sh * cr, ch * sp * cr + sh * sr],
+            [sh * cp, sh * sp * sr + ch * cr, sh * sp * cr - ch * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

@@ -14,9 +14,17 @@ class Wire(NamedTuple):
     high: int
 
 
-_INTEGERS = {"u8": (1, False), "i8": (1, True), "u16": (2, False), "i16": (2, True), "u24": (3, False), "i24": (3,
-                                                                                                                True),
-             "u32": (4, False), "i32": (4, True), "u64": (8, False)}
+_INTEGERS = {
+    "u8": (1, False),
+    "i8": (1, True),
+    "u16": (2, False),
+    "i16": (2, True),
+    "u24": (3, False),
+    "i24": (3, True),
+    "u32": (4, False),
+    "i32": (4, True),
+    "u64": (8, False),
+}
 
 
 def wire(kind: str, at: int) -> Wire:
@@ -30,8 +38,9 @@ def wire(kind: str, at: int) -> Wire:
     if kind == "shifted":
         return _integer(at, 1, True)
     if kind == "f32":
-        return Wire(lambda data: _F32.unpack_from(data, at)[0], lambda buffer, value: _F32.pack_into(buffer, at,
-                                                                                                     value), 0, 0)
+        return Wire(
+            lambda data: _F32.unpack_from(data, at)[0], lambda buffer, value: _F32.pack_into(buffer, at, value), 0, 0
+        )
     if kind in ("lo4", "hi4"):
         return _bits(at, 0 if kind == "lo4" else 4, 4, 0)
     first, count = kind.partition("bits")[2].split("+")

@@ -23,11 +23,21 @@ from ..stream import Received
 
 QOS = QoSProfile(depth=50, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 TF_QOS = QoSProfile(depth=100, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-LATCHED = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE,
-                     durability=DurabilityPolicy.TRANSIENT_LOCAL)
-TYPES = {"ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFix,
-         "velocity": TwistWithCovarianceStamped,
-         "time_reference": TimeReference, "trigger": Trigger}
+LATCHED = QoSProfile(
+    depth=1,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+TYPES = {
+    "ncom": Ncom,
+    "odometry": Odometry,
+    "imu": Imu,
+    "nav_sat_fix": NavSatFix,
+    "velocity": TwistWithCovarianceStamped,
+    "time_reference": TimeReference,
+    "trigger": Trigger,
+}
 # How often it is asked whether anyone listens to a topic [s]: asking costs as much as filling a message.
 _LISTENERS_PERIOD = 0.05
 
@@ -136,5 +146,8 @@ class Outputs:
     def static_transforms(self, stamp_ns: int) -> None:
         if self._tf_static is not None:
             s = self._settings
-            self._tf_static.publish(convert.static_transforms(stamp_ns, s.map_frame, s.odom_frame, s.base_frame,
-                                                              s.ins_frame, tuple(map(float, s.base_to_ins))))
+            self._tf_static.publish(
+                convert.static_transforms(
+                    stamp_ns, s.map_frame, s.odom_frame, s.base_frame, s.ins_frame, tuple(map(float, s.base_to_ins))
+                )
+            )

@@ -1,0 +1,77 @@
+"""Starting and ending the node process; parameters that make no sense."""
+
+import math
+import signal
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS here")
+pytest.importorskip("st_msgs.msg", reason="the workspace is not built")
+
+from ins_rig import free_port, launch
+from oxts_bridge.settings import PARAMETERS, check
+from ros_processes import free_domain
+from st_ros.parameters import ConfigurationError, read_yaml_parameters
+
+pytestmark = pytest.mark.ros
+
+
+def test_sigterm_is_a_clean_end_too(tmp_path):
+    process = launch({"udp_port": free_port()}, tmp_path, free_domain())
+    assert "reading udp" in process.stderr.readline()
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=20)
+    assert process.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "text"),
+    [
+        ({"udp_prot": 3000}, "unknown parameter udp_prot"),
+        ({"udp_port": 70000}, "udp_port: 70000 is outside 1 to 65535"),
+        ({"origin_source": "given"}, "origin_latitude: needed because"),
+        ({"replay_file": __file__}, "no NCOM packet in"),
+    ],
+)
+def test_wrong_configuration_is_refused_in_one_line(parameters, text, tmp_path):
+    process = launch(parameters, tmp_path, free_domain())
+    try:
+        _, errors = process.communicate(timeout=30)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    lines = [line for line in errors.splitlines() if not line.startswith("[")]
+    assert process.returncode == 2, errors
+    assert len(lines) == 1 and text in lines[0] and "oxts_bridge" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [
+        ("bind_address", "everywhere", "bind_address: 'everywhere' is not an IP address"),
+        ("sender_filter", "300.1.1.1", "sender_filter: '300.1.1.1' is not an IP address"),
+        ("base_to_ins", [1.0, 2.0], "base_to_ins: [1.0, 2.0] is not three lengths"),
+        ("base_to_ins", [1.0, 2.0, math.nan], "is not three lengths"),
+        ("topics", ["odometry", "odo"], "topics: 'odo' is none of"),
+        ("odom_frame", "map", "must differ"),
+        ("replay_file", "gone.ncom", "replay_file: gone.ncom is not a file"),
+    ],
+)
+def test_parameters_that_do_not_fit_together_are_refused_by_name(key, value, text):
+    settings = SimpleNamespace(**{parameter.name: parameter.default for parameter in PARAMETERS})
+    check(settings, "oxts_bridge")
+    setattr(settings, key, value)
+    with pytest.raises(ConfigurationError) as error:
+        check(settings, "oxts_bridge")
+    assert text in str(error.value) and str(error.value).startswith("oxts_bridge.")
+
+
+def test_every_parameter_stands_in_the_parameter_file_with_its_default():
+    written = read_yaml_parameters(Path(__file__).resolve().parents[4] / "config" / "nodes.yaml", "oxts_bridge")
+    wanted = {parameter.name: parameter.default for parameter in PARAMETERS}
+    assert {name: repr(value) for name, value in written.items()} == {
+        name: repr(value) for name, value in wanted.items()
+    }

@@ -1,0 +1,140 @@
+"""NCOM files as CSV, and files that are none."""
+
+import csv
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from oxts_bridge import derived
+from oxts_bridge.export import BASIC, write_csv
+from oxts_bridge.low_pass import LowPass
+from oxts_bridge.ncom import NcomError
+
+START = 24_015_600 * 60_000 + 1_000
+
+
+def rows(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_columns_and_units(tmp_path, packet, drive):
+    (tmp_path / "a.ncom").write_bytes(b"".join(drive(30)) + packet(START + 120, 3, acceleration=(math.nan, 0.0, 0.0)))
+    assert write_csv(tmp_path / "a.ncom", tmp_path / "a.csv", tmp_path / "s.csv") == 31
+    table = rows(tmp_path / "a.csv")
+    assert tuple(table[0]) == (*BASIC, *derived.NAMES)
+    row = table[5]
+    assert (row["pkt"], row["start_offset"], row["out_type"], row["nav_mode"], row["quality"]) == (
+        "5",
+        "360",
+        "regular",
+        "4",
+        "valid",
+    )
+    numbers = {
+        name: float(row[name])
+        for name in ("time", "tow", "Wz", "Lat", "Alt", "Heading", "Vf", "Vl", "Speed2d", "IsoVoY")
+    }
+    assert numbers == pytest.approx(
+        {
+            "time": START / 1000 + 0.02,
+            "tow": START / 1000 % 604_800 + 0.02,
+            "Wz": math.degrees(0.1),
+            "Lat": 52.0,
+            "Alt": 100.5,
+            "Heading": 30.0,
+            "Vf": 11.16025,
+            "Vl": -0.66987,
+            "Speed2d": 11.18034,
+            "IsoVoY": 0.74211,
+        },
+        abs=1e-4,
+    )
+    assert int(row["week"]) == START // 604_800_000
+    assert table[30]["Ax"] == "" and table[30]["Ay"] == "0.0"
+    changes = rows(tmp_path / "s.csv")
+    assert {"pkt": "3", "channel": "3", "field": "NorthAcc", "valid": "1", "value": "0.02"} in changes
+    assert not any(row["field"] == "GpsMinutes" for row in changes)
+
+
+def test_heading_is_shown_from_0_to_360(tmp_path, packet):
+    (tmp_path / "a.ncom").write_bytes(packet(START, 0, heading=-0.1))
+    write_csv(tmp_path / "a.ncom", tmp_path / "a.csv")
+    assert float(rows(tmp_path / "a.csv")[0]["Heading"]) == pytest.approx(360 - math.degrees(0.1))
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (b"", "empty file"),
+        (b"\xe7" * 50, "no NCOM packet in 50 bytes"),
+        (b"time,x,y\n1,2,3\n" * 40, "starts with text"),
+        (b"OggS" + bytes(500), "Ogg container"),
+        (bytes(range(256)) * 4, "no NCOM packet in 1024 bytes"),
+    ],
+)
+def test_other_files_are_refused_in_one_line(tmp_path, content, text):
+    file = tmp_path / "drive.ncom"
+    file.write_bytes(content)
+    with pytest.raises(NcomError) as error:
+        write_csv(file, tmp_path / "out.csv")
+    assert str(error.value).startswith(str(file)) and text in str(error.value) and "\n" not in str(error.value)
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_missing_file_names_itself(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"gone\.ncom"):
+        write_csv(tmp_path / "gone.ncom", tmp_path / "out.csv")
+
+
+def run_filter(low_pass, signal, rate, seconds):
+    return [low_pass.feed(i / rate, signal(i / rate)) for i in range(int(rate * seconds))]
+
+
+def test_low_pass_leaves_a_constant_alone_and_needs_three_samples():
+    low_pass = LowPass()
+    low_pass.configure(5.0, 0.7)
+    out = run_filter(low_pass, lambda t: 3.0, 100, 1)
+    assert out[:2] == [None, None]
+    assert out[2:] == pytest.approx([3.0] * 98)
+
+
+def test_low_pass_gain_at_the_cutoff_is_one_over_two_damping():
+    low_pass = LowPass()
+    low_pass.configure(5.0, 0.7)
+    out = run_filter(low_pass, lambda t: math.sin(2 * math.pi * 5.0 * t), 100, 4)
+    assert max(out[200:]) == pytest.approx(1 / (2 * 0.7), rel=0.02)
+
+
+def test_low_pass_off_and_impossible():
+    off = LowPass()
+    off.configure(0.0, 0.0)
+    assert run_filter(off, lambda t: t, 10, 0.3) == [0.0, 0.1, 0.2]
+    too_fast = LowPass()
+    too_fast.configure(60.0, 0.7)
+    assert run_filter(too_fast, lambda t: t, 100, 0.1) == [None] * 10
+
+
+@given(north=st.floats(-50, 50), east=st.floats(-50, 50), heading=st.floats(-3.1, 3.1))
+def test_slip_is_the_track_seen_from_the_heading(tmp_path_factory, packet, north, east, heading):
+    folder = tmp_path_factory.mktemp("slip")
+    (folder / "a.ncom").write_bytes(packet(START, 0, velocity_ned=(north, east, 0.0), heading=heading))
+    write_csv(folder / "a.ncom", folder / "a.csv")
+    row = rows(folder / "a.csv")[0]
+    if math.hypot(north, east) > 0.1402:
+        slip = float(row["Slip"])
+        assert -180 < slip <= 180
+        assert math.cos(math.radians(slip)) * float(row["Speed2d"]) == pytest.approx(float(row["Vf"]), abs=1e-6)
+        assert math.sin(math.radians(slip)) * float(row["Speed2d"]) == pytest.approx(float(row["Vl"]), abs=1e-6)
+    elif math.hypot(north, east) < 0.1398:
+        assert row["Slip"] == row["Track"] == row["Curvature"] == ""
+
+
+def test_distance_is_not_counted_across_a_hole(tmp_path, drive):
+    (tmp_path / "a.ncom").write_bytes(b"".join(drive(251) + drive(251, START + 3_600_000)))
+    write_csv(tmp_path / "a.ncom", tmp_path / "a.csv")
+    table = rows(tmp_path / "a.csv")
+    speed = float(table[1]["Speed2d"])
+    # From the packet after the one that sets the minute: 249 steps and 250 steps of 4 ms.
+    assert float(table[-1]["Dist2d"]) == pytest.approx(speed * 0.004 * (249 + 250), rel=1e-4)

@@ -1,0 +1,186 @@
+"""The clock of a stream."""
+
+from datetime import UTC, datetime
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from oxts_bridge.gps_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, leap_seconds, unix_nanoseconds
+
+SECOND = 1_000_000_000
+MINUTE = 24_015_600
+
+
+def gps_seconds(*date):
+    return int(datetime(*date, tzinfo=UTC).timestamp()) - 315_964_800
+
+
+@pytest.mark.parametrize(
+    ("date", "leap"),
+    [
+        ((1980, 1, 6), 0),
+        ((1981, 6, 30), 0),
+        ((1981, 7, 2), 1),
+        ((1999, 6, 1), 13),
+        ((2005, 12, 31), 13),
+        ((2006, 1, 2), 14),
+        ((2009, 6, 1), 15),
+        ((2012, 7, 2), 16),
+        ((2016, 12, 31), 17),
+        ((2017, 1, 2), 18),
+        ((2030, 1, 1), 18),
+    ],
+)
+def test_leap_seconds_by_date(date, leap):
+    assert leap_seconds(gps_seconds(*date)) == leap
+
+
+def test_leap_second_changes_at_utc_midnight():
+    midnight = gps_seconds(2017, 1, 1) + 18
+    assert (leap_seconds(midnight - 1), leap_seconds(midnight)) == (17, 18)
+
+
+def test_worked_example():
+    gps = (MINUTE * 60_000 + 34_560) * 1_000_000
+    assert unix_nanoseconds(gps) == 1_756_900_816_560_000_000
+    assert unix_nanoseconds(gps, -18) == unix_nanoseconds(gps)
+    assert unix_nanoseconds(gps, -19) == unix_nanoseconds(gps) - SECOND
+
+
+def test_stamps_are_whole_nanoseconds_at_four_microseconds():
+    gps = 1_440_936_034_560_004_000
+    assert unix_nanoseconds(gps) - unix_nanoseconds(gps - 4_000) == 4_000
+
+
+def feed(clock, *packets):
+    """(ms, minute or None[, received_ns]) -> list of (time - MINUTE * 60000 or None, order)."""
+    results = [clock.step(*packet) for packet in packets]
+    return [(None if time is None else time - MINUTE * 60_000, order) for time, order in results]
+
+
+def test_no_time_before_channel_0_and_time_on_the_packet_that_carries_it():
+    assert feed(GpsClock(), (1000, None), (1010, None), (1020, MINUTE), (1030, None)) == [
+        (None, NEW),
+        (None, NEW),
+        (1020, NEW),
+        (1030, NEW),
+    ]
+
+
+def test_minute_wrap_without_channel_0():
+    assert feed(GpsClock(), (59_990, MINUTE), (0, None), (10, None)) == [(59_990, NEW), (60_000, NEW), (60_010, NEW)]
+
+
+def test_wrap_seen_by_a_late_packet_is_not_counted_twice():
+    clock = GpsClock()
+    got = feed(clock, (59_980, MINUTE), (0, None), (59_990, None), (10, None), (20, None))
+    assert got == [(59_980, NEW), (60_000, NEW), (59_990, LATE), (60_010, NEW), (60_020, NEW)]
+    assert clock.jumps == 0
+
+
+def test_week_change_is_nothing_special():
+    minute = 10_080 * 2383 - 1
+    clock = GpsClock()
+    times = [clock.step(ms, m)[0] for ms, m in ((59_990, minute), (0, None), (10, minute + 1))]
+    assert times == [(minute + 1) * 60_000 + delta for delta in (-10, 0, 10)]
+    assert clock.jumps == 0
+
+
+def test_duplicate_and_reordered_packets():
+    assert [
+        order for _, order in feed(GpsClock(), (100, MINUTE), (110, None), (110, None), (105, None), (120, None))
+    ] == [NEW, NEW, SAME, LATE, NEW]
+
+
+def test_silence_on_the_receive_clock_drops_the_minute():
+    clock = GpsClock()
+    got = feed(
+        clock,
+        (1000, MINUTE, 0),
+        (1010, None, SECOND // 100),
+        (5000, None, 64 * SECOND),
+        (5010, MINUTE + 1, 65 * SECOND),
+    )
+    assert got == [(1000, NEW), (1010, NEW), (None, NEW), (65_010, NEW)]
+    assert clock.jumps == 0
+
+
+def test_short_silence_keeps_the_minute_over_a_wrap():
+    clock = GpsClock()
+    assert feed(clock, (55_000, MINUTE, 0), (5_000, None, 10 * SECOND)) == [(55_000, NEW), (65_000, NEW)]
+    assert clock.jumps == 0
+
+
+def test_step_beyond_the_silence_is_a_jump():
+    clock = GpsClock()
+    feed(clock, (1000, MINUTE, 0), (6000, None, SECOND // 100))
+    assert clock.jumps == 1
+
+
+def test_a_cut_input_is_found_by_the_next_minute_although_it_looks_late():
+    """58 s are missing: by milliseconds alone the packet is 1.8 s old, by its minute it is ahead."""
+    clock = GpsClock()
+    assert feed(clock, (1200, MINUTE), (59_400, MINUTE), (59_410, None)) == [(1200, NEW), (59_400, NEW), (59_410, NEW)]
+    assert clock.jumps == 1
+
+
+def test_clock_set_back_is_followed_after_a_run_of_late_packets():
+    clock = GpsClock()
+    feed(clock, (50_000, MINUTE))
+    back = [(30_000 + 10 * i, MINUTE - 5 if i % 10 == 0 else None) for i in range(LATE_RUN + 5)]
+    got = feed(clock, *back)
+    assert [order for _, order in got] == [LATE] * LATE_RUN + [NEW] * 5
+    assert got[-1] == (30_000 - 5 * 60_000 + 10 * (LATE_RUN + 4), NEW)
+    assert clock.jumps == 1
+
+
+def test_single_late_packets_never_add_up_to_a_clock_set_back():
+    clock = GpsClock()
+    clock.step(10_000, MINUTE)
+    orders = [clock.step(ms, None)[1] for i in range(1, 40) for ms in (10_000 + 10 * i, 9_500 + 10 * i)]
+    assert orders == [NEW, LATE] * 39
+
+
+def test_one_minute_off_near_the_turn_needs_to_be_said_twice():
+    clock = GpsClock()
+    assert feed(clock, (59_900, MINUTE), (0, MINUTE), (100, MINUTE)) == [(59_900, NEW), (60_000, NEW), (100, NEW)]
+    clock = GpsClock()
+    assert feed(clock, (59_900, MINUTE), (0, MINUTE), (100, MINUTE + 1))[-1] == (60_100, NEW)
+    assert clock.jumps == 0
+
+
+def test_otherwise_channel_0_wins_at_once():
+    clock = GpsClock()
+    assert feed(clock, (10_000, MINUTE), (10_010, MINUTE + 7))[-1] == (7 * 60_000 + 10_010, NEW)
+    assert clock.jumps == 1
+
+
+def test_hint_of_a_status_only_packet_counts_only_while_nothing_better_is_known():
+    clock = GpsClock()
+    clock.hint(MINUTE)
+    clock.hint(MINUTE + 3)
+    assert feed(clock, (1000, None)) == [(1000, NEW)]
+    clock.hint(MINUTE + 9)
+    assert feed(clock, (1010, None)) == [(1010, NEW)]
+
+
+@given(offset=st.integers(-29_000, 29_000), ms=st.integers(0, 59_999))
+def test_minute_from_a_host_clock_within_half_a_minute(offset, ms):
+    utc_ns = unix_nanoseconds((MINUTE * 60_000 + ms) * 1_000_000)
+    assert host_minute(utc_ns + offset * 1_000_000, ms) == MINUTE
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 65_535), st.none() | st.integers(1_000, 30_525_000), st.none() | st.integers(0, 10**12)
+        ),
+        max_size=80,
+    )
+)
+def test_never_raises(packets):
+    clock = GpsClock()
+    for packet in packets:
+        time, order = clock.step(*packet)
+        assert order in (NEW, SAME, LATE)
+        assert time is None or isinstance(time, int)

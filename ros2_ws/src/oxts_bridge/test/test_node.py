@@ -1,0 +1,352 @@
+"""The real node process over DDS, fed through real UDP on loopback."""
+
+import math
+import random
+import socket
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS here")
+pytest.importorskip("st_msgs.msg", reason="the workspace is not built")
+
+from ins_rig import Rig, free_port, stamp_ms
+from lifecycle_msgs.srv import ChangeState
+from oxts_bridge.channels import encode_trigger
+from st_msgs.msg import Trigger
+
+pytestmark = pytest.mark.ros
+
+OK, WARN, ERROR = 0, 1, 2
+START = 24_015_600 * 60_000 + 1_000
+UTC_MINUS_GPS_MS = (315_964_800 - 18) * 1000
+ACCURACY = {
+    3: {"NorthAcc": 0.02, "EastAcc": 0.03, "AltAcc": 0.05},
+    4: {"VnAcc": 0.01, "VeAcc": 0.02, "VdAcc": 0.03},
+    5: {"HeadingAcc": math.degrees(0.003), "PitchAcc": math.degrees(0.002), "RollAcc": math.degrees(0.001)},
+    48: {"Undulation": 51.7},
+}
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """rig(**parameters) -> Rig, connected; its exit code is checked at the end."""
+    rigs = []
+
+    def start(connect=True, **parameters):
+        port = parameters.setdefault("udp_port", free_port())
+        rigs.append(Rig(port, parameters, tmp_path))
+        if connect:
+            rigs[-1].wait_connected()
+        return rigs[-1]
+
+    yield start
+    for each in rigs:
+        code, errors = each.stop()
+        assert code == 0, errors
+        assert "Traceback" not in errors
+
+
+def test_signs_units_and_frames_by_numbers(rig, packet):
+    """Heading 30 deg, nose 5 deg up, left side 10 deg down; 10 m/s north, 5 east, 0.5 up; INS 1 m ahead of and 0.2 m
+    left of base."""
+    rig = rig(base_to_ins="[1.0, 0.2, 0.5]", angular_velocity_stddev=0.01, linear_acceleration_stddev=0.05)
+    packets = [packet(START + 10 * i, channel, ACCURACY[channel]) for i, channel in enumerate((3, 4, 5, 48), 1)]
+    rig.send(packet(START, 0), *packets, packet(START + 50, 255))
+    odometry = rig.messages("ins/odometry", 6)[-1]
+    rig.messages("/tf", 6)
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "ins_link")
+    assert stamp_ms(odometry) == START + 50 + UTC_MINUS_GPS_MS
+    q, p = odometry.pose.pose.orientation, odometry.pose.pose.position
+    assert (q.x, q.y, q.z, q.w) == pytest.approx((-0.053680547, -0.081168145, 0.494330919, 0.863809628), abs=1e-6)
+    assert (p.x, p.y, p.z) == pytest.approx((0, 0, 0), abs=1e-9)
+    linear, angular = odometry.twist.twist.linear, odometry.twist.twist.angular
+    assert (linear.x, linear.y, linear.z) == pytest.approx((11.16136377, 0.74210656, -0.35105068), abs=1e-4)
+    assert (angular.x, angular.y, angular.z) == pytest.approx((0.001, -0.002, -0.1), abs=1e-9)
+    c = odometry.pose.covariance
+    assert (c[0], c[7], c[14], c[35]) == pytest.approx((0.03**2, 0.02**2, 0.05**2, 0.003**2), rel=0.01)
+    # Roll error 1 mrad, pitch error 2 mrad, body x axis 60 deg north of east.
+    assert (c[21], c[28], c[22]) == pytest.approx(
+        (0.25e-6 + 0.75 * 4e-6, 0.75e-6 + 0.25 * 4e-6, -3e-6 * math.sqrt(3) / 4), rel=0.01
+    )
+    trace = sum(odometry.twist.covariance[i] for i in (0, 7, 14))
+    assert trace == pytest.approx(0.01**2 + 0.02**2 + 0.03**2)
+    assert odometry.twist.covariance[35] == pytest.approx(1e-4)
+
+    imu = rig.messages("ins/imu", 6)[-1]
+    a = imu.linear_acceleration
+    assert imu.header.frame_id == "ins_link"
+    assert (a.x, a.y, a.z) == pytest.approx((0.1, 0.2, 9.81))
+    assert (imu.angular_velocity.x, imu.angular_velocity.y, imu.angular_velocity.z) == pytest.approx(
+        (0.001, -0.002, -0.1)
+    )
+    assert imu.orientation.w == pytest.approx(q.w)
+    assert (imu.angular_velocity_covariance[0], imu.linear_acceleration_covariance[8]) == pytest.approx((1e-4, 25e-4))
+
+    fix = rig.messages("ins/nav_sat_fix", 6)[-1]
+    assert (fix.latitude, fix.longitude, fix.altitude) == pytest.approx((52.0, -1.25, 100.5 + 51.7), abs=1e-9)
+    assert fix.status.status == 2 and fix.position_covariance_type == 2
+    assert list(fix.position_covariance[[0, 4, 8]]) == pytest.approx([0.03**2, 0.02**2, 0.05**2])
+
+    velocity = rig.messages("ins/velocity", 6)[-1]
+    assert velocity.header.frame_id == "ins_link"
+    assert velocity.twist.twist.linear.x == pytest.approx(linear.x)
+
+    transform = rig.messages("/tf", 6)[-1].transforms[0]
+    assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
+    t = transform.transform.translation
+    assert math.sqrt(t.x**2 + t.y**2 + t.z**2) == pytest.approx(math.sqrt(1.0 + 0.04 + 0.25))
+    # Base is behind the INS: south-west of it when it looks north-north-east.
+    assert t.x < 0 and t.y < 0
+    frames = {
+        (s.header.frame_id, s.child_frame_id): s.transform for m in rig.messages("/tf_static", 1) for s in m.transforms
+    }
+    assert set(frames) == {("map", "odom"), ("base_link", "ins_link")}
+    mount = frames["base_link", "ins_link"].translation
+    assert (mount.x, mount.y, mount.z) == (1.0, 0.2, 0.5)
+    assert frames["map", "odom"].rotation.w == 1.0
+
+    reference = rig.messages("ins/time_reference", 6)[-1]
+    assert reference.time_ref == odometry.header.stamp
+    assert abs(stamp_ms(reference) - time.time() * 1000) < 60_000
+    raw = rig.messages("ins/ncom", 6)
+    assert bytes(raw[0].raw_packet) == packet(START, 0)
+
+
+def test_publishes_from_the_first_packet_and_says_what_is_missing(rig, packet):
+    """No undulation, no accuracy, no serial number, no UTC offset, no local frame."""
+    rig = rig()
+    rig.send(packet(START, 0))
+    odometry = rig.messages("ins/odometry", 1)[0]
+    assert stamp_ms(odometry) == START + UTC_MINUS_GPS_MS
+    assert odometry.pose.covariance[0] >= 1e6 and odometry.twist.covariance[0] >= 1e6
+    fix = rig.messages("ins/nav_sat_fix", 1)[0]
+    assert math.isnan(fix.altitude) and fix.position_covariance_type == 0
+    assert list(rig.messages("ins/imu", 1)[0].orientation_covariance) == [0.0] * 9
+    status = rig.messages("ins/status", 1)[0]
+    assert (status.navigation_status_text, status.position_mode_text, status.satellites) == (
+        "locked",
+        "RTK integer",
+        14,
+    )
+    assert math.isnan(status.geoid_undulation) and status.serial_number == -1
+    assert rig.spin(lambda: "undulation" in rig.check("completeness")[1])
+    level, text, values = rig.check("completeness")
+    assert level == WARN and "covariances unknown" in text and "serial number" in values["also missing"]
+
+
+def test_stamps_go_straight_through_the_minute_and_the_week(rig, drive):
+    rig = rig()
+    week = 10_080 * 2383 * 60_000
+    packets = drive(100, week - 500, 10, every=1000)  # channel 0 once only
+    for i in range(0, 100, 10):
+        rig.send(*packets[i : i + 10])
+        rig.spin(lambda: False, 0.02)
+    stamps = [stamp_ms(message) for message in rig.messages("ins/odometry", 100)]
+    assert stamps == [week - 500 + 10 * i + UTC_MINUS_GPS_MS for i in range(100)]
+
+
+def test_damaged_and_useless_packets(rig, drive, packet):
+    """Reordered, repeated, corrupted, cut, joined, foreign, of reserved status: published is what is new and valid, once."""
+    rig = rig()
+    p = drive(12, step_ms=10)
+    junk = random.Random(1).randbytes(500)
+    rig.send(
+        p[0],
+        p[1],
+        p[3],
+        p[2],
+        p[4],
+        p[4],
+        p[5][:40] + bytes([p[5][40] ^ 1]) + p[5][41:],
+        b"junk",
+        p[6][:30],
+        p[7] + p[8],
+        junk,
+        b"",
+        p[9],
+        p[10],
+        p[11],
+    )
+    rig.send(packet(START + 120, navigation_status=9), packet(START + 130, navigation_status=99), packet(START + 140))
+    # Initialising: rates and accelerations, but no place.
+    rig.send(packet(START + 150, navigation_status=2), packet(START + 160))
+    rig.messages("ins/odometry", 11)
+    imu = rig.messages("ins/imu", 12)
+    rig.spin(lambda: False, 0.3)
+    stamps = [stamp_ms(m) - START - UTC_MINUS_GPS_MS for m in rig.seen["ins/odometry"]]
+    assert stamps == [0, 10, 30, 40, 70, 80, 90, 100, 110, 140, 160]
+    assert [stamp_ms(m) for m in rig.seen["ins/nav_sat_fix"]] == [stamp_ms(m) for m in rig.seen["ins/odometry"]]
+    assert [stamp_ms(m) - START - UTC_MINUS_GPS_MS for m in imu] == sorted([*stamps, 150])
+    assert [m.orientation_covariance[0] == -1.0 for m in imu] == [False] * 10 + [True, False]
+    assert rig.spin(lambda: rig.check("stream")[2].get("late") == "1")
+    values = rig.check("stream")[2]
+    assert (values["duplicates"], values["reserved navigation status"]) == ("1", "2")
+    assert int(values["checksum errors"]) >= 1 and int(values["skipped bytes"]) >= 4 + 72 + 30 + 500
+
+
+def test_silence_is_told_and_ends_by_itself(rig, drive):
+    rig = rig(silence_after=0.3)
+    packets = drive(300, step_ms=10)
+    rig.send(*packets[:20])
+    rig.messages("ins/odometry", 20)
+    assert rig.spin(lambda: rig.check("stream")[0] == ERROR and "no packet for" in rig.check("stream")[1])
+    rig.send(*packets[250:270])
+    assert len(rig.messages("ins/odometry", 40)) == 40
+    rest = iter(packets[270:])
+
+    def heard_again():
+        rig.send(next(rest))
+        rig.spin(lambda: False, 0.05)
+        return rig.check("stream")[0] in (OK, WARN)
+
+    assert rig.spin(heard_again)
+
+
+def test_sender_filter(rig, drive):
+    rig = rig(sender_filter="127.0.0.2")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unit:
+        unit.bind(("127.0.0.2", 0))
+        ours, foreign = drive(10), drive(10, START + 600_000)
+        rig.send(*foreign)
+        for packet in ours:
+            unit.sendto(packet, ("127.0.0.1", rig.port))
+        odometry = rig.messages("ins/odometry", 10)
+        assert rig.spin(lambda: rig.check("source")[2].get("sender") == "127.0.0.2")
+    assert [stamp_ms(m) for m in odometry] == [START + 4 * i + UTC_MINUS_GPS_MS for i in range(10)]
+    assert rig.check("source")[2]["ignored from 127.0.0.1"] == "10"
+
+
+def test_busy_port_is_told_and_healed(rig, drive):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
+        holder.bind(("127.0.0.1", 0))
+        rig = rig(udp_port=holder.getsockname()[1])
+        assert rig.spin(lambda: rig.check("source")[0] == ERROR)
+        assert f"port {rig.port}: Address already in use; trying again" in rig.check("source")[1]
+    assert rig.spin(lambda: rig.check("source")[0] == OK)
+    rig.send(*drive(5))
+    assert rig.messages("ins/odometry", 5)
+
+
+def test_events_are_published_once_with_their_own_time(rig, packet):
+    rig = rig()
+    event_ns = (START + 5) * 1_000_000 + 432_000
+    data = encode_trigger(24, event_ns, 9)
+    trigger = packet(
+        START + 5,
+        24,
+        batch_s=data,
+        navigation_status=22,
+        velocity_ned=(20.0, 0.0, 0.0),
+        heading=0.0,
+        pitch=0.0,
+        roll=0.0,
+    )
+    rig.send(packet(START, 0), trigger, trigger, packet(START + 10, 24, batch_s=data), packet(START + 20))
+    rig.messages("ins/odometry", 3)
+    event = rig.messages("ins/trigger", 1)[0]
+    rig.spin(lambda: False, 0.3)
+    assert len(rig.seen["ins/trigger"]) == 1
+    stamp = event.header.stamp.sec * 1_000_000_000 + event.header.stamp.nanosec
+    assert stamp == event_ns + UTC_MINUS_GPS_MS * 1_000_000
+    assert (event.source, event.count, event.pose_valid, event.header.frame_id) == (
+        Trigger.INPUT_1_FALLING,
+        9,
+        True,
+        "map",
+    )
+    assert (event.twist.linear.x, event.pose.orientation.z) == pytest.approx((20.0, math.sqrt(0.5)))
+
+
+def test_choices_of_origin_stamp_altitude_frames_and_topics(rig, packet):
+    rig = rig(
+        origin_source="given",
+        origin_latitude=52.001,
+        origin_longitude=-1.25,
+        origin_altitude=90.5,
+        stamp_source="receive",
+        altitude_is_ellipsoidal=True,
+        publish_tf=False,
+        map_frame="site",
+        topics="[odometry, nav_sat_fix, status]",
+    )
+    before = time.time() * 1000
+    rig.send(packet(START, 0), packet(START + 10, 48, {"Undulation": 51.7}), packet(START + 20))
+    odometry = rig.messages("ins/odometry", 3)[0]
+    p = odometry.pose.pose.position
+    assert (p.x, p.y, p.z) == pytest.approx((0, -111.26, 10.0), abs=0.02)
+    assert odometry.header.frame_id == "site"
+    assert before - 1 <= stamp_ms(odometry) <= time.time() * 1000 + 1
+    assert [fix.altitude for fix in rig.messages("ins/nav_sat_fix", 3)] == [100.5] * 3
+    rig.spin(lambda: False, 0.3)
+    assert not rig.seen["ins/imu"] and not rig.seen["/tf"]
+
+
+def test_without_channel_0_the_minute_comes_from_the_host(rig, packet):
+    rig = rig()
+    begin, sent = time.time(), 0
+    while not rig.seen["ins/odometry"] and time.time() < begin + 15:
+        gps_ms = int(time.time() * 1000) - UTC_MINUS_GPS_MS
+        rig.send(packet(gps_ms))
+        sent += 1
+        rig.spin(lambda: False, 0.02)
+    assert abs(stamp_ms(rig.messages("ins/odometry", 1)[0]) - time.time() * 1000) < 1000
+    rig.send(packet(int(time.time() * 1000) - UTC_MINUS_GPS_MS))
+    assert rig.spin(lambda: "minute taken from the host's clock" in rig.check("completeness")[1])
+    assert len(rig.seen["ins/ncom"]) > 10
+
+
+def test_replay_is_the_same_as_live_and_carries_the_clock(rig, drive, tmp_path):
+    packets = drive(120, step_ms=10)
+    (tmp_path / "drive.ncom").write_bytes(b"".join(packets))
+    replay = rig(replay_file=tmp_path / "drive.ncom", publish_clock=True, loop=True)
+    first = replay.seen["ins/odometry"]
+    assert replay.spin(lambda: len(first) > 260)
+    stamps = [stamp_ms(m) - UTC_MINUS_GPS_MS - START for m in first]
+    begin = stamps.index(0.0)
+    assert stamps[begin : begin + 121] == [10.0 * i for i in range(120)] + [0.0]
+    clock = replay.messages("/clock", 20)
+    assert all(START <= c.clock.sec * 1000 + c.clock.nanosec / 1e6 - UTC_MINUS_GPS_MS < START + 1200 for c in clock)
+    live = rig()
+    live.send(packets[0])
+    for i in range(1, 120, 10):
+        live.send(*packets[i : i + 10])
+        live.spin(lambda: False, 0.02)
+    wanted = live.messages("ins/odometry", 120)
+    same = {stamp_ms(m): m for m in first[begin : begin + 120]}
+    # The first pass of the loop knew no accuracies at its start; later ones know them, so compare from where both do.
+    assert all(same[stamp_ms(m)] == m for m in wanted[5:])
+
+
+def change_state(rig, transition):
+    client = rig.node.create_client(ChangeState, "oxts_bridge/change_state")
+    assert rig.spin(client.service_is_ready)
+    request = ChangeState.Request()
+    request.transition.id = transition
+    future = client.call_async(request)
+    assert rig.spin(future.done)
+    return future.result().success
+
+
+def test_lifecycle(rig, drive):
+    configure, cleanup, activate, deactivate, shutdown = 1, 2, 3, 4, 5
+    rig = rig(connect=False, autostart=False)
+    packets = drive(60, step_ms=10)
+    assert change_state(rig, configure)
+    rig.wait_connected()
+    rig.send(*packets[:10])
+    rig.spin(lambda: False, 0.3)
+    assert rig.check("source")[1] == "not active" or not rig.seen["ins/odometry"]
+    assert change_state(rig, activate)
+    rig.send(*packets[10:20], *packets[20:30])
+    rig.messages("ins/odometry", 20)
+    assert change_state(rig, deactivate)
+    count = len(rig.seen["ins/odometry"])
+    rig.send(*packets[30:40])
+    rig.spin(lambda: False, 0.3)
+    assert len(rig.seen["ins/odometry"]) == count
+    assert change_state(rig, activate)
+    rig.send(*packets[40:50])
+    rig.messages("ins/odometry", count + 10)
+    assert change_state(rig, deactivate) and change_state(rig, cleanup) and change_state(rig, configure)
+    assert change_state(rig, cleanup) and change_state(rig, shutdown)

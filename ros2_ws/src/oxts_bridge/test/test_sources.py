@@ -1,0 +1,219 @@
+"""Bytes from a real UDP port on loopback and from a file."""
+
+import socket
+import threading
+import time
+
+import pytest
+from oxts_bridge.ncom import NcomError
+from oxts_bridge.sources import ReplaySource, UdpSource, is_address
+from oxts_bridge.stream import NcomParser
+from oxts_bridge.stream_statistics import StreamStatistics
+
+
+class Sink:
+    """Takes what a source hands over, and can wait for it."""
+
+    def __init__(self):
+        self.parser = NcomParser()
+        self.data, self.times, self.wanted = [], [], []
+        self.changes = 0
+        self._news = threading.Condition()
+
+    def take(self, data, received_ns, wanted):
+        with self._news:
+            self.data.append(data)
+            self.times.append(received_ns)
+            self.wanted.append(wanted)
+            self._news.notify_all()
+        return len(self.parser.feed(data))
+
+    def changed(self):
+        with self._news:
+            self.changes += 1
+            self._news.notify_all()
+
+    def wait(self, condition, limit=10.0):
+        with self._news:
+            return self._news.wait_for(condition, limit)
+
+
+@pytest.fixture
+def sink():
+    return Sink()
+
+
+@pytest.fixture
+def port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        return sock.getsockname()[1]
+
+
+@pytest.fixture
+def udp(sink, port):
+    """udp(sender_filter) -> a running source."""
+    sources = []
+
+    def start(sender_filter=""):
+        source = UdpSource("127.0.0.1", port, sender_filter, sink.take, sink.changed)
+        source.start()
+        sources.append(source)
+        return source
+
+    yield start
+    for source in sources:
+        source.stop()
+
+
+def sender(address="127.0.0.1"):
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.bind((address, 0))
+    return sock
+
+
+def send_until(sock, port, data, sink, condition):
+    """Repeats until the source is open and has taken it."""
+    end = time.monotonic() + 10
+    while not condition() and time.monotonic() < end:
+        sock.sendto(data, ("127.0.0.1", port))
+        sink.wait(condition, 0.05)
+    assert condition()
+
+
+def test_every_datagram_arrives_with_the_kernels_time(udp, sink, port, drive):
+    source = udp()
+    packets = drive(200)
+    with sender() as sock:
+        send_until(sock, port, b"hello", sink, lambda: sink.data)
+        sink.data.clear(), sink.times.clear()
+        before = time.time_ns()
+        for packet in packets:
+            sock.sendto(packet, ("127.0.0.1", port))
+        assert sink.wait(lambda: sink.data[-1:] == packets[-1:])
+    arrived = [data for data in sink.data if data != b"hello"]
+    assert arrived == packets
+    assert before - 1_000_000_000 < sink.times[0] <= sink.times[-1] <= time.time_ns()
+    assert sink.times == sorted(sink.times)
+    assert source.status.sender == "127.0.0.1"
+
+
+def test_only_the_wanted_sender_is_heard(udp, sink, port, drive):
+    source = udp("127.0.0.2")
+    ours, foreign = drive(2)
+    with sender("127.0.0.2") as unit, sender("127.0.0.3") as other:
+        send_until(unit, port, ours, sink, lambda: sink.data)
+        for _ in range(5):
+            other.sendto(foreign, ("127.0.0.1", port))
+        send_until(unit, port, ours, sink, lambda: source.status.others.get("127.0.0.3", 0) == 5)
+    assert set(sink.data) == {ours}
+    assert source.status.sender == "127.0.0.2"
+
+
+def test_without_a_filter_the_first_unit_is_kept(udp, sink, port, drive):
+    source = udp()
+    ours, foreign = drive(2)
+    with sender("127.0.0.2") as unit, sender("127.0.0.3") as other, sender("127.0.0.4") as junk:
+        send_until(junk, port, b"not ncom", sink, lambda: sink.data)
+        send_until(unit, port, ours, sink, lambda: source.status.sender == "127.0.0.2")
+        for _ in range(5):
+            other.sendto(foreign, ("127.0.0.1", port))
+        send_until(unit, port, ours, sink, lambda: source.status.others.get("127.0.0.3", 0) == 5)
+    assert foreign not in sink.data
+
+
+def test_a_busy_port_is_told_and_taken_when_it_is_free(udp, sink, port, drive):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
+        holder.bind(("127.0.0.1", port))  # without address reuse
+        source = udp()
+        assert sink.wait(lambda: source.status.trouble)
+        assert f"127.0.0.1 port {port}: Address already in use" in source.status.trouble
+    assert sink.wait(lambda: source.status.trouble == "" and sink.changes == 2)
+    with sender() as sock:
+        send_until(sock, port, drive(1)[0], sink, lambda: sink.data)
+
+
+def test_two_programs_can_listen(udp, sink, port):
+    first, second = udp(), udp()
+    assert sink.wait(lambda: False, 0.3) is False
+    assert (first.status.trouble, second.status.trouble) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "valid"), [("127.0.0.1", True), ("::1", True), ("localhost", False), ("", False), ("192.168.1", False)]
+)
+def test_addresses(text, valid):
+    assert is_address(text) is valid
+
+
+def replay(path, sink, **options):
+    source = ReplaySource(path, sink.take, sink.changed, **options)
+    source.start()
+    return source
+
+
+def test_replay_gives_every_packet_in_order(tmp_path, sink, drive):
+    packets = drive(60, step_ms=10)
+    (tmp_path / "a.ncom").write_bytes(b"junk".join(packets))
+    source = replay(tmp_path / "a.ncom", sink, speed_factor=20.0)
+    assert sink.wait(lambda: len(sink.data) == 60)
+    source.stop()
+    assert sink.data == packets
+    assert (source.status.progress, source.status.datagrams) == (1.0, 60)
+    # 0.59 s of file at 20 times its pace; never faster than that.
+    assert sink.times[-1] - sink.times[0] >= 0.59e9 / 20 * 0.98
+
+
+def test_replay_from_an_offset_still_sets_the_status_from_the_start(tmp_path, sink, drive):
+    (tmp_path / "a.ncom").write_bytes(b"".join(drive(100, step_ms=10)))
+    source = replay(tmp_path / "a.ncom", sink, speed_factor=100.0, start_offset=0.5)
+    assert sink.wait(lambda: len(sink.data) == 100)
+    source.stop()
+    assert sink.wanted == [False] * 50 + [True] * 50
+
+
+def test_replay_loops(tmp_path, sink, drive):
+    packets = drive(20)
+    (tmp_path / "a.ncom").write_bytes(b"".join(packets))
+    source = replay(tmp_path / "a.ncom", sink, speed_factor=100.0, loop=True)
+    assert sink.wait(lambda: len(sink.data) >= 60)
+    source.stop()
+    assert sink.data[:60] == packets * 3
+    assert sink.changes == source.status.loops >= 2
+
+
+def test_replay_does_not_sit_through_a_joined_file(tmp_path, sink, drive):
+    packets = drive(20) + drive(20, 24_015_600 * 60_000 + 7_200_000) + drive(20)
+    (tmp_path / "a.ncom").write_bytes(b"".join(packets))
+    source = replay(tmp_path / "a.ncom", sink, speed_factor=10.0)
+    assert sink.wait(lambda: len(sink.data) == 60)
+    source.stop()
+
+
+def test_replay_of_packets_without_a_time(tmp_path, sink, drive):
+    (tmp_path / "a.ncom").write_bytes(b"".join(drive(20, every=0)))
+    source = replay(tmp_path / "a.ncom", sink)
+    assert sink.wait(lambda: len(sink.data) == 20)
+    source.stop()
+
+
+def test_replay_of_something_else_is_refused_at_once(tmp_path, sink):
+    (tmp_path / "a.ncom").write_bytes(b"text " * 100)
+    with pytest.raises(NcomError, match=r"a\.ncom: no NCOM packet"):
+        ReplaySource(tmp_path / "a.ncom", sink.take, sink.changed)
+
+
+def test_statistics_count_rate_and_gaps(drive):
+    statistics, parser = StreamStatistics(), NcomParser()
+    packets = drive(251)
+    del packets[100:103]
+    for i, data in enumerate(packets):
+        for received in parser.feed(data):
+            received.received_ns = received.utc_ns + 3_000_000 + (50_000_000 if i == 200 else 0)
+            statistics.add(received)
+    window = statistics.take()
+    assert (window.packets, window.gaps) == (247, 1)
+    assert window.rate == pytest.approx(247.0)
+    assert window.longest == pytest.approx(0.016)
+    assert statistics.stamp_minus_host()[0] == pytest.approx(-0.003)
+    assert statistics.take().packets == 0

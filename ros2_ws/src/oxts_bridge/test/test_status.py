@@ -1,0 +1,196 @@
+"""The status put together from its channels; events; the map origin."""
+
+import math
+
+import pytest
+from oxts_bridge.channels import encode_channel, encode_trigger
+from oxts_bridge.modes import fix_status, mode_text
+from oxts_bridge.motion import Accuracy, motion_of
+from oxts_bridge.origin import FIRST_FIX, GIVEN, UNIT, UNIT_PATIENCE_NS, Origin
+from oxts_bridge.status import StatusTracker
+from oxts_bridge.stream import NcomParser
+from oxts_bridge.triggers import EventLog
+
+START = 24_015_600 * 60_000 + 1_000
+
+
+def test_counters_are_unwrapped():
+    status = StatusTracker()
+    for sent in (65_000, 100, 100, 65_535, 0):
+        status.update(2, encode_channel(2, {"GpsPrimary.Chars": sent, "GpsPrimary.Pkts": sent}))
+    assert status.get("GpsPrimary.Chars") == 65_536 * 2
+
+
+def test_old_accuracy_is_unknown_not_zero():
+    status = StatusTracker()
+    status.update(3, encode_channel(3, {"NorthAcc": 0.1, "EastAcc": 0.2, "AltAcc": 0.3}))
+    accuracy = Accuracy.from_status(status)
+    assert accuracy.position_known and not accuracy.velocity_known and not accuracy.attitude_known
+    assert (accuracy.east, accuracy.north, accuracy.up) == pytest.approx((0.2, 0.1, 0.3))
+    status.update(3, encode_channel(3, {}))
+    assert not Accuracy.from_status(status).position_known
+
+
+def test_same_bytes_again_change_nothing_but_the_filtered_lag():
+    status = StatusTracker()
+    data = encode_channel(5, {"HeadingAcc": 0.1, "PitchAcc": 0.1, "RollAcc": 0.1})
+    assert status.update(5, data) and not status.update(5, data)
+    for lag in (100, 200):
+        status.update(23, encode_channel(23, {"BnsLag": lag, "UpTimeCode": 10_860}))
+    assert status.get("BnsLagFilt") == pytest.approx(101.0)
+    assert status.get("UpTime") == 240 * 60
+
+
+def test_wheel_count_belongs_to_the_nearest_minute_and_wraps():
+    status = StatusTracker()
+    minute = START / 1000 - START / 1000 % 60
+    status.update(45, encode_channel(45, {"WSpeedCount": 2**32 - 10, "WSpeedMilliseconds": 59_900}), minute + 60.05)
+    assert status.get("WSpeedTime") == pytest.approx(minute + 59.9)
+    status.update(45, encode_channel(45, {"WSpeedCount": 10, "WSpeedMilliseconds": 100}), minute + 60.15)
+    assert status.get("WSpeedFreq") == pytest.approx(100.0, rel=1e-5)
+
+
+def test_local_frame_needs_all_four_values_and_keeps_the_last_complete_one():
+    status = StatusTracker()
+    status.update(66, encode_channel(66, {"RefLat": 52.0, "RefLon": -1.25}))
+    assert status.local_frame is None
+    status.update(67, encode_channel(67, {"RefAlt": 100.0, "RefHeading": 270.0 - 360.0}))
+    assert status.local_frame == pytest.approx((52.0, -1.25, 100.0, -90.0))
+    status.update(66, encode_channel(66, {"RefLat": 53.0}))
+    assert status.local_frame == pytest.approx((52.0, -1.25, 100.0, -90.0))
+
+
+def test_channel_25_is_used_only_without_66_and_67():
+    old = encode_channel(25, {"OldRefX": 120.0, "OldRefY": 0.0, "OldRefHeading": 0.0})
+    here = (math.radians(52), math.radians(-1.25), 100.0)
+    status = StatusTracker()
+    status.update(25, old, None, here)
+    assert status.local_frame[0] == pytest.approx(52.0 - 120.0 / 111_260, abs=1e-5)
+    status.update(66, encode_channel(66, {"RefLat": 50.0, "RefLon": 1.0}))
+    status.update(67, encode_channel(67, {"RefAlt": 1.0, "RefHeading": 90.0}))
+    status.update(25, encode_channel(25, {"OldRefX": 1.2, "OldRefY": 0.0, "OldRefHeading": 0.0}), None, here)
+    assert status.local_frame == pytest.approx((50.0, 1.0, 1.0, 90.0))
+
+
+@pytest.mark.parametrize("data", ["8000000080000000", "000080000000ffff", "0000000000000080", "ffff7f0000000000"])
+def test_channel_25_that_says_nothing(data):
+    status = StatusTracker()
+    status.update(25, bytes.fromhex(data), None, (0.9, 0.0, 0.0))
+    assert status.local_frame is None
+
+
+def receive(parser, data):
+    return parser.feed(data)[0]
+
+
+def test_each_event_is_told_once_however_often_it_is_repeated(packet):
+    parser, log = NcomParser(), EventLog()
+    first, second = encode_trigger(24, (START + 5) * 1_000_000, 7), encode_trigger(24, (START + 900) * 1_000_000, 8)
+    no_event = (-10080).to_bytes(4, "little", signed=True) + bytes(4)
+
+    def event(status, data, channel=24):
+        return log.event(receive(parser, packet(START, channel, batch_s=data, navigation_status=status)))
+
+    assert event(4, no_event) is None
+    complete = event(22, first)
+    assert (complete.channel, complete.count, complete.complete) == (24, 7, True)
+    assert event(4, first) is None and event(22, first) is None
+    # The trigger packet of the second event was lost; its repeat still tells the time, but no pose.
+    repeat = event(4, second)
+    assert (repeat.count, repeat.complete, repeat.gps_ns) == (8, False, (START + 900) * 1_000_000)
+    assert event(4, second) is None
+    assert event(4, encode_channel(5, {}), channel=5) is None
+
+
+def test_an_event_from_before_the_start_is_not_news(packet):
+    parser, log = NcomParser(), EventLog()
+    old = encode_trigger(43, START * 1_000_000, 200)
+    assert log.event(receive(parser, packet(START, 43, batch_s=old))) is None
+    new = encode_trigger(43, (START + 1) * 1_000_000, 201)
+    assert log.event(receive(parser, packet(START, 43, batch_s=new, navigation_status=22))).count == 201
+
+
+def test_event_counter_wraps(packet):
+    parser, log = NcomParser(), EventLog()
+    counts = []
+    for i, count in enumerate((254, 255, 1)):
+        data = encode_trigger(65, (START + i) * 1_000_000, count)
+        counts.append(log.event(receive(parser, packet(START, 65, batch_s=data, navigation_status=22))).count)
+    assert counts == [254, 255, 1]
+
+
+@pytest.fixture
+def motion(packet):
+    return motion_of(receive(NcomParser(), packet(START, 0)))
+
+
+def test_motion_in_ros_axes(motion):
+    assert motion.velocity == pytest.approx((5.0, 10.0, 0.5))
+    assert motion.body_velocity == pytest.approx((11.16136377, 0.74210656, -0.35105068), abs=1e-5)
+    assert motion.angular_velocity == pytest.approx((0.001, -0.002, -0.1))
+    assert motion.acceleration == pytest.approx((0.1, 0.2, 9.81))
+
+
+@pytest.mark.parametrize("status", [0, 1, 2, 5, 10])
+def test_no_motion_without_a_fix(packet, status):
+    received = NcomParser().feed(packet(START, 0, navigation_status=status))[0]
+    assert motion_of(received) is None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"velocity_ned": (math.nan, 0.0, 0.0)},
+        {"heading": math.nan},
+        {"latitude": math.nan},
+        {"angular_rate": (0.0, 0.0, math.nan)},
+    ],
+)
+def test_no_motion_from_half_a_solution(packet, changes):
+    assert motion_of(NcomParser().feed(packet(START, 0, **changes))[0]) is None
+
+
+def test_first_fix_is_kept(motion):
+    origin = Origin(FIRST_FIX)
+    frame = origin.look(motion, StatusTracker(), 0)
+    assert motion.position(frame) == pytest.approx((0, 0, 0), abs=1e-9)
+    motion.latitude += 1e-5
+    assert origin.look(motion, StatusTracker(), 1) is frame
+    assert motion.position(frame)[1] == pytest.approx(63.6, abs=0.5)
+
+
+def test_given_origin(motion):
+    origin = Origin(GIVEN, (52.0, -1.25, 99.5))
+    assert motion.position(origin.look(motion, StatusTracker(), 0)) == pytest.approx((0, 0, 1), abs=1e-6)
+
+
+def test_origin_of_the_unit_is_waited_for_but_not_for_ever(motion):
+    status = StatusTracker()
+    origin = Origin(UNIT)
+    assert origin.look(motion, status, 0) is None
+    status.update(66, encode_channel(66, {"RefLat": 52.001, "RefLon": -1.25}))
+    status.update(67, encode_channel(67, {"RefAlt": 100.5, "RefHeading": 90.0}))
+    frame = origin.look(motion, status, 1)
+    assert motion.position(frame)[1] == pytest.approx(-111.26, abs=0.02)
+    assert origin.used == UNIT
+    patient = Origin(UNIT)
+    assert patient.look(motion, StatusTracker(), 0) is None
+    assert patient.look(motion, StatusTracker(), UNIT_PATIENCE_NS) is not None
+    assert patient.used == FIRST_FIX
+
+
+@pytest.mark.parametrize(
+    ("mode", "text", "fix"),
+    [
+        (None, "", -1),
+        (0, "none", -1),
+        (3, "SPS", 0),
+        (6, "RTK integer", 2),
+        (7, "SBAS", 1),
+        (31, "PPP", 1),
+        (32, "unknown", -1),
+        (77, "unknown (77)", -1),
+    ],
+)
+def test_modes(mode, text, fix):
+    assert (mode_text(mode), fix_status(mode)) == (text, fix)

@@ -1,0 +1,276 @@
+"""The streaming parser on clean, cut, corrupted, reordered and duplicated bytes."""
+
+import itertools
+from dataclasses import replace
+from math import isnan
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from oxts_bridge import ncom
+from oxts_bridge.batch import KINDS, UNKNOWN_TIME, decode_file
+from oxts_bridge.channels import encode_channel, encode_trigger
+from oxts_bridge.stream import DUPLICATE, LATE, NEW, NcomParser
+
+START = 24_015_600 * 60_000 + 1_000
+
+
+def reseal(data: bytes, **bytes_at: int) -> bytes:
+    """The packet with some bytes replaced (b21=5) and the final checksum right again."""
+    data = bytearray(data)
+    for name, value in bytes_at.items():
+        data[int(name[1:])] = value
+    data[71] = sum(data[1:71]) & 0xFF
+    return bytes(data)
+
+
+def test_clean_drive(drive):
+    parser = NcomParser()
+    packets = drive(50)
+    received = [r for data in packets for r in parser.feed(data, 1)]
+    assert [r.raw for r in received] == packets
+    assert [r.gps_ns for r in received] == [(START + 4 * i) * 1_000_000 for i in range(50)]
+    assert {r.kind for r in received} == {"regular"} and all(r.fresh for r in received)
+    assert received[0].utc_ns == received[0].gps_ns + (315_964_800 - 18) * 1_000_000_000
+    counters = parser.counters
+    assert (counters.packets, counters.checksum_errors, counters.skipped_bytes) == (50, 0, 0)
+
+
+def test_several_packets_and_parts_in_one_datagram(drive):
+    packets = drive(7)
+    data = b"".join(packets)
+    parser = NcomParser()
+    counts = [len(parser.feed(portion)) for portion in (data[:180], data[180:190], data[190:433], data[433:])]
+    assert counts == [2, 0, 4, 1]
+    assert parser.counters.skipped_bytes == 0
+
+
+def test_search_goes_on_by_one_byte(drive):
+    """A packet right behind a false sync byte is found."""
+    packets = drive(3)
+    received = NcomParser().feed(packets[0] + b"\xe7" + packets[1] + b"\xe7\xe7\xe7" + packets[2])
+    assert [r.raw for r in received] == packets
+
+
+def test_counts_say_what_was_wrong(drive):
+    packets = drive(4)
+    broken = packets[1][:40] + bytes([packets[1][40] ^ 4]) + packets[1][41:]
+    parser = NcomParser()
+    received = parser.feed(packets[0] + broken + packets[2] + b"junk" + packets[3])
+    assert [r.raw for r in received] == [packets[0], packets[2], packets[3]]
+    assert parser.counters.checksum_errors == 1
+    assert parser.counters.skipped_bytes == 72 + 4
+
+
+def test_a_cut_datagram_costs_only_itself(drive):
+    packets = drive(5)
+    parser = NcomParser()
+    received = [
+        r for data in (packets[0], packets[1][:50], packets[2], packets[3][20:], packets[4]) for r in parser.feed(data)
+    ]
+    assert [r.raw for r in received] == [packets[0], packets[2], packets[4]]
+
+
+def test_wrong_inner_checksum_is_accepted_with_a_warning(drive):
+    data = reseal(drive(1)[0], b61=(drive(1)[0][61] + 1) & 0xFF)
+    parser = NcomParser()
+    assert len(parser.feed(data)) == 1
+    assert parser.counters.inner_checksum_warnings == 1
+
+
+def test_after_junk_all_three_checksums_are_asked_for(drive):
+    packets = drive(2)
+    false = reseal(packets[0], b61=(packets[0][61] + 1) & 0xFF)
+    parser = NcomParser()
+    assert [r.raw for r in parser.feed(b"junk" + false + packets[1])] == [packets[1]]
+
+
+def test_structure_b_is_dropped_silently(drive):
+    packets = drive(3)
+    private = reseal(packets[1], b21=11)
+    parser = NcomParser()
+    assert [r.raw for r in parser.feed(packets[0] + private + packets[2])] == [packets[0], packets[2]]
+    assert parser.counters.structure_b == 1
+    assert (
+        parser.counters.checksum_errors,
+        parser.counters.skipped_bytes,
+        parser.counters.inner_checksum_warnings,
+    ) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("status", [0, 5, 6, 7, 8, 9, 12, 19, 23, 255])
+def test_packets_to_be_ignored_carry_no_values(drive, status):
+    packets = drive(3)
+    parser = NcomParser()
+    received = parser.feed(packets[0] + reseal(packets[1], b21=status) + packets[2])
+    middle = received[1]
+    assert middle.kind == "empty" and middle.gps_ns is None
+    values = [*middle.packet.acceleration, middle.packet.latitude, *middle.packet.velocity_ned, middle.packet.heading]
+    assert all(isnan(value) for value in values)
+    assert parser.counters.unknown_statuses == (status not in (0, 5, 6, 7))
+    assert received[2].gps_ns == (START + 8) * 1_000_000
+
+
+def test_raw_imu_has_no_time_and_no_place(drive):
+    received = NcomParser().feed(drive(1)[0] + reseal(drive(2)[1], b21=1))[1]
+    assert received.gps_ns is None and isnan(received.packet.latitude)
+    assert received.packet.acceleration[2] == pytest.approx(-9.81)
+
+
+def test_initialising_is_approximate(drive):
+    received = NcomParser().feed(reseal(drive(1)[0], b21=2))[0]
+    assert received.rule.navigation == "approximate" and received.gps_ns is not None
+
+
+@pytest.mark.parametrize("latitude", [2.0, -1.6, float("nan"), float("inf")])
+def test_no_place_outside_the_earth(packet, latitude):
+    received = NcomParser().feed(packet(START, 0, latitude=latitude))[0]
+    assert isnan(received.packet.latitude) and isnan(received.packet.longitude) and isnan(received.packet.altitude)
+    assert received.packet.heading == pytest.approx(0.523599)
+
+
+def test_duplicated_and_reordered_datagrams(drive):
+    packets = drive(6)
+    parser = NcomParser()
+    order = [r.order for i in (0, 1, 1, 3, 2, 4, 4, 5) for r in parser.feed(packets[i])]
+    assert order == [NEW, NEW, DUPLICATE, NEW, LATE, NEW, DUPLICATE, NEW]
+    assert (parser.counters.late, parser.counters.duplicates) == (1, 2)
+
+
+def test_utc_offset_of_the_unit_wins_and_agreement_makes_no_step(packet):
+    parser = NcomParser()
+    offset = encode_channel(16, {"TimeUtcOffset": -18})
+    received = parser.feed(packet(START, 0) + packet(START + 4, 16, batch_s=offset) + packet(START + 8, 3))
+    assert [r.utc_ns - received[0].utc_ns for r in received] == [0, 4_000_000, 8_000_000]
+    later = parser.feed(packet(START + 12, 16, batch_s=encode_channel(16, {"TimeUtcOffset": -19})))[0]
+    assert later.utc_ns - received[0].utc_ns == 12_000_000 - 1_000_000_000
+    parser.feed(packet(START + 16, 16, batch_s=encode_channel(16, {"TimeUtcOffset": 5})))
+    assert parser.utc_offset == -19
+
+
+def test_trigger_packets_have_their_own_time_and_leave_the_series_alone(packet):
+    parser = NcomParser()
+    event_ns = (START + 5) * 1_000_000 + 3_400_000 - 4_000
+    trigger = packet(START + 8, 24, batch_s=encode_trigger(24, event_ns, 7), navigation_status=22)
+    old = packet(START - 500, 43, batch_s=encode_trigger(43, event_ns - 500_000_000, 1), navigation_status=22)
+    foreign = packet(START + 8, 3, navigation_status=22)
+    received = parser.feed(packet(START, 0) + trigger + trigger + old + foreign + packet(START + 4, 3))
+    assert [r.kind for r in received] == ["regular", "trigger", "trigger", "trigger", "empty", "regular"]
+    assert [r.order for r in received] == [NEW, NEW, DUPLICATE, NEW, NEW, NEW]
+    assert received[1].gps_ns == event_ns - event_ns % 4_000
+    assert received[5].gps_ns == (START + 4) * 1_000_000
+    assert parser.counters.late == 0
+
+
+def test_restart_forgets_the_time_but_not_the_counts(drive):
+    parser = NcomParser()
+    parser.feed(b"".join(drive(20)) + drive(1)[0][:30])
+    parser.restart()
+    received = parser.feed(b"".join(drive(20)))
+    assert len(received) == 20 and all(r.fresh for r in received)
+    assert parser.counters.packets == 40 and parser.counters.skipped_bytes == 0
+
+
+# Streams that were damaged on the way
+
+
+@st.composite
+def damaged(draw, base):
+    """A drive as list of datagrams after loss, repetition, swaps, cuts, bit errors and junk."""
+    datagrams = list(base)
+    for _ in range(draw(st.integers(0, 12))):
+        at = draw(st.integers(0, len(datagrams) - 1))
+        kind = draw(st.sampled_from(["drop", "repeat", "swap", "head", "tail", "bit", "junk", "merge"]))
+        if kind == "drop" and len(datagrams) > 1:
+            del datagrams[at]
+        elif kind == "repeat":
+            datagrams.insert(draw(st.integers(at, min(at + 3, len(datagrams)))), datagrams[at])
+        elif kind == "swap" and at + 1 < len(datagrams):
+            datagrams[at], datagrams[at + 1] = datagrams[at + 1], datagrams[at]
+        elif kind == "head":
+            datagrams[at] = datagrams[at][draw(st.integers(0, 71)) :]
+        elif kind == "tail":
+            datagrams[at] = datagrams[at][: draw(st.integers(0, 71))]
+        elif kind == "bit" and datagrams[at]:
+            data = bytearray(datagrams[at])
+            data[draw(st.integers(0, len(data) - 1))] ^= 1 << draw(st.integers(0, 7))
+            datagrams[at] = bytes(data)
+        elif kind == "junk":
+            datagrams.insert(at, draw(st.binary(max_size=200)))
+        elif kind == "merge" and at + 1 < len(datagrams):
+            datagrams[at : at + 2] = [datagrams[at] + datagrams[at + 1]]
+    return datagrams
+
+
+@pytest.fixture(scope="module")
+def wrapping_drive(drive):
+    """Across a minute's turn, with channel 0 every tenth packet."""
+    return drive(60, 24_015_600 * 60_000 + 59_880)
+
+
+@given(data=st.data())
+def test_damage_never_raises_and_nothing_is_told_twice(wrapping_drive, data):
+    parser = NcomParser()
+    sent = set(wrapping_drive)
+    fresh = [r for datagram in data.draw(damaged(wrapping_drive)) for r in parser.feed(datagram, None) if r.fresh]
+    times = [r.gps_ns for r in fresh if r.gps_ns is not None and r.kind == "regular" and r.raw in sent]
+    if all(r.raw in sent for r in fresh):  # otherwise one bit error in 256 looks like a packet with another time
+        assert times == sorted(set(times))
+        true_time = {raw: (24_015_600 * 60_000 + 59_880 + 4 * i) * 1_000_000 for i, raw in enumerate(wrapping_drive)}
+        assert all(r.gps_ns in (None, true_time[r.raw]) for r in fresh)
+
+
+@given(data=st.binary(max_size=1500), portions=st.lists(st.integers(1, 200), max_size=30))
+def test_random_bytes_never_raise(data, portions):
+    parser = NcomParser()
+    for portion in portions:
+        parser.feed(data[:portion])
+        data = data[portion:]
+    parser.feed(data)
+
+
+@given(data=st.data(), portions=st.lists(st.integers(1, 300), min_size=1, max_size=8))
+def test_portions_make_no_difference(wrapping_drive, data, portions):
+    stream = b"".join(data.draw(damaged(wrapping_drive)))
+    whole, cut = NcomParser(), NcomParser()
+    once = whole.feed(stream)
+    pieces = []
+    for size in itertools.cycle(portions):
+        pieces += cut.feed(stream[:size])
+        stream = stream[size:]
+        if not stream:
+            break
+    assert [(r.offset, r.raw, r.gps_ns, r.order) for r in once] == [
+        (r.offset, r.raw, r.gps_ns, r.order) for r in pieces
+    ]
+    assert whole.counters == cut.counters
+
+
+@given(data=st.data(), joined=st.booleans())
+def test_file_decoder_finds_the_same(wrapping_drive, packet, data, joined):
+    """Also where another drive, half a day earlier, is joined on."""
+    stream = b"".join(data.draw(damaged(wrapping_drive)))
+    if joined:
+        earlier = [packet(START - 43_200_000 + 4 * i, 0 if i % 10 == 3 else 3) for i in range(30)]
+        status_only = replace(ncom.decode(packet(START, 0)), navigation_status=10, milliseconds=0)
+        stream += ncom.encode(status_only) + b"".join(data.draw(damaged(earlier)))
+    parser = NcomParser()
+    received = parser.feed(stream)
+    if not parser.counters.packets:
+        return
+    columns = decode_file(stream)
+    kept = [i for i in range(len(columns)) if columns.navigation_status[i] != ncom.STRUCTURE_B]
+    assert columns.offset[kept].tolist() == [r.offset for r in received]
+    assert [KINDS[kind] for kind in columns.kind[kept]] == [r.kind for r in received]
+    assert columns.order[kept].tolist() == [r.order for r in received]
+    assert columns.gps_ns[kept].tolist() == [UNKNOWN_TIME if r.gps_ns is None else r.gps_ns for r in received]
+    assert columns.utc_ns[kept].tolist() == [UNKNOWN_TIME if r.utc_ns is None else r.utc_ns for r in received]
+    assert columns.counters == parser.counters
+    assert columns.time_jumps == parser.time_jumps
+    for i, r in zip(kept, received, strict=True):
+        p = r.packet
+        assert columns.acceleration[:, i] == pytest.approx(p.acceleration, rel=1e-15, nan_ok=True)
+        assert columns.velocity_ned[:, i] == pytest.approx(p.velocity_ned, rel=1e-15, nan_ok=True)
+        assert [columns.latitude[i], columns.altitude[i], columns.heading[i]] == pytest.approx(
+            [p.latitude, p.altitude, p.heading], rel=1e-15, nan_ok=True
+        )
