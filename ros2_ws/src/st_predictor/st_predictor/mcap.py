@@ -26,13 +26,12 @@ from .recovery import RecoveryError, RecoveryReport, recover
 
 __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
 
-# A chunk is the unit that is compressed and the unit that a kill can cost.
-CHUNK_SIZE = 256 * 1024
+# A chunk is what is compressed at once; at high rates it is full before FLUSH_PERIOD is over.
+CHUNK_SIZE = 1024 * 1024
 # Half of the second that a kill may cost, so that the other half remains for the caller's own delays.
 FLUSH_PERIOD = 0.5
 # A full disk: chunks are given up, newest first, until the index fits. Any other error: everything written is kept.
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-MOST_CHUNKS_GIVEN_UP = 100
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE_HEAD = 22  # of which inside the record
 
@@ -189,7 +188,7 @@ class BagWriter:
         self.error = f"recording stopped: {error.strerror or error} ({self.path})"
         written = self.message_count
         length = max(self._header_length, self._contents.end_offset())
-        for _ in range(MOST_CHUNKS_GIVEN_UP):
+        while True:
             try:
                 self._file.cut(length)
                 self._contents.drop_after(length)
@@ -202,8 +201,6 @@ class BagWriter:
                     self._leave_without_index(length, again)
                     break
                 length = last
-        else:
-            self._leave_without_index(length, error)
         self.lost += written - self.message_count
         self._file.close()
 

@@ -6,8 +6,8 @@ full disk has all its chunks but no index.
 
 import struct
 import zlib
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import BinaryIO, NamedTuple, Protocol
@@ -21,6 +21,7 @@ from mcap.records import (
     ChunkIndex,
     DataEnd,
     Footer,
+    McapRecord,
     MessageIndex,
     Metadata,
     MetadataIndex,
@@ -30,6 +31,8 @@ from mcap.records import (
 )
 from mcap.stream_reader import get_chunk_data_stream
 
+# What can be given up again when the disk is full; older chunks stay.
+DROPPABLE_CHUNKS = 100
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -73,6 +76,9 @@ class _ChunkEntry:
     messages: dict[int, MessageIndex]  # by channel
     counts: dict[int, int]
 
+    def times(self) -> list[int]:
+        return [self.index.message_start_time, self.index.message_end_time] if self.counts else []
+
 
 class Contents:
     """The running inventory of one file: what its index section will say. Times are log times [ns]."""
@@ -81,24 +87,26 @@ class Contents:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self._chunks: list[_ChunkEntry] = []
-        self._loose: Counter[int] = Counter()  # messages outside chunks, by channel
-        self._loose_times: list[int] = []  # first and last of them
+        self._chunks: deque[_ChunkEntry] = deque()  # the newest
+        # Older chunks as they will stand in the index: a long recording has tens of thousands.
+        self._settled_indexes = bytearray()
+        self._settled_count = 0
+        self._settled_messages: Counter[int] = Counter()  # in older chunks, or in none; by channel
+        self._settled_times: list[int] = []  # first and last of them
         self._metadata_indexes: list[MetadataIndex] = []
         self._attachment_indexes: list[AttachmentIndex] = []
         self._definitions_end = 0
 
     def counts(self) -> Counter[int]:
         """Messages by channel id."""
-        total = Counter(self._loose)
+        total = Counter(self._settled_messages)
         for entry in self._chunks:
             total.update(entry.counts)
         return total
 
     def times(self) -> tuple[int, int]:
         """First and last log time; (0, 0) without messages."""
-        filled = [entry.index for entry in self._chunks if entry.counts]
-        times = self._loose_times + [t for i in filled for t in (i.message_start_time, i.message_end_time)]
+        times = self._settled_times + [t for entry in self._chunks for t in entry.times()]
         return (min(times), max(times)) if times else (0, 0)
 
     def add(self, record: Record, offset: int) -> None:
@@ -133,8 +141,7 @@ class Contents:
             channel_id, _, log_time, _ = _MESSAGE.unpack_from(record.content)
             if channel_id not in self.channels:
                 raise DamagedError(f"message of unknown channel {channel_id}")
-            self._loose[channel_id] += 1
-            self._loose_times = [min([log_time, *self._loose_times]), max([log_time, *self._loose_times])]
+            self._settle({channel_id: 1}, [log_time])
         elif record.opcode == Opcode.METADATA:
             entry = Metadata.read(stream)
             self.metadata[entry.name] = entry.metadata
@@ -180,6 +187,16 @@ class Contents:
             message_start_time=chunk.message_start_time, uncompressed_size=chunk.uncompressed_size,
         )
         self._chunks.append(_ChunkEntry(index, messages, {i: len(m.records) for i, m in messages.items()}))
+        if len(self._chunks) > DROPPABLE_CHUNKS:
+            oldest = self._chunks.popleft()
+            self._settled_indexes += _serialised(oldest.index)
+            self._settled_count += 1
+            self._settle(oldest.counts, oldest.times())
+
+    def _settle(self, counts: Mapping[int, int], times: Sequence[int]) -> None:
+        self._settled_messages.update(counts)
+        times = [*self._settled_times, *times]
+        self._settled_times = [min(times), max(times)] if times else []
 
     @staticmethod
     def _add_message_index(entry: _ChunkEntry, channel_id: int, offset: int, length: int) -> None:
@@ -220,19 +237,20 @@ class Contents:
         self._metadata_indexes.append(index)
 
     def drop_after(self, length: int) -> None:
-        """Forgets what lies beyond the first `length` bytes of the file."""
-        self._chunks = [e for e in self._chunks if e.index.chunk_start_offset < length]
+        """Forgets what lies beyond the first `length` bytes of the file; of chunks the newest DROPPABLE_CHUNKS only."""
+        while self._chunks and self._chunks[-1].index.chunk_start_offset >= length:
+            self._chunks.pop()
         self._definitions_end = min(self._definitions_end, length)
         self._metadata_indexes = [i for i in self._metadata_indexes if i.offset < length]
 
     def end_offset(self) -> int:
         """Where the newest record that was appended ends; 0 without any."""
-        last = [e.index for e in self._chunks[-1:]]
+        last = [self._chunks[-1].index] if self._chunks else []
         ends = [i.chunk_start_offset + i.chunk_length + i.message_index_length for i in last]
         return max([self._definitions_end, *ends, *(i.offset + i.length for i in self._metadata_indexes)])
 
     def last_chunk_offset(self) -> int | None:
-        """Where the newest chunk starts; None without chunks."""
+        """Where the newest chunk starts; None without one that can be dropped."""
         return self._chunks[-1].index.chunk_start_offset if self._chunks else None
 
     def finish(self, stream: WritableStream) -> None:
@@ -256,9 +274,9 @@ class Contents:
         counts, (start_ns, end_ns) = self.counts(), self.times()
         statistics = Statistics(
             attachment_count=len(self._attachment_indexes), channel_count=len(self.channels),
-            channel_message_counts=counts, chunk_count=len(self._chunks), message_count=counts.total(),
-            metadata_count=len(self._metadata_indexes), message_start_time=start_ns, message_end_time=end_ns,
-            schema_count=len(self.schemas),
+            channel_message_counts=counts, chunk_count=self._settled_count + len(self._chunks),
+            message_count=counts.total(), metadata_count=len(self._metadata_indexes),
+            message_start_time=start_ns, message_end_time=end_ns, schema_count=len(self.schemas),
         )
         groups = {
             Opcode.SCHEMA: list(self.schemas.values()),
@@ -271,9 +289,11 @@ class Contents:
         builder, offsets = RecordBuilder(), []
         for opcode, records in groups.items():
             group_start = builder.count
+            if opcode == Opcode.CHUNK_INDEX:
+                builder.write(self._settled_indexes)
             for record in records:
                 record.write(builder)
-            if records:
+            if builder.count > group_start:
                 offsets.append(SummaryOffset(opcode, summary_start + group_start, builder.count - group_start))
         offset_start = summary_start + builder.count
         for offset in offsets:
@@ -283,6 +303,12 @@ class Contents:
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(summary))
         Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc).write(footer)
         return summary + footer.end()
+
+
+def _serialised(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
 
 
 def _attachment_index(stream: ReadDataStream, offset: int, length: int) -> AttachmentIndex:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import TypeVar
 
 from st_core import errors as core_errors
+from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_ros.parameters import ConfigurationError, Parameter
@@ -16,6 +17,8 @@ MODELS = ["kinematic", "linear", "nonlinear"]
 _DEFAULTS = PredictionSettings()
 
 _VEHICLE_FILE = Parameter("vehicle_file", "", "vehicle parameters, a file of config/vehicle/; required")
+_MODEL_FILE = Parameter("model_file", "", "model.yaml of a further model, named augmented; empty: none")
+_EFFECTS_DIRECTORY = Parameter("effects_directory", "", "folder of effects of your own that model_file uses; empty: none")
 _MAP_FRAME = Parameter("map_frame", "map", "frame the odometry must be in; odometry in another one is refused")
 _MAXIMUM_GAP = Parameter(
     "maximum_gap", _DEFAULTS.maximum_gap, "nothing is interpolated between samples further apart", "s", 0.001, 10.0)
@@ -25,6 +28,8 @@ _FILTER_CUTOFF = Parameter(
 PREDICTOR = (
     _VEHICLE_FILE,
     Parameter("models", MODELS, "models to predict with, in this order"),
+    _MODEL_FILE,
+    _EFFECTS_DIRECTORY,
     Parameter("horizon", _DEFAULTS.horizon, "how far ahead; a whole number of steps", "s", 0.01, 60.0),
     Parameter("step", _DEFAULTS.step, "of integration and of the published points", "s", 0.001, 1.0),
     Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
@@ -38,6 +43,8 @@ PREDICTOR = (
 EVALUATOR = (
     _VEHICLE_FILE,
     Parameter("models", MODELS, "models whose predictions are scored"),
+    _MODEL_FILE,
+    _EFFECTS_DIRECTORY,
     _MAXIMUM_GAP,
     _FILTER_CUTOFF,
     _MAP_FRAME,
@@ -57,11 +64,34 @@ RECORDER = (
 
 def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
     """The vehicle of the parameter `vehicle_file`. Raises ConfigurationError naming the file and the key."""
-    name, where = values.vehicle_file, f"{values.where}vehicle_file: "
-    if not name:
-        raise ConfigurationError(f"{where}not given; name a file of config/vehicle/")
+    if not values.vehicle_file:
+        raise ConfigurationError(f"{values.where}vehicle_file: not given; name a file of config/vehicle/")
+    return _read(values, "vehicle_file", VehicleParameters.from_yaml)
+
+
+def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile | None:
+    """The model of the parameter `model_file`, None without one; the effects it uses are loaded first.
+
+    Raises ConfigurationError naming the file and the key, also when its values hold for another car than `vehicle`.
+    """
+    if values.effects_directory:
+        from st_core.effects import load_folder
+
+        try:
+            load_folder(values.effects_directory)
+        except core_errors.ConfigurationError as error:
+            raise ConfigurationError(f"{values.where}effects_directory: {error}") from None
+    if not values.model_file:
+        return None
+    file = _read(values, "model_file", ModelFile.from_yaml)
+    checked(values, lambda: file.check_vehicle(vehicle, f"model_file: {values.model_file}", values.vehicle_file))
+    return file
+
+
+def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T:
+    name, where = getattr(values, parameter), f"{values.where}{parameter}: "
     try:
-        return VehicleParameters.from_yaml(Path(name).read_text(), origin=name)
+        return parse(Path(name).read_text(), name)
     except OSError as error:
         raise ConfigurationError(f"{where}{name}: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -133,6 +133,26 @@ def test_zeros_after_a_loss_of_power_are_no_records(whole: Path, tmp_path: Path)
     assert report.files[0].lost_bytes == 5000
 
 
+def test_long_recording_of_many_chunks(tmp_path: Path) -> None:
+    """Whole, and again after its last chunk was cut: index, counts and times of all 400 chunks."""
+    bag = BagWriter(tmp_path / "bag")
+    a = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
+    for k in range(1200):
+        bag.write(a, numbered(k), START_NS + k)
+        if k % 3 == 2:
+            bag.flush()
+    bag.close()
+    assert read_numbers(tmp_path / "bag")["/a"] == list(range(1200))
+    assert read_numbers_with_mcap(bag.path)["/a"] == list(range(1200))
+    assert not recover(tmp_path / "bag").changed
+    last = [r for r in records_of(bag.path) if r.opcode == Opcode.CHUNK][-1]
+    directory = cut(tmp_path / "bag", tmp_path / "cut", last.offset + 5)
+    report = recover(directory)
+    assert (report.files[0].start_ns, report.files[0].end_ns) == (START_NS, START_NS + 1196)
+    assert read_numbers(directory)["/a"] == list(range(1197))
+    assert read_numbers_with_mcap(directory / "bag_0.mcap")["/a"] == list(range(1197))
+
+
 def test_metadata_comes_back_from_the_file_alone(whole: Path, tmp_path: Path) -> None:
     directory = cut(whole, tmp_path / "cut", (whole / "bag_0.mcap").stat().st_size - 30)
     assert recover(directory).metadata_rebuilt

@@ -23,8 +23,8 @@ from ._inputs import Inputs
 WORK_PERIOD = 0.05
 SUMMARY_PERIOD = 1.0
 MODES = ("forecast", "hindsight")
-# Twice the longest horizon a predictor may be set to [s].
-SPAN = 125.0
+# Measurements kept [s]: the longest horizon a predictor may be set to, and the wait for late signals.
+SPAN = 65.0
 # Scores at the end of a run come all at once: the last horizon of every model, twice.
 ERROR_DEPTH = 1000
 # Two computers may round differently; another vehicle file differs by centimetres within a second [SI].
@@ -36,9 +36,11 @@ class EvaluatorNode(Node):
         super().__init__("evaluator")
         values = parameters.declare(self, params.EVALUATOR)
         self._vehicle = params.load_vehicle(values)
-        self._models = params.checked(values, lambda: [get_model(name).name for name in values.models])
+        self._file = params.load_model(values, self._vehicle)
+        own = [self._file.model()] if self._file else []
+        self._models = params.checked(values, lambda: [get_model(m).name for m in (*values.models, *own)])
         settings = params.prediction_settings(values)
-        self._core = Evaluator(self._vehicle, settings, span=SPAN)
+        self._core = Evaluator(self._vehicle, settings, SPAN, own)
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
@@ -69,6 +71,9 @@ class EvaluatorNode(Node):
             "vehicle_file": Path(values.vehicle_file).name,
             "maximum_gap": f"{settings.maximum_gap:g}", "filter_cutoff": f"{settings.filter_cutoff:g}",
         }
+        if self._file:
+            configuration |= {"model": self._file.to_yaml(), "model_hash": self._file.hash,
+                              "model_file": Path(values.model_file).name}
         bag = open_bag(values, {"configuration": configuration})
         errors = bag.add_topic(self.resolve_topic_name("evaluator/errors"), "st_msgs/msg/PredictionError")
         summary = bag.add_topic(self.resolve_topic_name("evaluator/summary"), "st_msgs/msg/ErrorSummary",

@@ -31,8 +31,12 @@ class PredictorNode(Node):
         values = parameters.declare(self, params.PREDICTOR)
         self._vehicle = params.load_vehicle(values)
         settings = params.prediction_settings(values)
-        self._core = params.checked(values, lambda: Predictor(self._vehicle, values.models, settings))
-        self._hash = configuration_hash(self._vehicle, settings)
+        file = params.load_model(values, self._vehicle)
+        models = [*values.models, *([file.model()] if file else [])]
+        self._core = params.checked(values, lambda: Predictor(self._vehicle, models, settings))
+        self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
+        if file:
+            self._hash[models[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
@@ -56,7 +60,8 @@ class PredictorNode(Node):
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._checks)
         self.get_logger().info(
             f"{', '.join(self._core.models)} of {self._vehicle.name}: {settings.horizon:g} s in steps of "
-            f"{settings.step:g} s at {values.rate:g} Hz, configuration {self._hash[:12]}")
+            f"{settings.step:g} s at {values.rate:g} Hz, "
+            f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}")
 
     def _tick(self) -> None:
         began = time.perf_counter()
@@ -88,13 +93,15 @@ class PredictorNode(Node):
             began = time.perf_counter()
             trajectory = self._core.run(start, model)
             compute_time = time.perf_counter() - began
+            car = self._core.car(model)
             if np.isfinite(trajectory.states).all():
-                path_publisher.publish(self._path.fill(start.time_ns, trajectory, self._vehicle))
+                path_publisher.publish(self._path.fill(start.time_ns, trajectory, car))
                 self._not_finite.discard(model)
             else:
                 # A viewer cannot draw it; the evaluator counts it as incomplete.
                 self._not_finite.add(model)
-            message = convert.prediction_message(start, model, trajectory, self._vehicle, self._map_frame, self._hash)
+            message = convert.prediction_message(
+                start, model, trajectory, car, self._map_frame, self._hash[model])
             message.compute_time = compute_time
             message.issued_at = self.get_clock().now().to_msg()
             prediction_publisher.publish(message)
