@@ -2,10 +2,12 @@
 
 import json
 import shutil
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from oxts_bridge import batch
 from rosbags.highlevel import AnyReader
 from st_core.vehicle import VehicleParameters
@@ -15,6 +17,7 @@ from st_offline.runs.bag import definitions
 from st_offline.runs.can_logs import read_can_logs
 from st_offline.runs.cdr import typestore
 from st_offline.runs.frames import ERROR, EXTENDED, REMOTE
+from st_predictor.definitions import type_hash
 from st_sim.run import main as virtual_leaf
 from support import ROOT
 from typer.testing import CliRunner
@@ -200,3 +203,25 @@ def test_nothing_is_overwritten(imported: Path, raw: Path) -> None:
     run = CliRunner().invoke(app, ["import", str(raw), "--output", str(imported)])
     assert run.exit_code == 2
     assert "nothing is ever overwritten" in run.output
+
+
+@pytest.mark.ros
+def test_ros_takes_every_message_and_knows_the_types(imported: Path) -> None:
+    """What `ros2 bag play` does with the bag: hand the bytes to publishers of the installed types, by hash the same."""
+    serialization = pytest.importorskip("rclpy.serialization")
+    about = yaml.safe_load((imported / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    topics = {t["topic_metadata"]["name"]: t["topic_metadata"] for t in about["topics_with_message_count"]}
+    assert set(topics) == {"/ins/odometry", "/ins/ncom", "/vehicle/steering", "/vehicle/wheel_speeds", "/can/frames"}
+    seen = set()
+    with AnyReader([imported], default_typestore=typestore(definitions())) as reader:
+        for connection, _, data in reader.messages():
+            if connection.topic in seen:
+                continue
+            seen.add(connection.topic)
+            assert topics[connection.topic]["type_description_hash"] == type_hash(connection.msgtype)
+            package, _, name = connection.msgtype.split("/")
+            message = serialization.deserialize_message(bytes(data), getattr(import_module(f"{package}.msg"), name))
+            again = serialization.serialize_message(message)  # bytes between the fields are whatever lay there
+            assert repr(reader.deserialize(again, connection.msgtype)) == repr(
+                reader.deserialize(data, connection.msgtype))
+    assert seen == set(topics)
