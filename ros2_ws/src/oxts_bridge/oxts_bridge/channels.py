@@ -27,8 +27,7 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
 
 
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
-    """The 8 bytes of a channel; a field that is left out or None becomes invalid (0 where the channel knows no such
-    mark).
+    """The 8 bytes of a channel; a field left out, None or NaN becomes invalid (0 where the channel has no such mark).
 
     decode_channel(n, encode_channel(n, v)) gives v back within the field's resolution. Raises NcomError for an
     unknown channel or field, a code out of range, and a group with one validity byte that is given only in part.
@@ -41,6 +40,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
             raise NcomError(f"channel {channel} has no field {name}; it has {', '.join(fields)}")
     if channel == LONG_RANGE_CHANNEL:
         return _encode_long_range(values)
+    values = {name: None if value != value else value for name, value in values.items()}  # noqa: PLR0124 - NaN
     buffer = bytearray(b"\xff" * 8)
     groups: dict[int, list[Field]] = {}
     for field in fields.values():

@@ -49,7 +49,7 @@ _KEPT = frozenset(
     for name, field in fields.items()
     if name.startswith("Inn") or name == "Undulation" or field.validity is INVERTED_B6
 )
-_ROWS_AT_ONCE = 1 << 15
+_ROWS_AT_ONCE = 1 << 12
 
 
 def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Path | None = None) -> int:

@@ -125,16 +125,18 @@ class Field:
 
     def _number(self, value: float | int | str) -> int:
         plain = self.scale == 1 and not self.offset
-        number = int(value) if plain else round((float(value) - self.offset) / self.scale)
+        line = wire(_wire_kind(self.kind), self.at)
+        if plain:
+            number = int(value)
+        else:
+            number = round(max(line.low, min(line.high, (float(value) - self.offset) / self.scale)))
         if self.kind == "shifted":
             return max(-64, min(63, number)) << 1 | 1
-        line = wire(_wire_kind(self.kind), self.at)
         accepts = self.validity.accepts or (lambda raw, data: True)
         if line.low <= number <= line.high and accepts(number, _FLAGS_SET):
             return number
         if plain:
             raise NcomError(f"{self.name}: {value} does not fit ({line.low} to {line.high}, {self.validity.text})")
-        number = max(line.low, min(line.high, number))
         while not accepts(number, _FLAGS_SET):
             number += 1 if number <= 0 else -1
         return number

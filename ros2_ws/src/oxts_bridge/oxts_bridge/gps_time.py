@@ -12,40 +12,21 @@ MINUTE_MS = 60_000
 WEEK_MS = 604_800_000
 
 # GPS - UTC from the first day of these months on (IERS bulletins; NCOM itself sends only the present value).
-_LEAP_DATES = (
-    ((1980, 1), 0),
-    ((1981, 7), 1),
-    ((1982, 7), 2),
-    ((1983, 7), 3),
-    ((1985, 7), 4),
-    ((1988, 1), 5),
-    ((1990, 1), 6),
-    ((1991, 1), 7),
-    ((1992, 7), 8),
-    ((1993, 7), 9),
-    ((1994, 7), 10),
-    ((1996, 1), 11),
-    ((1997, 7), 12),
-    ((1999, 1), 13),
-    ((2006, 1), 14),
-    ((2009, 1), 15),
-    ((2012, 7), 16),
-    ((2015, 7), 17),
-    ((2017, 1), 18),
-)
+_LEAP_DATES = (((1980, 1), 0), ((1981, 7), 1), ((1982, 7), 2), ((1983, 7), 3), ((1985, 7), 4), ((1988, 1), 5),
+               ((1990, 1), 6), ((1991, 1), 7), ((1992, 7), 8), ((1993, 7), 9), ((1994, 7), 10), ((1996, 1), 11),
+               ((1997, 7), 12), ((1999, 1), 13), ((2006, 1), 14), ((2009, 1), 15), ((2012, 7), 16), ((2015, 7), 17),
+               ((2017, 1), 18))
 LEAP_SECONDS = tuple(leap for _, leap in _LEAP_DATES)
 # GPS seconds at which each of them begins.
 LEAP_STARTS = tuple(
     int(datetime(*date, 1, tzinfo=UTC).timestamp()) - GPS_EPOCH_UNIX + leap for date, leap in _LEAP_DATES
 )
 
-# Minutes an NCOM stream can mean: below, the manual says "unknown"; above, a ROS stamp (31 bits of seconds) ends in
-# 2038.
+# Minutes an NCOM stream can mean: below, the manual says "unknown"; above 2038, no ROS stamp can carry it.
 FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
 
 NEW, SAME, LATE = 0, 1, 2
-# Packets at most this far behind are late; anything else is ahead (half a minute each way is all that ms alone can
-# tell).
+# Packets at most this far behind are late, others are ahead: half a minute each way is all that ms alone can tell.
 HALF_MINUTE_MS = 30_000
 # So many late packets in a row, each after the one before: not reordering but a clock that was set back.
 LATE_RUN = 10

@@ -1,34 +1,11 @@
-"""Numbers the unit sends for its GNSS modes, and what they are for sensor_msgs/NavSatStatus. Source: ncom.md section
-8."""
+"""The unit's numbers for its GNSS modes, and what they are for sensor_msgs/NavSatStatus. Source: ncom.md section 8."""
 
 _POST = ("Doppler", "SPS", "differential", "float", "integer")
-MODES = dict(
-    enumerate(
-        (
-            "none",
-            "search",
-            "Doppler",
-            "SPS",
-            "differential",
-            "RTK float",
-            "RTK integer",
-            "SBAS",
-            "OmniSTAR VBS",
-            "OmniSTAR HP",
-            "no data",
-            "blanked",
-            *(f"post-processed {name}" for name in _POST),
-            "OmniSTAR XP",
-            "CDGPS",
-            "not recognised",
-            *(f"gx {name}" for name in _POST),
-            *(f"ix {name}" for name in _POST),
-            "PPP converging",
-            "PPP",
-            "unknown",
-        )
-    )
-)
+MODES = dict(enumerate((
+    "none", "search", "Doppler", "SPS", "differential", "RTK float", "RTK integer", "SBAS", "OmniSTAR VBS",
+    "OmniSTAR HP", "no data", "blanked", *(f"post-processed {name}" for name in _POST), "OmniSTAR XP", "CDGPS",
+    "not recognised", *(f"gx {name}" for name in _POST), *(f"ix {name}" for name in _POST), "PPP converging", "PPP",
+    "unknown")))
 
 NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2
 _STATUS = {

@@ -82,39 +82,9 @@ def decode(data: bytes) -> Packet:
 
 def decode_unchecked(data: bytes) -> Packet:
     """As decode(), for 72 bytes already known to be a structure A packet."""
-    (
-        ms,
-        x0,
-        x1,
-        y0,
-        y1,
-        z0,
-        z1,
-        p0,
-        p1,
-        q0,
-        q1,
-        r0,
-        r1,
-        status,
-        latitude,
-        longitude,
-        altitude,
-        n0,
-        n1,
-        e0,
-        e1,
-        d0,
-        d1,
-        h0,
-        h1,
-        t0,
-        t1,
-        l0,
-        l1,
-        channel,
-        batch_s,
-    ) = _LAYOUT.unpack(data)
+    (ms, x0, x1, y0, y1, z0, z1, p0, p1, q0, q1, r0, r1, status, latitude, longitude, altitude,
+     n0, n1, e0, e1, d0, d1, h0, h1, t0, t1, l0, l1, channel, batch_s) = _LAYOUT.unpack(data)
+    # Written out because this runs for every packet: a call per component would double its time.
     return Packet(
         ms,
         (
@@ -145,8 +115,7 @@ def decode_unchecked(data: bytes) -> Packet:
 
 
 def encode(packet: Packet) -> bytes:
-    """The 72 bytes of a packet, all three checksums filled. encode(decode(p)) == p for every packet with right
-    checksums.
+    """The 72 bytes of a packet, checksums filled. encode(decode(p)) == p for every packet with right checksums.
 
     Values are rounded to the wire's unit (half to even) and limited to +/- 8388607 units; NaN becomes the invalid mark.
     Angles are written as given: keep the heading within +/- pi, which is what units send. Raises NcomError for a
@@ -156,29 +125,19 @@ def encode(packet: Packet) -> bytes:
         raise NcomError(f"batch_s has {len(packet.batch_s)} bytes, 8 wanted")
     if packet.navigation_status == STRUCTURE_B:
         raise NcomError("structure B packets (navigation status 11) cannot be made")
-    words: list[int] = []
+    early: list[int] = []
     for values, unit in ((packet.acceleration, ACCELERATION_UNIT), (packet.angular_rate, ANGULAR_RATE_UNIT)):
         for value in values:
-            words += _i24_parts(value, unit)
+            early += _i24_parts(value, unit)
     late: list[int] = []
     for value in packet.velocity_ned:
         late += _i24_parts(value, VELOCITY_UNIT)
     for value in (packet.heading, packet.pitch, packet.roll):
         late += _i24_parts(value, ANGLE_UNIT)
     try:
-        data = bytearray(
-            _LAYOUT.pack(
-                packet.milliseconds,
-                *words,
-                packet.navigation_status,
-                packet.latitude,
-                packet.longitude,
-                packet.altitude,
-                *late,
-                packet.channel,
-                packet.batch_s,
-            )
-        )
+        data = bytearray(_LAYOUT.pack(
+            packet.milliseconds, *early, packet.navigation_status, packet.latitude, packet.longitude, packet.altitude,
+            *late, packet.channel, packet.batch_s))
     except (struct.error, OverflowError) as error:
         raise NcomError(f"packet does not fit the wire: {error}") from None
     data[0] = SYNC

@@ -96,9 +96,12 @@ class NcomParser:
         while size - at >= PACKET_SIZE:
             if buffer[at] == SYNC:
                 raw = buffer[at : at + PACKET_SIZE]
-                if sum(raw[1:71]) & 0xFF == raw[71] and (self._in_step or plausible(raw)):
+                first = sum(raw[1:22])
+                second = first + sum(raw[22:61])
+                if second + sum(raw[61:71]) & 0xFF == raw[71] and (self._in_step or plausible(raw)):
                     self._in_step = True
-                    received = self._accept(raw, self._consumed + at, received_ns)
+                    inner = first & 0xFF == raw[22] and second & 0xFF == raw[61]
+                    received = self._accept(raw, inner, self._consumed + at, received_ns)
                     if received is not None:
                         packets.append(received)
                     at += PACKET_SIZE
@@ -121,14 +124,14 @@ class NcomParser:
         self._in_step = False
         return following
 
-    def _accept(self, raw: bytes, offset: int, received_ns: int | None) -> Received | None:
+    def _accept(self, raw: bytes, inner: bool, offset: int, received_ns: int | None) -> Received | None:
         counters = self.counters
         counters.packets += 1
         status = raw[21]
         if status == STRUCTURE_B:
             counters.structure_b += 1
             return None
-        if not inner_checksums_match(raw):
+        if not inner:
             counters.inner_checksum_warnings += 1
         rule = BY_STATUS[status]
         packet = decode_unchecked(raw)

@@ -1,5 +1,7 @@
 """Status channels: 8 bytes to named values and back."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -105,6 +107,12 @@ def test_values_by_hand():
     assert decode_channel(57, bytes([0xE8, 3, 0, 0, 0, 0, 0, 2]))["GAPx"] == pytest.approx(2.0)
     assert decode_channel(57, bytes([0xE8, 3, 0, 0, 0, 0, 0, 0xFF]))["GAPx"] == pytest.approx(1.0)
     assert decode_channel(200, b"\0" * 8) == {}
+
+
+def test_nan_is_invalid_and_infinity_saturates():
+    nowhere = {"NorthAcc": math.nan, "EastAcc": math.nan, "AltAcc": math.nan}
+    assert encode_channel(3, nowhere) == encode_channel(3, {})
+    assert decode_channel(3, encode_channel(3, dict.fromkeys(nowhere, math.inf)))["EastAcc"] == 65.535
 
 
 def test_long_lever_arms_choose_their_factor():

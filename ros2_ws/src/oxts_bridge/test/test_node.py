@@ -48,8 +48,7 @@ def rig(tmp_path):
 
 
 def test_signs_units_and_frames_by_numbers(rig, packet):
-    """Heading 30 deg, nose 5 deg up, left side 10 deg down; 10 m/s north, 5 east, 0.5 up; INS 1 m ahead of and 0.2 m
-    left of base."""
+    """Heading 30 deg, nose 5 deg up, left side 10 deg down; 10 m/s north, 5 east, 0.5 up; INS ahead of base."""
     rig = rig(base_to_ins="[1.0, 0.2, 0.5]", angular_velocity_stddev=0.01, linear_acceleration_stddev=0.05)
     packets = [packet(START + 10 * i, channel, ACCURACY[channel]) for i, channel in enumerate((3, 4, 5, 48), 1)]
     rig.send(packet(START, 0), *packets, packet(START + 50, 255))
@@ -147,7 +146,7 @@ def test_stamps_go_straight_through_the_minute_and_the_week(rig, drive):
 
 
 def test_damaged_and_useless_packets(rig, drive, packet):
-    """Reordered, repeated, corrupted, cut, joined, foreign, of reserved status: published is what is new and valid, once."""
+    """Reordered, repeated, corrupted, cut, joined, foreign, reserved: published is what is new and valid, once."""
     rig = rig()
     p = drive(12, step_ms=10)
     junk = random.Random(1).randbytes(500)
