@@ -132,7 +132,8 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
     ax.set_ylim(-1.05, 1.1)
     ax.set_xlabel("offset minus the result, s")
     ax.set_ylabel("correlation")
-    ax.legend(loc="lower right")
+    if alignment.peak is not None:
+        ax.legend(loc="lower right")
 
 
 def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignment) -> None:

@@ -113,7 +113,7 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
     rest = []
     for file in ins:
         same = [f for f in logs if f.stem == file.stem and f.parent == file.parent]
-        if not same and given:
+        if given and not same and not any(f.suffix.lower() in can_logs.EXTENSIONS for f in files):
             same = [f for f in sorted(file.parent.iterdir())
                     if f.stem == file.stem and f.suffix.lower() in can_logs.EXTENSIONS]
         if same:

@@ -75,8 +75,8 @@ def report(pair, console) -> None:
 
     alignment = pair.alignment
     style = VERDICT_STYLE[alignment.verdict]
-    console.print(f"[bold]{pair.name}[/bold]  [{style}]{alignment.verdict}[/{style}], by {alignment.method}",
-                  highlight=False)
+    how = {"by hand": "by hand", "none": ""}.get(alignment.method, f"by {alignment.method}")
+    console.print(f"[bold]{pair.name}[/bold]  [{style}]{alignment.verdict}[/{style}] {how}", highlight=False)
     if alignment.method != "none":
         start = pair.can.start_ns
         at = (alignment.at_ns - start) * 1e-9
