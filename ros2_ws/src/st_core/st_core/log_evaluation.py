@@ -12,19 +12,21 @@ from typing import Literal
 import numpy as np
 
 from . import frames, integrate
+from .batch import LogBatch
 from .errors import ConfigurationError
 from .evaluation import Mode
 from .filtering import NANOSECOND
 from .log import DriveLog
 from .log_signals import Acceleration, LogSignals
 from .models import Model, get_model
-from .prediction import PredictionSettings, predict_batch
+from .prediction import PredictionSettings
+from .readings import corrected_log, readings
 from .types import STATE_NAMES
 from .vehicle import VehicleParameters
 
 MODES: tuple[Mode, ...] = ("hindsight", "forecast")
 AXES = ("longitudinal", "lateral", "yaw")
-BLOCK = 512  # starts predicted together: 512 x 101 x 6 doubles of trajectory, 2.5 MB
+BLOCK = 2048  # starts predicted together; each model and mode then holds 15 MB
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
 
 Progress = Callable[[int, int], None]
@@ -210,17 +212,15 @@ def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
     x, y, yaw, speed, yaw_rate, acceleration = signals.ins_at(
         times, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(times)
-    states = signals.states_at(starts_ns, vehicle)
-    measured = x[:, ::2], y[:, ::2], yaw[:, ::2]
+    measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
     trajectories = {}
     for model in models:
         trajectories[model.name, "hindsight"] = (
-            predict_batch(model, vehicle, states, angle, acceleration, step * steps, step)
-            if settings.inputs == "interpolate"
-            else predict_held_per_step(model, vehicle, states, angle[:, ::2], acceleration[:, ::2], step))
-        trajectories[model.name, "forecast"] = predict_batch(
-            model, vehicle, states, angle[:, 0].copy(), acceleration[:, 0].copy(), step * steps, step)
-    errors = {key: position_errors(t, *measured, vehicle) for key, t in trajectories.items()}
+            measured.predict(model, vehicle).states if settings.inputs == "interpolate"
+            else predict_held_per_step(model, vehicle, signals, starts_ns, times[:, ::2], step))
+        trajectories[model.name, "forecast"] = held.predict(model, vehicle).states
+    errors = {(model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], x[:, ::2], y[:, ::2],
+                                                 yaw[:, ::2]) for model in models for mode in MODES}
     known_ins, known_steering = np.isfinite(acceleration).all(axis=1), np.isfinite(angle).all(axis=1)
     complete, ended = known_ins & known_steering, times[:, -1] > signals.end_ns
     incomplete = {"the recording ends before the horizon": ended,
@@ -236,22 +236,26 @@ def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
     return Block(errors, trajectories, conditions, {name: int(b.sum()) for name, b in incomplete.items() if b.any()})
 
 
-def position_errors(trajectories: np.ndarray, x, y, yaw, vehicle: VehicleParameters) -> np.ndarray:
-    """(n, points, 3) errors of trajectories (n, points, 6) as `evaluation.position_errors`; x, y, yaw: (n, points)."""
+def reading_errors(model: Model, vehicle: VehicleParameters, trajectories: np.ndarray, x, y, yaw) -> np.ndarray:
+    """(n, points, 3) errors of trajectories (n, points, 6): what the INS would show minus what it showed.
+
+    x, y [m], yaw [rad]: measured at the INS point, (n, points). Axes and signs as `evaluation.position_errors`.
+    """
     with np.errstate(all="ignore"):
-        predicted_yaw = trajectories[..., 4]
-        predicted = frames.cg_to_ins_position(
-            trajectories[..., 0], trajectories[..., 1], predicted_yaw, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
-        longitudinal, lateral = frames.map_to_body(predicted[0] - x, predicted[1] - y, yaw)
-        return np.stack([longitudinal, lateral, frames.wrap_angle(predicted_yaw - yaw)], axis=-1)
+        seen = readings(model, vehicle, tuple(np.moveaxis(trajectories, -1, 0)))
+        longitudinal, lateral = frames.map_to_body(seen.x - x, seen.y - y, yaw)
+        return np.stack([longitudinal, lateral, frames.wrap_angle(seen.yaw - yaw)], axis=-1)
 
 
-def predict_held_per_step(model: Model, vehicle: VehicleParameters, states: np.ndarray, road_wheel_angle: np.ndarray,
-                          velocity_x_dot: np.ndarray, step: float) -> np.ndarray:
-    """(n, points, 6): as `predict_batch`, each step with the inputs at its start. Inputs: (n, points)."""
+def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
+                          times_ns: np.ndarray, step: float) -> np.ndarray:
+    """(n, points, 6): as `batch.predict_log`, but each step with the inputs at its start. times_ns: (n, points)."""
+    own = signals.of(corrected_log(model, signals.log, signals.maximum_gap))
+    angle, acceleration = own.road_wheel_angle_at(times_ns), own.ins_at(times_ns, "velocity_x_dot")[0]
+    states = own.states_at(starts_ns, model.effective_vehicle(vehicle))
     p = model.parameters(vehicle)
     with np.errstate(all="ignore"):
-        grid = [model.inputs(a, b, p) for a, b in zip(road_wheel_angle.T, velocity_x_dot.T, strict=True)]
+        grid = [model.inputs(a, b, p) for a, b in zip(angle.T, acceleration.T, strict=True)]
         state = model.start_state(tuple(np.ascontiguousarray(states.T)), grid[0], p)
         columns = [state]
         for w in grid[:-1]:

@@ -88,8 +88,13 @@ def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
 
 
 def test_same_names_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    touch(tmp_path, "monday/drive.csv", "tuesday/drive.csv", content=DRIVE)
+    assert sorted(run.name for run in find_runs([tmp_path])) == ["drive", "tuesday_drive"]
+
+
+def test_a_run_called_run_has_the_name_of_its_folder(tmp_path: Path) -> None:
     touch(tmp_path, "monday/run.csv", "tuesday/run.csv", content=DRIVE)
-    assert sorted(run.name for run in find_runs([tmp_path])) == ["run", "tuesday_run"]
+    assert sorted(run.name for run in find_runs([tmp_path])) == ["monday", "tuesday"]
 
 
 def test_run_yaml(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from ..runs import RunSource, find_runs
@@ -58,12 +59,12 @@ def run_command(paths: Sequence[Path], task: Task, over: str, vehicle_file: str,
     if good:
         console.print(terminal_table(good, over, title, console.width))
     for key, value in settings_in_words(choices).items():
-        console.print(f"[dim]{key}: {value}[/dim]", highlight=False, soft_wrap=True)
+        console.print(f"[dim]{key}: {escape(value)}[/dim]", highlight=False, soft_wrap=True)
     for key, what in WHAT_IS_WHAT.items():
-        console.print(f"  {files[key]}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
+        console.print(f"  {escape(str(files[key]))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
     failed = [report for report in found if report.problem]
     for report in failed:
-        console.print(f"[red]{report.name}[/red]: {report.problem}", highlight=False, soft_wrap=True, markup=True)
+        console.print(f"[red]{escape(report.name)}[/red]: {escape(report.problem)}", highlight=False, soft_wrap=True)
     console.print(_times(good, time.perf_counter() - began), highlight=False)
     return 1 if failed else 0
 
@@ -88,8 +89,8 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
 
 def _watcher(progress: Progress, bar: TaskID) -> Callable[[RunSource], Callable[[int, int], None]]:
     def watch(source: RunSource) -> Callable[[int, int], None]:
-        progress.update(bar, description=f"{source.name}: reading", total=None, completed=0, visible=True)
-        return lambda done, total: progress.update(bar, description=source.name, total=total, completed=done)
+        progress.update(bar, description=escape(f"{source.name}: reading"), total=None, completed=0, visible=True)
+        return lambda done, total: progress.update(bar, description=escape(source.name), total=total, completed=done)
 
     return watch
 

@@ -8,10 +8,10 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
-from st_core.frames import cg_to_ins_position
 from st_core.log_evaluation import LogEvaluation, evaluate_blocks
 from st_core.log_signals import LogSignals
 from st_core.models import Model
+from st_core.readings import readings
 from st_core.vehicle import VehicleParameters
 
 from ..style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
@@ -90,8 +90,9 @@ def segments(drawing: Drawing) -> Drawn | None:
         axes = figure.add_subplot(layout[0, column])
         _measured_path(axes, drawing, start_ns, length)
         for model in drawing.models:
-            x, y = _ins_path(block.trajectories[model.name, "hindsight"][column], drawing.vehicle)
-            axes.plot(x, y, **drawing.line(model.name))
+            states = tuple(block.trajectories[model.name, "hindsight"][column].T)
+            seen = readings(model, drawing.vehicle, states)
+            axes.plot(seen.x, seen.y, **drawing.line(model.name))
         axes.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {evaluation.conditions['speed'][row]:.1f} m/s",
                        fontsize=9)
         axes.set_xlabel("east, m")
@@ -136,10 +137,6 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
-
-
-def _ins_path(states: np.ndarray, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    return cg_to_ins_position(states[:, 0], states[:, 1], states[:, 4], vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
 
 
 def horizon_means(drawing: Drawing) -> Drawn:

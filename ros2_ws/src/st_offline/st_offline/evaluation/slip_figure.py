@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
-from st_core import ops
 from st_core.log_evaluation import evaluate_blocks
-from st_core.models import Model
-from st_core.models._dynamic import axle_slip_angles
+from st_core.models import Model, get_model
+from st_core.vehicle import VehicleParameters
 
 from ..style import MEASURED_COLOUR
 from .drawing import TEXT, WIDTH, Drawn, finish
@@ -30,16 +29,13 @@ def slip(drawing: Drawing) -> Drawn | None:
     angle, acceleration = signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0]
     measured = signals.states_at(times, vehicle)
     figure, grid = plt.subplots(2, 2, figsize=(WIDTH, 4.6), sharex=True, sharey="row")
-    measured_slip = axle_slip_angles(*measured[:, [2, 3, 5]].T, ops.sin(angle), ops.cos(angle), vehicle)
+    measured_slip = _slip_angles(get_model("linear"), drawing.vehicle, measured, angle, acceleration)[0]
     for column in (0, 1):
         grid[0, column].plot(evaluation.horizon, np.degrees(measured_slip[column]), color=MEASURED_COLOUR, lw=1.0)
     ends = {}
     for model in models:
-        p = model.parameters(vehicle)
-        states = tuple(block.trajectories[model.name, "hindsight"][0].T)
-        w = model.inputs(angle, acceleration, p)
-        slips = model.axles.slip_angles(states, w, p)
-        forces = model.axles.forces(*slips, w, p)
+        states = block.trajectories[model.name, "hindsight"][0]
+        slips, forces = _slip_angles(model, drawing.vehicle, states, angle, acceleration)
         for column in (0, 1):
             grid[0, column].plot(evaluation.horizon, np.degrees(slips[column]), **drawing.line(model.name))
             grid[1, column].plot(evaluation.horizon, forces[column] / 1000.0, **drawing.line(model.name))
@@ -59,6 +55,15 @@ def slip(drawing: Drawing) -> Drawn | None:
     caption = (f"Slip angles and forces that the models predict with the measured inputs; measured slip angles reach "
                f"{peak:.1f}°. The start: the one asked for, else that of the largest lateral acceleration.")
     return finish(figure, drawing.place, "slip_and_forces", title, caption)
+
+
+def _slip_angles(model: Model, vehicle: VehicleParameters, states: np.ndarray, angle: np.ndarray,
+                 acceleration: np.ndarray) -> tuple[tuple, tuple]:
+    """((front, rear) slip angles [rad], (front, rear) axle forces [N]) of a model in states (n, 6)."""
+    p = model.parameters(vehicle)
+    w = model.inputs(angle, acceleration, p)
+    slips = model.axles.slip_angles(tuple(states.T), w, p)
+    return slips, model.axles.forces(*slips, w, p)
 
 
 def _start(drawing: Drawing) -> int | None:

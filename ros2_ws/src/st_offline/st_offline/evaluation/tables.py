@@ -49,8 +49,8 @@ def shown(value: float | None) -> str:
 def terminal_table(reports: Sequence[RunReport], over: str, title: str, width: int) -> Table:
     """The paper's table (hindsight), and beside it, if there is room, the RMSE of the forecasts."""
     wide = width >= WIDE
-    table = Table(title=f"{title}\n{NOTE.format(what=WHAT[over])}", title_justify="left", title_style="bold", box=None,
-                  padding=(0, 1))
+    heading = Text(f"{title}\n{NOTE.format(what=WHAT[over])}", style="bold")
+    table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))
     table.add_column("run", overflow="fold")
     table.add_column("model", no_wrap=True)
     table.add_column("starts", justify="right", no_wrap=True)

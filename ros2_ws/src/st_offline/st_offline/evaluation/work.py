@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from st_core.errors import StCoreError
+from st_core.errors import ConfigurationError, StCoreError
 from st_core.log_evaluation import AXES, EvaluationSettings, LogEvaluation, evaluate_log
 from st_core.log_signals import LogSignals
+from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
 
@@ -27,13 +28,15 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be done with every run. models: names. starts: times [s] to look at closely, () for a choice.
+    """What is to be done with every run. models: by name, or (file name, content) of a model.yaml.
+
+    starts: times [s] to look at closely, () for a choice.
 
     folder: gets runs/<name>/ with starts.csv and figures; None: nothing is written. formats: of the figures.
     """
 
     vehicle: VehicleParameters
-    models: tuple[str, ...]
+    models: tuple[str | tuple[str, str], ...]
     settings: EvaluationSettings = field(default_factory=EvaluationSettings)
     read: ReadSettings = field(default_factory=ReadSettings)
     starts: tuple[float, ...] = ()
@@ -77,7 +80,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     marks = [time.perf_counter()]
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
-    models = [get_model(name) for name in task.models]
+    models = load_models(task)
     evaluation = evaluate_log(models, task.vehicle, run.log, task.settings, progress=progress)
     marks.append(time.perf_counter())
     parts = manoeuvres(run.log, run.labels)
@@ -100,6 +103,24 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         source.name, "", ranking(evaluation, "lateral"), about, statistics.by_model(evaluation),
         statistics.by_second(evaluation), statistics.by_bin(evaluation), statistics.by_manoeuvre(evaluation, parts),
         figures, dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
+
+
+def load_models(task: Task) -> list[Model]:
+    """The models of a task. Raises ConfigurationError for an unknown one, a bad file, or two of one name."""
+    models: list[Model] = []
+    for chosen in task.models:
+        if isinstance(chosen, str):
+            models.append(get_model(chosen))
+        else:
+            origin, text = chosen
+            file = ModelFile.from_yaml(text, origin)
+            file.check_vehicle(task.vehicle, "the vehicle file")
+            models.append(file.model())
+    names = [model.name for model in models]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigurationError(f"two models are named {name}: one model file at a time, and each name once")
+    return models
 
 
 def _drawing(task: Task, evaluation: LogEvaluation, models: list[Model], log, folder: Path | None) -> Drawing:

@@ -14,7 +14,9 @@ def evaluate(
     runs: list[Path] = typer.Argument(
         ..., help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False
     ),
-    model: list[str] = typer.Option(MODELS, "--model", help="kinematic, linear, nonlinear; repeatable."),
+    model: list[str] = typer.Option(
+        MODELS, "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable."
+    ),
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
     ),
@@ -47,15 +49,16 @@ def evaluate(
     could be started.
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
+    from dataclasses import replace
+
     from rich.console import Console
     from st_core.errors import StCoreError
     from st_core.log_evaluation import EvaluationSettings
-    from st_core.models import get_model
     from st_core.prediction import PredictionSettings
     from st_core.vehicle import VehicleParameters
 
     from ..evaluation.command import CommandError, results_folder, run_command
-    from ..evaluation.work import Task
+    from ..evaluation.work import Task, load_models
     from ..runs import ReadSettings
 
     vehicle = vehicle or config("vehicle/leaf.yaml")
@@ -65,18 +68,29 @@ def evaluate(
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
         task = Task(
             vehicle=VehicleParameters.from_yaml(vehicle.read_text(), str(vehicle)),
-            models=tuple(get_model(name).name for name in dict.fromkeys(model)),
+            models=tuple(_model(name) for name in dict.fromkeys(model)),
             settings=settings,
             read=ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset),
             starts=_numbers(at),
-            folder=results_folder(output),
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
         )
+        load_models(task)
+        task = replace(task, folder=results_folder(output))
         status = run_command(runs, task, table, str(vehicle), workers, scheduler, Console())
-    except (StCoreError, CommandError) as error:
+    except (StCoreError, CommandError, UnicodeDecodeError) as error:
         typer.echo(f"st evaluate: {error}", err=True)
         raise typer.Exit(2) from None
     raise typer.Exit(status)
+
+
+def _model(name: str) -> str | tuple[str, str]:
+    """A model's name, or its file with the content: workers elsewhere may not see the file."""
+    if not name.endswith((".yaml", ".yml")):
+        return name
+    try:
+        return name, Path(name).read_text()
+    except OSError as error:
+        raise typer.BadParameter(f"--model {name}: {error.strerror}") from None
 
 
 def _numbers(text: str) -> tuple[float, ...]:

@@ -1,0 +1,59 @@
+"""Figures for files and for the page."""
+
+import re
+from xml.etree import ElementTree
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from st_offline.evaluation.drawing import MOST_POINTS, Place, broken, finish, style, thinned
+from st_offline.style import MODEL_COLOUR
+
+
+@pytest.fixture
+def drawn(tmp_path):
+    with style():
+        figure, axes = plt.subplots()
+        axes.plot([0, 1], [0.123456789, 1], color=MODEL_COLOUR["nonlinear"])
+        axes.plot([0, 1], [1, 0], ".", rasterized=True)
+        axes.set_xlabel("time, s")
+        return finish(figure, Place(tmp_path, ("png", "pdf"), "S6-"), "test", "x < y & z", "how to read it")
+
+
+def test_files_of_every_format(drawn, tmp_path):
+    assert (tmp_path / "test.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "test.pdf").read_bytes()[:4] == b"%PDF"
+    assert not plt.get_fignums()
+
+
+def test_svg_takes_the_colours_and_fonts_of_the_page(drawn):
+    assert ElementTree.fromstring(drawn.svg).tag.endswith("svg")
+    assert "var(--nonlinear)" in drawn.svg and MODEL_COLOUR["nonlinear"] not in drawn.svg
+    assert "font-family" not in drawn.svg and "var(--text)" in drawn.svg
+    assert "time, s" in drawn.svg and "x &lt; y" not in drawn.svg  # the title stands beside it
+
+
+def test_svg_ids_are_its_own_and_all_references_resolve(drawn):
+    ids = re.findall(r'\bid="([^"]+)"', drawn.svg)
+    used = re.findall(r'(?:url\(#|href="#)([^")]+)', drawn.svg)
+    assert used and set(used) <= set(ids) and all(i.startswith("S6-test-") for i in ids)
+
+
+def test_svg_loads_nothing(drawn):
+    assert all(link.startswith(("#", "data:")) for link in re.findall(r'href="([^"]*)"', drawn.svg))
+
+
+def test_long_lines_keep_their_extremes():
+    time = np.arange(100_000.0)
+    values = np.sin(time / 500.0)
+    values[77_777], values[12_345] = 9.0, -9.0
+    values[50_000:60_000] = np.nan
+    few_times, few = thinned(time, values)
+    assert len(few) <= MOST_POINTS + 2 and np.nanmax(few) == 9.0 and np.nanmin(few) == -9.0
+    assert (np.diff(few_times) > 0).all() and np.isnan(few).sum() > 10
+    assert thinned(time[:100], values[:100])[1] is not None and len(thinned(time[:100], values[:100])[0]) == 100
+
+
+def test_a_line_breaks_at_gaps_only():
+    time, values = broken(np.array([0.0, 1.0, 5.0, 6.0]), np.array([1.0, 2.0, 3.0, 4.0]), gap=2.0)
+    assert np.isnan(values).tolist() == [False, False, True, False, False] and len(time) == 5

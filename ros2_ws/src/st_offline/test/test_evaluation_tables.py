@@ -1,0 +1,129 @@
+"""Numbers in tables: what is bold, how they are rounded, what LaTeX gets; and pooling of runs."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+from st_core.log_evaluation import MODES, ModelErrors
+from st_offline.evaluation import statistics, tables
+from st_offline.evaluation.document import pooled_bins
+from st_offline.evaluation.work import RunReport, slug
+
+
+def errors(mean: np.ndarray, seed: int = 0) -> ModelErrors:
+    """Errors whose horizon means are the rows of `mean`; samples scatter about them. NaN rows are incomplete."""
+    rng = np.random.default_rng(seed)
+    samples = mean[:, None, :] + rng.normal(0.0, 0.3, (len(mean), 101, 3))
+    samples += (mean - samples.mean(axis=1))[:, None]
+    complete = np.isfinite(mean).all(axis=1)
+    profile = np.full((101, 3), np.nan)
+    return ModelErrors(complete, samples.mean(axis=1), np.square(samples).mean(axis=1), np.abs(samples).max(axis=1),
+                       samples[:, 20::20], profile, profile, profile)
+
+
+def entry(longitudinal, lateral) -> dict:
+    """Statistics of one model: (mean, max, rmse) of each axis."""
+    axes = {axis: dict(zip(statistics.KINDS, v, strict=True)) for axis, v in
+            (("longitudinal", longitudinal), ("lateral", lateral), ("yaw", (0.0, 0.0, 0.0)))}
+    one = {"n_starts": 7, "n_incomplete": 1, **axes, "samples": {"n_starts": 7, **axes}}
+    return dict.fromkeys(MODES, one)
+
+
+PAPER_S1 = {  # the first row of the paper's table
+    "kinematic": entry((0.10, 0.19, 0.12), (-0.09, 0.49, 0.33)),
+    "linear": entry((0.02, 0.07, 0.04), (-0.06, 0.26, 0.13)),
+    "nonlinear": entry((0.01, 0.07, 0.04), (-0.06, 0.26, 0.13)),
+}
+
+
+def report(name: str, models: dict) -> RunReport:
+    return RunReport(name, models=models)
+
+
+def test_latex_is_the_papers_row():
+    text = tables.latex_table([report("S$_1$", PAPER_S1)], "means", "Leaf_ZE0, 100 %.")
+    rows = [line for line in text.splitlines() if line.endswith(r"\\") and "m$_" in line]
+    assert rows == [
+        r"\multirow[c]{3}{*}{S\$\_1\$} & m$_{1}$ & $\phantom{-}0.10 \mid 0.19 \mid 0.12$ & "
+        r"$-0.09 \mid 0.49 \mid 0.33$ \\",
+        r"& m$_{2}$ & $\phantom{-}0.02 \mid \mathbf{0.07} \mid \mathbf{0.04}$ & "
+        r"$\mathbf{-0.06} \mid \mathbf{0.26} \mid \mathbf{0.13}$ \\",
+        r"& m$_{3}$ & $\phantom{-}\mathbf{0.01} \mid \mathbf{0.07} \mid \mathbf{0.04}$ & "
+        r"$\mathbf{-0.06} \mid \mathbf{0.26} \mid \mathbf{0.13}$ \\",
+    ]
+    assert r"Leaf\_ZE0, 100 \%." in text and text.count(r"\begin{") == text.count(r"\end{")
+
+
+def test_bold_goes_by_printed_magnitude_and_may_be_shared():
+    models = {"a": entry((0.004, 1.0, 1.0), (0.0, 1.0, 1.0)), "b": entry((-0.0049, 1.0, 2.0), (0.006, 1.0, 1.0))}
+    assert tables.best(models, "a", "hindsight", "longitudinal", "mean", "means")
+    assert tables.best(models, "b", "hindsight", "longitudinal", "mean", "means")
+    assert tables.best(models, "a", "hindsight", "lateral", "mean", "means")
+    assert not tables.best(models, "b", "hindsight", "lateral", "mean", "means")
+    assert not tables.best(models, "b", "hindsight", "longitudinal", "rmse", "means")
+
+
+@pytest.mark.parametrize(("value", "text"), [(-0.004, "0.00"), (-0.006, "-0.01"), (None, "-"), (12.346, "12.35")])
+def test_numbers_to_the_centimetre(value, text):
+    assert tables.shown(value) == text
+
+
+def test_terminal_shows_every_run_and_escapes_names():
+    console = Console(width=110, record=True, file=io.StringIO())
+    models = {"kinematic": entry((0.1, 0.2, 0.3), (1, 2, 3)), "linear": entry((None,) * 3, (None,) * 3)}
+    console.print(tables.terminal_table([report("[red]day[/red]", models)], "samples", "A [b]title[/b]", 110))
+    text = console.export_text()
+    assert "[red]day[/red]" in text and "A [b]title[/b]" in text
+    assert " 1.00 |  2.00 |  3.00" in text and "- |     - |     -" in text
+
+
+def test_csv_has_one_row_per_run_model_and_mode(tmp_path):
+    file = tmp_path / "table.csv"
+    tables.write_csv(file, tables.table_rows([report("S1", PAPER_S1), report("S,2", PAPER_S1)]))
+    rows = list(csv.DictReader(file.open()))
+    assert len(rows) == 2 * 3 * 2 and {r["run"] for r in rows} == {"S1", "S,2"}
+    assert float(rows[0]["lateral_rmse_m"]) == 0.33 and rows[0]["n_starts"] == "7"
+    assert {r["mode"] for r in rows} == set(MODES)
+
+
+def test_entry_counts_and_takes_only_what_is_selected():
+    mean = np.array([[1.0, -2.0, 0.1], [3.0, 0.0, 0.1], [np.nan] * 3, [100.0, 0.0, 0.0]])
+    found = statistics.entry(errors(mean), np.array([True, True, True, False]))
+    assert (found["n_starts"], found["n_incomplete"]) == (2, 1)
+    assert found["longitudinal"] == pytest.approx({"mean": 2.0, "max": 3.0, "rmse": np.sqrt(5.0)})
+    assert found["samples"]["longitudinal"]["mean"] == pytest.approx(2.0)
+    assert found["samples"]["longitudinal"]["rmse"] > found["longitudinal"]["rmse"]
+    nothing = statistics.entry(errors(mean), np.zeros(4, bool))
+    assert nothing["n_starts"] == 0 and nothing["lateral"] == {"mean": None, "max": None, "rmse": None}
+
+
+def test_pooled_runs_are_as_one_run():
+    rng = np.random.default_rng(3)
+    whole = errors(rng.normal(0.2, 1.0, (90, 3)))
+    parts = [np.arange(90) < 20, (np.arange(90) >= 20) & (np.arange(90) < 75), np.arange(90) >= 75]
+    documents = [{"linear": dict.fromkeys(MODES, statistics.entry(whole, part))} for part in parts]
+    empty = {"linear": dict.fromkeys(MODES, statistics.entry(whole, np.zeros(90, bool)))}
+    joined = statistics.pooled([*documents, empty])["linear"]["forecast"]
+    expected = statistics.entry(whole)
+    assert joined["n_starts"] == 90
+    for axis in ("longitudinal", "lateral", "yaw"):
+        assert joined[axis] == pytest.approx(expected[axis])
+        assert joined["samples"][axis] == pytest.approx(expected["samples"][axis])
+
+
+def test_pooled_bins_come_in_their_own_order():
+    def one(quantity, label, low):
+        return {"quantity": quantity, "label": label, "low": low, "high": None, "models": PAPER_S1}
+
+    first = RunReport("a", bins=[one("speed", "6 to 9", 6.0), one("direction", "right", None)])
+    second = RunReport("b", bins=[one("speed", "3 to 6", 3.0), one("speed", "6 to 9", 6.0),
+                                  one("direction", "left", 0.1), one("direction", "straight", -0.1)])
+    found = [(e["label"], e["count"]) for e in pooled_bins([first, second])]
+    assert found == [("3 to 6", 1), ("6 to 9", 2), ("left", 1), ("straight", 1), ("right", 1)]
+
+
+@pytest.mark.parametrize(("name", "file"), [("S6", "S6"), ("a/b c", "a_b_c"), ("../x", "_x"), ("", "run")])
+def test_names_become_safe_file_names(name, file):
+    assert slug(name) == file
