@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import TypeVar
 
 from st_core import errors as core_errors
+from st_core.effects import load_folder
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
@@ -18,7 +19,7 @@ _DEFAULTS = PredictionSettings()
 
 _VEHICLE_FILE = Parameter("vehicle_file", "", "vehicle parameters, a file of config/vehicle/; required")
 _MODEL_FILE = Parameter("model_file", "", "model.yaml of a further model, named augmented; empty: none")
-_EFFECTS_DIRECTORY = Parameter("effects_directory", "", "folder of effects of your own that model_file uses; empty: none")
+_EFFECTS_DIRECTORY = Parameter("effects_directory", "", "folder of own effects that model_file uses; empty: none")
 _MAP_FRAME = Parameter("map_frame", "map", "frame the odometry must be in; odometry in another one is refused")
 _MAXIMUM_GAP = Parameter(
     "maximum_gap", _DEFAULTS.maximum_gap, "nothing is interpolated between samples further apart", "s", 0.001, 10.0)
@@ -75,29 +76,24 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
     Raises ConfigurationError naming the file and the key, also when its values hold for another car than `vehicle`.
     """
     if values.effects_directory:
-        from st_core.effects import load_folder
-
-        try:
-            load_folder(values.effects_directory)
-        except core_errors.ConfigurationError as error:
-            raise ConfigurationError(f"{values.where}effects_directory: {error}") from None
+        checked(values, lambda: load_folder(values.effects_directory), "effects_directory: ")
     if not values.model_file:
         return None
     file = _read(values, "model_file", ModelFile.from_yaml)
-    checked(values, lambda: file.check_vehicle(vehicle, f"model_file: {values.model_file}", values.vehicle_file))
+    place = f"model_file: {values.model_file}: "
+    checked(values, lambda: file.check_vehicle(vehicle, values.vehicle_file), place)
     return file
 
 
 def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T:
-    name, where = getattr(values, parameter), f"{values.where}{parameter}: "
+    name, place = getattr(values, parameter), f"{parameter}: "
     try:
-        return parse(Path(name).read_text(), name)
+        text = Path(name).read_text()
     except OSError as error:
-        raise ConfigurationError(f"{where}{name}: {error.strerror}") from None
+        raise ConfigurationError(f"{values.where}{place}{name}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ConfigurationError(f"{where}{name} is not a text file") from None
-    except core_errors.ConfigurationError as error:
-        raise ConfigurationError(f"{where}{error}") from None
+        raise ConfigurationError(f"{values.where}{place}{name} is not a text file") from None
+    return checked(values, lambda: parse(text, name), place)
 
 
 def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
@@ -106,9 +102,12 @@ def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
     return checked(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
 
 
-def checked(values: SimpleNamespace, make: Callable[[], T]) -> T:
-    """What `make` returns; a ConfigurationError of st_core becomes the one that ends a start with status 2."""
+def checked(values: SimpleNamespace, make: Callable[[], T], place: str = "") -> T:
+    """What `make` returns; a ConfigurationError of st_core becomes the one that ends a start with status 2.
+
+    place: what stands before its text.
+    """
     try:
         return make()
     except core_errors.ConfigurationError as error:
-        raise ConfigurationError(f"{values.where}{error}") from None
+        raise ConfigurationError(f"{values.where}{place}{error}") from None

@@ -44,7 +44,7 @@ class EvaluatorNode(Node):
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
-        self._hashes: dict[int, str] = {}  # of the predictions waiting, by start
+        self._hashes: dict[tuple[str, int], str] = {}  # of the predictions waiting, by model and start
         self._other_configuration: dict[tuple[str, str], bool] = {}  # by hash and model
         self._refused = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)
@@ -102,20 +102,22 @@ class EvaluatorNode(Node):
         if key not in self._other_configuration:
             # Once per configuration: hindsight is only fair with the vehicle the forecast was made with.
             horizon = trajectory.step * (len(trajectory.states) - 1)
-            again = predict(model, self._vehicle, start, inputs, horizon, trajectory.step)
-            self._other_configuration[key] = not np.allclose(
+            view = self._core.view(model)
+            again = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
+            # With a memory of the steering, held inputs are not all there is to a forecast.
+            self._other_configuration[key] = not view.has_memory and not np.allclose(
                 again.states, trajectory.states, rtol=0.0, atol=SAME_TRAJECTORY, equal_nan=True)
-        self._hashes[start_ns] = message.configuration_hash
+        self._hashes[model, start_ns] = message.configuration_hash
         self._core.add_prediction(model, start_ns, start, inputs, trajectory)
 
     def _publish_scores(self, scores: list[Score]) -> None:
         for score in scores:
             self._statistics[score.model, score.mode].add(score)
-            message = convert.error_message(score, self._map_frame, self._hashes.get(score.start_ns, ""))
+            message = convert.error_message(score, self._map_frame, self._hashes.get((score.model, score.start_ns), ""))
             self._error_publisher.publish(message)
             self._record("errors", message)
-        for start_ns in {score.start_ns for score in scores}:
-            self._hashes.pop(start_ns, None)
+        for score in scores:
+            self._hashes.pop((score.model, score.start_ns), None)
 
     def _publish_summary(self) -> None:
         message = ErrorSummary(pending=self._core.pending)

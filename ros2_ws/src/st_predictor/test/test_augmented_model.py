@@ -1,0 +1,193 @@
+"""A fourth model from a model file: predicted beside the three and scored, over DDS, on a circle known exactly.
+
+The effects are chosen so that the circle is the augmented car's own steady state; the three others miss it.
+"""
+
+import sys
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+pytest.importorskip("st_msgs", reason="needs the built workspace")
+
+from bags import health, nanoseconds, read_messages, stamps
+from circle_feeder import pose_at
+from ros_processes import Processes, wait_for
+from scipy.optimize import fsolve
+from st_core.augmented import augment
+from st_core.model_file import ModelFile, Provenance
+from st_core.vehicle import VehicleParameters
+from support import ROOT
+
+pytestmark = pytest.mark.ros
+VEHICLE = ROOT / "config" / "vehicle" / "leaf.yaml"
+RADIUS, SPEED, ANGLE, DURATION = 30.0, 8.0, 0.09, 9.0
+MODELS = ("kinematic", "linear", "nonlinear", "augmented")
+
+
+def on_the_circle(leaf: VehicleParameters) -> ModelFile:
+    """Rear stiffness and steering offset with which the linear car follows the feeder's circle; a lag besides."""
+    yaw_rate = SPEED / RADIUS
+    state = (0.0, 0.0, SPEED, -leaf.cg_to_ins_x * yaw_rate, 0.0, yaw_rate)
+
+    def model(unknown):
+        factor, offset = map(float, unknown)
+        return augment("linear", {"rear_stiffness": {"factor": factor}, "steering_offset": {"angle": offset},
+                                  "steering_lag": {"time_constant": 0.1}})
+
+    def residual(unknown):
+        p = model(unknown).parameters(leaf)
+        return np.array(model(unknown).rhs(state, model(unknown).inputs(ANGLE, 0.0, p), p))[[3, 5]]
+
+    return ModelFile.of(model(fsolve(residual, [0.5, 0.0], xtol=1e-12)), leaf, Provenance(note="steady circle"))
+
+
+@dataclass
+class Run:
+    zero_ns: int
+    folder: Path
+    file: ModelFile
+    messages: dict[str, list[Any]] = field(default_factory=dict)
+    errors: dict[str, list[Any]] = field(default_factory=dict)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("augmented")
+    file = on_the_circle(VehicleParameters.from_yaml(VEHICLE.read_text()))
+    (folder / "model.yaml").write_text(file.to_yaml())
+    processes = Processes(folder)
+    try:
+        chosen = f"vehicle_file:={VEHICLE}", f"model_file:={folder / 'model.yaml'}"
+        nodes = [processes.node("st_predictor", "predictor", *chosen),
+                 processes.node("st_predictor", "evaluator", *chosen, f"output_directory:={folder / 'errors'}"),
+                 processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}")]
+        feeder = processes.start([
+            sys.executable, str(ROOT / "tests" / "circle_feeder.py"), "--subscribers", "3", "--duration", str(DURATION),
+            "--radius", str(RADIUS), "--speed", str(SPEED), "--angle", str(ANGLE)], "feeder")
+        assert feeder.wait(60) == 0, processes.log("feeder")
+        assert [processes.stop(node) for node in nodes] == [0, 0, 0]
+    finally:
+        processes.close()
+    return Run(int(processes.log("feeder").split()[1]), folder, file, read_messages(folder / "bag"),
+               read_messages(folder / "errors"))
+
+
+def test_each_tick_carries_four_predictions_and_paths(run: Run) -> None:
+    ticks = stamps(run.messages["/predictor/linear/prediction"])
+    assert len(ticks) > 0.8 * DURATION * 10
+    for model in MODELS:
+        assert stamps(run.messages[f"/predictor/{model}/prediction"]) == ticks
+        assert stamps(run.messages[f"/predictor/{model}/path"]) == ticks
+
+
+def test_the_augmented_path_is_the_circle(run: Run) -> None:
+    paths = run.messages["/predictor/augmented/path"]
+    for path in paths[5:]:
+        t = (nanoseconds(path.header.stamp) - run.zero_ns) * 1e-9 + 0.05 * np.arange(101)
+        truth = np.array([pose_at(k, RADIUS, SPEED)[:2] for k in t])
+        points = [(p.pose.position.x, p.pose.position.y) for p in path.poses]
+        np.testing.assert_allclose(points, truth, atol=2e-3)
+
+
+def test_both_modes_are_scored_and_the_gap_is_gone(run: Run) -> None:
+    summary = run.messages["/evaluator/summary"][-1]
+    rows = {(s.model, s.mode): s for s in summary.statistics}
+    assert rows.keys() == set(product(MODELS, ("forecast", "hindsight")))
+    for mode in ("forecast", "hindsight"):
+        assert rows["augmented", mode].n_starts == rows["linear", mode].n_starts > 10
+        assert rows["augmented", mode].lateral_max < 2e-3
+        assert abs(rows["linear", mode].lateral_mean) > 0.2
+
+
+def test_configurations_are_told_apart(run: Run) -> None:
+    hashes = {m: {p.configuration_hash for p in run.messages[f"/predictor/{m}/prediction"]} for m in MODELS}
+    assert hashes["kinematic"] == hashes["linear"] == hashes["nonlinear"]
+    assert all(len(h) == 1 for h in hashes.values()) and hashes["augmented"] != hashes["linear"]
+    scored = {m: {e.configuration_hash for e in run.errors["/evaluator/errors"] if e.model == m} for m in MODELS}
+    assert scored == hashes
+
+
+def test_errors_are_recorded_with_the_model_they_belong_to(run: Run) -> None:
+    from mcap.reader import make_reader
+
+    with (run.folder / "errors" / "errors_0.mcap").open("rb") as stream:
+        records = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
+    assert ModelFile.from_yaml(records["configuration"]["model"]) == run.file
+    assert records["configuration"]["model_hash"] == run.file.hash
+
+
+def test_health_is_told(run: Run) -> None:
+    said = {name: {(level, text) for _, level, text in lines} for name, lines in health(run.messages).items()}
+    assert (0, "predicting") in said["predictor: prediction"]
+    assert (0, "scoring") in said["evaluator: scoring"]
+
+
+OWN_EFFECT = '''
+"""Yaw moment of a tow hook, as far as a test needs one."""
+
+from st_core.effects import Effect, Parameter, register
+
+
+@register
+class TowHook(Effect):
+    name = "tow_hook"
+    physics = "r_dot = r_dot - gain r"
+    excited_by = "turning"
+    parameters = (
+        Parameter("gain", "1/s", null=0.0, initial=0.5, bounds=(0.0, 5.0), meaning="damping", source="a test"),
+    )
+
+    @staticmethod
+    def acceleration(at, given, theta):
+        zero = 0.0 * at.yaw_rate
+        return zero, zero, -theta.gain * at.yaw_rate
+'''
+MODEL = """
+base: linear
+effects:
+  {effect}:
+    {entry}
+"""
+MASS = MODEL.format(effect="mass", entry='factor: {value: 1.1, unit: "1"}')
+TOW_HOOK = MODEL.format(effect="tow_hook", entry='gain: {value: 0.5, unit: "1/s"}')
+ANOTHER_CAR = MASS + 'vehicle: {name: "Truck", hash: "abcdef"}\n'
+
+
+@pytest.mark.parametrize("node", ["predictor", "evaluator"])
+@pytest.mark.parametrize(("text", "said"), [
+    (None, "model.yaml: No such file"),
+    (MASS.replace("1.1", "9.0"), "effects.mass.factor: 9.0 is outside 0.6 to 2 1"),
+    (TOW_HOOK, "unknown effect 'tow_hook'"),
+    (ANOTHER_CAR, "the values hold for 'Truck' abcdef"),
+])
+def test_a_wrong_model_file_stops_the_start_with_one_line(processes: Processes, node: str, text: str | None, said: str):
+    path = processes.folder / "model.yaml"
+    if text:
+        path.write_text(text)
+    process = processes.node("st_predictor", node, f"vehicle_file:={VEHICLE}", f"model_file:={path}")
+    assert process.wait(30) == 2
+    lines = [line for line in processes.log(node).splitlines() if line.strip()]
+    assert len(lines) == 1 and "model_file: " in lines[0] and said in lines[0]
+
+
+def test_own_effects_come_from_their_folder(processes: Processes) -> None:
+    (processes.folder / "effects").mkdir()
+    (processes.folder / "effects" / "tow_hook.py").write_text(OWN_EFFECT)
+    (processes.folder / "model.yaml").write_text(TOW_HOOK)
+    node = processes.node("st_predictor", "predictor", f"vehicle_file:={VEHICLE}",
+                          f"model_file:={processes.folder / 'model.yaml'}",
+                          f"effects_directory:={processes.folder / 'effects'}")
+    wait_for(lambda: "linear, nonlinear, augmented of" in processes.log("predictor"), what="predictor up")
+    assert processes.stop(node) == 0
+
+
+def test_a_folder_without_effects_stops_the_start(processes: Processes) -> None:
+    node = processes.node("st_predictor", "predictor", f"vehicle_file:={VEHICLE}", "effects_directory:=/nowhere")
+    assert node.wait(30) == 2
+    assert "effects_directory: /nowhere: not a folder of effects" in processes.log("predictor")
