@@ -19,7 +19,7 @@ from .log import DriveLog
 from .log_signals import Acceleration, LogSignals
 from .models import Model, get_model
 from .prediction import step_count
-from .readings import corrected_log, readings
+from .readings import corrected_log, has_memory, held_steering, readings
 from .start_grid import Block, plan
 from .types import STATE_NAMES
 from .vehicle import VehicleParameters
@@ -125,10 +125,10 @@ class LogBatch:
                 raise ConfigurationError(f"model {model.name} needs the signal {name}, which was not given")
         count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
-        signals = self._corrected(model)
+        signals, apart = self._corrected(model), self._inputs == "held" and has_memory(model)
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
-        for block in self._blocks(count):
-            values = self._sample(block, signals, model)
+        for block in self._blocks(count, apart):
+            values = self._sample_held(block, signals, model) if apart else self._sample(block, signals, model)
             states = signals.states_at(block.starts_ns, car).T
             result[:, :, block.rows] = self._advance(block, values, states, model, p, count)
         states = result if np.array_equal(self._unique, self.starts_ns) else result[:, :, self._place]
@@ -152,11 +152,12 @@ class LogBatch:
         stability.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
-    def _blocks(self, count: int) -> Iterator[Block]:
+    def _blocks(self, count: int, apart: bool) -> Iterator[Block]:
         half_steps = np.arange(2 * self.steps * count + 1) * (0.5 * self.step / count / NANOSECOND)
-        # Held inputs are wanted at the start alone.
-        wanted = np.round(half_steps).astype(np.int64) if self._inputs == "measured" else np.zeros(1, np.int64)
-        return plan(self._unique, wanted, self._backend.LANES)
+        # Held inputs are wanted at the start alone, unless the wheels still follow what the steering did before it.
+        throughout = self._inputs == "measured" or apart
+        wanted = np.round(half_steps).astype(np.int64) if throughout else np.zeros(1, np.int64)
+        return plan(self._unique, wanted, self._backend.LANES, share=not apart)
 
     def _corrected(self, model: Model) -> LogSignals:
         log = corrected_log(model, self.signals.log, self.signals.maximum_gap)
@@ -176,6 +177,16 @@ class LogBatch:
         others = [signals.sample(*self._others[name], block.times_ns) for name in model.signals]
         return [angle, acceleration, *others]
 
+    def _sample_held(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
+        """As `_sample`, of a model with a memory of the steering; block: not shared."""
+        raw, starts = self.signals.log, block.times_ns[0]
+        angles = zip(block.times_ns.T, self.signals.road_wheel_angle_at(starts).tolist(), strict=True)
+        wheels = [held_steering(model, raw.steering_time_ns, raw.road_wheel_angle, times, angle, signals.maximum_gap)
+                  for times, angle in angles]
+        acceleration, = signals.ins_at(starts, "velocity_x_dot")
+        others = [signals.sample(*self._others[name], starts) for name in model.signals]
+        return [np.array(wheels).T, *(np.broadcast_to(v, block.times_ns.shape) for v in (acceleration, *others))]
+
     def _advance(self, block: Block, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
                  substeps: int) -> np.ndarray:
         angle, acceleration, *others = values
@@ -185,6 +196,6 @@ class LogBatch:
         columns = np.full((len(start), block.columns), np.nan)
         for column, value in zip(columns, start, strict=True):
             column[:block.count] = value
-        offsets = block.offsets if self._inputs == "measured" else np.zeros(2 * self.steps * substeps + 1, np.int64)
+        offsets = block.offsets if len(block.offsets) > 1 else np.zeros(2 * self.steps * substeps + 1, np.int64)
         out = self._backend.advance(model, p, columns, w, offsets, self.step / substeps, self.points * substeps)
         return out[:, :, block.wanted]

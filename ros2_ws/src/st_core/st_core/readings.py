@@ -17,6 +17,10 @@ from .models import Model
 from .types import InsSample
 from .vehicle import VehicleParameters
 
+MEMORY = 5.0
+"""s. How far back live predictions look for effects with memory; a lag of 0.5 s has then forgotten all but e^-10."""
+MEMORY_NS = round(MEMORY / NANOSECOND)
+
 
 def corrected_sample(model: Model, sample: InsSample) -> InsSample:
     """The sample as a faultless INS would have given it."""
@@ -32,7 +36,7 @@ def corrected_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
 
     maximum_gap [s]: memory starts afresh after a longer one.
     """
-    if not isinstance(model, AugmentedModel) or not model.has_memory or not len(time_ns):
+    if not has_memory(model) or not len(time_ns):
         return time_ns, angle
     seconds = (time_ns - time_ns[0]) * NANOSECOND
     begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
@@ -40,6 +44,54 @@ def corrected_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     later, angle = model.steering(seconds, angle, begins)
     # Only what the effects shift is rounded: without a shift the times stay the integers they were.
     return time_ns + np.round((later - seconds) / NANOSECOND).astype(np.int64), angle
+
+
+def has_memory(model: Model) -> bool:
+    """Whether the angle of the wheels depends on what the steering did before."""
+    return isinstance(model, AugmentedModel) and model.has_memory
+
+
+def held_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, held: float,
+                  maximum_gap: float) -> np.ndarray:
+    """Road wheel angle [rad] at rising instants when the steering wheel is held from the first of them on.
+
+    time_ns [ns], angle [rad]: as recorded; what was recorded later is not looked at. held: what it is held at [rad].
+    With memory the wheels still follow what the steering did before, MEMORY seconds back at the most.
+    """
+    if not has_memory(model):
+        return np.full(len(grid_ns), held)
+    before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
+    # Held at instants no further apart than what counts as a gap, and on beyond the end.
+    gap_ns = round(maximum_gap / NANOSECOND)
+    spacing = max(1, min(int(grid_ns[1] - grid_ns[0]), gap_ns // 2))
+    after = np.arange(grid_ns[0], grid_ns[-1] + ahead_ns(model) + spacing, spacing)
+    series = np.concatenate((time_ns[before], after)), np.concatenate((angle[before], np.full(len(after), held)))
+    return interpolate(*corrected_steering(model, *series, maximum_gap), grid_ns, gap_ns)
+
+
+def ahead_ns(model: Model) -> int:
+    """How far ahead the steering must be known [ns] for the angle of the wheels: > 0 where its stamps are late."""
+    if not has_memory(model):
+        return 0
+    time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
+    return max(0, round(-float(time[0]) / NANOSECOND))
+
+
+def interpolate(time_ns: np.ndarray, values: np.ndarray, wanted_ns: np.ndarray, gap_ns: int) -> np.ndarray:
+    """A signal at wanted instants, linear between samples no further apart than gap_ns; NaN where not known."""
+    result = np.full(len(wanted_ns), np.nan)
+    if not len(time_ns):
+        return result
+    after = np.minimum(np.searchsorted(time_ns, wanted_ns), len(time_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    exact = time_ns[after] == wanted_ns
+    spacing = time_ns[after] - time_ns[before]
+    inside = (wanted_ns > time_ns[before]) & (wanted_ns < time_ns[after]) & (spacing <= gap_ns)
+    low, high = before[inside], after[inside]
+    fraction = (wanted_ns[inside] - time_ns[low]) / spacing[inside]
+    result[inside] = values[low] + fraction * (values[high] - values[low])
+    result[exact] = values[after[exact]]
+    return result
 
 
 def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:

@@ -52,9 +52,12 @@ class Block:
         return result
 
 
-def plan(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
-    """Blocks that cover all starts. starts_ns: rising. instants_ns: after each start, rising from 0."""
-    runs = _runs(starts_ns, instants_ns)
+def plan(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[Block]:
+    """Blocks that cover all starts. starts_ns: rising. instants_ns: after each start, rising from 0.
+
+    share: False where the same instant means something else to each start.
+    """
+    runs = _runs(starts_ns, instants_ns) if share else []
     columns = sum(_padded(cover, lanes) for _, _, cover in runs)
     if runs and columns <= 2 * len(starts_ns) + lanes:
         yield from _shared(starts_ns, instants_ns, lanes, runs)

@@ -11,13 +11,15 @@ import pytest
 from st_core import integrate
 from st_core.alignment import MeasurementHistory
 from st_core.augmented import augment
+from st_core.batch import predict_log
 from st_core.effects import applicable
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Evaluator
 from st_core.filtering import NANOSECOND
+from st_core.log import DriveLog
 from st_core.model_view import ModelView
 from st_core.models import MODELS
-from st_core.prediction import PredictionSettings, Predictor, Start
+from st_core.prediction import PredictionSettings, Predictor, Start, predict
 from st_core.readings import readings
 from st_core.types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 
@@ -185,3 +187,29 @@ def test_a_model_that_needs_a_signal_is_refused_at_the_start(leaf):
 def test_memory_needs_a_longer_history():
     assert ModelView.span([MODELS["linear"], augment("linear", ["mass"])], 2.0) == 2.0
     assert ModelView.span([augment("linear", ["steering_lag"])], 2.0) == 7.0
+
+
+@pytest.mark.parametrize("effects", [
+    {"steering_lag": {"time_constant": 0.2}}, {"steering_delay": {"time": 0.11}},
+    {"steering_delay": {"time": -0.11}, "steering_backlash": {"play": 0.01}, "heading_misalignment": {"angle": 0.02},
+     "cg_position": {"shift": 0.1}}])
+@pytest.mark.parametrize("inputs", ["held", "measured"])
+def test_a_whole_log_gives_what_the_live_classes_give(leaf, effects, inputs):
+    model = augment("nonlinear", effects)
+    drive = Drive(model, leaf)
+    columns = {name: np.array([getattr(s, name) for s in drive.samples]) for name in InsSample._fields[1:]}
+    log = DriveLog("drive", drive.time_ns, **columns, steering_time_ns=drive.time_ns, road_wheel_angle=drive.angles)
+    predictor, evaluator = Predictor(leaf, [model], SETTINGS), Evaluator(leaf, SETTINGS, models=[model])
+    starts, paths = [], []
+    for time_ns in drive.feed(predictor, evaluator):
+        if time_ns - BEGIN in (5_200_000_000, 5_700_000_000, 6_133_000_000 - 3_000_000):
+            start = predictor.start(time_ns)
+            starts.append(start.time_ns)
+            paths.append(predictor.run(start, "augmented"))
+    if inputs == "measured":
+        half_steps = 25_000_000 * np.arange(81)
+        paths = [predict(model, leaf, path_start(path), evaluator.view("augmented").measured(t + half_steps), 2.0)
+                 for t, path in zip(starts, paths, strict=True)]
+    for backend in ("numpy", None):
+        batch = predict_log(model, leaf, log, np.array(starts), 2.0, inputs=inputs, backend=backend)
+        np.testing.assert_allclose(batch.states, [path.states for path in paths], rtol=1e-9, atol=1e-9)
