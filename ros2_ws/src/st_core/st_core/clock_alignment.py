@@ -115,10 +115,22 @@ class Alignment:
         return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
 
 
-def by_hand(offset_ns: int, at_ns: int, drift_ppm: float = 0.0) -> Alignment:
-    """An offset somebody measured: reference minus other clock. Its uncertainty is not known (NaN)."""
-    return Alignment(at_ns, offset_ns, drift_ppm, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
-                     ("the offset was given by hand and not checked",))
+def by_hand(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
+    """An offset somebody measured: reference minus other clock. Its uncertainty is not known (NaN).
+
+    signals: what it is checked with, within 5 s of it; it is used as given whatever they say.
+    """
+    offset = offset_ns * 1e-9
+    check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused()
+    if check.verdict is Verdict.REFUSED:
+        return Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
+                         ("the offset was given by hand and could not be checked",))
+    away = check.offset_ns * 1e-9 - offset
+    reason = f"the offset was given by hand; the shared signals put it {away * 1e3:+.0f} ms away, mid-log"
+    close = abs(away) < max(2 * check.offset_deviation, 0.01)
+    return Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand",
+                     Verdict.GOOD if close else Verdict.DOUBTFUL, (reason,), check.signals, check.peak,
+                     check.second_peak, check.overlap)
 
 
 def none_needed(at_ns: int = 0) -> Alignment:

@@ -1,6 +1,7 @@
 """Clock alignment on simulated drives and clocks: a known answer is put in and must come out, as surely as claimed."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,7 +73,7 @@ def test_known_offset_and_drift_come_back(offset: float, drift: float) -> None:
 
 
 def test_the_mapping_is_exact_to_the_nanosecond() -> None:
-    result = by_hand(3_217_000_001, EPOCH_NS, drift_ppm=40.0)
+    result = replace(by_hand(3_217_000_001, EPOCH_NS), drift_ppm=40.0)
     times = EPOCH_NS + np.array([0, 1_000_000_000, -25_000_000_000])
     assert (result.to_reference_ns(times) - times).tolist() == [3_217_000_001, 3_217_040_001, 3_216_000_001]
     assert result.to_reference_ns(EPOCH_NS) == EPOCH_NS + 3_217_000_001
@@ -194,6 +195,15 @@ def test_a_coarse_wrapped_angle_with_another_zero_is_enough() -> None:
                                  np.delete(rounded, holes), angle=True)])
     assert result.verdict is Verdict.GOOD, result.reasons
     assert result.offset_ns * 1e-9 == pytest.approx(0.7, abs=2e-4)
+
+
+def test_an_offset_given_by_hand_is_kept_and_commented_on() -> None:
+    signals = recorded(Drive(13, 120), 120, 2.0, 0.0)
+    right, wrong = (by_hand(offset, EPOCH_NS, signals) for offset in (2_001_000_000, 1_600_000_000))
+    assert (right.verdict, right.offset_ns) == (Verdict.GOOD, 2_001_000_000)
+    assert (wrong.verdict, wrong.offset_ns) == (Verdict.DOUBTFUL, 1_600_000_000)
+    assert "put it +400 ms away" in wrong.reasons[0]
+    assert "could not be checked" in by_hand(0, EPOCH_NS).reasons[0]
 
 
 def test_time_frames_give_offset_and_drift() -> None:

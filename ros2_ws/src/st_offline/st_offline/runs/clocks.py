@@ -82,7 +82,7 @@ def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, sear
         pairs, warning = substitute_signals(ins, can)
     if offset is not None:
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
-        return by_hand(round(offset * 1e9), at_ns), pairs
+        return by_hand(round(offset * 1e9), at_ns, pairs), pairs
     if ins.absolute and (frames := _time_frames(can)) is not None:
         return _checked_time_frame(frames, pairs if not warning else []), pairs
     if not pairs:
