@@ -107,7 +107,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 class _Detail:
     time: np.ndarray
     residual: np.ndarray  # over its scale
-    score: np.ndarray  # (n, 2), weighted derivative times residual, nuisance projected out
+    score: np.ndarray  # (2, n), weighted derivative times residual, gain and bias projected out
     spread: float
     correlation: float
 
@@ -122,30 +122,39 @@ def _normal_equations(pairs: Sequence[Pair], interpolants: Sequence[_Interpolant
         rows = _rows(pair, interpolant, parameters, middle)
         if len(rows.time) * STEP < 2.0:
             raise ValueError(f"{pair.name}: less than 2 s of it is known on both sides")
-        nuisance = np.stack([rows.other, np.ones_like(rows.other)], axis=1)
-        weight = np.ones(len(rows.time))
+        weight = np.ones(len(rows.time))  # of the squares: soft L1
         for _ in range(2):
-            solution = np.linalg.lstsq(nuisance * weight[:, None], rows.reference * weight, rcond=None)[0]
-            residual = rows.reference - nuisance @ solution
+            gain, bias = _line(rows.other, rows.reference, weight)
+            residual = rows.reference - gain * rows.other - bias
             spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
             scale = max(spread, 1e-4 * float(rows.reference.std()), 1e-12)
-            weight = (1.0 + (residual / (2 * scale)) ** 2) ** -0.25  # square root of the soft-L1 weight
-        jacobian = np.stack([rows.slope, rows.slope * (rows.time - middle)], axis=1)
-        if not free_drift:
-            jacobian[:, 1] = 0.0
-        weighted = nuisance * weight[:, None]
-        projection = np.linalg.lstsq(weighted, jacobian * weight[:, None], rcond=None)[0]
-        jacobian = (jacobian - nuisance @ projection) * (weight / scale)[:, None]
-        scaled = residual * weight / scale
-        normal += jacobian.T @ jacobian
-        gradient += jacobian.T @ scaled
+            weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
+        derivatives = [rows.slope, rows.slope * (rows.time - middle)] if free_drift else [rows.slope]
+        jacobian = np.zeros((2, len(rows.time)))
+        for k, derivative in enumerate(derivatives):
+            # What gain and bias can take up says nothing about time.
+            gain, bias = _line(rows.other, derivative, weight)
+            jacobian[k] = (derivative - gain * rows.other - bias) / scale
+        score = jacobian * (weight * residual / scale)
+        normal += (jacobian * weight) @ jacobian.T
+        gradient += score.sum(axis=1)
         spreads = float(rows.reference.std()), float(rows.other.std())
         correlation = float(np.corrcoef(rows.reference, rows.other)[0, 1]) if min(spreads) > 0 else 0.0
-        details.append(_Detail(rows.time, residual / scale, jacobian * scaled[:, None], spreads[0], correlation))
+        details.append(_Detail(rows.time, residual / scale, score, spreads[0], correlation))
         scales.append(scale)
     if normal[0, 0] <= 0.0:
         raise ValueError("the shared signals do not vary")
     return normal, gradient, np.array(scales), details
+
+
+def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+    """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 where x does not vary."""
+    total = weight.sum()
+    mean_x, mean_y = weight @ x / total, weight @ y / total
+    deviation = x - mean_x
+    spread = weight @ deviation**2
+    gain = float((weight * deviation) @ y / spread) if spread > 1e-12 * max(total * mean_x**2, 1e-12) else 0.0
+    return gain, float(mean_y - gain * mean_x)
 
 
 def _rows(pair: Pair, interpolant: _Interpolant, parameters: np.ndarray, middle: float) -> _Rows:
@@ -163,7 +172,7 @@ def _block_scores(details: Sequence[_Detail]) -> np.ndarray:
     for detail in details:
         block = ((detail.time - start) / BLOCK).astype(np.int64)
         for k in range(2):
-            sums[:, k] += np.bincount(block, weights=detail.score[:, k], minlength=count)
+            sums[:, k] += np.bincount(block, weights=detail.score[k], minlength=count)
     used = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
     return sums.T @ sums * (used / max(used - 4, 1))
 

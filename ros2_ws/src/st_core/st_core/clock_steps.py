@@ -9,6 +9,7 @@ from .clock_correlation import STEP, Resampled
 from .clock_fit import Pair, coarse_offset, fit
 
 WINDOW = 30.0  # s
+MOST_WINDOWS = 150  # of a long recording, every so many seconds one
 SMALLEST_STEP = 0.01  # s
 USUAL_DRIFT = 50e-6
 SURE = 30.0  # by how much a step must lower the sum of squares (in standard deviations) of the window lags
@@ -32,7 +33,7 @@ def window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[Win
     lags = []
     first = min(p.other.origin for p in pairs)
     last = max(p.other.time[-1] for p in pairs)
-    for start in np.arange(first, last - WINDOW / 2, WINDOW):
+    for start in np.arange(first, last - WINDOW / 2, max(WINDOW, (last - first) / MOST_WINDOWS)):
         middle = start + WINDOW / 2
         cut = [Pair(p.name, _cut(p.reference, start + offset - search, start + offset + WINDOW + search),
                     _cut(p.other, start, start + WINDOW)) for p in pairs]
