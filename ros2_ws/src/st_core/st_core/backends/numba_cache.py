@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numba
 import numpy as np
+from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 
 # Kernels nobody asked for in this time are deleted [s]; each edit of an equation leaves one behind.
@@ -36,6 +37,21 @@ def enable(kernel, fingerprint: str) -> Path | None:
         _forget_old(base)
         return folder
     return None
+
+
+def compiled(kernel, signature) -> None:
+    """Compile, or take what an earlier process kept. A damaged or unwritable folder costs time, not the answer."""
+    try:
+        kernel.compile(signature)
+    except NumbaError:
+        raise
+    except Exception:  # unpickling what was cut off raises nearly anything
+        if kernel.signatures:
+            return  # compiled, not kept
+        with contextlib.suppress(OSError):
+            kernel._cache.flush()
+        kernel._cache.disable()
+        kernel.compile(signature)
 
 
 def _surroundings() -> Iterator[str]:

@@ -1,7 +1,7 @@
 """Lanes: predictions side by side in vector registers, compiled by numba from the model's own functions.
 
 Every function a model reaches is inlined into one loop over lanes that holds a whole Runge-Kutta step; LLVM turns it
-into vector instructions. Two vectors are worked on at a time, because the chain of operations within one is long.
+into vector instructions. Three vectors are worked on at a time, because the chain of operations within one is long.
 Measured: docs/performance.md.
 """
 
@@ -14,7 +14,8 @@ from typing import Any
 import llvmlite.binding
 import numba
 import numpy as np
-from numba.core import types
+from llvmlite import ir
+from numba.core import cgutils, types
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic
 
@@ -24,9 +25,11 @@ from ..types import STATE_NAMES
 from . import numba_cache, numpy_batch, structure
 from .numba_ops import FLAGS, inline
 
-# With 8 the loop over lanes is not vectorised and seven times slower; 16, 32 and 64 are within 10 %.
-LANES = 64
-INTERLEAVE = 2
+# A multiple of what is worked on at a time: three vectors of 8 numbers (AVX-512) or 4 (AVX2). Below 16 the loop is not
+# vectorised at all, seven times slower; 32 to 96 lanes and 2 to 4 vectors are within 15 %.
+LANES = 48
+INTERLEAVE = 3
+CACHE_LINE = 64
 STOP = frozenset((ops.__name__,))
 
 _compiled: dict[Any, Any] = {}
@@ -78,7 +81,7 @@ def _compile(model: Model, shape, fields: int, states: int):
     for function in structure.reachable(model.rhs, STOP):
         if function not in _inlined:
             _inlined.add(inline(function))
-    kernel = _make(model.rhs, _parameters(shape), _load(fields), _load(states), states)
+    kernel = _make(model.rhs, _parameters(shape), _load(fields), _load(states), _scratch(states * LANES))
     try:
         made_of = structure.fingerprint(model.rhs, STOP)
         numba_cache.enable(kernel, f"{made_of} {shape} {fields} {states}")
@@ -86,7 +89,7 @@ def _compile(model: Model, shape, fields: int, states: int):
         pass  # compiled in every process
     try:
         with _interleaved():
-            kernel.compile(SIGNATURE)
+            numba_cache.compiled(kernel, SIGNATURE)
     except NumbaError as error:
         reason = " ".join(str(error).split())
         logging.getLogger(__name__).warning("model %s runs in numpy; numba cannot compile it: %.300s", model.name,
@@ -109,12 +112,12 @@ _ROW, _INDICES = types.float64[::1], types.int64[::1]
 SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, types.float64, _INDICES, _ROW)
 
 
-def _make(rhs, parameters, load_w, load_state, states: int):
+def _make(rhs, parameters, load_w, load_state, scratch):
     @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
     def kernel(values, start, columns, w, row, offsets, step, points, out):
         p = parameters(values)
         half, sixth = 0.5 * step, step / 6.0
-        state = np.empty(states * LANES)
+        state = scratch()
         for first in range(0, columns, LANES):
             for lane in range(LANES):
                 _store(state, LANES, lane, load_state(start, columns, first + lane))
@@ -133,13 +136,8 @@ def _make(rhs, parameters, load_w, load_state, states: int):
                         _store(state, LANES, lane, _add(s, sixth, increment))
                     k += 1
                 for lane in range(LANES):
-                    place = wanted * SIX * columns + first + lane
-                    for i in range(SIX):
-                        out[place + i * columns] = state[i * LANES + lane]
+                    _store(out, columns, wanted * SIX * columns + first + lane, _load_six(state, LANES, lane))
     return kernel
-
-
-SIX = len(STATE_NAMES)
 
 
 # The number of states and fields is known when a kernel is made; these move whole tuples of them, lane by lane.
@@ -161,6 +159,20 @@ def _parameters(shape):
     return parameters
 
 
+def _scratch(count: int):
+    @intrinsic
+    def scratch(_):
+        """Room for count numbers on the stack, whole cache lines. The stack is then aligned to them as well; else a
+        vector that is put aside there costs two lines, and the speed varies by a third from process to process.
+        """
+        def generate(context, builder, signature, arguments):
+            room = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
+            room.align = CACHE_LINE
+            return builder.bitcast(room, ir.DoubleType().as_pointer())
+        return types.CPointer(types.float64)(), generate
+    return scratch
+
+
 def _load(count: int):
     @intrinsic
     def load(_, table, row, column):
@@ -168,7 +180,7 @@ def _load(count: int):
         result = types.UniTuple(types.float64, count)
 
         def generate(context, builder, signature, arguments):
-            data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+            data = _data(context, builder, signature.args[0], arguments[0])
             places = [_place(context, builder, i, *arguments[1:]) for i in range(count)]
             return context.make_tuple(
                 builder, result, [builder.load(builder.gep(data, [place], inbounds=True)) for place in places])
@@ -176,11 +188,15 @@ def _load(count: int):
     return load
 
 
+SIX = len(STATE_NAMES)
+_load_six = _load(SIX)
+
+
 @intrinsic
 def _store(_, table, row, column, values):
     """table[i * row + column] = values[i]."""
     def generate(context, builder, signature, arguments):
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        data = _data(context, builder, signature.args[0], arguments[0])
         for i, value in enumerate(_numbers(context, builder, signature.args[3], arguments[3])):
             place = _place(context, builder, i, *arguments[1:3])
             builder.store(value, builder.gep(data, [place], inbounds=True))
@@ -200,6 +216,10 @@ def _add(_, first, factor, second):
                 for a, b in zip(left, right, strict=True)]
         return context.make_tuple(builder, result, sums)
     return result(first, types.float64, second), generate
+
+
+def _data(context, builder, kind, value):
+    return value if isinstance(kind, types.CPointer) else context.make_array(kind)(context, builder, value).data
 
 
 def _numbers(context, builder, kind, value):

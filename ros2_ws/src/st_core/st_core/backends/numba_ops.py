@@ -1,8 +1,8 @@
 """The vocabulary of `st_core.ops` for numba: branch-free, so that a loop over lanes becomes vector instructions.
 
 Sine, cosine: x = n pi/2 + r, |r| <= pi/4, pi/2 in two parts of which the first has 33 bits: exact to |n| = 2^20, that
-is 1.6e6 rad. Arc tangent: four ranges, in each atan x = base + atan t with |t| <= tan(pi/16), one division. The
-polynomials interpolate at Chebyshev nodes in r^2 or t^2; their relative error is below 4e-17. All in Estrin's form, as
+is 1.6e6 rad. Arc tangent: four ranges, in each atan x = base + atan t with |t| <= tan(pi/12), one division. The
+polynomials interpolate at Chebyshev nodes in r^2 or t^2; their relative error is below 6e-17. All in Estrin's form, as
 it is the length of the chain of operations that limits the speed. Checked by: test_backends_lanes.py.
 """
 
@@ -24,18 +24,18 @@ ONE = np.int64(0x3FF0000000000000)  # bits of 1.0
 
 ROUND = 1.5 * 2.0**52  # adding it leaves the nearest integer in the low bits
 TWO_OVER_PI = 0.6366197723675814
-HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100509014471e-11
+HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 
 S1, S2, S3 = -0.16666666666666666, 0.008333333333330905, -0.00019841269836710015
 S4, S5, S6 = 2.755731608182638e-06, -2.5051128069891774e-08, 1.591788278413412e-10
 C1, C2, C3 = 0.04166666666666657, -0.0013888888888865072, 2.4801587282473078e-05
 C4, C5, C6 = -2.755731205923296e-07, 2.087538637959625e-09, -1.1341301033703834e-11
 
-A1, A2, A3, A4 = -0.33333333333333237, 0.19999999999759535, -0.1428571418839279, 0.1111109631395563
-A5, A6, A7 = -0.09089834727936934, 0.07652053010009252, -0.05909144496510272
-LOW, HIGH = 0.198912367379658, 5.027339492125846  # tan(pi/16), 1 / tan(pi/16)
-TAN_PI_8 = 0.41421356237309503
-PI_8, THREE_PI_8, HALF_PI = 0.39269908169872414, 1.1780972450961724, 1.5707963267948966
+A1, A2, A3, A4 = -0.3333333333333324, 0.1999999999984203, -0.14285714239428257, 0.11111105932082634
+A5, A6, A7, A8 = -0.09090623565675247, 0.0768371258882859, -0.06521798362425968, 0.04577471134842663
+LOW, HIGH = 0.2679491924311227, 3.732050807568877  # tan(pi/12), 1 / tan(pi/12)
+TAN_PI_6 = 0.5773502691896257
+PI_6, PI_3, HALF_PI = 0.5235987755982989, 1.0471975511965979, 1.5707963267948966
 
 
 def inline(function, implementation=None):
@@ -96,16 +96,16 @@ def _atan(x):
     middle = (a > LOW) & (a < HIGH)
     n = x if below_one else -u
     d = 1.0 if below_one else a
-    c = -TAN_PI_8 if below_one else TAN_PI_8
+    c = -TAN_PI_6 if below_one else TAN_PI_6
     c = (c if middle else 0.0) * u
-    near = PI_8 if below_one else THREE_PI_8
+    near = PI_6 if below_one else PI_3
     far = 0.0 if below_one else HALF_PI
     base = (near if middle else far) * u
     t = (n + c * d) / (d - c * n)
     z = t * t
     z2 = z * z
     z4 = z2 * z2
-    p = ((A1 + z * A2) + z2 * (A3 + z * A4)) + z4 * ((A5 + z * A6) + z2 * A7)
+    p = ((A1 + z * A2) + z2 * (A3 + z * A4)) + z4 * ((A5 + z * A6) + z2 * (A7 + z * A8))
     return (base + t) + t * z * p
 
 
