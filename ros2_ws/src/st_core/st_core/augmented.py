@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from .composition import AugmentedParameters, compose
-from .effects import Effect, Measured, Parameter, get_effect
+from .effects import Effect, Measured, Parameter, applicable, get_effect
 from .errors import ConfigurationError
 from .models import Model, get_model
 from .vehicle import VehicleParameters
@@ -58,16 +59,16 @@ class AugmentedModel(Model):
     @property
     def has_memory(self) -> bool:
         """Whether `steering` changes anything."""
-        return any(effect.steering for effect in self.effects)
+        return any(effect.steering for effect in self._active)
 
     @property
     def has_sensors(self) -> bool:
         """Whether `observe` and `correct` change anything."""
-        return any(effect.observe for effect in self.effects)
+        return any(effect.observe for effect in self._active)
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The car as the effects make it. Raises ConfigurationError when that is no car."""
-        for effect in self.effects:
+        for effect in self._active:
             if effect.vehicle:
                 vehicle = effect.vehicle(vehicle, self._bare(effect))
         return vehicle
@@ -86,24 +87,30 @@ class AugmentedModel(Model):
         A whole recording. time: rising, from any origin. begins: True where a stretch begins, the first sample and each
         after a gap; memory is fresh there.
         """
-        for effect in self.effects:
+        for effect in self._active:
             if effect.steering:
                 time, angle = effect.steering(time, angle, begins, self._bare(effect))
         return time, angle
 
     def observe(self, measured: Measured) -> Measured:
         """What the INS shows when `measured` is the truth at the INS point."""
-        for effect in self.effects:
+        for effect in self._active:
             if effect.observe:
                 measured = effect.observe(measured, self._bare(effect))
         return measured
 
     def correct(self, measured: Measured) -> Measured:
         """The truth at the INS point when the INS shows `measured`: the inverse of `observe`."""
-        for effect in reversed(self.effects):
+        for effect in reversed(self._active):
             if effect.correct:
                 measured = effect.correct(measured, self._bare(effect))
         return measured
+
+    @cached_property
+    def _active(self) -> tuple[type[Effect], ...]:
+        # At null an effect changes nothing, to the last bit; outside the equations that need not be computed.
+        return tuple(e for e in self.effects
+                     if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 
     def _bare(self, effect: type[Effect]) -> Any:
         return effect.Theta(**self.values[effect.name], car=())
@@ -175,6 +182,16 @@ def _checked(effect: type[Effect], values: Mapping[str, float]) -> dict[str, flo
         if name not in result:
             raise ConfigurationError(f"effect {effect.name}: {name}: unknown parameter; there are {', '.join(result)}")
     return result
+
+
+def universal(base: str | Model) -> AugmentedModel:
+    """All effects that apply to a kind of model, at null: one set of functions for every choice among them.
+
+    For who tries many combinations: `with_values` switches effects on. Compiled once, it costs two to four times the
+    base, where each combination of its own would have to be compiled.
+    """
+    base = get_model(base)
+    return neutral(augment(base, applicable(base.name)))
 
 
 def neutral(model: AugmentedModel) -> AugmentedModel:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core.augmented import AugmentedModel, augment, neutral
+from st_core.augmented import AugmentedModel, augment, neutral, universal
 from st_core.composition import AugmentedParameters
 from st_core.effects import EFFECTS, applicable
 from st_core.errors import ConfigurationError
@@ -102,6 +102,21 @@ def test_parameters_hold_floats_and_travel_between_processes(car):
 def test_all_effects_at_once_are_neutral_at_null(car, base):
     model = neutral(augment(base, applicable(base)))
     np.testing.assert_array_equal(predict(model, car, STATE, HELD).states, predict(base, car, STATE, HELD).states)
+
+
+@pytest.mark.parametrize("base", MODELS)
+def test_one_set_of_functions_serves_every_choice_of_effects(leaf, base):
+    everything = universal(base)
+    plain = predict(base, leaf, STATE, HELD)
+    np.testing.assert_array_equal(predict(everything, leaf, STATE, HELD).states, plain.states)
+    assert not everything.has_memory and not everything.has_sensors and everything.effective_vehicle(leaf) is leaf
+    for name in applicable(base):
+        alone = augment(base, [name])
+        chosen = everything.with_values({name: alone.values[name]})
+        assert chosen.rhs is everything.rhs
+        assert (chosen.has_memory, chosen.has_sensors) == (alone.has_memory, alone.has_sensors)
+        np.testing.assert_allclose(predict(chosen, leaf, STATE, HELD).states, predict(alone, leaf, STATE, HELD).states,
+                                   rtol=1e-13, atol=1e-13)
 
 
 def test_more_effects_on_a_model_that_has_some(leaf):
