@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import cantools
-import yaml
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 
 from . import gps_time
 from .checks import RULES, Field, Mode, Rule
-from .table_reader import Entry, TableError
+from .table_reader import Entry, TableError, read_document, words
 
 # Our signal names and their SI unit. Angles named in ANGLES are wrapped to [-pi, pi).
 OUR_SIGNALS = {
@@ -143,7 +142,7 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     """
     dbc_path, table_path = Path(dbc_file), Path(signals_file)
     database = load_dbc(dbc_path)
-    root = _read_yaml(table_path)
+    root = Entry(str(table_path), "", read_document(table_path))
     root.only("messages")
     rows = root.entry("messages")
     wanted = tuple(needed)
@@ -171,17 +170,7 @@ def load_dbc(path: Path) -> Any:
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from None
     except Exception as error:  # cantools lets errors of its parsers through; all of them mean the same to the user.
-        raise TableError(f"{path}: is not a valid DBC: {' '.join(str(error).split())}") from None
-
-
-def _read_yaml(path: Path) -> Entry:
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TableError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
-    return Entry(str(path), "", document)
+        raise TableError(f"{path}: is not a valid DBC: {words(error)}") from None
 
 
 def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:

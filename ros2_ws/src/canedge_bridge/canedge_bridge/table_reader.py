@@ -1,12 +1,33 @@
 """Checked access to a YAML document: every complaint is one line with file, key and limit."""
 
 import math
+import textwrap
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
+
+from st_core import plain_yaml
+from st_core.errors import ConfigurationError
 
 
 class TableError(ValueError):
     """A DBC or signal table that cannot be used. Its text is the one line a user sees."""
+
+
+def read_document(path: Path) -> Any:
+    """The content of a YAML file of plain values. Raises TableError naming the file."""
+    try:
+        return plain_yaml.load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ConfigurationError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}: is not YAML as wanted here: {error}") from None
+
+
+def words(error: object, limit: int = 300) -> str:
+    """What an error of somebody else's parser says, as one printable line of at most `limit` characters."""
+    text = "".join(c if c.isprintable() else " " for c in str(error))
+    return textwrap.shorten(text, limit, placeholder=" ...") or type(error).__name__
 
 
 class Entry:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
+from canedge_bridge.table_reader import TableError, read_document
 
 from .errors import SimulationError
 
@@ -93,11 +93,9 @@ def read_car(file: str | Path) -> Car:
     """Raises SimulationError, one line naming file and key."""
     path = Path(file)
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SimulationError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SimulationError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
+        document = read_document(path)
+    except TableError as error:
+        raise SimulationError(str(error)) from None
     if not isinstance(document, Mapping):
         raise SimulationError(f"{path}: not a mapping of keys to values")
     values = {key: _number(document, key, path, "") for key in _CAR_KEYS}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any, Protocol
 
-import yaml
+from canedge_bridge.table_reader import TableError, read_document
 
 from .errors import SimulationError
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
@@ -268,11 +268,9 @@ def load(name: str) -> Plan:
 
 def _from_file(file: FilePath) -> Plan:
     try:
-        document = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SimulationError(f"{file}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SimulationError(f"{file}: is not YAML: {' '.join(str(error).split())}") from None
+        document = read_document(file)
+    except TableError as error:
+        raise SimulationError(str(error)) from None
     try:
         pieces = [piece for row in document["road"] for piece in _pieces(row)]
         if not pieces:

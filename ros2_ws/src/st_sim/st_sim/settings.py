@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-import yaml
+from canedge_bridge.table_reader import TableError, read_document
 
 from .errors import SimulationError
 
@@ -150,14 +150,12 @@ def overrides(settings: Settings) -> dict[str, float]:
 
 
 def _from_file(path: Path) -> dict[str, float]:
+    if not path.is_file():
+        raise SimulationError(f"--plant {path}: neither {' nor '.join(PRESETS)} nor a readable file")
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SimulationError(
-            f"--plant {path}: neither {' nor '.join(PRESETS)} nor a readable file: {error.strerror}"
-        ) from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SimulationError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
+        document = read_document(path)
+    except TableError as error:
+        raise SimulationError(str(error)) from None
     if not isinstance(document, dict):
         raise SimulationError(f"{path}: not a mapping of settings to values")
     preset = document.pop("preset", "ideal")
