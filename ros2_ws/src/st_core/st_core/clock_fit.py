@@ -136,7 +136,8 @@ def _normal_equations(pairs: Sequence[Pair], interpolants: Sequence[_Interpolant
             gain, bias = _line(rows.other, derivative, weight)
             jacobian[k] = (derivative - gain * rows.other - bias) / scale
         score = jacobian * (weight * residual / scale)
-        normal += (jacobian * weight) @ jacobian.T
+        weighted = jacobian * weight
+        normal += [[float((row * column).sum()) for column in jacobian] for row in weighted]
         gradient += score.sum(axis=1)
         spreads = float(rows.reference.std()), float(rows.other.std())
         correlation = float(np.corrcoef(rows.reference, rows.other)[0, 1]) if min(spreads) > 0 else 0.0
@@ -149,12 +150,15 @@ def _normal_equations(pairs: Sequence[Pair], interpolants: Sequence[_Interpolant
 
 def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
     """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 where x does not vary."""
-    total = weight.sum()
-    mean_x, mean_y = weight @ x / total, weight @ y / total
-    deviation = x - mean_x
-    spread = weight @ deviation**2
-    gain = float((weight * deviation) @ y / spread) if spread > 1e-12 * max(total * mean_x**2, 1e-12) else 0.0
-    return gain, float(mean_y - gain * mean_x)
+    # Plain sums: a dot product would start threads of the linear algebra library for each of these short rows.
+    total = float(weight.sum())
+    weighted = weight * x
+    mean_x, mean_y = float(weighted.sum()) / total, float((weight * y).sum()) / total
+    spread = float((weighted * x).sum()) - total * mean_x**2
+    if spread <= 1e-12 * max(total * mean_x**2, 1e-12):
+        return 0.0, mean_y
+    gain = (float((weighted * y).sum()) - total * mean_x * mean_y) / spread
+    return gain, mean_y - gain * mean_x
 
 
 def _rows(pair: Pair, interpolant: _Interpolant, parameters: np.ndarray, middle: float) -> _Rows:
