@@ -7,7 +7,7 @@ Checked by: test_casadi_backend.py.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ import casadi
 from .. import ops
 from ..augmented import AugmentedModel
 from ..composition import compose
+from ..effects import Effect
 from ..errors import ConfigurationError
 from ..integrate import rk4_step
 from ..models import Model, get_model
@@ -52,9 +53,11 @@ INPUTS = (Variable("road_wheel_angle", "rad", -0.61, 0.61), Variable("velocity_x
 class SymbolicModel:
     """A model as CasADi functions; x, u and p are columns in the order of `states`, `inputs` and `parameters`.
 
-        dynamics(x, u) -> x_dot                 step(x, u, h) -> x_next, RK4 with u held, h [s] in `substeps` equal parts
-        dynamics_jacobian(x, u) -> A, B         step_jacobian(x, u, h) -> A, B        derivatives by x and by u
-        start(x_six, u) -> x                    the six states with the extra ones as they are at a start
+        dynamics(x, u) -> x_dot
+        step(x, u, h) -> x_next             RK4 with u held; h [s] in `substeps` equal parts
+        dynamics_jacobian(x, u) -> A, B     of x_dot by x and by u
+        step_jacobian(x, u, h) -> A, B      of x_next by x and by u
+        start(x_six, u) -> x                the six states, and the extra ones as they are at a start
 
     Where `parameters` is not empty, each function has one more argument, p, at the end: the parameters left free, then
     the signals the model asks for. left_out: effects of the model that are not in its equations, because they act on a
@@ -82,26 +85,28 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
           free: Iterable[str] = ()) -> SymbolicModel:
     """The functions of a model with the numbers of a car in them.
 
-    substeps: RK4 steps within h. free: names of parameters that stay an argument, as `parameter_values` lists them.
-    Functions are named <model>_dynamics and so on. Raises ConfigurationError for an unknown model or parameter.
+    substeps: RK4 steps within h. free: parameters that stay an argument, "road_bank.angle": of effects that act in the
+    equations; those that make another car of it (mass, friction, stiffness) are numbers here. Functions are named
+    <model>_dynamics and so on. Raises ConfigurationError for an unknown model or parameter.
     """
     model = get_model(model)
     if substeps < 1:
         raise ConfigurationError(f"substeps: {substeps} is below 1")
     p = model.parameters(vehicle)
-    values, free = parameter_values(model, vehicle), tuple(dict.fromkeys(free))
+    known, free = free_parameters(model), tuple(dict.fromkeys(free))
     for name in free:
-        if name not in values:
-            raise ConfigurationError(f"parameter {name!r} is not in model {model.name}; there are {', '.join(values)}")
-    parameters = (*(Variable(name, "", value=values[name]) for name in free), *(Variable(n, "") for n in model.signals))
+        if name not in known:
+            raise ConfigurationError(f"free: {name!r} is not a parameter of the equations of model {model.name}, which "
+                                     f"has {', '.join(known) or 'none'}")
+    parameters = (*(known[name] for name in free), *(Variable(name, "") for name in model.signals))
     states = tuple(Variable(name, unit, *_BOUNDS.get(name, ()))
                    for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True))
-    states += tuple(Variable(name, "") for name in model.extra_states)
+    states += _extra_states(model)
 
     x, u, h = casadi.SX.sym("x", len(states)), casadi.SX.sym("u", len(INPUTS)), casadi.SX.sym("h")
     symbols = [casadi.SX.sym(v.name) for v in parameters]
     tail, tail_name = ([casadi.vertcat(*symbols)], ["p"]) if symbols else ([], [])
-    chosen = _replaced(p, _names(model), dict(zip(free, symbols, strict=False)))
+    chosen = _with_symbols(model, p, dict(zip(free, symbols, strict=False)))
     w = model.inputs(*casadi.vertsplit(u), chosen, *symbols[len(free):])
 
     rates = casadi.vertcat(*model.rhs(tuple(casadi.vertsplit(x)), w, chosen))
@@ -127,44 +132,28 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
         function("start", {"x_six": six, "u": u}, {"x": begin}))
 
 
-def parameter_values(model: str | Model, vehicle: VehicleParameters) -> dict[str, float]:
-    """Every number in the equations by name: "mass", "tyre_front.p_dy1", "friction.factor", as the model has it."""
-    model = get_model(model)
-    return dict(_leaves(model.parameters(vehicle), _names(model)))
+def free_parameters(model: str | Model) -> dict[str, Variable]:
+    """What `build` can leave free in a model, by name."""
+    return {f"{e.name}.{q.name}": Variable(f"{e.name}.{q.name}", q.unit, *q.bounds, model.values[e.name][q.name])
+            for e in _acting(get_model(model)) for q in e.parameters}
 
 
-def _names(model: Model) -> Mapping[str, str]:
-    """What stands in for the places of effects in p, by path."""
-    names = {"base": ""}
-    if isinstance(model, AugmentedModel):
-        names |= {f"effects.{k}": e.name for k, e in enumerate(compose(model.base, model.effects).own)}
-    return names
+def _acting(model: Model) -> tuple[type[Effect], ...]:
+    """The effects that have a place in p, in the order of their places."""
+    return compose(model.base, model.effects).own if isinstance(model, AugmentedModel) else ()
 
 
-def _children(p: tuple) -> Iterable[tuple[str, Any]]:
-    return zip(getattr(p, "_fields", map(str, range(len(p)))), p, strict=True)
+def _extra_states(model: Model) -> tuple[Variable, ...]:
+    units = [unit for e in _acting(model) for unit in (e.extra_units or ("",) * len(e.extra_states))]
+    return tuple(Variable(name, unit) for name, unit in zip(model.extra_states, units, strict=True))
 
 
-def _leaves(p: Any, names: Mapping[str, str], path: str = "", name: str = "") -> Iterator[tuple[str, float]]:
-    if not isinstance(p, tuple):
-        yield name, p
-        return
-    for key, part in _children(p):
-        below = f"{path}.{key}" if path else key
-        yield from _leaves(part, names, below, names.get(below, f"{name}.{key}" if name else key))
-
-
-def _replaced(p: Any, names: Mapping[str, str], symbols: Mapping[str, Any]) -> Any:
-    """p with symbols in place of the named numbers."""
-    leaves = iter([symbols.get(name, value) for name, value in _leaves(p, names)])
-
-    def rebuilt(part: Any) -> Any:
-        if not isinstance(part, tuple):
-            return next(leaves)
-        inner = [rebuilt(x) for x in part]
-        return type(part)(*inner) if hasattr(part, "_fields") else tuple(inner)
-
-    return rebuilt(p)
+def _with_symbols(model: Model, p: Any, symbols: Mapping[str, casadi.SX]) -> Any:
+    if not symbols:
+        return p
+    return p._replace(effects=tuple(
+        theta._replace(**{q.name: symbols[key] for q in e.parameters if (key := f"{e.name}.{q.name}") in symbols})
+        for e, theta in zip(_acting(model), p.effects, strict=True)))
 
 
 def _left_out(model: Model) -> tuple[str, ...]:

@@ -117,6 +117,7 @@ class Effect:
 
     name: unique. physics: the equation in a line, sign included. excited_by: driving that shows it. twins: effects it
     is hard to tell from. applies_to: kinds of model. lifts: (from, to) for an effect that turns one kind into another.
+    extra_units: of the extra states, for those who export the model.
     order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
     car, steady circle, step, sweep and limit.
     """
@@ -131,6 +132,7 @@ class Effect:
     signals: ClassVar[tuple[str, ...]] = ()
     prepared: ClassVar[tuple[str, ...]] = ()
     extra_states: ClassVar[tuple[str, ...]] = ()
+    extra_units: ClassVar[tuple[str, ...]] = ()
     order: ClassVar[int] = 50
     Theta: ClassVar[Callable[..., Any]]
 
@@ -196,6 +198,8 @@ def _check(effect: type[Effect]) -> None:
         raise ConfigurationError(f"applies_to must name some of {', '.join(KINDS)}")
     if bool(effect.extra_states) != (effect.rates is not None):
         raise ConfigurationError("extra_states and rates go together")
+    if effect.extra_units and len(effect.extra_units) != len(effect.extra_states):
+        raise ConfigurationError("extra_units and extra_states differ in number")
     if bool(effect.prepared) != (effect.prepare is not None):
         raise ConfigurationError("prepare and prepared, the names of what it returns, go together")
     if (effect.observe is None) != (effect.correct is None):

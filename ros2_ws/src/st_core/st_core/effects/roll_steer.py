@@ -20,6 +20,7 @@ class RollSteer(Effect):
     excited_by = "sweeps, where the roll falls behind; steady cornering shows it as a softer front axle"
     twins = ("steering_compliance", "steering_ratio", "front_stiffness")
     extra_states = ("lean", "lean_rate")
+    extra_units = ("m/s^2", "m/s^3")
     order = 60
     parameters = (
         Parameter("gradient", "rad s^2/m", null=0.0, initial=0.0005, bounds=(-0.005, 0.005),

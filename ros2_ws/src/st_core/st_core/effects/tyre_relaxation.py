@@ -19,6 +19,7 @@ class TyreRelaxation(Effect):
     excited_by = "sweeps, and the same at half the speed: the delay is length / v"
     twins = ("yaw_inertia", "steering_delay", "steering_lag")
     extra_states = ("slip_front", "slip_rear")
+    extra_units = ("rad", "rad")
     order = 40
     parameters = (
         Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
