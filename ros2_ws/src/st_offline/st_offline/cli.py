@@ -2,7 +2,7 @@
 
 import typer
 
-from .verbs import align, bench, demo, develop, evaluate, import_, live, ncom, recover
+from .verbs import align, bench, demo, develop, evaluate, export, import_, live, ncom, recover
 
 app = typer.Typer(
     name="st",
@@ -19,6 +19,7 @@ app.command()(evaluate.evaluate)
 app.command()(align.align)
 app.command("import")(import_.import_)
 app.command()(recover.recover)
+app.command()(export.export)
 app.command()(bench.bench)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.test)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.shell)

@@ -1,0 +1,161 @@
+"""A model as files for a controller: CasADi functions or C, and what x, u and p are."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import casadi
+from st_core import __version__
+from st_core.augmented import AugmentedModel
+from st_core.backends.casadi_backend import SymbolicModel, Variable, build
+from st_core.errors import ConfigurationError
+from st_core.model_file import ModelFile
+from st_core.models import MODELS, Model, get_model
+from st_core.stability import lowest_stable_speed
+from st_core.vehicle import VehicleParameters
+
+Format = Literal["casadi", "c"]
+STEPS = (0.01, 0.02, 0.05, 0.1)
+"""s; for each of them the description says from which speed on it is stable."""
+
+
+def load_model(name: str, vehicle: VehicleParameters, origin: str) -> tuple[Model, VehicleParameters]:
+    """The model of a name or of a model file, and the car it is for: that of the file where one is embedded.
+
+    origin: of `vehicle`, for errors. Raises ConfigurationError, one line, for what is no model or belongs to another
+    car, OSError for a file that cannot be read.
+    """
+    if not name.endswith((".yaml", ".yml")):
+        if name not in MODELS:
+            raise ConfigurationError(f"{name}: there are {', '.join(MODELS)}, or a model file (.yaml)")
+        return get_model(name), vehicle
+    file = ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
+    if file.vehicle is None:
+        file.check_vehicle(vehicle, origin)
+    return file.model(), file.vehicle or vehicle
+
+
+def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
+           free: Iterable[str] = ()) -> list[Path]:
+    """Write the functions of a model into an existing folder, with model.json and README.md; the files written.
+
+    Raises ConfigurationError for a parameter in `free` that is not one, see `casadi_backend.build`.
+    """
+    symbolic = build(model, vehicle, substeps, free)
+    files = _casadi_files(symbolic, folder) if kind == "casadi" else _c_files(symbolic, folder)
+    description = describe(symbolic, model, vehicle, [f.name for f in files])
+    written = [*files, folder / "model.json", folder / "README.md"]
+    written[-2].write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
+    written[-1].write_text(_readme(description, kind), encoding="utf-8")
+    return written
+
+
+def _casadi_files(symbolic: SymbolicModel, folder: Path) -> list[Path]:
+    files = [folder / f"{function.name()}.casadi" for function in symbolic.functions]
+    for file, function in zip(files, symbolic.functions, strict=True):
+        function.save(str(file))
+    return files
+
+
+def _c_files(symbolic: SymbolicModel, folder: Path) -> list[Path]:
+    generator = casadi.CodeGenerator(symbolic.name, {"with_header": True})
+    for function in symbolic.functions:
+        generator.add(function)
+    # The generator takes its second argument as a prefix of the file name.
+    generator.generate(f"{folder}/")
+    return [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
+
+
+def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, files: list[str]) -> dict[str, Any]:
+    """What model.json says. Limits and values that do not exist are null."""
+    effects: Mapping[str, Mapping[str, float]] = getattr(model, "values", {})
+    return {
+        "model": symbolic.name,
+        "base": model.base.name if isinstance(model, AugmentedModel) else model.name,
+        "effects": {name: dict(values) for name, values in effects.items()},
+        "effects_not_in_the_equations": list(symbolic.left_out),
+        "vehicle": {"name": vehicle.name, "hash": vehicle.hash},
+        "version": __version__,
+        "frame": "x forward, y left, z up; centre of gravity; map x east, y north; yaw counter-clockwise from east",
+        "states": [_entry(v) for v in symbolic.states],
+        "inputs": [_entry(v) for v in symbolic.inputs],
+        "parameters": [{**_entry(v), "value": _finite(v.value)} for v in symbolic.parameters],
+        "substeps": symbolic.substeps,
+        "stable_above_m_s": {f"{step:g}": round(lowest_stable_speed(model, vehicle, step / symbolic.substeps), 3)
+                             for step in STEPS},
+        "functions": {f.name(): {"arguments": _shapes(f.name_in(), f.size_in), "results": _shapes(f.name_out(),
+                                                                                                  f.size_out)}
+                      for f in symbolic.functions},
+        "files": files,
+    }
+
+
+def _entry(variable: Variable) -> dict[str, Any]:
+    return {"name": variable.name, "unit": variable.unit, "lower": _finite(variable.lower),
+            "upper": _finite(variable.upper)}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _shapes(names: list[str], size) -> dict[str, list[int]]:
+    return {name: list(size(k)) for k, name in enumerate(names)}
+
+
+def _readme(description: dict[str, Any], kind: Format) -> str:
+    name, p = description["model"], "p" if description["parameters"] else ""
+    step = ", ".join(filter(None, ("x", "u", "h", p)))
+    effects = ", ".join(description["effects"]) or "none"
+    lines = [
+        f"# {name}: single-track model of {description['vehicle']['name']}",
+        "",
+        f"Base model {description['base']}; effects: {effects}. st_core {description['version']}, vehicle hash "
+        f"{description['vehicle']['hash'][:12]}. SI units. Frame: {description['frame']}.",
+        "",
+        *_table("x", description["states"]),
+        *_table("u", description["inputs"]),
+        *(_table("p", description["parameters"]) if p else []),
+        "Bounds say where the model is meant to hold; put them, or narrower ones, into the optimisation problem.",
+        "",
+        "| function | arguments | results |",
+        "|---|---|---|",
+        *(f"| `{key}` | {_listed(f['arguments'])} | {_listed(f['results'])} |"
+          for key, f in description["functions"].items()),
+        "",
+        "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
+        f"{description['substeps']} part(s). A, B: derivatives by x and by u. `start`: the six states with the "
+        "extra ones as they are at a start.",
+        "",
+        "A step h is stable above this speed (a slow car is stiff): "
+        + ", ".join(f"{h} s: {v:g} m/s" for h, v in description["stable_above_m_s"].items()) + ".",
+        "",
+    ]
+    if description["effects_not_in_the_equations"]:
+        lines += [f"Not in the equations: {', '.join(description['effects_not_in_the_equations'])}. They act on the "
+                  "steering signal before the model, or on the sensors; apply them outside.", ""]
+    if kind == "casadi":
+        lines += ["```python", "import casadi", f'step = casadi.Function.load("{name}_step.casadi")',
+                  f"x_next = step({step})", "```", ""]
+    else:
+        lines += [f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are column by column, "
+                  "Jacobians without their structural zeros: `_sparsity_out` says where the entries belong. Arguments "
+                  "and results are arrays of pointers:", "", "```c", f"{name}_step(arguments, results, iw, w, 0);", "```", "",
+                  f"Sizes of the four arrays: `{name}_step_work`.", ""]
+    return "\n".join(lines)
+
+
+def _table(symbol: str, entries: list[dict[str, Any]]) -> list[str]:
+    rows = [f"| {k} | {e['name']} | {e['unit']} | {_number(e['lower'])} | {_number(e['upper'])} |"
+            for k, e in enumerate(entries)]
+    return [f"| {symbol} | name | unit | lower | upper |", "|---|---|---|---|---|", *rows, ""]
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:g}"
+
+
+def _listed(shapes: dict[str, list[int]]) -> str:
+    return ", ".join(f"{name} ({rows} x {columns})" for name, (rows, columns) in shapes.items())

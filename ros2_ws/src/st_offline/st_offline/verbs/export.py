@@ -1,0 +1,48 @@
+"""`st export`: a model for somebody's controller."""
+
+import importlib.util
+from pathlib import Path
+from typing import Literal
+
+import typer
+
+from ..paths import config
+
+
+def export(
+    model: str = typer.Argument(..., help="kinematic, linear, nonlinear, or a model file (.yaml).", show_default=False),
+    kind: Literal["casadi", "c"] = typer.Option("casadi", "--format", help="CasADi functions, or C with a header."),
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file; default config/vehicle/leaf.yaml, or the one in the model file.", exists=True,
+        dir_okay=False,
+    ),
+    output: Path | None = typer.Option(None, help="Folder of the files; default runs/export-<time>."),
+    substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
+    free: list[str] = typer.Option([], help="Parameter left as an argument: road_bank.angle; repeatable."),
+) -> None:
+    """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; names, units and bounds beside them.
+
+    acados and other CasADi users load the .casadi files as they are; see examples/mpc.
+    """
+    from st_core.errors import StCoreError
+    from st_core.vehicle import VehicleParameters
+
+    from ..output import new_folder
+
+    if importlib.util.find_spec("casadi") is None:
+        typer.echo("st export: casadi is not installed: pip install casadi", err=True)
+        raise typer.Exit(2)
+    from ..model_export import export as write
+    from ..model_export import load_model
+
+    file = vehicle or config("vehicle/leaf.yaml")
+    try:
+        car = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        chosen, car = load_model(model, car, str(file))
+        folder = new_folder(output, "export")
+        written = write(chosen, car, folder, kind, substeps, free)
+    except (OSError, StCoreError, UnicodeDecodeError) as error:
+        typer.echo(f"st export: {error}", err=True)
+        raise typer.Exit(2) from None
+    for path in written:
+        typer.echo(path)
