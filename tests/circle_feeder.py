@@ -15,6 +15,8 @@ from rosgraph_msgs.msg import Clock
 from st_msgs.msg import Steering
 from st_ros.stamps import from_nanoseconds
 
+SETTLING = 0.5
+
 
 def pose_at(t: float, radius: float, speed: float) -> tuple[float, float, float]:
     """x, y, yaw of the INS point t seconds after the start; the centre is (0, radius)."""
@@ -46,8 +48,12 @@ def main() -> None:
     ins = node.create_publisher(Odometry, "ins/odometry", qos)
     steering = node.create_publisher(Steering, "vehicle/steering", qos)
     clock = node.create_publisher(Clock, "/clock", qos) if options.loop else None
-    while min(ins.get_subscription_count(), steering.get_subscription_count()) < options.subscribers:
+    wanted = {"ins/odometry": options.subscribers, "vehicle/steering": options.subscribers}
+    wanted |= {topic: int(count) for topic, _, count in (text.rpartition(":") for text in options.wait_for)}
+    while any(node.count_subscribers(topic) < count for topic, count in wanted.items()):
         time.sleep(0.02)
+    # The graph is known here a little before every publisher knows its subscribers.
+    time.sleep(SETTLING)
     zero_ns, began = options.zero or time.time_ns(), time.monotonic()
     print("feeding", zero_ns, flush=True)
     for k in range(round(options.duration * options.rate)):
@@ -88,6 +94,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--jump", action="append", default=[], type=numbers, metavar="FROM:UNTIL:BY", help="of stamps")
     parser.add_argument("--loop", type=float, default=0.0, help="start over every so many seconds, and publish /clock")
     parser.add_argument("--subscribers", type=int, default=1, help="begin when this many listen to each topic")
+    parser.add_argument("--wait-for", action="append", default=[], metavar="TOPIC:N", help="the same for another topic")
     parser.add_argument("--zero", type=int, default=0, help="stamp of the start [ns]; 0: now")
     return parser.parse_args()
 

@@ -50,9 +50,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
             "recorder": processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}",
                                        f"configuration_files:=[{VEHICLE}]", metadata),
         }
+        heard = {f"predictor/{m}/{kind}": count for m in MODELS for kind, count in (("path", 1), ("prediction", 2))}
         feeder = processes.start([
             sys.executable, str(ROOT / "tests" / "circle_feeder.py"), "--subscribers", "3", "--duration", str(DURATION),
-            "--radius", str(RADIUS), "--speed", str(SPEED), "--angle", str(ANGLE)], "feeder")
+            "--radius", str(RADIUS), "--speed", str(SPEED), "--angle", str(ANGLE),
+            *(f"--wait-for={topic}:{count}" for topic, count in heard.items())], "feeder")
         assert feeder.wait(60) == 0, processes.log("feeder")
         statuses = {name: processes.stop(process) for name, process in nodes.items()}
     finally:
@@ -75,7 +77,7 @@ def test_each_tick_carries_three_predictions_and_paths(run: Run) -> None:
     assert len(set(ticks["linear"])) == len(ticks["linear"])
     status = run.messages["/predictor/status"][-1]
     assert status.predicted == len(ticks["linear"])
-    assert status.predicted > 0.9 * DURATION * 10
+    assert status.predicted > 0.8 * DURATION * 10
     assert status.due == status.predicted + status.skipped_stale + status.skipped_overrun + status.skipped_slow
     for model in MODELS:
         assert stamps(run.messages[f"/predictor/{model}/path"]) == ticks[model]

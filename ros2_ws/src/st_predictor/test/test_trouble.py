@@ -32,6 +32,10 @@ def feed(processes: Processes, *options: str) -> int:
     return int(processes.log("feeder").split()[1])
 
 
+# Evaluator and recorder have found all that the predictor publishes.
+ALL_HEARD = [f"--wait-for=predictor/{model}/prediction:2" for model in ("kinematic", "linear", "nonlinear")]
+
+
 def recorder(processes: Processes, **options: Any) -> tuple[subprocess.Popen, Path]:
     bag = processes.folder / "bag"
     return processes.node("st_predictor", "recorder", f"output_directory:={bag}", **options), bag
@@ -44,7 +48,7 @@ def troubled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     try:
         nodes = [processes.node("st_predictor", name, f"vehicle_file:={LEAF}") for name in ("predictor", "evaluator")]
         recording, bag = recorder(processes)
-        zero_ns = feed(processes, "--subscribers", "3", "--duration", "22", "--silent-steering", "6:7.5",
+        zero_ns = feed(processes, *ALL_HEARD, "--subscribers", "3", "--duration", "22", "--silent-steering", "6:7.5",
                        "--nan", "11:12.5", "--silent-odometry", "13.5:15", "--invalid-steering", "16:17.5",
                        "--jump", "18.5:20:-3")
         statuses = [processes.stop(node) for node in (*nodes, recording)]
@@ -133,7 +137,7 @@ def test_overrun_skips_ticks_and_queues_none(processes: Processes) -> None:
                                "rate:=20.0")
     evaluator = processes.node("st_predictor", "evaluator", f"vehicle_file:={GENESIS}")
     recording, bag = recorder(processes)
-    feed(processes, "--subscribers", "3", "--duration", "3")
+    feed(processes, *ALL_HEARD, "--subscribers", "3", "--duration", "3")
     assert [processes.stop(p) for p in (predictor, evaluator, recording)] == [0, 0, 0]
     messages = read_messages(bag)
     status = messages["/predictor/status"][-1]
@@ -152,7 +156,7 @@ def test_simulated_time_that_starts_over(processes: Processes) -> None:
     nodes = [processes.node("st_predictor", name, f"vehicle_file:={LEAF}", "use_sim_time:=true")
              for name in ("predictor", "evaluator")]
     recording, bag = recorder(processes)
-    feed(processes, "--subscribers", "3", "--duration", "12", "--loop", "4", "--zero", str(1000 * 10**9))
+    feed(processes, *ALL_HEARD, "--subscribers", "3", "--duration", "12", "--loop", "4", "--zero", str(1000 * 10**9))
     assert [processes.stop(p) for p in (*nodes, recording)] == [0, 0, 0]
     messages = read_messages(bag)
     times = [(s - 1000 * 10**9) * 1e-9 for s in stamps(messages["/predictor/linear/prediction"])]
