@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effect_values import values_of
 from st_core import effects
 from st_core.augmented import augment, neutral
 from st_core.effects import ANY, EFFECTS, Measured, applicable
@@ -29,16 +30,6 @@ EVERY = pytest.mark.parametrize(("base", "name"), CASES)
 STATE = VehicleState(3.0, -2.0, 12.0, 0.1, 0.3, 0.2)
 MIRROR = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
 MIRRORED_LOG = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "road_wheel_angle")
-
-
-def values_of(name: str, share: float) -> dict[str, float]:
-    """From null (0) over initial (1) on towards the bound of that side (2)."""
-    result = {}
-    for p in EFFECTS[name].parameters:
-        bound = p.bounds[1] if p.initial >= p.null else p.bounds[0]
-        begin, end, part = (p.null, p.initial, share) if share <= 1.0 else (p.initial, bound, share - 1.0)
-        result[p.name] = end if part == 1.0 else begin + part * (end - begin)
-    return result
 
 
 def mirrored(name: str, values: dict[str, float]) -> dict[str, float]:

@@ -1,0 +1,62 @@
+"""Effects outside the equations over a whole log: car, steering and sensors, as prediction by prediction on floats."""
+
+import numpy as np
+import pytest
+from effect_values import values_of
+from st_core.augmented import augment, universal
+from st_core.batch import LogBatch
+from st_core.effects import EFFECTS, applicable
+from st_core.filtering import NANOSECOND
+from st_core.log import DriveLog
+from st_core.log_signals import LogSignals
+from st_core.models import MODELS
+from st_core.prediction import predict
+from st_core.readings import corrected_log
+from st_core.types import InputSequence, VehicleState
+
+SHARES = (0.4, 1.0, 2.0)
+HORIZON, STEP = 2.0, 0.05
+
+
+def weaving_log() -> DriveLog:
+    time_ns = np.arange(0, 9_000_000_000, 10_000_000, dtype=np.int64)
+    t = time_ns * NANOSECOND
+    return DriveLog("weaving", time_ns, 12.0 * t, np.sin(t), 0.1 * np.sin(1.5 * t), 12.0 + np.sin(0.7 * t),
+                    0.2 * np.sin(2.0 * t), 0.15 * np.cos(1.5 * t), time_ns, 0.06 * np.sin(2.0 * t + 0.3))
+
+
+LOG = weaving_log()
+STARTS = np.array([1_000_000_000, 1_500_000_000, 2_100_000_000, 3_333_000_000, 5_900_000_000])
+
+
+def one_by_one(model, car) -> np.ndarray:
+    signals = LogSignals(corrected_log(model, LOG), 0.1, 5.0)
+    half_steps = np.round(np.arange(2 * round(HORIZON / STEP) + 1) * 0.5 * STEP / NANOSECOND).astype(np.int64)
+    states = signals.states_at(STARTS, model.effective_vehicle(car))
+    paths = []
+    for start_ns, state in zip(STARTS, states, strict=True):
+        times = start_ns + half_steps
+        inputs = InputSequence(signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0])
+        paths.append(predict(model, car, VehicleState(*state.tolist()), inputs, HORIZON, STEP).states)
+    return np.array(paths)
+
+
+@pytest.fixture(scope="module", params=["numpy", "lanes"])
+def batch(request) -> LogBatch:
+    if request.param == "lanes":
+        pytest.importorskip("numba")
+    return LogBatch(LOG, STARTS, HORIZON, STEP, backend=request.param)
+
+
+@pytest.mark.parametrize("base", MODELS)
+def test_whole_logs_in_one_set_of_functions(leaf, batch, base):
+    everything = universal(base)
+    for name in applicable(base):
+        effect = EFFECTS[name]
+        if not (effect.vehicle or effect.steering or effect.observe):
+            continue
+        for share in SHARES:
+            model = everything.with_values({name: values_of(name, share)})
+            expected = one_by_one(augment(base, {name: values_of(name, share)}), leaf)
+            states = batch.predict(model, leaf).states
+            np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12, err_msg=name)
