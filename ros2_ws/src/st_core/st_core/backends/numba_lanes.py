@@ -40,7 +40,7 @@ _lock = Lock()
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
             points: np.ndarray) -> np.ndarray:
     """See the package. A model that numba cannot compile runs in numpy; one line says so."""
-    p = _floats(p)
+    p = as_floats(p)
     kernel = _kernel(model, p, len(w), len(start))
     if kernel is None:
         return numpy_batch.advance(model, p, start, w, offsets, step, points)
@@ -52,10 +52,11 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
     return out
 
 
-def _floats(p: Any) -> Any:
+def as_floats(p: Any) -> Any:
+    """p with all its numbers as Python floats."""
     if not isinstance(p, tuple):
         return float(p)
-    values = map(_floats, p)
+    values = map(as_floats, p)
     return type(p)(*values) if hasattr(p, "_fields") else tuple(values)
 
 
@@ -78,10 +79,7 @@ def _kernel(model: Model, p: Any, fields: int, states: int):
 
 
 def _compile(model: Model, shape, fields: int, states: int):
-    for function in structure.reachable(model.rhs, STOP):
-        if function not in _inlined:
-            _inlined.add(inline(function))
-    kernel = _make(model.rhs, _parameters(shape), _load(fields), _load(states), _scratch(states * LANES))
+    kernel = _prepared(model, shape, fields, states)
     try:
         made_of = structure.fingerprint(model.rhs, STOP)
         numba_cache.enable(kernel, f"{made_of} {shape} {fields} {states}")
@@ -96,6 +94,21 @@ def _compile(model: Model, shape, fields: int, states: int):
                                             reason)
         return None
     return kernel
+
+
+def uncached(model: Model, shape, fields: int, states: int):
+    """A kernel compiled here and now, for a look at its instructions. shape: numba's type of `as_floats(p)`."""
+    kernel = _prepared(model, shape, fields, states)
+    with _interleaved():
+        kernel.compile(SIGNATURE)
+    return kernel
+
+
+def _prepared(model: Model, shape, fields: int, states: int):
+    for function in structure.reachable(model.rhs, STOP):
+        if function not in _inlined:
+            _inlined.add(inline(function))
+    return _make(model.rhs, _parameters(shape), _load(fields), _load(states), _scratch(states * LANES))
 
 
 @contextmanager

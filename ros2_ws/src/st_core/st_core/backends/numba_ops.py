@@ -3,7 +3,8 @@
 Sine, cosine: x = n pi/2 + r, |r| <= pi/4, pi/2 in two parts of which the first has 33 bits: exact to |n| = 2^20, that
 is 1.6e6 rad. Arc tangent: four ranges, in each atan x = base + atan t with |t| <= tan(pi/12), one division. The
 polynomials interpolate at Chebyshev nodes in r^2 or t^2; their relative error is below 6e-17. All in Estrin's form, as
-it is the length of the chain of operations that limits the speed. Checked by: test_backends_lanes.py.
+it is the length of the chain of operations that limits the speed. The arc tangent of an infinite number is NaN here.
+Checked by: test_backends.py.
 """
 
 import math
