@@ -142,7 +142,8 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
     else:
         lines += [f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are column by column, "
                   "Jacobians without their structural zeros: `_sparsity_out` says where the entries belong. Arguments "
-                  "and results are arrays of pointers:", "", "```c", f"{name}_step(arguments, results, iw, w, 0);", "```", "",
+                  "and results are arrays of pointers:", "", "```c",
+                  f"{name}_step(arguments, results, iw, w, 0);", "```", "",
                   f"Sizes of the four arrays: `{name}_step_work`.", ""]
     return "\n".join(lines)
 
