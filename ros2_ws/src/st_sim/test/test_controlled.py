@@ -1,0 +1,59 @@
+"""The virtual car with a controller at the wheel: commands become motion, within what hands and tyres can do."""
+
+import math
+
+import pytest
+from st_sim.car import read_car
+from st_sim.controlled import FASTEST_HAND, HARDEST_BRAKING, ControlledCar
+from st_sim.settings import PRESETS, resolve
+from support import ROOT
+
+CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
+
+
+def placed(preset="ideal", speed=8.0, curvature=0.0):
+    car = ControlledCar(CAR, PRESETS[preset])
+    car.place(10.0, -5.0, 0.5, speed, curvature)
+    return car
+
+
+def test_it_starts_where_it_is_placed_and_goes_straight_on():
+    car = placed()
+    assert car.time == 0.0 and car.state[:3] == (10.0, -5.0, 8.0) and car.state[4] == 0.5
+    car.advance(1.5, 0.0, 0.0)
+    x, y, speed, *_ = car.state
+    assert car.time == pytest.approx(1.5)
+    assert (x, y, speed) == pytest.approx((10.0 + 12.0 * math.cos(0.5), -5.0 + 12.0 * math.sin(0.5), 8.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("acceleration", [-3.0, 1.5])
+@pytest.mark.parametrize("angle", [0.0, 0.1])
+def test_acceleration_is_what_was_asked_for_also_in_a_bend(acceleration, angle):
+    car = placed(curvature=math.tan(angle) / CAR.wheelbase)
+    car.advance(1.0, angle, 0.0)
+    before = car.state[2]
+    car.advance(1.0, angle, acceleration)
+    assert car.state[2] - before == pytest.approx(acceleration, rel=0.05, abs=0.05)
+
+
+def test_left_is_left_and_the_circle_is_that_of_the_angle():
+    car = placed(speed=3.0, curvature=math.tan(0.15) / CAR.wheelbase)
+    car.advance(4.0, 0.15, 0.0)
+    _, _, speed, _, _, yaw_rate = car.state
+    assert yaw_rate / speed == pytest.approx(math.tan(0.15) / CAR.wheelbase, rel=0.05)
+
+
+def test_hand_and_tyres_have_limits():
+    car = placed(speed=15.0)
+    car.advance(0.1, 0.5, 0.0)
+    assert car.steering_wheel_angle == pytest.approx(0.1 * FASTEST_HAND)
+    car = placed(speed=15.0)
+    car.advance(1.0, 0.0, -30.0)
+    assert car.state[2] == pytest.approx(15.0 - HARDEST_BRAKING, abs=0.1)
+
+
+def test_a_realistic_car_is_slowed_by_the_air():
+    car = ControlledCar(CAR, resolve("realistic"))
+    car.place(0.0, 0.0, 0.0, 20.0)
+    car.advance(2.0, 0.0, 0.0)
+    assert car.state[2] < 19.8
