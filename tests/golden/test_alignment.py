@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core.clock_alignment import Alignment, Verdict, align, by_hand
+from st_core.clock_alignment import align, by_hand
+from st_core.clock_types import Alignment, Verdict
 from st_offline.cli import app
 from st_offline.runs.can_logs import read_can_logs
 from st_offline.runs.can_signals import CanSignals, decode_signals, load_signal_table

@@ -1,4 +1,4 @@
-"""The clocks of two recordings put on one time: by the unit's own time in the other recording, or by shared signals.
+"""The clocks of two recordings put on one time by the signals that both hold.
 
     t_reference = t_other + offset + drift (t_other - t_0)
 
@@ -6,113 +6,32 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
-from itertools import pairwise
+from dataclasses import replace
 
 import numpy as np
 
 from .clock_correlation import STEP, masked_correlation, resample
-from .clock_fit import DRIFT_PRIOR_PPM, Fit, Pair, coarse_offset, fit
+from .clock_fit import Fit, Pair, coarse_offset, fit
 from .clock_steps import WindowLag, clock_step, window_lags
+from .clock_types import (
+    LONGEST_SPAN,
+    STEP_TOO_LARGE,
+    UNUSUAL_DRIFT_PPM,
+    Alignment,
+    SharedSignal,
+    SignalLag,
+    Verdict,
+    refused,
+    step_reason,
+)
 
 CUTOFFS = (0.5, 4.0)  # Hz: the first for a drift that has not been found yet, the second for the result
 STAMP_GRID = 50e-6  # s; loggers do not stamp finer than this, so no result is surer
-LONGEST_SPAN = 48 * 3600.0  # s; a recording that spans more has a clock that was set while it ran
 GOOD_PEAK, USABLE_PEAK = 0.95, 0.80
-AMBIGUOUS = 0.9  # second peak over the first
 SHORT_OVERLAP = 20.0  # s
 AGREEMENT = 0.005  # s between signals
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s
-UNUSUAL_DRIFT_PPM = 200.0
 STEP_SEARCH = 5.0, 40.0  # s; the second where one offset does not fit the whole
-STEP_TOO_LARGE = 0.05  # s
-
-
-class Verdict(StrEnum):
-    """good: use it. doubtful: look at the picture first. refused: this is not an alignment."""
-
-    GOOD = "good"
-    DOUBTFUL = "doubtful"
-    REFUSED = "refused"
-
-
-@dataclass(frozen=True)
-class SharedSignal:
-    """One quantity in both recordings, each on its own clock. NaN where it should not be used (standstill, not ready).
-
-    times: int64 ns, strictly increasing. Values share sign and, up to a gain and a bias, scale.
-    angle: the values are an angle [rad], wrapped or not, with a zero of its own on each side; its rate is compared.
-    latency: the other recording stamps the value this late after the instant it was true [s], with its uncertainty.
-    smallest: standard deviation below which the signal is taken as constant [unit of the values].
-    """
-
-    name: str
-    reference_time_ns: np.ndarray
-    reference: np.ndarray
-    other_time_ns: np.ndarray
-    other: np.ndarray
-    latency: float = 0.0
-    latency_uncertainty: float = 0.0
-    smallest: float = 0.0
-    angle: bool = False
-
-
-@dataclass(frozen=True)
-class SignalLag:
-    """One signal by itself: its offset minus the common one [s], deviation [s], residual over spread, correlation."""
-
-    name: str
-    difference: float
-    deviation: float
-    residual: float
-    correlation: float
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """How to turn the other clock into the reference clock.
-
-    at_ns: instant on the other clock at which `offset_ns` holds. drift_ppm: how much faster the reference clock runs.
-    offset_deviation [s], drift_deviation [ppm]: one standard deviation; the offset's includes that of the latency.
-    method: "time frame", "shared signals", "by hand" or "none". overlap: common time [s].
-    peak, second_peak: (offset in s, correlation) of the coarse search, None without one.
-    """
-
-    at_ns: int
-    offset_ns: int
-    drift_ppm: float
-    offset_deviation: float
-    drift_deviation: float
-    method: str
-    verdict: Verdict
-    reasons: tuple[str, ...] = ()
-    signals: tuple[SignalLag, ...] = ()
-    peak: tuple[float, float] | None = None
-    second_peak: tuple[float, float] | None = None
-    overlap: float = 0.0
-
-    def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray | int:
-        """Time on the other clock -> time on the reference clock [ns], in whole nanoseconds."""
-        since = np.asarray(other_ns, dtype=np.int64) - self.at_ns
-        mapped = since + self.at_ns + self.offset_ns + np.round(since * (self.drift_ppm * 1e-6)).astype(np.int64)
-        return mapped if mapped.ndim else int(mapped)
-
-    def offset_at_ns(self, other_ns: int) -> int:
-        """Reference time minus other time at an instant of the other clock [ns]."""
-        return int(self.to_reference_ns(other_ns)) - other_ns
-
-    @property
-    def ambiguous(self) -> bool:
-        """Whether another offset fits nearly as well."""
-        return self.peak is not None and self.second_peak is not None and self.second_peak[1] > AMBIGUOUS * self.peak[1]
-
-    def doubted(self, *reasons: str) -> "Alignment":
-        """The same, at most doubtful, with further reasons."""
-        if not reasons:
-            return self
-        verdict = Verdict.DOUBTFUL if self.verdict is Verdict.GOOD else self.verdict
-        return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
 
 
 def by_hand(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
@@ -131,16 +50,6 @@ def by_hand(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) ->
     return Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand",
                      Verdict.GOOD if close else Verdict.DOUBTFUL, (reason,), check.signals, check.peak,
                      check.second_peak, check.overlap)
-
-
-def none_needed(at_ns: int = 0) -> Alignment:
-    """Both recordings are on one clock already."""
-    return Alignment(at_ns, 0, 0.0, 0.0, 0.0, "none", Verdict.GOOD)
-
-
-def refused(*reasons: str) -> Alignment:
-    """No alignment at all."""
-    return Alignment(0, 0, 0.0, float("inf"), float("inf"), "none", Verdict.REFUSED, reasons)
 
 
 def align(signals: Sequence[SharedSignal], minimum_overlap: float | None = None,
@@ -295,9 +204,7 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
     lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_PEAK])
     step = clock_step(lags)
     if step:
-        when = other_ns * 1e-9 + step[0] - result.at_ns * 1e-9
-        reason = (f"a clock steps by {step[1] * 1e3:+.0f} ms about {when:+.0f} s from the middle of the common time: "
-                  "align the parts before and after it by themselves")
+        reason = step_reason(step[1], other_ns * 1e-9 + step[0] - result.at_ns * 1e-9)
         # All other doubts follow from it.
         refusals, doubts = ([reason], []) if abs(step[1]) > STEP_TOO_LARGE else ([], [reason])
     if refusals:
@@ -331,65 +238,6 @@ def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment, search:
     found = window_lags(fine, (alignment.offset_ns - (r0 - o0)) * 1e-9, search)
     drift = alignment.drift_ppm * 1e-6
     return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in found]
-
-
-def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
-                        latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
-    """Offset and drift from frames in which the unit itself says what time it is.
-
-    Args:
-        other_time_ns: when each frame was logged.
-        reference_time_ns: the time it carried, UTC; frames of an unlocked unit (no time) left out.
-        resolution: of that time [s].
-        latency: a frame is logged this late after the instant it names [s].
-
-    A straight line through one point per frame, medians per second, refitted without what lies off it (soft L1).
-    """
-    if len(other_time_ns) < 2:
-        return refused("the time frames hold no time (the unit had not locked yet?)")
-    if abs(int(other_time_ns[-1]) - int(other_time_ns[0])) * 1e-9 > LONGEST_SPAN:
-        return refused("the log spans days: its clock was set during the recording")
-    o0, r0 = int(other_time_ns[0]), int(reference_time_ns[0])
-    time = (other_time_ns - o0) * 1e-9 - latency
-    offset = (reference_time_ns - r0) * 1e-9 - time
-    time, offset = _medians(time, offset)
-    middle = float(time[0] + time[-1]) / 2
-    design = np.stack([np.ones_like(time), time - middle], axis=1)
-    weight = np.ones_like(time)
-    for _ in range(20):
-        solution = np.linalg.lstsq(design * weight[:, None], offset * weight, rcond=None)[0]
-        residual = offset - design @ solution
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-5)
-        weight = (1 + (residual / (2 * scale)) ** 2) ** -0.25
-    weighted = design * weight[:, None]
-    prior = np.diag([0.0, (scale / (DRIFT_PRIOR_PPM * 1e-6)) ** 2])
-    covariance = scale**2 * np.linalg.inv(weighted.T @ weighted + prior)
-    # Truncation to the resolution does not average out when frames and steps beat slowly.
-    rounding = resolution / np.sqrt(12)
-    result = Alignment(
-        at_ns=o0 + round(middle * 1e9), offset_ns=r0 - o0 + round(float(solution[0]) * 1e9),
-        drift_ppm=float(solution[1]) * 1e6,
-        offset_deviation=float(np.sqrt(covariance[0, 0] + rounding**2 + latency_uncertainty**2)),
-        drift_deviation=float(np.sqrt(covariance[1, 1])) * 1e6,
-        method="time frame", verdict=Verdict.GOOD, overlap=float(time[-1] - time[0]),
-    )
-    doubts = []
-    worst = int(np.argmax(np.abs(residual)))
-    if abs(residual[worst]) > 0.02:
-        doubts.append(f"the time frames do not lie on one line: {residual[worst] * 1e3:+.0f} ms at "
-                      f"{time[worst] - middle:+.0f} s from the middle (a clock was set?)")
-    if abs(result.drift_ppm) > UNUSUAL_DRIFT_PPM:
-        doubts.append(f"a drift of {result.drift_ppm:.0f} ppm is more than two quartz clocks have")
-    return result.doubted(*doubts)
-
-
-def _medians(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    second = np.floor(time - time[0]).astype(np.int64)
-    edges = np.nonzero(np.diff(second, prepend=second[0] - 1, append=second[-1] + 1))[0]
-    if len(edges) - 1 > 0.5 * len(time):
-        return time, value
-    groups = list(pairwise(edges))
-    return np.array([np.median(time[a:b]) for a, b in groups]), np.array([np.median(value[a:b]) for a, b in groups])
 
 
 def standstill_masked(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,

@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter
-from st_core.clock_alignment import (
-    SharedSignal,
-    Verdict,
-    align,
-    align_by_time_frame,
-    by_hand,
-    none_needed,
-    standstill_masked,
-)
+from st_core.clock_alignment import align, by_hand, standstill_masked
+from st_core.clock_time_frames import align_by_time_frame
+from st_core.clock_types import SharedSignal, Verdict, none_needed
 
 EPOCH_NS = 1_700_000_000_000_000_000
 
@@ -224,7 +218,10 @@ def test_time_frames_give_offset_and_drift() -> None:
 def test_time_frames_show_a_clock_that_was_set() -> None:
     logged = np.arange(0, 600, 0.01)
     jumped = align_by_time_frame(nanoseconds(logged + np.where(logged > 400, 0.5, 0)), nanoseconds(logged))
-    assert jumped.verdict is Verdict.DOUBTFUL
-    assert "do not lie on one line" in jumped.reasons[0]
+    assert jumped.verdict is Verdict.REFUSED
+    assert re.match(r"a clock steps by -500 ms about \+(9|10)\d s", jumped.reasons[0])
+    little = align_by_time_frame(nanoseconds(logged + np.where(logged > 400, 0.04, 0)), nanoseconds(logged))
+    assert little.verdict is Verdict.DOUBTFUL
+    assert "do not lie on one line" in little.reasons[0]
     empty = np.zeros(0, dtype=np.int64)
     assert align_by_time_frame(empty, empty).verdict is Verdict.REFUSED

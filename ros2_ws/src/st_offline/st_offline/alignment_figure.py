@@ -8,7 +8,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from st_core.clock_alignment import Alignment, SharedSignal, correlation_curve, residual_lags
+from st_core.clock_alignment import correlation_curve, residual_lags
+from st_core.clock_types import Alignment, SharedSignal
 
 from .style import MEASURED_COLOUR, RC
 

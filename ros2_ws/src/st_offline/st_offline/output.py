@@ -12,8 +12,9 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
     """The folder given, or runs/<name>-<time>; never one that already holds something. Raises OutputError."""
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise OutputError(f"{folder} is not an empty folder: name another --output (nothing is ever overwritten)")
+        if folder.exists() and (folder.is_file() or any(folder.iterdir())):
+            what = "is a file" if folder.is_file() else "is not empty"
+            raise OutputError(f"{folder} {what}: name another --output (nothing is ever overwritten)")
         if create:
             folder.mkdir(parents=True, exist_ok=True)
     except OutputError:

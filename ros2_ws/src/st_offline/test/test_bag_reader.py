@@ -6,9 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
+from mcap.writer import IndexType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from st_offline.runs import bag
 from st_offline.runs.bag import ODOMETRY, STEERING, definitions, read_bag
+from st_offline.runs.bag_storage import Mcap, Sqlite
 from st_offline.runs.cdr import Layout, typestore
 from st_offline.runs.errors import RunError
 from st_predictor.mcap import BagWriter
@@ -108,14 +111,17 @@ def test_a_bag_of_any_recorder(tmp_path: Path, storage: str) -> None:
     check(alone)
 
 
-def test_the_quick_way_is_the_way_taken_and_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = write_ours(tmp_path / "drive", OURS)
-    taken = []
-    quick_way = bag._from_chunks
-    monkeypatch.setattr(bag, "_from_chunks", lambda *given: taken.append(quick_way(*given)) or taken[-1])
-    quick = read_bag(folder).log
-    assert [columns is not None for columns in taken] == [True, True]
-    monkeypatch.setattr(bag, "_from_chunks", lambda *_: None)
+@pytest.mark.parametrize("kind", [Mcap, Sqlite])
+def test_the_quick_way_is_the_way_taken_and_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type) -> None:
+    folder = tmp_path / "drive"
+    if kind is Mcap:
+        write_ours(folder, OURS)
+    else:
+        write_rosbags(folder, OURS, StoragePlugin.SQLITE3)
+    with monkeypatch.context() as patch:
+        patch.delattr(bag, "_one_by_one")
+        quick = read_bag(folder).log
+    monkeypatch.setattr(kind, "columns", lambda *_: None)
     slow = read_bag(folder).log
     for name in ("ins_time_ns", "x", "y", "yaw", "velocity_x", "yaw_rate", "steering_time_ns", "road_wheel_angle"):
         np.testing.assert_array_equal(getattr(quick, name), getattr(slow, name))
@@ -145,6 +151,43 @@ def test_missing_topics_and_doubles_are_named(tmp_path: Path) -> None:
         read_bag(write_ours(tmp_path / "two", doubled))
     named = {**OURS, ("/other/odometry", ODOMETRY): [odometry(k, "elsewhere") for k in range(5)]}
     check(write_ours(tmp_path / "three", named))
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_types_nobody_here_knows_are_passed_over(tmp_path: Path, storage: StoragePlugin) -> None:
+    with Writer(tmp_path / "drive", version=9, storage_plugin=storage) as writer:
+        foreign = writer.add_connection("/radar", "acme_msgs/msg/Blob", msgdef="acme_msgs/Secret[] inside\n",
+                                        rihs01="RIHS01_0")
+        writer.write(foreign, START_NS, bytes(20))
+        for (topic, name), messages in OURS.items():
+            connection = writer.add_connection(topic, name, typestore=STORE)
+            for time_ns, data in messages:
+                writer.write(connection, time_ns, data)
+    check(tmp_path / "drive")
+
+
+def test_files_without_an_index_and_compressed_bags(tmp_path: Path) -> None:
+    plain = tmp_path / "plain.mcap"
+    with plain.open("wb") as stream:
+        writer = McapWriter(stream, use_chunking=False, index_types=IndexType.NONE, use_summary_offsets=False,
+                            use_statistics=False, repeat_channels=False, repeat_schemas=False)
+        writer.start(profile="ros2")
+        for (topic, name), messages in OURS.items():
+            schema = writer.register_schema(name, "ros2msg", STORE.generate_msgdef(name, ros_version=2)[0].encode())
+            channel = writer.register_channel(topic, "cdr", schema)
+            for time_ns, data in messages:
+                writer.add_message(channel, time_ns, data, time_ns)
+        writer.finish()
+    check(plain)
+    for mode in (CompressionMode.MESSAGE, CompressionMode.FILE):
+        packed = Writer(tmp_path / mode.name, version=9, storage_plugin=StoragePlugin.SQLITE3)
+        packed.set_compression(mode, CompressionFormat.ZSTD)
+        with packed:
+            for (topic, name), messages in OURS.items():
+                connection = packed.add_connection(topic, name, typestore=STORE)
+                for time_ns, data in messages:
+                    packed.write(connection, time_ns, data)
+        check(tmp_path / mode.name)
 
 
 def test_bags_that_are_none(tmp_path: Path) -> None:

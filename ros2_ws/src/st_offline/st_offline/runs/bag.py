@@ -8,17 +8,15 @@ from typing import Any
 import numpy as np
 import yaml
 from mcap.reader import make_reader
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import ReaderError
 from rosbags.typesys.store import Typestore
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
 from ..paths import project_root
-from .cdr import Layout, typestore
+from .bag_storage import Storage, Topic, open_storage
+from .cdr import typestore
 from .errors import RunError, check_readable
-from .mcap_columns import blocks, summary_of
+from .mcap_columns import summary_of
 
 EXTENSIONS = (".mcap", ".db3")
 ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
@@ -69,23 +67,21 @@ def read_bag(path: Path, name: str | None = None) -> BagDrive:
 
     Raises RunError for what is no bag, was not closed, or lacks one of the two.
     """
-    for file in [path] if path.is_file() else storage_files(path):
+    files = [path] if path.is_file() else storage_files(path)
+    for file in files:
         check_readable(file)
     store = typestore(definitions())
+    storage = open_storage(path, files, store)
+    there = storage.topics()
     columns: dict[str, dict[str, np.ndarray]] = {}
-    topics, warnings = {}, []
-    try:
-        with AnyReader([path], default_typestore=store) as reader:
-            for type_name, fields in ((ODOMETRY, _ODOMETRY_FIELDS), (STEERING, _STEERING_FIELDS)):
-                connection = _connection(path, reader.connections, type_name)
-                topics[type_name] = connection.topic
-                columns[type_name] = _read_topic(path, reader, store, connection, fields)
-    except (AnyReaderError, ReaderError) as error:
-        raise RunError(path, f"cannot be read as a bag ({' '.join(str(error).split())[:120]})",
-                       "if it was cut off while recording, repair it with `st recover`") from None
+    topics = {}
+    for type_name, fields in ((ODOMETRY, _ODOMETRY_FIELDS), (STEERING, _STEERING_FIELDS)):
+        topic = _topic(path, there, type_name)
+        topics[type_name] = topic.name
+        quick = storage.columns(topic, fields, store)
+        columns[type_name] = quick if quick is not None else _one_by_one(path, storage, topic, fields, store)
     log, notes = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
-    warnings += notes
-    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in warnings))
+    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in notes))
 
 
 def records_of(path: Path) -> dict[str, dict[str, str]]:
@@ -103,31 +99,29 @@ def storage_files(directory: Path) -> list[Path]:
     return sorted(f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS)
 
 
-def _connection(path: Path, connections: Sequence[Connection], type_name: str) -> Connection:
-    found = [c for c in connections if c.msgtype == type_name and c.msgcount]
+def _topic(path: Path, topics: Sequence[Topic], type_name: str) -> Topic:
+    found = [t for t in topics if t.type_name == type_name and t.count]
     if not found:
-        there = sorted({f"{c.topic} ({c.msgtype})" for c in connections if c.msgcount})
-        what = ", ".join(there)[:300] or "no messages"
+        what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "no messages"
         raise RunError(path, f"no message of type {type_name} is in it; it has {what}",
                        f"record the topic {PREFERRED[type_name]} too")
-    preferred = [c for c in found if c.topic.endswith(PREFERRED[type_name])]
-    topics = {c.topic for c in preferred or found}
-    if len(topics) > 1:
-        raise RunError(path, f"several topics are of type {type_name}: {', '.join(sorted(topics))}",
+    preferred = [t for t in found if t.name.endswith(PREFERRED[type_name])] or found
+    if len(preferred) > 1:
+        names = ", ".join(sorted(t.name for t in preferred))
+        raise RunError(path, f"several topics are of type {type_name}: {names}",
                        f"leave one of them, or name one .../{PREFERRED[type_name]}")
-    return (preferred or found)[0]
+    return preferred[0]
 
 
-def _read_topic(path: Path, reader: AnyReader, store: Typestore, connection: Connection,
-                fields: Sequence[str]) -> dict[str, np.ndarray]:
-    files = [path] if path.is_file() else storage_files(path)
-    if all(f.suffix.lower() == ".mcap" for f in files):
-        found = _from_chunks(files, store, connection, fields)
-        if found is not None:
-            return found
+def _one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
+                store: Typestore) -> dict[str, np.ndarray]:
     rows = []
-    for wanted, _, raw in reader.messages(connections=[c for c in reader.connections if c.topic == connection.topic]):
-        message = reader.deserialize(raw, wanted.msgtype)
+    for raw in storage.messages(topic.name):
+        try:
+            message = store.deserialize_cdr(raw, topic.type_name)
+        except Exception as error:  # rosbags lets through what struct and numpy run into
+            raise RunError(path, f"a message of {topic.name} is damaged ({type(error).__name__})",
+                           "record it again, or mend the bag with `st recover`") from None
         rows.append([_value(message, field) for field in fields])
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
@@ -136,32 +130,6 @@ def _value(message: Any, path: str) -> Any:
     for part in path.split("."):
         message = getattr(message, part)
     return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
-
-
-def _from_chunks(files: Sequence[Path], store: Typestore, connection: Connection,
-                 fields: Sequence[str]) -> dict[str, np.ndarray] | None:
-    """The quick way; None where the files or messages are not made for it (no index, frame ids that change)."""
-    parts: list[dict[str, np.ndarray]] = []
-    layout = None
-    for file in files:
-        summary = summary_of(file)
-        if summary is None or summary.statistics is None:
-            return None
-        channels = [c for c in summary.channels.values()
-                    if c.topic == connection.topic and c.message_encoding == "cdr"]
-        for channel in channels:
-            seen = 0
-            for block in blocks(file, summary, channel.id):
-                seen += len(block.starts)
-                if layout is None:
-                    first = block.buffer[block.starts[0] : block.starts[0] + block.sizes[0]].tobytes()
-                    layout = Layout(store, connection.msgtype, store.deserialize_cdr(first, connection.msgtype))
-                if not (block.sizes == len(layout)).all() or not layout.fits(block.buffer, block.starts):
-                    return None
-                parts.append({field: layout.column(block.buffer, block.starts, field) for field in fields})
-            if seen != summary.statistics.channel_message_counts.get(channel.id, 0):
-                return None
-    return {field: np.concatenate([part[field] for part in parts]) for field in fields} if parts else None
 
 
 def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],

@@ -3,16 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from st_core.clock_alignment import (
-    Alignment,
-    SharedSignal,
-    Verdict,
-    align,
-    align_by_time_frame,
-    by_hand,
-    refused,
-    standstill_masked,
-)
+from st_core.clock_alignment import align, by_hand, standstill_masked
+from st_core.clock_time_frames import align_by_time_frame
+from st_core.clock_types import Alignment, SharedSignal, Verdict, refused
 
 from .can_signals import CanSignals, Signal
 from .ncom import Motion

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from st_core.clock_alignment import Alignment, SharedSignal, Verdict, none_needed
+from st_core.clock_types import Alignment, SharedSignal, Verdict, none_needed
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
@@ -93,7 +93,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     log = loaded.log
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
-    _check_overlap(source, log)
+    check_common_time(source, log.ins_time_ns, log.steering_time_ns)
     return replace(loaded, log=log, provenance={**loaded.provenance, "files": hashes(source)})
 
 
@@ -163,6 +163,15 @@ def steering_times(run: RawRun, settings: ReadSettings) -> np.ndarray:
     return run.alignment.to_reference_ns(run.steering.time_ns) - round(settings.steering_latency * 1e9)
 
 
+def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.ndarray) -> None:
+    """Raises RunError where INS and steering have no time in common."""
+    if len(ins_ns) < 2 or len(steering_ns) < 2:
+        raise RunError(source.where, "fewer than two measurements of INS or steering are in it", "take it off the list")
+    if min(ins_ns[-1], steering_ns[-1]) <= max(ins_ns[0], steering_ns[0]):
+        raise RunError(source.where, "INS and steering were not recorded at the same time",
+                       "check that the files belong to one drive (and the offset, if it was given by hand)")
+
+
 def about_alignment(alignment: Alignment) -> dict[str, Any]:
     """Plain values for reports and metadata."""
     return {
@@ -196,11 +205,3 @@ def _known(values: np.ndarray) -> np.ndarray | None:
 
 def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
-
-
-def _check_overlap(source: RunSource, log: DriveLog) -> None:
-    if len(log.ins_time_ns) < 2 or len(log.steering_time_ns) < 2:
-        raise RunError(source.where, "fewer than two measurements of INS or steering are in it", "take it off the list")
-    if log.overlap <= 0:
-        raise RunError(source.where, "INS and steering were not recorded at the same time",
-                       "check that the files belong to one drive (and the offset, if it was given by hand)")

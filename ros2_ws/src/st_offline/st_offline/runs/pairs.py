@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from st_core.clock_alignment import Alignment, SharedSignal
+from st_core.clock_types import Alignment, SharedSignal
 
 from . import csv
 from .can_logs import EXTENSIONS, CanLog, read_can_logs

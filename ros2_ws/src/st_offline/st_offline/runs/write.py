@@ -16,7 +16,16 @@ from .bag import definitions
 from .cdr import typestore
 from .covariance import Covariances
 from .errors import RunError
-from .load import RawRun, ReadSettings, about_alignment, alignment_warnings, hashes, read_raw, steering_times
+from .load import (
+    RawRun,
+    ReadSettings,
+    about_alignment,
+    alignment_warnings,
+    check_common_time,
+    hashes,
+    read_raw,
+    steering_times,
+)
 from .rows import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, Messages, Serialiser, in_time_order
 from .sources import RunSource
 
@@ -47,6 +56,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         raise RunError(source.where, f"is a {source.kind} run already", "import is for .ncom and CAN logs")
     run = read_raw(source, settings)
     warnings = [*run.warnings, *alignment_warnings(source, run.alignment, settings)]
+    check_common_time(source, run.ins.time_ns, steering_times(run, settings))
     try:
         writer = BagWriter(directory, _records(source, vehicle, settings, run))
     except OSError as error:

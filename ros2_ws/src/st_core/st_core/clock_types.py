@@ -1,0 +1,112 @@
+"""What clock alignment takes and gives: shared signals in, an alignment with its verdict out."""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+AMBIGUOUS = 0.9  # second peak over the first
+UNUSUAL_DRIFT_PPM = 200.0
+STEP_TOO_LARGE = 0.05  # s
+LONGEST_SPAN = 48 * 3600.0  # s; a recording that spans more has a clock that was set while it ran
+
+
+class Verdict(StrEnum):
+    """good: use it. doubtful: look at the picture first. refused: this is not an alignment."""
+
+    GOOD = "good"
+    DOUBTFUL = "doubtful"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True)
+class SharedSignal:
+    """One quantity in both recordings, each on its own clock. NaN where it should not be used (standstill, not ready).
+
+    times: int64 ns, strictly increasing. Values share sign and, up to a gain and a bias, scale.
+    angle: the values are an angle [rad], wrapped or not, with a zero of its own on each side; its rate is compared.
+    latency: the other recording stamps the value this late after the instant it was true [s], with its uncertainty.
+    smallest: standard deviation below which the signal is taken as constant [unit of the values].
+    """
+
+    name: str
+    reference_time_ns: np.ndarray
+    reference: np.ndarray
+    other_time_ns: np.ndarray
+    other: np.ndarray
+    latency: float = 0.0
+    latency_uncertainty: float = 0.0
+    smallest: float = 0.0
+    angle: bool = False
+
+
+@dataclass(frozen=True)
+class SignalLag:
+    """One signal by itself: its offset minus the common one [s], deviation [s], residual over spread, correlation."""
+
+    name: str
+    difference: float
+    deviation: float
+    residual: float
+    correlation: float
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How to turn the other clock into the reference clock.
+
+    at_ns: instant on the other clock at which `offset_ns` holds. drift_ppm: how much faster the reference clock runs.
+    offset_deviation [s], drift_deviation [ppm]: one standard deviation; the offset's includes that of the latency.
+    method: "time frame", "shared signals", "by hand" or "none". overlap: common time [s].
+    peak, second_peak: (offset in s, correlation) of the coarse search, None without one.
+    """
+
+    at_ns: int
+    offset_ns: int
+    drift_ppm: float
+    offset_deviation: float
+    drift_deviation: float
+    method: str
+    verdict: Verdict
+    reasons: tuple[str, ...] = ()
+    signals: tuple[SignalLag, ...] = ()
+    peak: tuple[float, float] | None = None
+    second_peak: tuple[float, float] | None = None
+    overlap: float = 0.0
+
+    def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray | int:
+        """Time on the other clock -> time on the reference clock [ns], in whole nanoseconds."""
+        since = np.asarray(other_ns, dtype=np.int64) - self.at_ns
+        mapped = since + self.at_ns + self.offset_ns + np.round(since * (self.drift_ppm * 1e-6)).astype(np.int64)
+        return mapped if mapped.ndim else int(mapped)
+
+    def offset_at_ns(self, other_ns: int) -> int:
+        """Reference time minus other time at an instant of the other clock [ns]."""
+        return int(self.to_reference_ns(other_ns)) - other_ns
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether another offset fits nearly as well."""
+        return self.peak is not None and self.second_peak is not None and self.second_peak[1] > AMBIGUOUS * self.peak[1]
+
+    def doubted(self, *reasons: str) -> "Alignment":
+        """The same, at most doubtful, with further reasons."""
+        if not reasons:
+            return self
+        verdict = Verdict.DOUBTFUL if self.verdict is Verdict.GOOD else self.verdict
+        return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
+
+
+def none_needed(at_ns: int = 0) -> Alignment:
+    """Both recordings are on one clock already."""
+    return Alignment(at_ns, 0, 0.0, 0.0, 0.0, "none", Verdict.GOOD)
+
+
+def refused(*reasons: str) -> Alignment:
+    """No alignment at all."""
+    return Alignment(0, 0, 0.0, float("inf"), float("inf"), "none", Verdict.REFUSED, reasons)
+
+
+def step_reason(size: float, when: float) -> str:
+    return (f"a clock steps by {size * 1e3:+.0f} ms about {when:+.0f} s from the middle of the common time: "
+            "align the parts before and after it by themselves")
