@@ -1,0 +1,102 @@
+"""The loop: virtual car, road, controller. What it measures is across the road at the CG, every 20 ms."""
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from controller import Controller, Reference
+from st_sim.car import Car
+from st_sim.controlled import ControlledCar
+from st_sim.scenarios import Plan
+from st_sim.settings import Settings
+
+LEFT_THE_ROAD = 4.0
+"""m. Further away the drive ends: what a controller does then says nothing."""
+LOOK = 0.02
+"""s between two measurements of the tracking error."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Figures of one drive. error_*: distance of the CG from the road [m]; speed_rms: of the speed error [m/s].
+
+    wall_*, cpu_*: of one solution [ms]; its median, 95th and largest; iterations: median. unsolved: number of
+    solutions the solver gave up on. finished: False when the car left the road, after `duration` [s].
+    """
+
+    error_rms: float
+    error_max: float
+    speed_rms: float
+    wall_median: float
+    wall_p95: float
+    wall_max: float
+    cpu_median: float
+    cpu_p95: float
+    cpu_max: float
+    iterations: float
+    solutions: int
+    unsolved: int
+    duration: float
+    finished: bool
+
+    def as_dict(self) -> dict:
+        return asdict(self)
+
+
+class Road:
+    """The road of a plan, with the place beside the car kept up to date."""
+
+    def __init__(self, plan: Plan):
+        self.plan, self.distance = plan, plan.start
+
+    def track(self, x: float, y: float) -> float:
+        """Move to the point beside (x, y); distance of that point from the road [m], left +."""
+        for _ in range(3):
+            road = self.plan.path.pose(self.distance)
+            self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
+        road = self.plan.path.pose(self.distance)
+        return math.cos(road.yaw) * (y - road.y) - math.sin(road.yaw) * (x - road.x)
+
+    def ahead(self, steps: int, step: float) -> Reference:
+        """Where a car that keeps the speed of the road is after each step."""
+        rows, distance = [], self.distance
+        for _ in range(steps):
+            middle = distance + 0.5 * step * self.plan.speed_at(distance)
+            distance += step * self.plan.speed_at(middle)
+            rows.append((*self.plan.path.pose(distance), self.plan.speed_at(distance)))
+        return Reference(*np.array(rows).T)
+
+
+def drive(controller: Controller, car: Car, settings: Settings, plan: Plan, duration: float,
+          seed: int = 0) -> tuple[Drive, np.ndarray]:
+    """Drive a plan; its figures, and (time, x, y, distance from the road, speed, road_wheel_angle asked for) as rows.
+
+    The command acts as soon as the state is known: the time of the solver is measured, not waited for.
+    """
+    road, plant = Road(plan), ControlledCar(car, settings, seed)
+    here = plan.path.pose(plan.start)
+    plant.place(here.x, here.y, here.yaw, plan.speed_at(plan.start), plan.path.curvature(plan.start))
+    step, rows, solutions = controller.tuning.step, [], []
+    finished = True
+    while finished and plant.time < duration - 1e-9:
+        road.track(*plant.state[:2])
+        solution = controller.control(plant.state, road.ahead(controller.steps, step))
+        solutions.append(solution)
+        for _ in range(round(step / LOOK)):
+            plant.advance(LOOK, *solution.inputs)
+            x, y, speed, *_ = plant.state
+            off = road.track(x, y)
+            rows.append((plant.time, x, y, off, speed - plan.speed_at(road.distance), solution.inputs[0]))
+        finished = abs(off) < LEFT_THE_ROAD
+    table = np.array(rows)
+    # The first solution starts from nothing.
+    wall = 1e3 * np.array([s.wall for s in solutions[1:]])
+    cpu = 1e3 * np.array([s.cpu for s in solutions[1:]])
+    figures = Drive(
+        error_rms=float(np.sqrt(np.mean(table[:, 3] ** 2))), error_max=float(np.max(np.abs(table[:, 3]))),
+        speed_rms=float(np.sqrt(np.mean(table[:, 4] ** 2))), wall_median=float(np.median(wall)),
+        wall_p95=float(np.percentile(wall, 95)), wall_max=float(np.max(wall)), cpu_median=float(np.median(cpu)),
+        cpu_p95=float(np.percentile(cpu, 95)), cpu_max=float(np.max(cpu)),
+        iterations=float(np.median([s.iterations for s in solutions[1:]])), solutions=len(solutions),
+        unsolved=sum(not s.solved for s in solutions), duration=float(plant.time), finished=finished)
+    return figures, table

@@ -1,0 +1,149 @@
+"""Nonlinear model predictive control of a car along a road, with any model of the suite inside.
+
+    min  sum_k  q_n n_k^2 + q_c c_k^2 + q_s s_k^2 + q_v (v_k - v_ref,k)^2 + r_d (d_delta_k)^2 + r_a (d_a_k)^2
+    s.t. x_{k+1} = F(x_k, u_k, h),  u_k = u_{k-1} + d_k,  bounds on u and d
+
+n, s: distance from the reference point across and along the road [m]; c: velocity across the road [m/s]; d: change of
+the inputs from one step to the next. F is `step` of st_core.backends.casadi_backend; multiple shooting.
+"""
+
+from dataclasses import dataclass, field
+from time import perf_counter, process_time
+from typing import NamedTuple
+
+import casadi
+import numpy as np
+from st_core.backends.casadi_backend import build
+from st_core.models import Model
+from st_core.vehicle import VehicleParameters
+
+SOLVERS = {
+    "ipopt": ("ipopt", {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 60,
+                        "ipopt.tol": 1e-4, "ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-3}),
+    "sqp": ("sqpmethod", {"print_time": False, "print_header": False, "print_iteration": False, "print_status": False,
+                          "max_iter": 15, "tol_pr": 1e-4, "tol_du": 1e-3, "qpsol": "hpipm", "error_on_fail": False,
+                          "qpsol_options": {"print_time": False, "error_on_fail": False, "hpipm": {"iter_max": 100}}}),
+}
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Weights [1 / unit^2], limits and the prediction step h [s], which is also the time between two decisions.
+
+    substeps: a car at 3 m/s is too stiff for one Runge-Kutta step of 0.1 s.
+    """
+
+    step: float = 0.1
+    substeps: int = 2
+    across: float = 4.0
+    course: float = 0.4
+    along: float = 0.05
+    speed: float = 1.0
+    steering_change: float = 400.0
+    acceleration_change: float = 0.3
+    angle: float = 0.5
+    angle_change: float = 0.045
+    acceleration: tuple[float, float] = (-5.0, 2.5)
+    acceleration_step: float = 1.0
+
+
+class Reference(NamedTuple):
+    """The road at the end of each step: (steps,) each; x, y [m], yaw of the road [rad], speed [m/s]."""
+
+    x: np.ndarray
+    y: np.ndarray
+    yaw: np.ndarray
+    speed: np.ndarray
+
+
+class Solution(NamedTuple):
+    """inputs: (road_wheel_angle, velocity_x_dot) for the next step. predicted: (steps, states).
+
+    wall, cpu: of the solver [s]. solved: False when it gave up; the inputs are then the last iterate, within bounds.
+    """
+
+    inputs: tuple[float, float]
+    predicted: np.ndarray
+    wall: float
+    cpu: float
+    iterations: int
+    solved: bool
+
+
+@dataclass
+class Controller:
+    """One model, one horizon. Call `control` every `tuning.step` seconds; it starts from its last solution."""
+
+    model: Model
+    vehicle: VehicleParameters
+    steps: int
+    tuning: Tuning = field(default_factory=Tuning)
+    solver: str = "ipopt"
+
+    def __post_init__(self):
+        self.symbolic = build(self.model, self.vehicle, self.tuning.substeps)
+        if self.symbolic.parameters:
+            raise ValueError(f"model {self.model.name} asks for {self.symbolic.parameters[0].name}, which is not known")
+        self._states = len(self.symbolic.states)
+        self._last = (0.0, 0.0)
+        self._guess: np.ndarray | None = None
+        self._duals = None
+        self._make()
+
+    def _make(self) -> None:
+        t, n, steps = self.tuning, self._states, self.steps
+        unknown = casadi.MX.sym("unknown", (2 + n) * steps)
+        given = casadi.MX.sym("given", n + 2 + 4 * steps)
+        rows, road = casadi.reshape(unknown, 2 + n, steps), casadi.reshape(given[n + 2:], 4, steps)
+        x, last, cost, gaps, changes = given[:n], given[n:n + 2], 0.0, [], []
+        for k in range(steps):
+            u, ahead = rows[:2, k], rows[2:, k]
+            gaps.append(self.symbolic.step(x, u, t.step) - ahead)
+            cost += self._stage(ahead, u, road[:, k])
+            change = u - last
+            cost += t.steering_change * change[0] ** 2 + t.acceleration_change * change[1] ** 2
+            changes.append(change)
+            x, last = ahead, u
+        problem = {"x": unknown, "f": cost, "g": casadi.vertcat(*gaps, *changes), "p": given}
+        name, options = SOLVERS[self.solver]
+        self._solve = casadi.nlpsol("mpc", name, problem, {**options, "expand": True})
+        largest = [t.angle_change, t.acceleration_step] * steps
+        self._limits = {"lbg": [0.0] * (n * steps) + [-v for v in largest], "ubg": [0.0] * (n * steps) + largest,
+                        "lbx": [-t.angle, t.acceleration[0], *[-np.inf] * n] * steps,
+                        "ubx": [t.angle, t.acceleration[1], *[np.inf] * n] * steps}
+
+    def _stage(self, x, u, road):
+        t = self.tuning
+        sine, cosine = casadi.sin(road[2]), casadi.cos(road[2])
+        off_x, off_y = x[0] - road[0], x[1] - road[1]
+        rates = self.symbolic.dynamics(x, u)
+        return (t.across * (cosine * off_y - sine * off_x) ** 2 + t.along * (cosine * off_x + sine * off_y) ** 2
+                + t.course * (cosine * rates[1] - sine * rates[0]) ** 2 + t.speed * (x[2] - road[3]) ** 2)
+
+    def control(self, state: tuple[float, ...], road: Reference) -> Solution:
+        """The inputs for the next step from the six states at the CG; yaw and the yaw of the road need no wrapping."""
+        start = self.symbolic.start(state, self._last).full().ravel()
+        if self._guess is None:
+            self._guess = self._rollout(start)
+        p = np.concatenate([start, self._last, np.column_stack(road).ravel()])
+        warm = {"lam_x0": self._duals[0], "lam_g0": self._duals[1]} if self._duals else {}
+        wall, cpu = perf_counter(), process_time()
+        found = self._solve(x0=self._guess.ravel(), p=p, **self._limits, **warm)
+        wall, cpu = perf_counter() - wall, process_time() - cpu
+        rows = found["x"].full().reshape(self.steps, 2 + self._states)
+        statistics = self._solve.stats()
+        if not np.all(np.isfinite(rows)):
+            self._guess, self._duals = None, None
+            return Solution(self._last, np.empty((0, self._states)), wall, cpu, statistics["iter_count"], False)
+        t = self.tuning
+        angle, acceleration = np.clip(rows[0, :2], [-t.angle, t.acceleration[0]], [t.angle, t.acceleration[1]])
+        self._last = float(angle), float(acceleration)
+        self._guess, self._duals = np.vstack([rows[1:], rows[-1]]), (found["lam_x"], found["lam_g"])
+        return Solution(self._last, rows[:, 2:], wall, cpu, statistics["iter_count"], bool(statistics["success"]))
+
+    def _rollout(self, start: np.ndarray) -> np.ndarray:
+        rows, x = [], start
+        for _ in range(self.steps):
+            x = self.symbolic.step(x, self._last, self.tuning.step).full().ravel()
+            rows.append([*self._last, *x])
+        return np.array(rows)
