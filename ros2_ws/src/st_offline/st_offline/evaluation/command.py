@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
@@ -26,18 +25,6 @@ WHAT_IS_WHAT = {
 
 class CommandError(RuntimeError):
     """Nothing can be started; one line for the user."""
-
-
-def results_folder(given: Path | None) -> Path:
-    """A folder that holds nothing yet. Raises CommandError."""
-    folder = given or Path("runs") / f"evaluate-{datetime.now(UTC):%Y%m%d-%H%M%S}"
-    try:
-        if folder.exists() and any(folder.iterdir()):
-            raise CommandError(f"{folder} is not empty: name another --output (nothing is ever overwritten)")
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CommandError(f"{folder}: {error.strerror}") from None
-    return folder.absolute()
 
 
 def run_command(paths: Sequence[Path], task: Task, over: str, vehicle_file: str, workers: int,

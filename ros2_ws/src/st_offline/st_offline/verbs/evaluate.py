@@ -57,8 +57,9 @@ def evaluate(
     from st_core.prediction import PredictionSettings
     from st_core.vehicle import VehicleParameters
 
-    from ..evaluation.command import CommandError, results_folder, run_command
+    from ..evaluation.command import CommandError, run_command
     from ..evaluation.work import Task, load_models
+    from ..output import OutputError, new_folder
     from ..runs import ReadSettings
 
     vehicle = vehicle or config("vehicle/leaf.yaml")
@@ -75,9 +76,9 @@ def evaluate(
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
         )
         load_models(task)
-        task = replace(task, folder=results_folder(output))
+        task = replace(task, folder=new_folder(output, "evaluate"))
         status = run_command(runs, task, table, str(vehicle), workers, scheduler, Console())
-    except (StCoreError, CommandError, UnicodeDecodeError) as error:
+    except (StCoreError, CommandError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st evaluate: {error}", err=True)
         raise typer.Exit(2) from None
     raise typer.Exit(status)

@@ -1,0 +1,126 @@
+"""Predictions and scores in a recording, as arrays: what the live nodes said, and how they were set."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.rosbag2 import ReaderError
+
+from ..runs import RunError
+from ..runs.bag import definitions
+from ..runs.cdr import typestore
+
+PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
+THE_END = ": ends "  # in the evaluator's reason when a signal has no later sample (timeseries.TimeSeries.why_unknown)
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """Of one model: start times (n,) rising, states (n, points, 6) at the CG, step [s], configuration hashes met."""
+
+    starts_ns: np.ndarray
+    states: np.ndarray
+    step: float
+    hashes: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Of one model and mode: start times (n,), errors (n, points, 3), complete (n,).
+
+    cut: (n,) incomplete because the evaluator was ended before the horizon was over.
+    """
+
+    starts_ns: np.ndarray
+    errors: np.ndarray
+    complete: np.ndarray
+    cut: np.ndarray
+
+
+@dataclass(frozen=True)
+class RecordedConfiguration:
+    """What a recording says of the configuration it was made with; None where it does not.
+
+    vehicle: text of the vehicle file. nodes: parameters by node.
+    """
+
+    vehicle: str | None
+    nodes: Mapping[str, Mapping[str, Any]]
+
+
+def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
+    """From the metadata records of a recording (runs.bag.BagDrive.records)."""
+    texts = records.get("configuration", {})
+    try:
+        document = yaml.safe_load(texts.get("parameters.yaml", "")) or {}
+        nodes = {node: dict(section["ros__parameters"]) for node, section in document.items()}
+    except (yaml.YAMLError, AttributeError, KeyError, TypeError):
+        nodes = {}
+    name = Path(str(nodes.get("predictor", {}).get("vehicle_file", ""))).name
+    return RecordedConfiguration(texts.get(name) or texts.get("vehicle"), nodes)
+
+
+def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
+    """By model; empty for a recording without any. Raises RunError for predictions of unequal length."""
+    rows: dict[str, list[tuple[int, np.ndarray]]] = {}
+    steps: dict[str, set[float]] = {}
+    hashes: dict[str, set[str]] = {}
+    for message in _messages([bag], PREDICTION, progress):
+        states = np.stack([message.x, message.y, message.velocity_x, message.velocity_y, message.yaw,
+                           message.yaw_rate], axis=-1)
+        rows.setdefault(message.model, []).append((_nanoseconds(message.header.stamp), states))
+        steps.setdefault(message.model, set()).add(message.step)
+        hashes.setdefault(message.model, set()).add(message.configuration_hash)
+    found = {}
+    for model, entries in rows.items():
+        if len(steps[model]) > 1 or len({len(states) for _, states in entries}) > 1:
+            raise RunError(bag, f"predictions of {model} with different horizons or steps are in it")
+        starts, states = _sorted(entries)
+        found[model] = Predictions(starts, states, steps[model].pop(), frozenset(hashes[model]))
+    return found
+
+
+def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
+    """By model and mode, of all the bags together; one start scored twice is kept once."""
+    rows: dict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool]]] = {}
+    for message in _messages(bags, ERROR, progress):
+        errors = np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1)
+        start_ns = _nanoseconds(message.header.stamp)
+        cut = THE_END in message.incomplete_reason
+        rows.setdefault((message.model, message.mode), {})[start_ns] = errors, message.complete, cut
+    found = {}
+    for key, entries in rows.items():
+        ordered = [entries[start] for start in sorted(entries)]
+        errors, complete, cut = zip(*ordered, strict=True)
+        found[key] = Scores(np.array(sorted(entries), np.int64), np.stack(errors), np.array(complete), np.array(cut))
+    return found
+
+
+def _sorted(entries: Sequence[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    by_start = dict(entries)
+    starts = sorted(by_start)
+    return np.array(starts, np.int64), np.stack([by_start[s] for s in starts])
+
+
+def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None) -> Iterator[Any]:
+    for bag in bags:
+        try:
+            with AnyReader([bag], default_typestore=typestore(definitions())) as reader:
+                wanted = [c for c in reader.connections if c.msgtype == type_name and c.msgcount]
+                total = sum(c.msgcount for c in wanted)
+                for done, (connection, _, raw) in enumerate(reader.messages(connections=wanted) if wanted else (), 1):
+                    yield reader.deserialize(raw, connection.msgtype)
+                    if progress and (done % 50 == 0 or done == total):
+                        progress(done, total)
+        except (AnyReaderError, ReaderError) as error:
+            raise RunError(bag, f"cannot be read as a bag ({' '.join(str(error).split())[:120]})",
+                           "if it was cut off while recording, repair it with `st recover`") from None
+
+
+def _nanoseconds(stamp: Any) -> int:
+    return stamp.sec * 1_000_000_000 + stamp.nanosec

@@ -1,0 +1,172 @@
+"""Live equals offline: what the nodes predicted and scored against the library, start by start, on one recording."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from st_core.errors import ConfigurationError
+from st_core.log_evaluation import EvaluationSettings, evaluate_blocks
+from st_core.log_signals import LogSignals
+from st_core.models import Model, get_model
+from st_core.prediction import PredictionSettings, configuration_hash
+from st_core.vehicle import VehicleParameters
+
+from ..paths import config
+from ..runs import RunError
+from ..runs.bag import BagDrive, is_bag, read_bag
+from .recorded import (
+    Predictions,
+    Progress,
+    RecordedConfiguration,
+    Scores,
+    read_predictions,
+    read_scores,
+    recorded_configuration,
+)
+
+SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
+MODES = ("hindsight", "forecast")
+
+
+@dataclass
+class Comparison:
+    """Of one model. Differences are largest magnitudes: position of any point [m], yaw [rad], error of any point [m].
+
+    n_starts: predictions compared. n_scores: complete scores compared, by mode. n_cut: scores the nodes were ended
+    before; n_disagree: other scores complete on one side only. start: position at the start alone, which tells a
+    different state from a different prediction [m].
+    """
+
+    model: str
+    n_starts: int = 0
+    start: float = 0.0
+    position: float = 0.0
+    yaw: float = 0.0
+    at_ns: int = 0
+    n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))
+    error: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))
+    n_cut: int = 0
+    n_disagree: int = 0
+
+    @property
+    def largest(self) -> float:
+        """The largest difference of a position or an error [m]."""
+        return max(self.position, *self.error.values())
+
+
+@dataclass(frozen=True)
+class Verification:
+    """same_configuration: whether vehicle and settings taken here are those the predictions carry the hash of."""
+
+    comparisons: list[Comparison]
+    vehicle: str
+    same_configuration: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def largest(self) -> float:
+        return max((c.largest for c in self.comparisons), default=0.0)
+
+    @property
+    def n_starts(self) -> int:
+        return sum(c.n_starts for c in self.comparisons)
+
+
+def configuration_of(drive: BagDrive, vehicle: Path | None) -> tuple[VehicleParameters, RecordedConfiguration, str]:
+    """(vehicle, recorded configuration, name of where the vehicle comes from). Raises RunError."""
+    recorded = recorded_configuration(drive.records)
+    if vehicle is None and recorded.vehicle is not None:
+        return VehicleParameters.from_yaml(recorded.vehicle, "the vehicle in the recording"), recorded, "the recording"
+    file = vehicle or config("vehicle/leaf.yaml")
+    try:
+        return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), recorded, str(file)
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(file, f"cannot be read: {error}") from None
+
+
+def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console):
+    """(Outcome, name of the vehicle) of playing a recording with its own configuration; see replaying.replay."""
+    from ..replaying import node_parameters, replay
+
+    car, recorded, _ = configuration_of(read_bag(bag), vehicle)
+    file = folder / "vehicle.yaml"
+    file.write_text(car.to_yaml())
+    return replay(bag, folder, node_parameters(folder, file, recorded), rate, console), car.name
+
+
+def recordings_of(path: Path) -> tuple[Path, list[Path]]:
+    """(the bag with measurements, bags that may hold scores) for a bag, or the folder of a run of st."""
+    bag = path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
+    errors = bag.parent / "errors"
+    return bag, [errors] if is_bag(errors) and errors.is_dir() else [bag]
+
+
+def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = None) -> Verification | None:
+    """Compare every prediction and score in a recording with the library; None where it holds no predictions.
+
+    vehicle: file to take instead of the one in the recording. Raises RunError, ConfigurationError.
+    """
+    bag, score_bags = recordings_of(path)
+    predictions = read_predictions(bag, progress)
+    if not predictions:
+        return None
+    drive = read_bag(bag)
+    car, recorded, source = configuration_of(drive, vehicle)
+    settings = _settings(recorded)
+    scores = read_scores(score_bags, progress)
+    signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
+    comparisons, warnings = [], list(drive.warnings)
+    for name, live in predictions.items():
+        try:
+            model = get_model(name)
+        except ConfigurationError:
+            warnings.append(f"predictions of {name} are not compared: the library has no model of that name")
+            continue
+        of_model = {mode: scores[name, mode] for mode in MODES if (name, mode) in scores}
+        comparisons.append(_compare(model, car, signals, live, of_model, progress))
+    expected = configuration_hash(car, settings)
+    same = all(live.hashes == {expected} for live in predictions.values())
+    return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
+
+
+def _settings(recorded: RecordedConfiguration) -> PredictionSettings:
+    given = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
+    return PredictionSettings(**{key: float(given[key]) for key in SETTINGS if key in given})
+
+
+def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Predictions, scores: Mapping[str, Scores],
+             progress: Progress | None) -> Comparison:
+    horizon = live.step * (live.states.shape[1] - 1)
+    settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=live.step, minimum_speed=0.0))
+    result = Comparison(model.name)
+    for rows, block in evaluate_blocks([model], car, signals, live.starts_ns, settings):
+        ours, theirs = block.trajectories[model.name, "forecast"], live.states[rows]
+        known = np.isfinite(ours).all(axis=(1, 2)) & np.isfinite(theirs).all(axis=(1, 2))
+        distance = np.hypot(ours[known][..., 0] - theirs[known][..., 0], ours[known][..., 1] - theirs[known][..., 1])
+        result.n_starts += int(known.sum())
+        if distance.size:
+            if distance.max() > result.position:
+                result.at_ns = int(live.starts_ns[rows][known][distance.max(axis=1).argmax()])
+            result.position = max(result.position, float(distance.max()))
+            result.start = max(result.start, float(distance[:, 0].max()))
+            result.yaw = max(result.yaw, float(np.abs(ours[known][..., 4] - theirs[known][..., 4]).max()))
+        for mode, scored in scores.items():
+            _compare_scores(result, mode, scored, live.starts_ns[rows], block.errors[model.name, mode])
+        if progress:
+            progress(rows.stop, len(live.starts_ns))
+    return result
+
+
+def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np.ndarray, ours: np.ndarray) -> None:
+    _, mine, theirs = np.intersect1d(starts_ns, scored.starts_ns, assume_unique=True, return_indices=True)
+    complete = np.isfinite(ours[mine]).all(axis=(1, 2))
+    both = complete & scored.complete[theirs]
+    cut = complete & scored.cut[theirs]
+    result.n_cut += int(cut.sum())
+    result.n_disagree += int(((complete != scored.complete[theirs]) & ~cut).sum())
+    result.n_scores[mode] += int(both.sum())
+    if both.any():
+        difference = np.abs(ours[mine][both][..., :2] - scored.errors[theirs][both][..., :2])
+        result.error[mode] = max(result.error[mode], float(difference.max()))

@@ -1,0 +1,1 @@
+"""Processes of st that speak ROS."""

@@ -1,0 +1,36 @@
+"""`st replay`: a recording through the real nodes."""
+
+from pathlib import Path
+
+import typer
+
+
+def replay(
+    bag: Path = typer.Argument(..., help="A recording with odometry and steering (rosbag2).", exists=True),
+    rate: float = typer.Option(1.0, help="Times as fast as it was recorded.", min=0.05, max=100.0),
+    fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator follow."),
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file; default the one in the recording, else config/vehicle/leaf.yaml.", exists=True,
+        dir_okay=False
+    ),
+    output: Path | None = typer.Option(None, help="Folder of the run; default runs/replay-<time>."),
+) -> None:
+    """Play a recording through predictor, evaluator and recorder on its own clock; record what they say now."""
+    # Imported when it runs: the ROS libraries take a second that `st --help` need not wait.
+    from rich.console import Console
+
+    from ..evaluation.verification import replay_bag
+    from ..output import OutputError, new_folder
+    from ..report import conclude
+    from ..runs import RunError
+    from ..suite import SuiteError
+
+    console = Console()
+    try:
+        folder = new_folder(output, f"replay-{bag.stem}")
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console)
+    except (RunError, SuiteError, OutputError) as error:
+        typer.echo(f"st replay: {error}", err=True)
+        raise typer.Exit(1) from None
+    about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name}
+    raise typer.Exit(conclude(folder, outcome, about, console))

@@ -1,0 +1,37 @@
+"""`st verify`: live equals offline."""
+
+from pathlib import Path
+
+import typer
+
+TOLERANCE = 0.001  # m
+
+
+def verify(
+    bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file; default the one in the recording.", exists=True, dir_okay=False
+    ),
+    tolerance: float = typer.Option(TOLERANCE, help="m; the largest difference that passes.", min=0.0),
+    again: bool = typer.Option(False, "--replay", help="Play it through the nodes, and compare what they say now."),
+    output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
+) -> None:
+    """Compare every prediction and score of the nodes with the library on the same measurements, start by start.
+
+    A recording without predictions is played through the nodes first. Exit status: 0 all within the tolerance, 1 not,
+    2 nothing to compare.
+    """
+    from rich.console import Console
+    from st_core.errors import StCoreError
+
+    from ..evaluation.verify_command import verify_command
+    from ..output import OutputError
+    from ..runs import RunError
+    from ..suite import SuiteError
+
+    try:
+        status = verify_command(bag, vehicle, tolerance, again, output, Console())
+    except (RunError, StCoreError, SuiteError, OutputError) as error:
+        typer.echo(f"st verify: {error}", err=True)
+        raise typer.Exit(2) from None
+    raise typer.Exit(status)
