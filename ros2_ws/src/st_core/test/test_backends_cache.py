@@ -1,0 +1,195 @@
+"""Compiled kernels across processes: found again, never stale, in any place that may be written to or in none."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import st_core
+from st_core.backends import has_numba, structure
+
+pytestmark = pytest.mark.skipif(not has_numba(), reason="numba is not installed")
+
+PROGRAM = """
+import sys
+import numpy as np
+from pathlib import Path
+from st_core.augmented import augment
+from st_core.backends import numba_lanes as lanes
+from st_core.effects import load_folder
+from st_core.vehicle import VehicleParameters
+base, effects = sys.argv[2], sys.argv[3:]
+for folder in [e for e in effects if "/" in e]:
+    effects += load_folder(folder)
+    effects.remove(folder)
+car = VehicleParameters.from_yaml(Path(sys.argv[1]).read_text())
+model = augment(base, effects)
+p = model.parameters(car)
+w = np.array([np.full(lanes.LANES, float(f)) for f in model.inputs(0.05, 0.1, p)])
+start = np.tile([[0.0], [0.0], [12.0], [0.1], [0.2], [0.3]], lanes.LANES)
+out = lanes.advance(model, p, start, w, np.zeros(41, int), 0.05, np.array([20]))
+kernel, = lanes._compiled.values()
+print(sum(kernel.stats.cache_hits.values()), float(out[0, 5, 0]).hex(), kernel._cache.cache_path)
+"""
+
+
+class Install:
+    """A copy of the package that may be edited, with a home of its own."""
+
+    def __init__(self, folder: Path):
+        self.package = folder / "site" / "st_core"
+        shutil.copytree(Path(st_core.__file__).parent, self.package, ignore=shutil.ignore_patterns("__pycache__"))
+        self.home = folder / "home"
+        self.home.mkdir()
+        self.car = folder / "car.yaml"
+        self.environment = {key: value for key, value in os.environ.items()
+                            if key not in ("XDG_CACHE_HOME", "PYTHONPATH") and not key.startswith("NUMBA_")}
+
+    def run(self, *model, **changes):
+        """(found in the cache, result, folder of the kernel or None) of a fresh process."""
+        environment = {**self.environment, "PYTHONPATH": str(self.package.parent), "HOME": str(self.home),
+                       "PYTHONDONTWRITEBYTECODE": "1", **changes}
+        done = subprocess.run([sys.executable, "-c", PROGRAM, str(self.car), *model], env=environment, check=True,
+                              capture_output=True, text=True, cwd=self.home)
+        hits, result, folder = done.stdout.split()
+        return int(hits) > 0, float.fromhex(result), None if folder == "None" else Path(folder)
+
+    def edit(self, file, old, new):
+        path = self.package / file
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+
+    def kept(self):
+        """All files of compiled code, with their content."""
+        return {path: path.read_bytes() for path in self.package.parent.rglob("*.nb[ci]")}
+
+
+@pytest.fixture
+def install(tmp_path, leaf):
+    copy = Install(tmp_path)
+    copy.car.write_text(leaf.to_yaml())
+    return copy
+
+
+def test_a_second_process_finds_the_kernel(install):
+    found, result, folder = install.run("linear")
+    assert not found and folder.is_relative_to(install.package / "backends" / "__pycache__" / "kernels")
+    kept = install.kept()
+    assert len(kept) == 2  # index and code
+    assert install.run("linear") == (True, result, folder)
+    assert install.kept() == kept
+
+
+@pytest.mark.slow
+def test_other_models_and_values_have_kernels_of_their_own(install):
+    _, plain, _ = install.run("linear")
+    found, offset, _ = install.run("linear", "steering_offset", "road_bank")
+    assert not found and offset != plain
+    assert install.run("linear", "steering_offset", "road_bank")[:2] == (True, offset)
+    assert install.run("linear")[:2] == (True, plain)
+    # The value of an effect is an argument of the kernel, not a part of it.
+    install.edit("effects/steering_offset.py", "initial=", "initial=0.5 * ")
+    found, halved, _ = install.run("linear", "steering_offset", "road_bank")
+    assert halved not in (offset, plain)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("file", "old", "new"), [
+    ("models/_dynamic.py", "slip_angle(velocity_y - p.", "slip_angle(velocity_y - 1.1 * p."),
+    ("tyres.py", "GRAVITY = 9.81", "GRAVITY = 9.0"),  # a number, used by the effect in another file
+    ("effects/road_bank.py", "zero - GRAVITY * sin(", "zero - 2.0 * GRAVITY * sin("),
+    ("composition.py", "velocity_y + a_y", "velocity_y - a_y"),
+    ("backends/numba_ops.py", "S2, S3 = -0.16666666666666666, ", "S2, S3 = -0.15, "),
+])
+def test_editing_any_equation_or_effect_makes_it_anew(install, file, old, new):
+    model = ("linear", "road_bank")
+    _, before, _ = install.run(*model)
+    install.edit(file, old, new)
+    found, after, _ = install.run(*model)
+    assert not found and after != before
+    install.edit(file, new, old)
+    assert install.run(*model)[:2] == (True, before)
+
+
+@pytest.mark.slow
+def test_editing_an_effect_of_the_user_makes_it_anew(install, tmp_path):
+    folder = tmp_path / "own"
+    folder.mkdir()
+    source = (install.package / "effects" / "road_bank.py").read_text().replace("from ..", "from st_core.")
+    source = source.replace("from ._base", "from st_core.effects").replace('"road_bank"', '"my_bank"')
+    (folder / "my_bank.py").write_text(source)
+    (folder / "_helper.py").write_text("")
+    _, before, _ = install.run("linear", str(folder))
+    assert install.run("linear", str(folder))[:2] == (True, before)
+    (folder / "my_bank.py").write_text(source.replace("zero - GRAVITY * sin(", "zero - 2.0 * GRAVITY * sin("))
+    found, after, _ = install.run("linear", str(folder))
+    assert not found and after != before
+
+
+def test_where_the_package_cannot_be_written_the_user_has_a_cache(install):
+    # Root may write anywhere, but not make a folder inside a file.
+    (install.package / "backends" / "__pycache__").write_text("")
+    found, result, folder = install.run("kinematic")
+    assert not found and folder.is_relative_to(install.home / ".cache" / "st_core")
+    assert install.run("kinematic")[:2] == (True, result)
+    other = install.home / "elsewhere"
+    assert install.run("kinematic", XDG_CACHE_HOME=str(other))[2].is_relative_to(other)
+    given = install.home / "given"
+    assert install.run("kinematic", NUMBA_CACHE_DIR=str(given))[2].is_relative_to(given)
+
+
+def test_an_edited_equation_is_never_run_from_the_cache(install):
+    _, before, _ = install.run("linear")
+    install.edit("tyres.py", "return -cornering_stiffness * slip", "return -1.1 * cornering_stiffness * slip")
+    found, after, _ = install.run("linear")
+    assert not found and after != before
+
+
+def test_where_nothing_can_be_written_it_works_without_a_cache(install):
+    (install.package / "backends" / "__pycache__").write_text("")
+    found, result, folder = install.run("kinematic", HOME="/dev/null")
+    assert not found and folder is None
+    assert install.run("kinematic", HOME="/dev/null") == (False, result, None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["nbc", "nbi"])
+def test_a_damaged_cache_costs_time_only(install, kind):
+    _, result, folder = install.run("kinematic")
+    file, = folder.glob(f"*.{kind}")
+    file.write_bytes(file.read_bytes()[:-100] if kind == "nbc" else b"")
+    assert install.run("kinematic")[1] == result
+
+
+@pytest.mark.slow
+def test_what_was_not_used_for_long_is_deleted(install):
+    _, _, folder = install.run("kinematic")
+    used = folder.parent  # numba adds a level
+    old = used.parent / "old"
+    old.mkdir()
+    os.utime(old, (0, 0))
+    install.run("kinematic")
+    assert not old.exists() and used.exists()
+
+
+def test_a_function_is_more_than_its_file():
+    def make(factor, inner):
+        def outer(x):
+            return factor * inner(x)
+        return outer
+
+    def double(x):
+        return x + x
+
+    def square(x):
+        return x * x
+
+    prints = [structure.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
+    assert len(set(prints)) == 3
+    assert structure.fingerprint(make(1.0, double)) == prints[0]
+    assert [f.__name__ for f in structure.reachable(make(1.0, double))] == ["double", "outer"]
+    with pytest.raises(structure.Unnamed):
+        structure.fingerprint(make(object(), double))
