@@ -106,6 +106,7 @@ def test_time_in_columns_is_the_bridges() -> None:
     columns["gps_month"][:50] = random.integers(0, 99, 50)
     columns["gps_day"][50:100] = random.integers(0, 99, 50)
     columns["gps_hour"][100:120] = 77
+    columns["gps_century"][120:150] = random.integers(0, 255, 30)
     rows = [{name: column[k] for name, column in columns.items()} for k in range(n)]
     np.testing.assert_allclose(with_unix_time(columns)["ins_unix_time"], [gps_time.from_date_time(r) for r in rows],
                                atol=1e-6)

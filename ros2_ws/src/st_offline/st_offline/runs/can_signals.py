@@ -137,7 +137,7 @@ def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
 
 def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndarray:
     """Days since 1970-01-01, NaN where there is no such day."""
-    possible = (year >= 1) & (month >= 1) & (month <= 12) & (day >= 1)
+    possible = (year >= 1) & (year <= 9999) & (month >= 1) & (month <= 12) & (day >= 1)
     months = (np.where(possible, year, 1970) - 1970) * 12 + np.where(possible, month, 1) - 1
     first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
     following = (months + 1).astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
