@@ -20,10 +20,13 @@ from st_core.vehicle import VehicleParameters
 SOLVERS = {
     "ipopt": ("ipopt", {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 60,
                         "ipopt.tol": 1e-4, "ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-3}),
-    "sqp": ("sqpmethod", {"print_time": False, "print_header": False, "print_iteration": False, "print_status": False,
-                          "max_iter": 15, "tol_pr": 1e-4, "tol_du": 1e-3, "qpsol": "hpipm", "error_on_fail": False,
-                          "qpsol_options": {"print_time": False, "error_on_fail": False, "hpipm": {"iter_max": 100}}}),
+    "rti": ("sqpmethod", {"print_time": False, "print_header": False, "print_iteration": False, "print_status": False,
+                          "max_iter": 1, "max_iter_ls": 0, "error_on_fail": False, "qpsol": "qrqp",
+                          "qpsol_options": {"print_time": False, "print_iter": False, "print_header": False,
+                                            "print_info": False, "error_on_fail": False}}),
 }
+"""ipopt: solved to the end at each step. rti, real-time iteration: one quadratic program at each step (SQP with
+qrqp, Hessian of Gauss and Newton, whole steps), the next step goes on from there."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,8 @@ class Reference(NamedTuple):
 class Solution(NamedTuple):
     """inputs: (road_wheel_angle, velocity_x_dot) for the next step. predicted: (steps, states).
 
-    wall, cpu: of the solver [s]. solved: False when it gave up; the inputs are then the last iterate, within bounds.
+    wall, cpu: of the solver [s]. solved: False when it gave up, or for rti, found nothing finite; the inputs are then
+    the last iterate, or the last inputs.
     """
 
     inputs: tuple[float, float]
@@ -95,30 +99,44 @@ class Controller:
         unknown = casadi.MX.sym("unknown", (2 + n) * steps)
         given = casadi.MX.sym("given", n + 2 + 4 * steps)
         rows, road = casadi.reshape(unknown, 2 + n, steps), casadi.reshape(given[n + 2:], 4, steps)
-        x, last, cost, gaps, changes = given[:n], given[n:n + 2], 0.0, [], []
+        x, last, residuals, gaps, changes = given[:n], given[n:n + 2], [], [], []
         for k in range(steps):
             u, ahead = rows[:2, k], rows[2:, k]
             gaps.append(self.symbolic.step(x, u, t.step) - ahead)
-            cost += self._stage(ahead, u, road[:, k])
             change = u - last
-            cost += t.steering_change * change[0] ** 2 + t.acceleration_change * change[1] ** 2
+            weights = casadi.vertcat(t.steering_change ** 0.5, t.acceleration_change ** 0.5)
+            residuals += [self._stage(ahead, u, road[:, k]), weights * change]
             changes.append(change)
             x, last = ahead, u
-        problem = {"x": unknown, "f": cost, "g": casadi.vertcat(*gaps, *changes), "p": given}
+        residuals = casadi.vertcat(*residuals)
+        problem = {"x": unknown, "f": casadi.sumsqr(residuals), "g": casadi.vertcat(*gaps, *changes), "p": given}
         name, options = SOLVERS[self.solver]
+        if self.solver == "rti":
+            options = {**options, "hess_lag": self._gauss_newton(unknown, given, residuals, problem["g"])}
         self._solve = casadi.nlpsol("mpc", name, problem, {**options, "expand": True})
         largest = [t.angle_change, t.acceleration_step] * steps
         self._limits = {"lbg": [0.0] * (n * steps) + [-v for v in largest], "ubg": [0.0] * (n * steps) + largest,
                         "lbx": [-t.angle, t.acceleration[0], *[-np.inf] * n] * steps,
                         "ubx": [t.angle, t.acceleration[1], *[np.inf] * n] * steps}
 
+    @staticmethod
+    def _gauss_newton(unknown, given, residuals, constraints):
+        """2 J' J in place of the second derivatives: never indefinite, so every quadratic program has a minimum."""
+        jacobian = casadi.jacobian(residuals, unknown)
+        scale, multipliers = casadi.MX.sym("scale"), casadi.MX.sym("multipliers", constraints.numel())
+        return casadi.Function("hessian", [unknown, given, scale, multipliers],
+                               [2.0 * scale * casadi.mtimes(jacobian.T, jacobian)],
+                               ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"]).expand()
+
     def _stage(self, x, u, road):
         t = self.tuning
         sine, cosine = casadi.sin(road[2]), casadi.cos(road[2])
         off_x, off_y = x[0] - road[0], x[1] - road[1]
         rates = self.symbolic.dynamics(x, u)
-        return (t.across * (cosine * off_y - sine * off_x) ** 2 + t.along * (cosine * off_x + sine * off_y) ** 2
-                + t.course * (cosine * rates[1] - sine * rates[0]) ** 2 + t.speed * (x[2] - road[3]) ** 2)
+        return casadi.vertcat(t.across ** 0.5 * (cosine * off_y - sine * off_x),
+                              t.along ** 0.5 * (cosine * off_x + sine * off_y),
+                              t.course ** 0.5 * (cosine * rates[1] - sine * rates[0]),
+                              t.speed ** 0.5 * (x[2] - road[3]))
 
     def control(self, state: tuple[float, ...], road: Reference) -> Solution:
         """The inputs for the next step from the six states at the CG; yaw and the yaw of the road need no wrapping."""
@@ -139,7 +157,8 @@ class Controller:
         angle, acceleration = np.clip(rows[0, :2], [-t.angle, t.acceleration[0]], [t.angle, t.acceleration[1]])
         self._last = float(angle), float(acceleration)
         self._guess, self._duals = np.vstack([rows[1:], rows[-1]]), (found["lam_x"], found["lam_g"])
-        return Solution(self._last, rows[:, 2:], wall, cpu, statistics["iter_count"], bool(statistics["success"]))
+        return Solution(self._last, rows[:, 2:], wall, cpu, statistics["iter_count"],
+                        self.solver == "rti" or bool(statistics["success"]))
 
     def _rollout(self, start: np.ndarray) -> np.ndarray:
         rows, x = [], start

@@ -1,0 +1,79 @@
+"""Figures of the example, in the house style."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from matplotlib.lines import Line2D
+from st_offline.style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
+
+MARKER = {"rti": "o", "ipopt": "s"}
+SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to the end"}
+
+
+def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> None:
+    """Tracking error against processor time: a line per model and solver, a point per horizon."""
+    with plt.rc_context(RC):
+        figure, axes = plt.subplots(1, len(titles), figsize=(3.6 * len(titles) + 0.6, 3.9), squeeze=False, sharey=True)
+        for axis, (road, title) in zip(axes[0], titles.items(), strict=True):
+            here = [row for row in rows if row["road"] == road]
+            for solver, model in dict.fromkeys((row["solver"], row["model"]) for row in here):
+                _line(axis, [r for r in here if (r["solver"], r["model"]) == (solver, model)], solver, model)
+            axis.set(title=title, xscale="log", yscale="log", xlabel="processor time per solution, median [ms]")
+        axes[0][0].set_ylabel("distance from the road, rms [m]")
+        _legend(figure, rows)
+        figure.savefig(file)
+        plt.close(figure)
+
+
+def _line(axis, rows: list[dict], solver: str, model: str) -> None:
+    colour = MODEL_COLOUR.get(model, MEASURED_COLOUR)
+    done = [row for row in rows if row["finished"]]
+    axis.plot([r["cpu_median"] for r in done], [r["error_rms"] for r in done], color=colour, linewidth=1.0,
+              linestyle=MODEL_LINE.get(model, "solid"), zorder=2)
+    for row in rows:
+        size = 16.0 + 22.0 * row["horizon"]
+        face = colour if row["finished"] else "white"
+        shape = MARKER[solver] if row["finished"] else "X"
+        axis.scatter(row["cpu_median"], row["error_rms"], s=size, marker=shape, facecolor=face, edgecolor=colour,
+                     linewidth=1.0, alpha=0.9, zorder=3)
+
+
+def _legend(figure, rows: list[dict]) -> None:
+    entries = [Line2D([], [], color=MODEL_COLOUR.get(model, MEASURED_COLOUR), linestyle=MODEL_LINE.get(model, "solid"),
+                      label=model) for model in dict.fromkeys(row["model"] for row in rows)]
+    entries += [Line2D([], [], color=MEASURED_COLOUR, marker=MARKER[solver], linestyle="none",
+                       label=SOLVER_NAME[solver]) for solver in dict.fromkeys(row["solver"] for row in rows)]
+    entries += [Line2D([], [], color=MEASURED_COLOUR, marker="o", linestyle="none", markersize=(16 + 22 * h) ** 0.5,
+                       label=f"horizon {h:g} s") for h in sorted({row["horizon"] for row in rows})]
+    if any(not row["finished"] for row in rows):
+        entries.append(Line2D([], [], color=MEASURED_COLOUR, marker="X", markerfacecolor="white", linestyle="none",
+                              label="left the road"))
+    figure.legend(handles=entries, loc="outside lower center", ncols=min(5, len(entries)))
+
+
+def draw_paths(tables: Mapping[tuple, np.ndarray], titles: Mapping[str, str], file: Path) -> None:
+    """Distance from the road over time, for the shortest and the longest horizon."""
+    horizons = sorted({key[3] for key in tables})
+    shown = list(dict.fromkeys((horizons[0], horizons[-1])))
+    solver = next(key[1] for key in tables)
+    with plt.rc_context(RC):
+        figure, axes = plt.subplots(len(titles), len(shown), figsize=(8.4, 2.1 * len(titles) + 0.6), squeeze=False,
+                                    sharex="row", sharey="row")
+        for line, (road, title) in zip(axes, titles.items(), strict=True):
+            for axis, horizon in zip(line, shown, strict=True):
+                for (at, by, model, ahead), table in tables.items():
+                    if (at, by, ahead) == (road, solver, horizon):
+                        axis.plot(table[:, 0], table[:, 3], color=MODEL_COLOUR.get(model, MEASURED_COLOUR),
+                                  linestyle=MODEL_LINE.get(model, "solid"), label=model)
+                axis.set_title(f"{title}; horizon {horizon:g} s")
+            line[0].set_ylabel("left of the road [m]")
+        for axis in axes[-1]:
+            axis.set_xlabel("time [s]")
+        axes[0][0].legend()
+        figure.savefig(file)
+        plt.close(figure)

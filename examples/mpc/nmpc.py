@@ -1,0 +1,108 @@
+"""Which model does a controller need, and how far ahead must it look? Path following with each of them, measured.
+
+    ./st shell -- python examples/mpc/nmpc.py                     all of it, about two minutes
+    ./st shell -- python examples/mpc/nmpc.py --quick             one road, two horizons, seconds
+    ./st shell -- python examples/mpc/nmpc.py --model model.yaml  a fitted model beside the three
+
+Writes drives.json, trade_off.png and paths.png. docs/mpc.md explains the result.
+"""
+
+import argparse
+import json
+import platform
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from closed_loop import Drive, drive
+from controller import SOLVERS, Controller, Tuning
+from drawing import draw_paths, draw_trade_off
+from st_core.errors import StCoreError
+from st_core.vehicle import VehicleParameters
+from st_offline.model_export import load_model
+from st_offline.output import new_folder
+from st_offline.paths import config
+from st_sim.car import read_car
+from st_sim.errors import SimulationError
+from st_sim.path import lane_shift, straight
+from st_sim.scenarios import Plan, RoadPlan, load
+from st_sim.settings import resolve
+
+MODELS = ["kinematic", "linear", "nonlinear"]
+HORIZONS = [0.5, 1.0, 2.0, 3.0]
+
+
+def lane_change_at_the_limit() -> Plan:
+    """The double lane change of the scenarios at 15 m/s: 7 m/s^2 where tyres of this car give 8."""
+    speed = 15.0
+    return RoadPlan([*straight(40, speed), *lane_shift(3.5, 30, speed), *straight(25, speed),
+                     *lane_shift(-3.5, 30, speed), *straight(35, speed)])
+
+
+ROADS: dict[str, tuple[Callable[[], Plan], float, str]] = {
+    "S6": (lambda: load("S6"), 30.0, "S6: U-turns, 4 to 6 m/s"),
+    "lane_change": (lambda: load("lane_change"), 13.0, "double lane change, 12 m/s"),
+    "lane_change_limit": (lane_change_at_the_limit, 10.0, "double lane change, 15 m/s"),
+}
+
+
+def main() -> int:
+    options = _arguments()
+    try:
+        folder = new_folder(options.output, "mpc")
+        vehicle = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
+        car, settings = read_car(options.vehicle), resolve(options.plant)
+        models = {}
+        for name in options.model:
+            model, own = load_model(name, vehicle, str(options.vehicle))
+            models[model.name] = model, own
+    except (OSError, StCoreError, SimulationError) as error:
+        print(f"nmpc.py: {error}", file=sys.stderr)
+        return 2
+    tuning, rows, tables = Tuning(), [], {}
+    for road in options.road:
+        plan_of, duration, _ = ROADS[road]
+        for solver in options.solver:
+            for name, (model, own) in models.items():
+                for horizon in options.horizon:
+                    controller = Controller(model, own, round(horizon / tuning.step), tuning, solver)
+                    figures, table = drive(controller, car, settings, plan_of(), duration)
+                    rows.append({"road": road, "solver": solver, "model": name, "horizon": horizon,
+                                 **figures.as_dict()})
+                    tables[road, solver, name, horizon] = table
+                    print(_line(rows[-1], figures), flush=True)
+    document = {"plant": options.plant, "vehicle": vehicle.hash, "tuning": vars(tuning), "python":
+                platform.python_version(), "machine": platform.machine(), "drives": rows}
+    (folder / "drives.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    titles = {road: ROADS[road][2] for road in options.road}
+    draw_trade_off(rows, titles, folder / "trade_off.png")
+    draw_paths(tables, titles, folder / "paths.png")
+    print(folder)
+    return 0
+
+
+def _line(row: dict, figures: Drive) -> str:
+    end = "" if figures.finished else f"   left the road after {figures.duration:.1f} s"
+    return (f"{row['road']:18} {row['solver']:6} {row['model']:10} {row['horizon']:4.1f} s   "
+            f"error {figures.error_rms:6.3f} rms {figures.error_max:6.3f} max m   "
+            f"cpu {figures.cpu_median:6.2f} median {figures.cpu_p95:6.2f} p95 ms   unsolved {figures.unsolved}{end}")
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--model", nargs="+", default=MODELS, help="names or model files (.yaml)")
+    parser.add_argument("--horizon", nargs="+", type=float, default=HORIZONS, help="s")
+    parser.add_argument("--road", nargs="+", choices=ROADS, default=list(ROADS))
+    parser.add_argument("--solver", nargs="+", choices=SOLVERS, default=list(SOLVERS))
+    parser.add_argument("--plant", default="realistic", help="ideal, realistic or a YAML file, as of virtual_leaf")
+    parser.add_argument("--vehicle", type=Path, default=config("vehicle/leaf.yaml"))
+    parser.add_argument("--output", type=Path, help="folder; default runs/mpc-<time>")
+    parser.add_argument("--quick", action="store_true", help="lane change, 1 and 2 s, rti only")
+    options = parser.parse_args()
+    if options.quick:
+        options.road, options.horizon, options.solver = ["lane_change"], [1.0, 2.0], ["rti"]
+    return options
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
