@@ -15,6 +15,7 @@ from .errors import ConfigurationError, StCoreError
 from .filtering import NANOSECOND
 from .model_view import ModelView
 from .models import Model, get_model
+from .stability import warn_if_too_long
 from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 
@@ -70,19 +71,21 @@ def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings,
 
 
 def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState, inputs: ControlInput | InputSequence,
-            horizon: float = 5.0, step: float = 0.05) -> Trajectory:
+            horizon: float = 5.0, step: float = 0.05, substeps: int = 1) -> Trajectory:
     """Trajectory of one model from one state: RK4 with a fixed step.
 
     inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
-    horizon, step [s]: horizon a whole number of steps. Returns steps + 1 states, the start first.
+    horizon, step [s]: horizon a whole number of steps. Returns steps + 1 states, the start first. substeps: >= 1, into
+    which each step is divided, inputs straight between those given; see `stability` for when one is not enough.
     NaN in the state or an input gives NaN from there on; a step too long for the stiffness at hand gives large or
     non-finite numbers, never an exception. Raises StCoreError for inputs of the wrong length.
     """
     model = get_model(model)
     p = model.parameters(vehicle)
-    grid = _grid(model, p, inputs, step_count(horizon, step))
+    grid = _grid(model, p, inputs, step_count(horizon, step), substeps)
     start = model.start_state(state.as_tuple(), grid[0], p)
-    return Trajectory(step, _six(np.array(integrate.rk4(model.rhs, start, grid, p, step))))
+    states = integrate.rk4(model.rhs, start, grid, p, step / substeps)[::substeps]
+    return Trajectory(step, _six(np.array(states)))
 
 
 def _six(states: np.ndarray) -> np.ndarray:
@@ -90,16 +93,21 @@ def _six(states: np.ndarray) -> np.ndarray:
     return states if states.shape[-1] == len(STATE_NAMES) else np.ascontiguousarray(states[..., :len(STATE_NAMES)])
 
 
-def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int) -> list[tuple]:
+def _grid(model: Model, p: Any, inputs: ControlInput | InputSequence, steps: int, substeps: int) -> list[tuple]:
     if isinstance(inputs, ControlInput):
         _signals(model, {})
-        return [model.inputs(float(inputs.road_wheel_angle), float(inputs.velocity_x_dot), p)] * (2 * steps + 1)
+        w = model.inputs(float(inputs.road_wheel_angle), float(inputs.velocity_x_dot), p)
+        return [w] * (2 * steps * substeps + 1)
     signals = _signals(model, inputs.signals)
     named = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot, **signals}
-    angle, acceleration, *others = (np.asarray(a, float) for a in named.values())
-    for name, values in zip(named, (angle, acceleration, *others), strict=True):
+    sampled = [np.asarray(a, float) for a in named.values()]
+    for name, values in zip(named, sampled, strict=True):
         if values.shape != (2 * steps + 1,):
             raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},): half-step grid of {steps} steps")
+    if substeps > 1:
+        finer = np.arange(2 * steps * substeps + 1) / substeps
+        sampled = [np.interp(finer, np.arange(2 * steps + 1), values) for values in sampled]
+    angle, acceleration, *others = sampled
     with np.errstate(all="ignore"):
         fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *others)]
     return list(zip(*fields, strict=True))
@@ -178,6 +186,7 @@ class Predictor:
         for model in found:
             if model.signals:
                 raise ConfigurationError(f"model {model.name}: needs {model.signals[0]}, which is not measured live")
+            warn_if_too_long(model, vehicle, [self.settings.minimum_speed], self.settings.step)
         span = max(self.SPAN, 2.0 * self.settings.stale_after + 2.0 * self.settings.maximum_gap)
         span = ModelView.span(found, span)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)

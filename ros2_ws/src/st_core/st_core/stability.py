@@ -1,8 +1,8 @@
 """Whether the integration step is short enough for the stiffness and the speed at hand.
 
 The lateral dynamics of a car become stiffer as it slows down: the damping goes with C / (m v). Under classical
-Runge-Kutta a mode with eigenvalue s is damped as long as |R(h s)| <= 1; beyond that a prediction diverges although the
-car would not. minimum_slip_speed is the models' own floor to that: below it the stiffness stays what it is there.
+Runge-Kutta a mode with eigenvalue s is damped as long as |R(h s)| <= 1; beyond that a prediction rings, diverges or
+settles in the wrong place, although the car would not. minimum_slip_speed is the models' own floor to that: below it the stiffness stays what it is there.
 """
 
 import warnings
@@ -57,7 +57,7 @@ def growth(model: str | Model, vehicle: VehicleParameters, speed: float, step: f
 def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
     """The speed [m/s] above which steps of `step` [s] are stable; 0 when they are at all speeds, inf when at none.
 
-    With minimum_slip_speed set low, RK4 at 50 ms needs 2.65 m/s for the Leaf and 3.97 m/s for the Genesis.
+    With minimum_slip_speed set low, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
     """
     speeds = np.geomspace(FASTEST, 0.05, 200)
     unstable = [growth(model, vehicle, v, step) > 1.0 for v in speeds]
@@ -97,5 +97,5 @@ def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Ite
     above = lowest_stable_speed(model, vehicle, step)
     warnings.warn(
         f"{model.name} model of {vehicle.name}: integration steps of {step * 1e3:g} ms are too long at {worst:.2f} m/s,"
-        f" predictions diverge; stable above {above:.2f} m/s, or with substeps={enough}",
+        f" the lateral motion comes out wrong; stable above {above:.2f} m/s, or with substeps={enough}",
         StepTooLongWarning, stacklevel=3)
