@@ -28,7 +28,8 @@ class Score:
     mode: forecast = the trajectory as issued, inputs held; hindsight = re-simulated from the same start with the
     measured inputs (the paper's protocol). start_ns: measured_at of the start [ns]. horizon: [s] after it, 0 first.
     longitudinal [m]: + predicted ahead, lateral [m]: + predicted to the left, both along the measured heading at each
-    point; yaw [rad] in [-pi, pi): + predicted further to the left. NaN where not scored.
+    point; yaw [rad] in [-pi, pi): + predicted further to the left. NaN where not scored: no measured position, or in
+    hindsight an input up to there that was not measured.
     *_mean: mean over all points of the horizon, the start included; NaN unless complete.
     """
 
@@ -183,15 +184,18 @@ class Evaluator:
         no_position = self._why("INS", self.history.ins, times[::2], measured[0], start_ns)
         no_inputs = (self._why("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
                      or self._why("steering", self.history.steering, times, angle, start_ns))
+        # The same points for every model: without the last input some still have a finite last position.
+        scorable = inputs.known_so_far[::2]
         scores = []
         for pending in group:
             view = self.view(pending.model)
             known = inputs if view.plain else view.measured(times)
             again = predict(view.model, self.vehicle, pending.start, known, steps * step, step)
             issued = pending.trajectory
-            for mode, trajectory, reason in (("forecast", issued, no_position), ("hindsight", again, no_inputs)):
+            for mode, trajectory, scored, reason in (("forecast", issued, True, no_position),
+                                                     ("hindsight", again, scorable, no_inputs)):
                 shown = view.shown(trajectory)
-                errors = pose_errors(shown.x, shown.y, shown.yaw, *measured)
+                errors = [np.where(scored, e, math.nan) for e in pose_errors(shown.x, shown.y, shown.yaw, *measured)]
                 scores.append(make_score(pending.model, mode, start_ns, step, errors, reason))
         return scores
 

@@ -21,7 +21,7 @@ from .log_signals import Acceleration, LogSignals
 from .models import Model, get_model
 from .prediction import PredictionSettings
 from .readings import corrected_log, readings
-from .types import STATE_NAMES
+from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
 
 MODES: tuple[Mode, ...] = ("hindsight", "forecast")
@@ -189,7 +189,10 @@ def usable_starts(signals: LogSignals, vehicle: VehicleParameters, wanted: np.nd
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Errors (n, points, 3) by model and mode of a few starts; incomplete: in hindsight, by reason."""
+    """Errors (n, points, 3) by model and mode of a few starts, NaN where not scored (see `evaluation.Score`).
+
+    incomplete: in hindsight, by reason.
+    """
 
     errors: dict[tuple[str, Mode], np.ndarray]
     trajectories: dict[tuple[str, Mode], np.ndarray]
@@ -221,11 +224,13 @@ def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
         trajectories[model.name, "forecast"] = held.predict(model, vehicle).states
     errors = {(model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], x[:, ::2], y[:, ::2],
                                                  yaw[:, ::2]) for model in models for mode in MODES}
-    known_ins, known_steering = np.isfinite(acceleration).all(axis=1), np.isfinite(angle).all(axis=1)
-    complete, ended = known_ins & known_steering, times[:, -1] > signals.end_ns
+    known = InputSequence(angle, acceleration).known_so_far
+    for model in models:
+        errors[model.name, "hindsight"][~known[:, ::2]] = np.nan
+    complete, known_ins, ended = known[:, -1], np.isfinite(acceleration).all(axis=1), times[:, -1] > signals.end_ns
     incomplete = {"the recording ends before the horizon": ended,
                   "INS not known over the horizon": ~known_ins & ~ended,
-                  "steering not known over the horizon": known_ins & ~known_steering & ~ended}
+                  "steering not known over the horizon": known_ins & ~complete & ~ended}
     conditions = {
         "speed": speed[:, ::2].mean(axis=1), "lateral_acceleration": (speed * yaw_rate)[:, ::2].mean(axis=1),
         "velocity_x_dot": acceleration[:, ::2].mean(axis=1),

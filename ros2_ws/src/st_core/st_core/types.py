@@ -55,6 +55,11 @@ class InputSequence:
     velocity_x_dot: np.ndarray
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
 
+    @property
+    def known_so_far(self) -> np.ndarray:
+        """Whether both inputs are known at each point and at all before it."""
+        return np.logical_and.accumulate(np.isfinite(self.road_wheel_angle) & np.isfinite(self.velocity_x_dot), axis=-1)
+
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:

@@ -125,6 +125,20 @@ def test_gaps_make_a_score_incomplete_and_are_named(leaf, circle, gaps, forecast
         assert np.isnan(scores[1].lateral[46:]).all()  # hindsight cannot know what happened in between
 
 
+@pytest.mark.parametrize("unknown_from", [5875, 5900], ids=["last half step", "last instant"])
+def test_an_input_unknown_at_the_very_end_makes_every_models_hindsight_incomplete(leaf, circle, unknown_from):
+    evaluator = Evaluator(leaf)
+    feed(evaluator, circle, ANGLE, 0, 1000)
+    issue(evaluator, circle, 900)
+    # The last steering sample before the gap comes just before the grid point at which it is not known any more.
+    feed(evaluator, circle, ANGLE, 1000, 7000, steering_gap=(unknown_from - 5, 6400))
+    scores = evaluator.poll()
+    assert len(scores) == 6
+    assert [s.complete for s in scores] == [s.mode == "forecast" for s in scores]
+    for score in scores:
+        assert np.isfinite(score.longitudinal).tolist() == [True] * 100 + [score.mode == "forecast"]
+
+
 def test_a_gap_longer_than_the_setting_allows_is_the_limit(leaf, circle):
     evaluator = Evaluator(leaf, PredictionSettings(maximum_gap=0.3))
     feed(evaluator, circle, ANGLE, 0, 1000)

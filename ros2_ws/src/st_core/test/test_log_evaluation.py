@@ -75,6 +75,8 @@ def test_same_errors_as_the_live_classes_start_by_start(leaf, gap):
         expected = [[s.longitudinal_mean, s.lateral_mean, s.yaw_mean] for s in live]
         np.testing.assert_allclose(errors.mean, expected, rtol=0.0, atol=1e-9)
         assert errors.complete.any() and not errors.complete.all()
+    for model in MODELS:  # what was measured decides, and that is the same for all
+        assert np.array_equal(result.errors[model, "hindsight"].complete, result.errors["linear", "hindsight"].complete)
 
 
 def test_statistics_are_those_of_the_live_evaluator(leaf):
