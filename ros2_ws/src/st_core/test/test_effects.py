@@ -20,9 +20,9 @@ from st_core.types import ControlInput, InputSequence, VehicleState
 WANTED = {
     "combined_slip", "cg_position", "crosswind", "friction", "front_stiffness", "heading_misalignment",
     "lateral_acceleration_bias", "lateral_load_transfer", "longitudinal_load_transfer", "mass", "rear_stiffness",
-    "road_bank", "roll_steer", "sensor_lever_arm", "speed_scale", "steering_backlash", "steering_compliance",
-    "steering_delay", "steering_lag", "steering_offset", "steering_ratio", "tyre_relaxation", "tyre_saturation",
-    "tyre_slip", "yaw_inertia", "yaw_rate_bias", "yaw_rate_scale",
+    "road_bank", "roll_steer", "sensor_lever_arm", "speed_scale", "steered_drive_force", "steering_backlash",
+    "steering_compliance", "steering_delay", "steering_lag", "steering_offset", "steering_ratio", "tyre_relaxation",
+    "tyre_saturation", "tyre_slip", "yaw_inertia", "yaw_rate_bias", "yaw_rate_scale",
 }
 CASES = [(base, name) for base in MODELS for name in applicable(base)]
 EVERY = pytest.mark.parametrize(("base", "name"), CASES)

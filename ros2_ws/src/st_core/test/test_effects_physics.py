@@ -4,6 +4,7 @@ Steady cornering of the linear car, small angles: delta = l r / v + K v r, K = m
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -198,23 +199,39 @@ def test_lateral_load_transfer_takes_the_curvature_of_the_tyre(leaf):
         assert abs(changed[axle]) < abs(plain[axle])
 
 
+def magic_formula_axle(slip, load, tyre):
+    """Two tyres sharing the load [N]."""
+    return 2.0 * magic_formula_force(slip, *magic_formula_coefficients(0.5 * load, tyre), tyre)
+
+
 @DYNAMIC
-def test_longitudinal_load_transfer_follows_the_load(leaf, base):
+def test_longitudinal_load_transfer_is_that_of_the_tyre_data(leaf, base):
     braking, height = -4.0, 0.5
     model = augment(base, {"longitudinal_load_transfer": {"height": height}})
     plain, changed = (forces_in_rhs(m, leaf, SLIDING, braking) for m in (MODELS[base], model))
-    moved = height * braking / GRAVITY
-    assert changed[0] / plain[0] == pytest.approx(1.0 - moved / leaf.cg_to_rear_axle, rel=1e-9)
-    assert changed[1] / plain[1] == pytest.approx(1.0 + moved / leaf.cg_to_front_axle, rel=1e-9)
-    assert changed[0] / plain[0] > 1.0 > changed[1] / plain[1]
-
-
-def test_longitudinal_load_transfer_of_linear_tyres_is_that_of_the_axle_loads(leaf):
-    model = augment("linear", {"longitudinal_load_transfer": {"height": leaf.cg_height}})
-    plain, changed = (forces_in_rhs(m, leaf, SLIDING, -4.0) for m in (MODELS["linear"], model))
     p = nonlinear_tyre.parameters(leaf)
-    loads, static = nonlinear_tyre.axle_loads(-4.0, p), nonlinear_tyre.axle_loads(0.0, p)
-    assert np.divide(changed, plain) == pytest.approx(np.divide(loads, static), rel=1e-9)
+    slips = MODELS["nonlinear"].axles.slip_angles(SLIDING, MODELS["nonlinear"].inputs(0.0, 0.0, p), p)
+    moved = leaf.mass * height * braking / leaf.wheelbase
+    loads = nonlinear_tyre.axle_loads(braking, p)
+    for axle, (tyre, sign) in enumerate(((p.tyre_front, -1.0), (p.tyre_rear, 1.0))):
+        gained = (magic_formula_axle(slips[axle], loads[axle] + sign * moved, tyre)
+                  - magic_formula_axle(slips[axle], loads[axle], tyre))
+        assert changed[axle] - plain[axle] == pytest.approx(gained, rel=1e-9)
+    # Braking presses the front axle down and lifts the rear one.
+    assert abs(changed[0]) > abs(plain[0]) and abs(changed[1]) < abs(plain[1])
+
+
+def test_height_of_the_cg_and_longitudinal_load_transfer_are_the_same_thing(leaf):
+    low = replace(leaf, cg_height=0.2)
+    model = augment("nonlinear", {"longitudinal_load_transfer": {"height": leaf.cg_height - 0.2}})
+    for acceleration in (-5.0, 2.0):
+        assert forces_in_rhs(model, low, SLIDING, acceleration) == pytest.approx(
+            forces_in_rhs(MODELS["nonlinear"], leaf, SLIDING, acceleration), rel=1e-9)
+
+
+def drive_force(car, state, acceleration, lateral_front, angle):
+    """F_x [N] from m (v_x_dot - v_y r) = F_x - F_f sin delta."""
+    return car.mass * (acceleration - state[3] * state[5]) + lateral_front * math.sin(angle)
 
 
 @DYNAMIC
@@ -223,12 +240,30 @@ def test_combined_slip_leaves_the_ellipse(leaf, base, acceleration, shares):
     model = augment(base, {"combined_slip": {"share": 1.0}})
     plain, changed = (forces_in_rhs(m, leaf, SLIDING, acceleration) for m in (MODELS[base], model))
     p = nonlinear_tyre.parameters(leaf)
+    force = drive_force(leaf, SLIDING, acceleration, plain[0], 0.0)
     for axle, tyre in enumerate((p.tyre_front, p.tyre_rear)):
         load = nonlinear_tyre.axle_loads(acceleration, p)[axle]
         increment = 0.5 * load / tyre.nominal_load - 1.0
         peak = (tyre.p_dy1 + tyre.p_dy2 * increment) * load
-        left = math.sqrt(1.0 - (shares[axle] * leaf.mass * acceleration / peak) ** 2)
+        left = math.sqrt(1.0 - (shares[axle] * force / peak) ** 2)
         assert changed[axle] / plain[axle] == pytest.approx(left, rel=1e-9)
+
+
+@DYNAMIC
+@pytest.mark.parametrize(("acceleration", "share_front"), [(2.0, 1.0), (-4.0, 0.65)])
+def test_steered_wheels_push_with_their_drive_force(leaf, base, acceleration, share_front):
+    model, angle = augment(base, {"steered_drive_force": {"share": 1.0}}), 0.1
+    rates = []
+    for m in (MODELS[base], model):
+        p = m.parameters(leaf)
+        rates.append(m.rhs(SLIDING, m.inputs(angle, acceleration, p), p))
+    p = nonlinear_tyre.parameters(leaf) if base == "nonlinear" else MODELS["linear"].parameters(leaf)
+    w = MODELS[base].inputs(angle, acceleration, p)
+    front, _ = MODELS[base].axles.forces(*MODELS[base].axles.slip_angles(SLIDING, w, p), w, p)
+    push = share_front * drive_force(leaf, SLIDING, acceleration, front, angle) * math.sin(angle)
+    assert leaf.mass * (rates[1][3] - rates[0][3]) == pytest.approx(push, rel=1e-9)
+    assert leaf.yaw_inertia * (rates[1][5] - rates[0][5]) == pytest.approx(push * leaf.cg_to_front_axle, rel=1e-9)
+    assert push * acceleration > 0.0  # power pulls the front into the turn, braking pushes it out
 
 
 @DYNAMIC

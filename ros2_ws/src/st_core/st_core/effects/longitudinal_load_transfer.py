@@ -1,28 +1,32 @@
-"""Load moves between the axles under acceleration, and the axle forces with it, in proportion.
+"""Load moves between the axles under acceleration, and the tyres answer to it.
 
-    F_f = F_f0 (1 - height a_x / (g l_r)),   F_r = F_r0 (1 + height a_x / (g l_f)),   a_x = v_x_dot
+    dF_z = m height a_x / l from the front axle to the rear,   F = F + F_MF(F_z + dF_z) - F_MF(F_z),   a_x = v_x_dot
 
 height is what the base model lacks: all of it for linear tyres, the excess over the vehicle file for the Magic Formula.
+How a tyre answers is the Magic Formula's of the vehicle file, two tyres per axle, F_z their loads with the file's CG.
 """
 
-from typing import NamedTuple
-
-from ..ops import maximum
-from ..tyres import GRAVITY
+from ..models.nonlinear_tyre import Parameters as TyreParameters
+from ..models.nonlinear_tyre import axle_loads
+from ..models.nonlinear_tyre import parameters as tyre_parameters
+from ..tyres import magic_formula_coefficients, magic_formula_force
 from ._base import Effect, Parameter, register
 
 
-class Car(NamedTuple):
-    cg_to_front_axle: float
-    cg_to_rear_axle: float
+def gain(slip, before, after, tyre):
+    """What the two tyres of an axle gain [N]; before, after: (B, D, E) at their loads."""
+    return 2.0 * (magic_formula_force(slip, after[0], after[1], after[2], tyre)
+                  - magic_formula_force(slip, before[0], before[1], before[2], tyre))
 
 
 @register
 class LongitudinalLoadTransfer(Effect):
     name = "longitudinal_load_transfer"
-    physics = "axle force in proportion to its load m/l (g l_r - a_x h) in front, m/l (g l_f + a_x h) behind"
+    physics = "m height a_x / l moves from the front axle to the rear; the Magic Formula says what that does"
     excited_by = "braking and power in turns"
-    prepared = ("scale_front", "scale_rear")
+    twins = ("combined_slip", "steered_drive_force")
+    prepared = tuple(f"{what}_{axle}_{when}" for when in ("before", "after") for axle in ("front", "rear")
+                     for what in "bde")
     order = 70
     parameters = (
         Parameter("height", "m", null=0.0, initial=0.4, bounds=(-0.6, 1.2),
@@ -30,16 +34,21 @@ class LongitudinalLoadTransfer(Effect):
     )
 
     @staticmethod
-    def constants(vehicle):
-        return Car(vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle)
+    def constants(vehicle) -> TyreParameters:
+        return tyre_parameters(vehicle)
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
-        moved = theta.height * velocity_x_dot / GRAVITY
-        return (maximum(1.0 - moved / theta.car.cg_to_rear_axle, 0.0),
-                maximum(1.0 + moved / theta.car.cg_to_front_axle, 0.0))
+        car = theta.car
+        front, rear = axle_loads(velocity_x_dot, car)
+        moved = car.mass * theta.height * velocity_x_dot / (car.cg_to_front_axle + car.cg_to_rear_axle)
+        return (*magic_formula_coefficients(0.5 * front, car.tyre_front),
+                *magic_formula_coefficients(0.5 * rear, car.tyre_rear),
+                *magic_formula_coefficients(0.5 * (front - moved), car.tyre_front),
+                *magic_formula_coefficients(0.5 * (rear + moved), car.tyre_rear))
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         front, rear = forces(slip_front, slip_rear, at)
-        return front * given[0], rear * given[1]
+        return (front + gain(slip_front, given[0:3], given[6:9], theta.car.tyre_front),
+                rear + gain(slip_rear, given[3:6], given[9:12], theta.car.tyre_rear))

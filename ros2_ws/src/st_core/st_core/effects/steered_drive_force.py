@@ -1,0 +1,33 @@
+"""Drive and brake force of the front wheels turns with them into the body: F_y + F_x,front sin delta at the front axle.
+
+The single-track models of the paper leave it out: their forward acceleration is an input.
+"""
+
+from ..ops import tan
+from ._base import Effect, Parameter, register
+from ._drive import BRAKE_FRONT, DRIVE_FRONT, axle_drive_forces
+
+
+@register
+class SteeredDriveForce(Effect):
+    name = "steered_drive_force"
+    physics = "front axle pushes sideways with share F_x,front sin delta, F_x from the forward motion"
+    excited_by = "braking or power with the wheels turned: tight turns"
+    twins = ("combined_slip", "longitudinal_load_transfer")
+    order = 85
+    parameters = (
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: all of it", source="theory: 1"),
+        DRIVE_FRONT,
+        BRAKE_FRONT,
+    )
+
+    @staticmethod
+    def constants(vehicle):
+        return vehicle.mass
+
+    @staticmethod
+    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
+        front, rear = forces(slip_front, slip_rear, at)
+        drive_front, _ = axle_drive_forces(front, at, theta, theta.car)
+        # In wheel axes: the equations of motion take the front force times cos delta.
+        return front + theta.share * drive_front * tan(at.road_wheel_angle), rear
