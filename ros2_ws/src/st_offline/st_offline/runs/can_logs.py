@@ -11,7 +11,19 @@ import numpy as np
 from can.io import asc, blf, canutils, trc
 
 from .errors import RunError, check_readable
-from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, in_file_order, joined, without_duplicates
+from .frames import (
+    ERROR,
+    EXTENDED,
+    FD,
+    REMOTE,
+    SENT,
+    Frames,
+    continued,
+    in_file_order,
+    joined,
+    set_back,
+    without_duplicates,
+)
 from .mf4 import MAKERS_CONTAINERS, read_mf4, refuse_makers_container, session_of
 
 BLOCK = 65536
@@ -130,7 +142,7 @@ def _through_python_can(file: Path, kind: Format) -> tuple[Frames, list[str]]:
         what = f"no whole frame is in it ({trouble[0]})" if trouble else "the log holds no frames"
         raise RunError(file, what, "copy or export it again")
     frames, steps = continued(in_file_order(parts))
-    trouble += [f"the logger's clock was set back by {-size:.3f} s; the rest was put behind it" for _, size in steps]
+    trouble += set_back(steps)
     return joined([frames]), trouble
 
 

@@ -93,25 +93,31 @@ def without_duplicates(frames: Frames) -> tuple[Frames, int]:
     return frames.select(keep), len(rows)
 
 
-def continued(frames: Frames, smallest: float = 0.005) -> tuple[Frames, list[tuple[int, float]]]:
+def continued(frames: Frames, smallest: float = 0.005) -> tuple[Frames, list[float]]:
     """Frames in the order they were written, with a clock that was set back on the way put forward again.
 
     A logger writes frames as they come, so time that runs backwards is its clock being set. The frames after the step
     go on where those before it ended; what is lost is the true gap between two frames, a millisecond on a busy bus.
 
-    Returns the frames and the steps: (time before it in ns, size in s, negative).
+    Returns the frames and the sizes of the steps [s], negative.
     """
     steps = np.diff(frames.time_ns)
     back = np.nonzero(steps < -smallest * 1e9)[0]
     if not len(back):
         return frames, []
-    correction = np.zeros(len(frames), dtype=np.int64)
     usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
-    for row in back:
-        correction[row + 1 :] += usual - steps[row]
-    found = [(int(frames.time_ns[row]), float(steps[row]) * 1e-9) for row in back]
-    return frames.shifted(frames.time_ns + correction), found
+    correction = np.zeros(len(frames), dtype=np.int64)
+    correction[back + 1] = usual - steps[back]
+    return frames.shifted(frames.time_ns + np.cumsum(correction)), (steps[back] * 1e-9).tolist()
+
+
+def set_back(steps: Sequence[float]) -> list[str]:
+    """What `continued` found, as a sentence."""
+    if not steps:
+        return []
+    times = f"{len(steps)} times, first " if len(steps) > 1 else ""
+    return [f"the logger's clock was set back {times}by {-steps[0]:.3f} s; what follows was put behind it"]
 
 
 __all__ = ["ERROR", "EXTENDED", "FD", "REMOTE", "SENT", "Frames", "continued", "empty", "in_file_order", "joined",
-           "without_duplicates"]
+           "set_back", "without_duplicates"]

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import mdf_blocks
 from .errors import RunError, check_readable
-from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, in_file_order, joined
+from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, in_file_order, joined, set_back
 
 PIECE = 1 << 20  # records
 MAKERS_CONTAINERS = (".mfc", ".mfe", ".mfm")
@@ -71,7 +71,7 @@ def read_mf4(path: Path) -> Mf4:
     with _opened(path, warnings) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         parts = []
-        steps: list[tuple[int, float]] = []
+        steps: list[float] = []
         for group in range(len(log.groups)):
             pieces = list(_group_frames(log, group, start_ns))
             if pieces:
@@ -80,7 +80,7 @@ def read_mf4(path: Path) -> Mf4:
                 parts.append(part)
     if not parts:
         raise RunError(path, "the log holds no CAN frames", "check that the logger was on the right bus")
-    warnings += [f"the logger's clock was set back by {-size:.3f} s; the rest was put behind it" for _, size in steps]
+    warnings += set_back(steps)
     return Mf4(joined(parts), start_ns, tuple(warnings))
 
 
