@@ -2,7 +2,8 @@
 
 The lateral dynamics of a car become stiffer as it slows down: the damping goes with C / (m v). Under classical
 Runge-Kutta a mode with eigenvalue s is damped as long as |R(h s)| <= 1; beyond that a prediction rings, diverges or
-settles in the wrong place, although the car would not. minimum_slip_speed is the models' own floor to that: below it the stiffness stays what it is there.
+settles in the wrong place, although the car would not. minimum_slip_speed is the models' own floor to that: below it
+the stiffness stays what it is there.
 """
 
 import warnings
