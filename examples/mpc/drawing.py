@@ -9,6 +9,7 @@ import numpy as np
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from st_offline.style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 
 MARKER = {"rti": "o", "ipopt": "s"}
@@ -18,12 +19,18 @@ SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to the 
 def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> None:
     """Tracking error against processor time: a line per model and solver, a point per horizon."""
     with plt.rc_context(RC):
-        figure, axes = plt.subplots(1, len(titles), figsize=(3.6 * len(titles) + 0.6, 3.9), squeeze=False, sharey=True)
+        figure, axes = plt.subplots(1, len(titles), figsize=(3.6 * len(titles) + 0.6, 3.9), squeeze=False, sharex=True,
+                                    sharey=True)
         for axis, (road, title) in zip(axes[0], titles.items(), strict=True):
+            axis.loglog()
             here = [row for row in rows if row["road"] == road]
             for solver, model in dict.fromkeys((row["solver"], row["model"]) for row in here):
                 _line(axis, [r for r in here if (r["solver"], r["model"]) == (solver, model)], solver, model)
-            axis.set(title=title, xscale="log", yscale="log", xlabel="processor time per solution, median [ms]")
+            axis.set(title=title, xlabel="processor time per solution, median [ms]")
+        for scale in (axes[0][0].xaxis, axes[0][0].yaxis):
+            scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            scale.set_major_formatter(FormatStrFormatter("%g"))
+            scale.set_minor_formatter(NullFormatter())
         axes[0][0].set_ylabel("distance from the road, rms [m]")
         _legend(figure, rows)
         figure.savefig(file)

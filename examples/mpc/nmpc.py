@@ -1,6 +1,6 @@
 """Which model does a controller need, and how far ahead must it look? Path following with each of them, measured.
 
-    ./st shell -- python examples/mpc/nmpc.py                     all of it, about two minutes
+    ./st shell -- python examples/mpc/nmpc.py                     all of it, a minute of processor time
     ./st shell -- python examples/mpc/nmpc.py --quick             one road, two horizons, seconds
     ./st shell -- python examples/mpc/nmpc.py --model model.yaml  a fitted model beside the three
 
@@ -33,7 +33,7 @@ HORIZONS = [0.5, 1.0, 2.0, 3.0]
 
 
 def lane_change_at_the_limit() -> Plan:
-    """The double lane change of the scenarios at 15 m/s: 7 m/s^2 where tyres of this car give 8."""
+    """The double lane change of the scenarios at 15 m/s: 7 m/s^2 where it bends most."""
     speed = 15.0
     return RoadPlan([*straight(40, speed), *lane_shift(3.5, 30, speed), *straight(25, speed),
                      *lane_shift(-3.5, 30, speed), *straight(35, speed)])

@@ -1,0 +1,116 @@
+"""The exported model in acados: load the .casadi files, hand dynamics or step over, take names and bounds along.
+
+    ./st export nonlinear --output build/nonlinear
+    ./st shell -- python examples/mpc/acados_example.py build/nonlinear
+
+Without acados the functions are loaded, joined to symbols and checked as acados would use them, and that is said.
+With it (acados_template installed, ACADOS_SOURCE_DIR set) an integrator is made and compared with the exported step.
+"""
+
+import importlib.util
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi
+import numpy as np
+
+
+@dataclass
+class Imported:
+    """An exported model with symbols around it. bounds: (lower, upper), infinite where the file has none."""
+
+    description: dict
+    x: casadi.SX
+    u: casadi.SX
+    p: casadi.SX
+    rates: casadi.SX
+    step: casadi.Function
+    state_bounds: tuple[np.ndarray, np.ndarray]
+    input_bounds: tuple[np.ndarray, np.ndarray]
+
+
+def load(folder: Path) -> Imported:
+    """What `st export --format casadi` wrote."""
+    description = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    name = description["model"]
+    dynamics, step = (casadi.Function.load(str(folder / f"{name}_{kind}.casadi")) for kind in ("dynamics", "step"))
+    x, u, p = (casadi.vertcat(*(casadi.SX.sym(v["name"]) for v in description[key]))
+               for key in ("states", "inputs", "parameters"))
+    tail = [p] if description["parameters"] else []
+    return Imported(description, x, u, casadi.SX(p), dynamics(x, u, *tail), step, _bounds(description["states"]),
+                    _bounds(description["inputs"]))
+
+
+def _bounds(entries: list[dict]) -> tuple[np.ndarray, np.ndarray]:
+    lower = [-np.inf if e["lower"] is None else e["lower"] for e in entries]
+    upper = [np.inf if e["upper"] is None else e["upper"] for e in entries]
+    return np.array(lower), np.array(upper)
+
+
+def acados_model(model: Imported):
+    """The model as acados wants it: explicit and implicit dynamics over SX symbols."""
+    from acados_template import AcadosModel
+
+    made = AcadosModel()
+    made.name, made.x, made.u, made.p = model.description["model"], model.x, model.u, model.p
+    made.xdot = casadi.SX.sym("xdot", model.x.numel())
+    made.f_expl_expr, made.f_impl_expr = model.rates, made.xdot - model.rates
+    return made
+
+
+def constrain(ocp, model: Imported) -> None:
+    """Bounds of the file as box constraints of an acados OCP; the states that have none are left out."""
+    lower, upper = model.state_bounds
+    chosen = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
+    ocp.constraints.idxbx, ocp.constraints.lbx, ocp.constraints.ubx = chosen, lower[chosen], upper[chosen]
+    ocp.constraints.idxbu = np.arange(model.u.numel())
+    ocp.constraints.lbu, ocp.constraints.ubu = model.input_bounds
+
+
+def difference(model: Imported, x: np.ndarray, u: np.ndarray, h: float) -> float:
+    """Largest difference between the exported step and Runge-Kutta over the expression handed to acados."""
+    values = [q["value"] for q in model.description["parameters"]]
+    f = casadi.Function("f", [model.x, model.u], [casadi.substitute(model.rates, model.p, casadi.DM(values))]
+                        if values else [model.rates])
+    state, part = casadi.DM(x), h / model.description["substeps"]
+    for _ in range(model.description["substeps"]):
+        a = f(state, u)
+        b = f(state + part / 2 * a, u)
+        c = f(state + part / 2 * b, u)
+        state = state + part / 6 * (a + 2 * b + 2 * c + f(state + part * c, u))
+    return float(casadi.norm_inf(state - model.step(x, u, h, *([values] if values else []))))
+
+
+def integrate_with_acados(model: Imported, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+    from acados_template import AcadosSim, AcadosSimSolver
+
+    sim = AcadosSim()
+    sim.model = acados_model(model)
+    sim.solver_options.T, sim.solver_options.integrator_type = h, "ERK"
+    sim.solver_options.num_stages, sim.solver_options.num_steps = 4, model.description["substeps"]
+    sim.parameter_values = np.array([q["value"] for q in model.description["parameters"]])
+    return np.asarray(AcadosSimSolver(sim).simulate(x=x, u=u))
+
+
+def main() -> int:
+    if len(sys.argv) != 2:
+        print(__doc__)
+        return 2
+    model = load(Path(sys.argv[1]))
+    x = np.zeros(model.x.numel())
+    x[2], u = 10.0, np.array([0.05, 0.5])
+    print(f"{model.description['model']}: {model.x.numel()} states, {model.u.numel()} inputs, "
+          f"{model.p.numel()} parameters; expression against exported step: {difference(model, x, u, 0.05):.1e}")
+    if importlib.util.find_spec("acados_template") is None:
+        print("acados_template is not installed: the part with acados is left out")
+        return 0
+    values = [[q["value"] for q in model.description["parameters"]]] if model.description["parameters"] else []
+    expected = model.step(x, u, 0.05, *values).full().ravel()
+    print(f"acados against exported step: {np.abs(integrate_with_acados(model, x, u, 0.05) - expected).max():.1e}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
