@@ -1,0 +1,67 @@
+"""What the batch benchmarks share: a synthetic drive, the Leaf, a core of one's own, and CPU time taken in turns."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+from st_offline.paths import config
+
+MODELS = ("kinematic", "linear", "nonlinear")
+T0 = 1_700_000_000_000_000_000
+POINTS = (1.0, 2.0, 3.0, 4.0, 5.0)
+
+
+def leaf() -> VehicleParameters:
+    path = config("vehicle/leaf.yaml")
+    return VehicleParameters.from_yaml(path.read_text(), origin=str(path))
+
+
+def drive(seconds: float) -> DriveLog:
+    """Weaving at 6 to 14 m/s, up to 5 m/s^2 across; INS at 100 Hz, steering at 50 Hz."""
+    time, steering = np.arange(0.0, seconds, 0.01), np.arange(0.003, seconds, 0.02)
+
+    def angle(t):
+        return 0.05 * np.sin(0.3 * t) + 0.02 * np.sin(1.1 * t + 1.0)
+
+    speed = 10.0 + 4.0 * np.sin(0.05 * time)
+    yaw_rate = speed * angle(time) / (2.7 * (1.0 + 0.003 * speed**2))
+    yaw = np.cumsum(yaw_rate) * 0.01
+    return DriveLog("weaving", T0 + np.round(time * 1e9).astype(np.int64), np.cumsum(speed * np.cos(yaw)) * 0.01,
+                    np.cumsum(speed * np.sin(yaw)) * 0.01, yaw, speed, 0.3 * yaw_rate, yaw_rate,
+                    T0 + np.round(steering * 1e9).astype(np.int64), angle(steering))
+
+
+def starts(log: DriveLog, horizon: float = 5.0) -> np.ndarray:
+    """Every 100 ms, from 1 s on."""
+    return np.arange(log.start_ns + 10**9, log.end_ns - round(horizon * 1e9), 10**8)
+
+
+@contextmanager
+def pinned() -> Iterator[None]:
+    """This process on one core, the highest it may use."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def in_turns(calls: dict[str, Callable[[], object]], rounds: int = 5, least: float = 0.05) -> dict[str, float]:
+    """Median CPU seconds of a call; each round runs all of them, each for at least `least` seconds."""
+    taken: dict[str, list[float]] = {name: [] for name in calls}
+    for call in calls.values():
+        call()
+    for _ in range(rounds):
+        for name, call in calls.items():
+            count, begin = 0, time.process_time()
+            while (now := time.process_time()) - begin < least or not count:
+                call()
+                count += 1
+            taken[name].append((now - begin) / count if count == 1 and now > begin else
+                               (time.process_time() - begin) / count)
+    return {name: float(np.median(values)) for name, values in taken.items()}

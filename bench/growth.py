@@ -1,0 +1,58 @@
+"""Cost against length of the log and against the horizon, for each model: linear or not, with a plot."""
+
+from pathlib import Path
+
+import numpy as np
+from _drive import MODELS, POINTS, drive, in_turns, leaf, pinned, starts
+from st_core.batch import LogBatch
+from st_offline.paths import project_root
+
+MINUTES = (1.0, 3.0, 10.0, 30.0)
+HORIZONS = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0)
+
+
+def run() -> dict:
+    """CPU ms by minutes of log and by horizon [s] on ten minutes; the plot goes to docs/images/performance_growth.png."""
+    car = leaf()
+    logs = {minutes: drive(60.0 * minutes) for minutes in MINUTES}
+    by_length, by_horizon = {}, {}
+    with pinned():
+        for model in MODELS:
+            batches = {str(m): LogBatch(log, starts(log), points=POINTS) for m, log in logs.items()}
+            by_length[model] = _measure(batches, model, car)
+            log = logs[10.0]
+            batches = {str(h): LogBatch(log, starts(log, 10.0), h, points=(h,)) for h in HORIZONS}
+            by_horizon[model] = _measure(batches, model, car)
+    _plot(by_length, by_horizon, project_root() / "docs" / "images" / "performance_growth.png")
+    return {"ms_by_minutes": by_length, "ms_by_horizon": by_horizon}
+
+
+def _measure(batches, model, car) -> dict:
+    seconds = in_turns({name: lambda b=b: b.predict(model, car) for name, b in batches.items()}, rounds=3)
+    return {name: value * 1e3 for name, value in seconds.items()}
+
+
+def _plot(by_length: dict, by_horizon: dict, path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from st_offline.style import MODEL_COLOUR, RC
+
+    with plt.rc_context(RC):
+        figure, axes = plt.subplots(1, 2, figsize=(7.5, 3.0))
+        for axis, results, label in zip(axes, (by_length, by_horizon), ("log [min]", "horizon [s]"), strict=True):
+            for model, values in results.items():
+                x = np.array([float(name) for name in values])
+                axis.plot(x, list(values.values()), "o-", color=MODEL_COLOUR[model], label=model, markersize=3)
+            axis.set(xlabel=label, ylabel="CPU time [ms]", xlim=(0, None), ylim=(0, None))
+        axes[0].set_title("5 s horizons, a start every 100 ms")
+        axes[1].set_title("ten-minute log")
+        axes[0].legend()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path)
+        plt.close(figure)
+
+
+if __name__ == "__main__":
+    print(run())

@@ -1,0 +1,51 @@
+"""From a fresh interpreter to the first predictions: live on floats, a batch with kernels cold and cached."""
+
+import os
+import subprocess
+import sys
+import tempfile
+
+from st_offline.paths import config
+
+LIVE = """
+from pathlib import Path
+import sys, time
+from st_core.vehicle import VehicleParameters
+from st_core.prediction import predict
+from st_core.types import ControlInput, VehicleState
+car = VehicleParameters.from_yaml(Path(sys.argv[1]).read_text())
+for model in ("kinematic", "linear", "nonlinear"):
+    predict(model, car, VehicleState(0, 0, 10, 0, 0, 0), ControlInput(0.05, 0.0))
+print(time.process_time())
+"""
+BATCH = """
+from pathlib import Path
+import sys, time
+sys.path.insert(0, sys.argv[2])
+from _drive import drive, starts, leaf
+from st_core.batch import LogBatch
+log = drive(20.0)
+batch = LogBatch(log, starts(log), backend=sys.argv[3])
+for model in ("kinematic", "linear", "nonlinear"):
+    batch.predict(model, leaf())
+print(time.process_time())
+"""
+
+
+def run() -> dict:
+    """CPU seconds of the whole process, interpreter and numpy included."""
+    here, car = os.path.dirname(os.path.abspath(__file__)), str(config("vehicle/leaf.yaml"))
+    with tempfile.TemporaryDirectory(prefix="st-bench-") as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+
+        def seconds(code: str, backend: str = "") -> float:
+            done = subprocess.run([sys.executable, "-c", code, car, here, backend], env=environment, check=True,
+                                  capture_output=True, text=True)
+            return float(done.stdout)
+
+        return {"live_floats_s": seconds(LIVE), "batch_numpy_s": seconds(BATCH, "numpy"),
+                "batch_lanes_cold_s": seconds(BATCH, "lanes"), "batch_lanes_cached_s": seconds(BATCH, "lanes")}
+
+
+if __name__ == "__main__":
+    print(run())
