@@ -56,7 +56,7 @@ def test_one_iteration_does_what_the_whole_solution_does():
 def test_command_writes_figures_and_numbers(tmp_path, monkeypatch, capsys):
     import nmpc
 
-    monkeypatch.setitem(nmpc.ROADS, "lane_change", (lambda: load("lane_change"), 1.0, "short"))
+    monkeypatch.setitem(nmpc.ROADS, "lane_change", (lambda: load("lane_change"), 4.0, "short"))
     out = tmp_path / "out"
     monkeypatch.setattr(sys, "argv", ["nmpc.py", "--quick", "--model", "linear", "--vehicle", str(FILE), "--output",
                                       str(out)])
