@@ -12,7 +12,7 @@ HORIZONS = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0)
 
 
 def run() -> dict:
-    """CPU ms by minutes of log and by horizon [s] on ten minutes; the plot goes to docs/images/performance_growth.png."""
+    """CPU ms by minutes of log and by horizon [s] on ten minutes; plot: docs/images/performance_growth.png."""
     car = leaf()
     logs = {minutes: drive(60.0 * minutes) for minutes in MINUTES}
     by_length, by_horizon = {}, {}

@@ -1,0 +1,82 @@
+"""Predictions per CPU second: lanes, numpy, floats, numba scalar, C++ SIMD, CasADi, commonroad, in turns on one core.
+
+5 s with RK4 in 50 ms steps, a start every 100 ms of a ten-minute drive. The limit is the fastest of the C++ variants.
+"""
+
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from _drive import MODELS, POINTS, drive, in_turns, leaf, pinned, starts
+from _peers import STEP, STEPS, casadi_calls, commonroad_calls, limit, numba_scalar
+from st_core.backends import numba_lanes, numpy_batch
+from st_core.batch import LogBatch
+from st_core.log_signals import LogSignals
+from st_core.models import MODELS as KNOWN
+from st_core.prediction import predict
+from st_core.start_grid import plan
+from st_core.types import InputSequence, VehicleState
+
+LAST = np.array([STEPS])
+COUNT = 5760  # a whole number of groups for all: 48 lanes, 32, 24
+
+
+def run() -> dict:
+    """Rates, shares of the limit, agreement of the end states with the limit, and a whole log from DriveLog on."""
+    car, log = leaf(), drive(600.0)
+    with pinned(), tempfile.TemporaryDirectory(prefix="st-bench-") as folder:
+        results = {name: _model(name, car, log, Path(folder)) for name in MODELS}
+        results["commonroad_per_s"] = {k: 1.0 / s for k, s in in_turns(commonroad_calls(), rounds=2, least=0.0).items()}
+
+        def everything():
+            batch = LogBatch(log, starts(log), points=POINTS)
+            return [batch.predict(name, car) for name in MODELS]
+
+        everything()
+        times = []
+        for _ in range(5):
+            begin = time.process_time()
+            everything()
+            times.append(time.process_time() - begin)
+    return {**results, "ten_minutes_three_models_cpu_s": float(np.median(times))}
+
+
+def _model(name: str, car, log, folder: Path) -> dict:
+    model = KNOWN[name]
+    p, signals = model.parameters(car), LogSignals(log, 0.1, 5.0)
+    times = starts(log)[:COUNT]
+    block, = plan(times, 25_000_000 * np.arange(2 * STEPS + 1), numba_lanes.LANES)
+    angle = signals.road_wheel_angle_at(block.times_ns)
+    acceleration, = signals.ins_at(block.times_ns, "velocity_x_dot")
+    # Off both ends of the drive nothing is known; held there, so that no kernel meets NaN.
+    angle, acceleration = (np.interp(block.times_ns, block.times_ns[np.isfinite(a)], a[np.isfinite(a)])
+                           for a in (angle, acceleration))
+    w = block.table(model.inputs(angle, acceleration, p))
+    start = np.ascontiguousarray(signals.states_at(times, car).T)
+    one = [InputSequence(angle[4 * i:4 * i + 201], acceleration[4 * i:4 * i + 201]) for i in (0, 1000)]
+    few = start[:, :240].copy()
+
+    def floats():
+        return [predict(name, car, VehicleState(*start[:, i]), seq) for i, seq in zip((0, 1000), one, strict=True)]
+
+    cpp = limit(folder, name, p, start, w, block.offsets)
+    reference = next(iter(cpp.values()))().copy()
+    calls = {
+        **cpp,
+        "lanes": lambda: numba_lanes.advance(model, p, start, w, block.offsets, STEP, LAST)[0],
+        "numpy batch": lambda: numpy_batch.advance(model, p, start, w, block.offsets, STEP, LAST)[0],
+        "numba scalar": numba_scalar(model, p, few, w, block.offsets), "floats": floats,
+        **casadi_calls(folder, name, car, 50),
+    }
+    counts = {key: start.shape[1] for key in (*cpp, "lanes", "numpy batch")}
+    counts |= {"numba scalar": 240, "floats": 2, "casadi map": 50, "casadi generated C": 50}
+    apart = float(np.abs(calls["lanes"]() - reference).max())
+    rates = {key: counts[key] / seconds for key, seconds in in_turns(calls).items()}
+    best = max(rates[key] for key in cpp)
+    return {"per_s": rates, "of_limit": {key: rate / best for key, rate in rates.items() if key not in cpp},
+            "lanes_over_numba_scalar": rates["lanes"] / rates["numba scalar"], "lanes_minus_limit": apart}
+
+
+if __name__ == "__main__":
+    print(run())
