@@ -59,9 +59,8 @@ def in_turns(calls: dict[str, Callable[[], object]], rounds: int = 5, least: flo
     for _ in range(rounds):
         for name, call in calls.items():
             count, begin = 0, time.process_time()
-            while (now := time.process_time()) - begin < least or not count:
+            while not count or time.process_time() - begin < least:
                 call()
                 count += 1
-            taken[name].append((now - begin) / count if count == 1 and now > begin else
-                               (time.process_time() - begin) / count)
+            taken[name].append((time.process_time() - begin) / count)
     return {name: float(np.median(values)) for name, values in taken.items()}
