@@ -58,8 +58,14 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     csv_path: columns BASIC and derived.NAMES, one row per accepted packet; empty = invalid. m, m/s, m/s^2, deg,
     deg/s, GPS seconds.
     status_path: pkt,channel,field,valid,value, one row per change of value or validity.
-    Raises NcomError (no packet in the file: names the file and what was found) and OSError.
+    Raises NcomError (no packet in the file: names the file and what was found; an output that is the recording itself
+    or the other output) and OSError.
     """
+    outputs = [Path(path).resolve() for path in (csv_path, status_path) if path is not None]
+    if Path(ncom_path).resolve() in outputs:
+        raise NcomError(f"{ncom_path}: is the recording itself; name another file for the CSV")
+    if len(set(outputs)) < len(outputs):
+        raise NcomError(f"{csv_path}: named for both values and status; they are two files")
     columns = decode_file(ncom_path)
     changes, settings = _read_status(columns)
     table = _table(columns, settings)

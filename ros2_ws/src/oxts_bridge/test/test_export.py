@@ -138,3 +138,17 @@ def test_distance_is_not_counted_across_a_hole(tmp_path, drive):
     speed = float(table[1]["Speed2d"])
     # From the packet after the one that sets the minute: 249 steps and 250 steps of 4 ms.
     assert float(table[-1]["Dist2d"]) == pytest.approx(speed * 0.004 * (249 + 250), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "outputs", [("run.ncom", None), ("run.csv", "run.ncom"), ("run.csv", "run.csv"), ("./run.ncom", None)]
+)
+def test_no_output_overwrites_the_recording_or_the_other(tmp_path, drive, outputs):
+    recording = tmp_path / "run.ncom"
+    recording.write_bytes(b"".join(drive(3)))
+    before = recording.read_bytes()
+    csv_path, status_path = (None if name is None else tmp_path / name for name in outputs)
+    with pytest.raises(NcomError, match="another file|two files"):
+        write_csv(recording, csv_path, status_path)
+    assert recording.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["run.ncom"]
