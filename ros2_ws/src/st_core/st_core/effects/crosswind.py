@@ -27,7 +27,7 @@ def pressure(along, across):
 @register
 class Crosswind(Effect):
     name = "crosswind"
-    physics = "side force rho/2 side_area |u| u_y at `arm` ahead of the CG, u the air relative to the car"
+    physics = "side force rho/2 side_area abs(u) u_y at `arm` ahead of the CG, u the air relative to the car"
     excited_by = "straight driving in two directions; two speeds tell it from a steering offset"
     twins = ("steering_offset", "road_bank", "lateral_acceleration_bias")
     parameters = (
