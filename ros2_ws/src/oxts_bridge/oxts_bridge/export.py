@@ -10,6 +10,7 @@ from .channels import FIELDS
 from .derived import NAMES, Settings, derive, float_seconds
 from .fields import INVERTED_B6, Value
 from .gps_time import WEEK_MS
+from .ncom import NcomError
 from .status import PARTS, StatusTracker
 from .surface import surface_angles
 
