@@ -1,38 +1,12 @@
-"""YAML that a person writes and a program checks: no key twice, no key unknown, none missing."""
+"""YAML that a person writes and a program checks: plain, no key unknown, none missing; and how it is written."""
 
 import difflib
 import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import yaml
-
 from .errors import ConfigurationError
-
-
-class _Loader(yaml.SafeLoader):
-    """Refuses a key given twice; YAML itself keeps the last one without a word."""
-
-    def construct_mapping(self, node, deep=False):
-        seen = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                raise ConfigurationError(f"{key!r}: a key must be a text (line {key_node.start_mark.line + 1})")
-            if key in seen:
-                raise ConfigurationError(f"{key}: given twice (line {key_node.start_mark.line + 1}); remove one")
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-def load(text: str) -> Any:
-    """The document; raises ConfigurationError with the line for what is no YAML or gives a key twice."""
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f", line {mark.line + 1}" if mark else ""
-        raise ConfigurationError(f"not valid YAML{place}: {getattr(error, 'problem', None) or error}") from None
+from .plain_yaml import load
 
 
 def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], required: Iterable[str] = ()) -> None:
@@ -61,3 +35,6 @@ def number(value: float) -> str:
 def quoted(text: str) -> str:
     """A text in double quotes."""
     return json.dumps(text, ensure_ascii=False)
+
+
+__all__ = ["check_keys", "load", "nearest", "number", "quoted"]

@@ -125,3 +125,8 @@ def test_plain_yaml_tools_read_it(leaf):
     assert document["effects"]["crosswind"]["wind_x"]["value"] == 1e-7
     assert document["vehicle"]["parameters"]["mass"]["value"] == 1590.0
     assert set(document["effects"]) <= set(EFFECTS)
+
+
+def test_references_are_refused_as_in_every_configuration():
+    with pytest.raises(ConfigurationError, match=r"^m: references \(& and \*\) are not allowed"):
+        ModelFile.from_yaml("base: &b linear\neffects: {}\n", "m")
