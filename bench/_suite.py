@@ -17,7 +17,9 @@ from st_offline.wires import VirtualCar
 def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full") -> Iterator[Suite]:
     """Nodes up and data flowing; everything ended and deleted afterwards."""
     with tempfile.TemporaryDirectory(prefix="st-bench-") as name:
-        folder, car, domain = Path(name), VirtualCar(config("vehicle/leaf.yaml")), free_domain_id()
+        rates = ["--ncom-rate", str(ncom_rate), "--can-rate", can_rate]
+        car = VirtualCar(config("vehicle/leaf.yaml"), ["--scenario", "S6", "--duration", str(duration), *rates])
+        folder, domain = Path(name), free_domain_id()
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         with Suite(folder, node_parameters(folder, car.vehicle, car.bridge_parameters()), domain) as suite:
             for package, executable in NODES:
@@ -26,6 +28,5 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
                 missing = monitor.wait_for_nodes({executable for _, executable in NODES}, 30)
             if missing:
                 raise RuntimeError(f"nodes not up: {missing}")
-            rates = ["--ncom-rate", str(ncom_rate), "--can-rate", can_rate]
-            car.start(suite, ["--scenario", "S6", "--duration", str(duration), *rates])
+            car.start(suite)
             yield suite

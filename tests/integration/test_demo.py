@@ -96,9 +96,8 @@ def test_bag_opens_in_both_independent_readers(circle: Path) -> None:
 
 def test_path_is_at_the_ins_point_in_the_map_frame(circle: Path) -> None:
     """Path, prediction and odometry are three descriptions of one instant: the first pose is where the INS was."""
-    from st_offline.results import read_results
-
     from rosbags.highlevel import AnyReader
+    from st_offline.results import read_results
 
     track = read_results(circle).track
     with AnyReader([circle / "bag"]) as reader:
@@ -118,7 +117,7 @@ def test_interrupt_ends_everything_with_files_closed(tmp_path: Path) -> None:
     from rosbags.highlevel import AnyReader
 
     process = start_demo("--scenario", "S2", "--duration", "120", "--output", str(tmp_path / "run"))
-    wait_for(lambda: (tmp_path / "run" / "truth").exists(), 60)
+    wait_for((tmp_path / "run" / "truth").exists, 60)
     time.sleep(9)
     below = children(process)
     assert len(below) >= 6
@@ -174,8 +173,38 @@ def test_full_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "precious.txt").write_text("x")
     process = start_demo("--output", str(tmp_path))
     text, _ = process.communicate(timeout=60)
-    assert process.returncode == 1
+    assert process.returncode == 2
     assert "is not empty" in text
+
+
+def test_second_suite_in_one_domain_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from st_offline.suite import claimed_domain
+
+    with claimed_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        first = start_demo("--scenario", "S2", "--duration", "60", "--output", str(tmp_path / "first"))
+        try:
+            wait_for((tmp_path / "first" / "truth").exists, 60)
+            second = start_demo("--output", str(tmp_path / "second"))
+            text, _ = second.communicate(timeout=60)
+            assert second.returncode == 2
+            assert f"of another suite run in ROS domain {domain} already" in text
+            assert not list((tmp_path / "second").iterdir())
+        finally:
+            os.kill(first.pid, signal.SIGINT)
+            text, _ = first.communicate(timeout=60)
+    assert first.returncode == 0, text
+
+
+def test_interrupt_before_the_nodes_are_up_ends_cleanly(tmp_path: Path) -> None:
+    process = start_demo("--output", str(tmp_path / "run"))
+    wait_for((tmp_path / "run" / "logs" / "recorder.log").exists, 60)
+    below = children(process)
+    os.kill(process.pid, signal.SIGINT)
+    text, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, text
+    assert "Traceback" not in text
+    assert not [pid for pid in below if Path(f"/proc/{pid}").exists()]
 
 
 def wait_for(condition, timeout: float) -> None:

@@ -29,8 +29,11 @@ def view(heard: Heard, elapsed: float, duration: float | None, title: str) -> Re
     return Group(line, error_table(heard), ticks(heard), health(heard))
 
 
-def error_table(heard: Heard) -> Table:
+def error_table(heard: Heard) -> RenderableType:
     """Mean | max | RMSE over the horizon means so far, one row per model and mode."""
+    statistics = heard.summary.statistics if heard.summary else []
+    if not any(s.n_starts for s in statistics):
+        return Text("waiting for the first complete horizon", style="dim")
     table = Table(box=None, padding=(0, 1))
     for column in (
         "model",
@@ -39,8 +42,8 @@ def error_table(heard: Heard) -> Table:
         "longitudinal, m\nmean | max | RMSE",
         "lateral, m\nmean | max | RMSE",
     ):
-        table.add_column(column, justify="left" if column in ("model", "mode") else "right")
-    for s in heard.summary.statistics if heard.summary else []:
+        table.add_column(column, justify="left" if column in ("model", "mode") else "right", no_wrap=True)
+    for s in statistics:
         table.add_row(
             Text(s.model, style=MODEL_COLOUR.get(s.model, "")),
             s.mode,
@@ -48,8 +51,6 @@ def error_table(heard: Heard) -> Table:
             _triple(s.longitudinal_mean, s.longitudinal_max, s.longitudinal_rmse),
             _triple(s.lateral_mean, s.lateral_max, s.lateral_rmse),
         )
-    if table.row_count == 0:
-        table.add_row("waiting for the first complete horizon", "", "", "", "", style="dim")
     return table
 
 
@@ -80,4 +81,4 @@ def health(heard: Heard) -> Text:
 
 
 def _triple(*values: float) -> str:
-    return " | ".join("-" if math.isnan(v) else f"{v:6.2f}" for v in values)
+    return " | ".join("-" if math.isnan(v) else f"{v:5.2f}" for v in values)

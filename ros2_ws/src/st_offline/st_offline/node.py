@@ -47,10 +47,14 @@ class Monitor:
         self._thread = threading.Thread(target=self._spin, name="monitor", daemon=True)
         self._thread.start()
 
+    def node_names(self) -> list[str]:
+        """Of all nodes in the graph but this one; two of one name stand there twice."""
+        return [name for name in self._node.get_node_names() if name != self._node.get_name()]
+
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
         """Wait until all are in the graph; returns those still missing."""
         end = time.monotonic() + timeout
-        while missing := names - set(self._node.get_node_names()):
+        while missing := names - set(self.node_names()):
             if time.monotonic() > end:
                 break
             time.sleep(0.05)

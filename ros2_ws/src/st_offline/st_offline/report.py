@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 
 from .figures import paths_figure
 from .results import read_results, summarise, write_summary
@@ -12,20 +13,30 @@ from .tables import error_table, finding
 
 
 def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
-    """Write and show what the run found; 0 when every process ended well and something was scored."""
+    """Write and show what the run found.
+
+    Returns 0 when every process ended well and something was scored or the run was ended by hand, 130 when it was ended
+    before anything flowed, else 1.
+    """
+    if outcome.interrupted and not outcome.statuses:
+        console.print("ended before anything was sent or recorded")
+        return 130
     if outcome.problem:
-        console.print(f"[red]{outcome.problem}[/red]", highlight=False)
+        console.print(f"[red]{escape(outcome.problem)}[/red]", highlight=False, soft_wrap=True)
     failed = {name: status for name, status in outcome.statuses.items() if status}
     if failed:
         console.print(
             "[red]ended with an error: "
             + ", ".join(f"{n} (status {s})" for n, s in failed.items())
-            + f"; see {folder / 'logs'}[/red]"
+            + f"; see {escape(str(folder / 'logs'))}[/red]",
+            highlight=False,
+            soft_wrap=True,
         )
-    results = read_results(folder)
-    summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
-    write_summary(folder / "summary.json", summary)
-    paths_figure(results, f"{about['what']}: {finding(summary)}", folder / "paths.png")
+    with console.status("reading the recordings, drawing"):
+        results = read_results(folder)
+        summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
+        write_summary(folder / "summary.json", summary)
+        paths_figure(results, f"{about['what']}: {finding(summary)}", folder / "paths.png")
     console.print(error_table(summary, f"{about['what']}: error over each 5 s horizon, at the INS point"))
     ticks = summary["ticks"]
     console.print(f"ticks {ticks['due']}, predicted {ticks['predicted']}, skipped {ticks['skipped']}")
@@ -35,10 +46,9 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
         ("summary.json", "this table"),
         ("paths.png", "the picture"),
     ):
-        console.print(f"  {folder / name}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
+        console.print(f"  {escape(str(folder / name))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
     scored = any(modes["hindsight"]["n_starts"] for modes in summary["models"].values())
     if not scored:
-        console.print(
-            "[yellow]nothing was scored: shorter than a horizon, or an input was missing (see above)[/yellow]"
-        )
+        console.print("[yellow]nothing was scored: shorter than a horizon, or an input was missing[/yellow]")
+        console.print(escape(outcome.health.rstrip()), highlight=False, soft_wrap=True)
     return 0 if outcome.ok and (scored or outcome.interrupted) else 1

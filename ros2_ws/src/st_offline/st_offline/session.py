@@ -4,18 +4,21 @@ import os
 import select
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
+from rich.text import Text
 
 from . import live_view
 from .node import Monitor
 from .paths import config
-from .suite import Parameters, Suite, SuiteError, free_domain_id, merge
+from .suite import Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain, merge
 
 NODES = (  # package, executable: in the order they start; the listeners come first so that nothing is missed
     ("st_predictor", "recorder"),
@@ -29,27 +32,22 @@ NODES = (  # package, executable: in the order they start; the listeners come fi
 STOP_ORDER = ("predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 BEFORE_THE_END = 0.5  # s before a source runs dry the run ends
 START_TIMEOUT = 30.0  # s for all nodes to appear in the graph
+DISCOVERY_TIME = 1.0  # s until nodes that run already are in the graph; it takes a tenth of that
 QUIET_REFRESH = 10.0  # s between lines where the output is no terminal
 
 
 @dataclass(frozen=True)
 class Outcome:
+    """statuses: of the processes that ran to the end. health: what was not well when the run ended, for a reader."""
+
     statuses: dict[str, int]
     interrupted: bool
     problem: str = ""
+    health: str = ""
 
     @property
     def ok(self) -> bool:
         return not self.problem and not any(self.statuses.values())
-
-
-def output_folder(given: Path | None, name: str) -> Path:
-    """The folder of a run; never one that already holds something."""
-    folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
-    if folder.exists() and any(folder.iterdir()):
-        raise SuiteError(f"{folder} is not empty: name another --output (nothing is ever overwritten)")
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder.absolute()
 
 
 def node_parameters(folder: Path, vehicle: Path, bridges: Parameters) -> Parameters:
@@ -78,62 +76,82 @@ def run(
 ) -> Outcome:
     """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
 
-    duration in s; None: until Ctrl-C, or until the source runs dry: it returns how long it lasts [s]. Raises SuiteError when a node does not come up.
+    duration in s; None: until Ctrl-C, or until the source runs dry: it returns how long it lasts [s]. Raises SuiteError
+    when a node does not come up, or runs already.
     """
     console = console or Console()
     # A demo must not be heard by, or hear, another suite on this machine; the car uses the user's own domain.
-    chosen = os.environ.get("ROS_DOMAIN_ID")
-    domain = int(chosen) if chosen else (free_domain_id() if source else 0)
-    stop = _StopRequest()
-    problem = ""
-    with stop, Suite(folder, parameters, domain) as suite, Monitor(domain) as monitor:
-        for package, executable in NODES:
-            suite.start_node(package, executable)
-        _wait_for_nodes(suite, monitor, stop)
-        console.print(f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}")
-        if source:
-            lasts = source(suite) - BEFORE_THE_END
-            duration = min(duration or lasts, lasts)
-        try:
-            _watch(suite, monitor, console, title, duration, stop)
-        except SuiteError as error:
-            problem = str(error)
-        statuses = {}
-        for name in STOP_ORDER:
-            statuses.update(suite.stop(name))
-    return Outcome(statuses, stop.requested, problem)
+    chosen = chosen_domain_id()
+    if chosen is None and not source:
+        chosen = 0
+    held = claimed_domain() if chosen is None else nullcontext(chosen)
+    with _StopRequest() as stop, held as domain, Monitor(domain) as monitor:
+        if chosen is not None:
+            stop.wait(DISCOVERY_TIME)
+            _refuse_company(monitor, domain, allowed=0)
+        with Suite(folder, parameters, domain) as suite:
+            if not _all_up(suite, monitor, stop):
+                return Outcome({}, True)
+            _refuse_company(monitor, domain, allowed=1)
+            what = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
+            console.print(escape(what), highlight=False, soft_wrap=True)
+            if source:
+                lasts = source(suite) - BEFORE_THE_END
+                duration = min(duration or lasts, lasts)
+            problem = _watch(suite, monitor, console, title, duration, stop)
+            health = live_view.health(monitor.heard).plain
+            statuses = {}
+            for name in STOP_ORDER:
+                statuses.update(suite.stop(name))
+        return Outcome(statuses, stop.requested, problem, health)
 
 
-def _wait_for_nodes(suite: Suite, monitor: Monitor, stop: "_StopRequest") -> None:
+def _refuse_company(monitor: Monitor, domain: int, allowed: int) -> None:
+    """Two suites in one domain would take each other's INS and steering for their own. Raises SuiteError."""
+    counts = Counter(monitor.node_names())
+    others = [name for _, name in NODES if counts[name] > allowed]
+    if others:
+        raise SuiteError(f"{', '.join(others)} of another suite run in ROS domain {domain} already: end that one, or "
+                         "set ROS_DOMAIN_ID to another number")
+
+
+def _all_up(suite: Suite, monitor: Monitor, stop: "_StopRequest") -> bool:
+    """Start all nodes and wait for them; False as soon as the run is to stop."""
+    for package, executable in NODES:
+        suite.start_node(package, executable)
     names = {executable for _, executable in NODES}
     end = time.monotonic() + START_TIMEOUT
-    while missing := monitor.wait_for_nodes(names, 0.5):
+    while not stop.requested and (missing := monitor.wait_for_nodes(names, 0.5)):
         suite.check()
-        if stop.requested:
-            return
         if time.monotonic() > end:
             raise SuiteError(
                 f"not up after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))} (logs in {suite.folder / 'logs'})"
             )
+    return not stop.requested
 
 
 def _watch(
     suite: Suite, monitor: Monitor, console: Console, title: str, duration: float | None, stop: "_StopRequest"
-) -> None:
-    """Until the time is over or somebody pressed Ctrl-C. A process that dies ends the run."""
+) -> str:
+    """Until the time is over or somebody pressed Ctrl-C; a process that dies ends the run and is what is returned."""
     started = time.monotonic()
     last_line = started
     with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:
         while not stop.wait(0.25):
             elapsed = time.monotonic() - started
             if duration is not None and elapsed > duration:
-                return
-            suite.check()
+                break
+            try:
+                suite.check()
+            except SuiteError as error:
+                return str(error)
             if console.is_terminal:
                 live.update(live_view.view(monitor.heard, elapsed, duration, title), refresh=True)
             elif time.monotonic() - last_line >= QUIET_REFRESH:
                 last_line = time.monotonic()
-                console.print(f"{title}: {elapsed:.0f} s; {live_view.ticks(monitor.heard)}")
+                console.print(Text(f"{title}: {elapsed:.0f} s; {live_view.ticks(monitor.heard)}"), soft_wrap=True)
+                console.print(live_view.health(monitor.heard), soft_wrap=True, end="")
+    return ""
 
 
 class _StopRequest:

@@ -10,14 +10,19 @@ import shutil
 import signal
 import socket
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
+from st_core import yaml_text
+from st_core.errors import ConfigurationError
 
 STOP_TIMEOUT = 10.0  # s until a child that ignores SIGINT is killed
+LAST_DOMAIN = 101  # the ports of higher ones lie among those the system hands out by itself
+LARGEST_DOMAIN = 232  # there are no ports beyond it
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
@@ -123,9 +128,17 @@ def find_executable(package: str, executable: str) -> str:
 
 
 def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
-    """Node parameters of a file with overrides on top; the file's sections are node names."""
-    document = yaml.safe_load(base.read_text())
-    merged = {node: dict(section["ros__parameters"]) for node, section in document.items()}
+    """Node parameters of a file with overrides on top; the file's sections are node names.
+
+    Raises SuiteError naming the file for one that cannot be read, or says something twice.
+    """
+    try:
+        document = yaml_text.load(base.read_text(encoding="utf-8"))
+        merged = {node: dict(section["ros__parameters"]) for node, section in document.items()}
+    except (OSError, UnicodeDecodeError, ConfigurationError) as error:
+        raise SuiteError(f"{base}: {error}") from None
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise SuiteError(f"{base}: not sections `node: {{ros__parameters: {{name: value}}}}`") from None
     for node, values in overrides.items():
         merged.setdefault(node, {}).update(values)
     return merged
@@ -137,13 +150,34 @@ def free_udp_port() -> int:
         return probe.getsockname()[1]
 
 
-def free_domain_id() -> int:
-    """A ROS domain nobody on this machine uses: its first discovery port can be bound (DDS: 7400 + 250 * domain)."""
-    for domain in range(101, 0, -1):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+def chosen_domain_id() -> int | None:
+    """The user's ROS_DOMAIN_ID; None where it is not set. Raises SuiteError for one that cannot be a domain."""
+    text = os.environ.get("ROS_DOMAIN_ID", "")
+    if not text:
+        return None
+    if not text.isdecimal() or int(text) > LARGEST_DOMAIN:
+        raise SuiteError(f"ROS_DOMAIN_ID: {text!r} is not a whole number from 0 to {LARGEST_DOMAIN}")
+    return int(text)
+
+
+@contextmanager
+def claimed_domain() -> Iterator[int]:
+    """A ROS domain nobody on this machine uses, and nobody who asks like this gets while it is held.
+
+    Its first discovery port (DDS: 7400 + 250 * domain + 10) can be bound, and stays bound: participants take the next.
+    """
+    for domain in range(LAST_DOMAIN, 0, -1):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
             try:
-                probe.bind(("", 7400 + 250 * domain + 10))
+                held.bind(("", 7400 + 250 * domain + 10))
             except OSError:
                 continue
-            return domain
+            yield domain
+            return
     raise SuiteError("no free ROS domain: set ROS_DOMAIN_ID")
+
+
+def free_domain_id() -> int:
+    """As `claimed_domain`, not held."""
+    with claimed_domain() as domain:
+        return domain

@@ -6,10 +6,27 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from st_core.errors import StCoreError
+from st_core.vehicle import VehicleParameters
+from st_sim.errors import SimulationError
+from st_sim.run import check
+
 from .paths import config, project_root
 from .suite import Suite, SuiteError, find_executable, free_udp_port
 
 START_TIMEOUT = 20.0  # s until the virtual Leaf sends
+
+
+def vehicle_file(given: Path | None) -> Path:
+    """The vehicle file of a run, the Leaf's by default. Raises SuiteError, one line, for one that cannot be used."""
+    path = (given or config("vehicle/leaf.yaml")).absolute()
+    try:
+        VehicleParameters.from_yaml(path.read_text(encoding="utf-8"), str(path))
+    except StCoreError as error:
+        raise SuiteError(str(error)) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise SuiteError(f"{path}: cannot be read: {error}") from None
+    return path
 
 
 def bridge_parameters(
@@ -30,32 +47,39 @@ def bridge_parameters(
 
 
 class VirtualCar:
-    """The virtual Leaf on wires of its own: a free UDP port, and that port's CAN group on the loopback interface."""
+    """The virtual Leaf on wires of its own: a free UDP port, and that port's CAN group on the loopback interface.
 
-    def __init__(self, vehicle: Path):
+    options: of the virtual_leaf command, besides those for the wires. Raises SuiteError for what it would refuse.
+    """
+
+    def __init__(self, vehicle: Path, options: Sequence[str]):
         self.vehicle = vehicle
         self.port = free_udp_port()
         self.channel = f"239.74.163.2:{self.port}"
-
-    def bridge_parameters(self) -> dict[str, dict[str, Any]]:
-        bus = {"interface": "udp_multicast", "channel": self.channel}
-        return bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, bus)
-
-    def start(self, suite: Suite, options: Sequence[str]) -> float:
-        """Start it and wait until data flow; returns how long they will [s].
-
-        Raises SuiteError with its own words if they do not.
-        """
         wires = {
             "--vehicle": self.vehicle,
             "--config": project_root() / "config",
             "--ncom-port": self.port,
             "--can-interface": "udp_multicast",
             "--can-channel": self.channel,
-            "--output": suite.folder / "truth",
         }
-        words = [str(word) for pair in wires.items() for word in pair]
-        leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *options, *words])
+        self._words = [*options, *(str(word) for pair in wires.items() for word in pair)]
+        try:
+            check(self._words)
+        except SimulationError as error:
+            raise SuiteError(str(error)) from None
+
+    def bridge_parameters(self) -> dict[str, dict[str, Any]]:
+        bus = {"interface": "udp_multicast", "channel": self.channel}
+        return bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, bus)
+
+    def start(self, suite: Suite) -> float:
+        """Start it and wait until data flow; returns how long they will [s].
+
+        Raises SuiteError with its own words if they do not.
+        """
+        words = [*self._words, "--output", str(suite.folder / "truth")]
+        leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *words])
         end = time.monotonic() + START_TIMEOUT
         while time.monotonic() < end and leaf.process.poll() is None:
             for line in leaf.log.read_text().splitlines():

@@ -31,9 +31,9 @@ from .truth import Truth
 
 DEFAULT_DURATION = 60.0
 START_GRID_NS = 20_000_000
+"""Drives start on this grid of UTC, so that every epoch at 100 or 250 Hz is a whole millisecond."""
 LEAD_NS = 20_000_000
 """From everything open to the first epoch, at least."""
-"""Drives start on this grid of UTC, so that every epoch at 100 or 250 Hz is a whole millisecond."""
 FILE_EPOCH_NS = 1_756_900_800_000_000_000
 """2025-09-03 12:00:00 UTC: start of a drive written to files, plus one hour per seed."""
 DEFAULT_ORIGIN = "51.448,5.49,65.0"
@@ -42,23 +42,32 @@ _SENSOR_GROUPS = ("ins", "can")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status: 0, also after SIGINT or SIGTERM with files closed; 2, with a line on stderr, for a bad argument."""
-    options = _parser().parse_args(arguments)
     stop = _Stop()
     try:
+        options = _parser().parse_args(arguments)
         if options.list:
             _print_lists()
         elif options.to_files:
             _to_files(options, stop)
         else:
             _live(options, stop)
-    except SimulationError as error:
-        print(f"virtual_leaf: {error}", file=sys.stderr)
-        return 2
     except (OSError, ValueError) as error:
-        # Files and tables of the codecs say in one line what is wrong with them.
-        print(f"virtual_leaf: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"virtual_leaf: {_one_line(error)}", file=sys.stderr)
         return 2
     return 0
+
+
+def check(arguments: Sequence[str]) -> None:
+    """Raises SimulationError, one line, for what `main` would refuse before a clock starts."""
+    try:
+        _prepare(_parser().parse_args(arguments))
+    except (OSError, ValueError) as error:
+        raise SimulationError(_one_line(error)) from None
+
+
+def _one_line(error: Exception) -> str:
+    """Files and tables of the codecs say themselves what is wrong with them."""
+    return " ".join(str(error).split())
 
 
 class _Stop:
@@ -245,10 +254,10 @@ def _print_lists() -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """One line for a bad argument."""
+    """A bad argument is a SimulationError like any other."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}\n")
+        raise SimulationError(message)
 
 
 def _parser() -> argparse.ArgumentParser:

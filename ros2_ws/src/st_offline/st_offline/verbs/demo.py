@@ -5,20 +5,18 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from ..paths import config
-
 AFTERWARDS = 2.0  # s
-SCENARIOS = "S1 to S7 of the paper, sweep, step, lane_change, brake_in_turn, ramp_to_limit"
+SCENARIOS = "S1 to S7 of the paper, sweep, step, lane_change, brake_in_turn, ramp_to_limit, or a .yaml file"
 
 
 def demo(
-    scenario: str = typer.Option("S6", help=f"Manoeuvre of the virtual Leaf: {SCENARIOS}."),
+    scenario: str | None = typer.Option(None, help=f"Manoeuvre of the virtual Leaf: {SCENARIOS}; default S6."),
     drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", exists=True, dir_okay=False),
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
     ),
     duration: float | None = typer.Option(None, help="Seconds of driving; default 60, or the whole drive.", min=6.0),
-    plant: str = typer.Option("realistic", help="ideal, realistic, or a file with plant settings."),
+    plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
     effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),
     ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
     seed: int = typer.Option(0, help="Of the simulated noise."),
@@ -26,28 +24,30 @@ def demo(
 ) -> None:
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
     # Imported when it runs: the drawing and ROS libraries take a second that `st --help` need not wait.
+    from ..output import OutputError, new_folder
     from ..report import conclude
-    from ..session import node_parameters, output_folder, run
+    from ..session import node_parameters, run
     from ..suite import SuiteError
-    from ..wires import VirtualCar
+    from ..wires import VirtualCar, vehicle_file
 
     console = Console()
-    what = drive.stem if drive else scenario
-    car = VirtualCar((vehicle or config("vehicle/leaf.yaml")).absolute())
+    what = drive.stem if drive else Path(scenario or "S6").stem
     if duration is None and drive is None:
         duration = 60.0
-    options = ["--drive", str(drive.absolute())] if drive else ["--scenario", scenario, "--plant", plant]
-    options += ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
+    options = ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
+    for name, value in (("--drive", drive and drive.absolute()), ("--scenario", scenario), ("--plant", plant)):
+        options += [name, str(value)] if value else []
     # The car drives on while the predictor stops, so that no tick at the end goes without inputs.
     options += ["--duration", str(duration + AFTERWARDS)] if duration else []
     options += [word for e in effect for word in ("--effect", e)]
     try:
-        folder = output_folder(output, f"demo-{what}")
+        car = VirtualCar(vehicle_file(vehicle), options)
+        folder = new_folder(output, f"demo-{what}")
         parameters = node_parameters(folder, car.vehicle, car.bridge_parameters())
-        outcome = run(folder, parameters, what, duration, lambda suite: car.start(suite, options), console)
-    except SuiteError as error:
+        outcome = run(folder, parameters, what, duration, car.start, console)
+    except (SuiteError, OutputError) as error:
         typer.echo(f"st demo: {error}", err=True)
-        raise typer.Exit(1) from None
+        raise typer.Exit(2) from None
     source = "recorded drive" if drive else "virtual Leaf"
     about = {"what": what, "source": source, "vehicle": car.vehicle.stem, "seed": seed}
     raise typer.Exit(conclude(folder, outcome, about, console))

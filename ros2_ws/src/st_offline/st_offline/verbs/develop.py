@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import NoReturn
 
 import typer
 
@@ -27,9 +28,15 @@ def test(
 def shell(context: typer.Context) -> None:
     """Open a shell with everything sourced (or run one command in it: ./st shell -- python)."""
     if context.args:
-        os.execvp(context.args[0], context.args)
-    bash = Path(os.environ.get("SHELL", "/bin/bash")).name == "bash"
+        _become(context.args)
+    shell = os.environ.get("SHELL", "/bin/bash")
     os.environ["PS1"] = "(st) \\w \\$ "
-    if bash:
-        os.execvp("bash", ["bash", "--norc"])
-    os.execvp(os.environ["SHELL"], [os.environ["SHELL"]])
+    _become([shell, "--norc"] if Path(shell).name == "bash" else [shell])
+
+
+def _become(command: list[str]) -> NoReturn:
+    try:
+        os.execvp(command[0], command)
+    except OSError as error:
+        typer.echo(f"st shell: {command[0]}: {error.strerror}", err=True)
+        raise typer.Exit(127) from None

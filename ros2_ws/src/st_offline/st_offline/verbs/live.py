@@ -5,8 +5,6 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from ..paths import config
-
 
 def live(
     can_interface: str = typer.Option("socketcan", help="python-can interface."),
@@ -21,26 +19,27 @@ def live(
     signals: Path | None = typer.Option(
         None, help="Signal table; default config/can/leaf_ze0.yaml.", exists=True, dir_okay=False
     ),
-    duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C."),
+    duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C.", min=1.0),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
     # Imported when it runs, see demo.py.
+    from ..output import OutputError, new_folder
     from ..report import conclude
-    from ..session import node_parameters, output_folder, run
+    from ..session import node_parameters, run
     from ..suite import SuiteError
-    from ..wires import bridge_parameters
+    from ..wires import bridge_parameters, vehicle_file
 
     console = Console()
-    vehicle = (vehicle or config("vehicle/leaf.yaml")).absolute()
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     bus = {"interface": can_interface, "channel": can_channel}
     try:
-        folder = output_folder(output, "live")
+        vehicle = vehicle_file(vehicle)
+        folder = new_folder(output, "live")
         parameters = node_parameters(folder, vehicle, bridge_parameters(vehicle, ins, bus, dbc, signals))
         outcome = run(folder, parameters, "live", duration, None, console)
-    except SuiteError as error:
+    except (SuiteError, OutputError) as error:
         typer.echo(f"st live: {error}", err=True)
-        raise typer.Exit(1) from None
+        raise typer.Exit(2) from None
     source = f"{can_interface}:{can_channel}, NCOM port {ncom_port}"
     raise typer.Exit(conclude(folder, outcome, {"what": "live", "source": source, "vehicle": vehicle.stem}, console))

@@ -1,0 +1,149 @@
+"""What st demo and st live refuse before anything starts, and how their terminal view reads."""
+
+import socket
+import time
+from pathlib import Path
+
+import pytest
+import typer
+from support import ROOT
+from typer.testing import CliRunner
+
+pytest.importorskip("st_msgs", reason="needs the built workspace")
+
+from rich.console import Console
+from st_msgs.msg import ErrorStatistics, ErrorSummary, PredictorStatus
+from st_offline import live_view
+from st_offline.node import Heard, Status
+from st_offline.suite import SuiteError, chosen_domain_id, claimed_domain, merge
+from st_offline.verbs import demo, develop, live, ncom
+
+pytestmark = pytest.mark.ros
+LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
+
+
+def run(verb, *arguments: object):
+    app = typer.Typer()
+    app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": verb is develop.shell})(verb)
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--scenario", "S66"], ["--scenario S66", "there are S1, S2"]),
+    (["--effect", "friction=0.8"], ["friction: no such setting", "friction_factor"]),
+    (["--effect", "friction_factor=7"], ["friction_factor: 7.0 is not within 0.05 to 2 1"]),
+    (["--ncom-rate", "200"], ["--ncom-rate", "choose from 100, 250"]),
+    (["--plant", "nowhere.yaml"], ["--plant nowhere.yaml: neither ideal nor realistic"]),
+    (["--drive", ROOT / "README.md"], ["README.md", "column t is missing"]),
+    (["--drive", ROOT / "README.md", "--scenario", "S3"], ["--scenario: not allowed with argument --drive"]),
+])
+def test_demo_refuses_a_wrong_argument_in_one_line_and_makes_no_folder(tmp_path: Path, arguments, words) -> None:
+    result = run(demo.demo, *arguments, "--output", tmp_path / "run")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("st demo: ") and result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("verb", [demo.demo, live.live])
+@pytest.mark.parametrize(("before", "after", "words"), [
+    ("\nmass:", "\nmasss:", "masss: unknown key, did you mean mass?"),
+    ("unit: kg,", "unit: g,", "mass: unit 'g' is not kg"),
+    ("value: 1590.0", "value: 15.9", "mass: 15.9 is outside 50 to 60000 kg"),
+])
+def test_a_wrong_vehicle_file_is_refused_before_anything_starts(tmp_path: Path, verb, before, after, words) -> None:
+    assert before in LEAF
+    vehicle = tmp_path / "car.yaml"
+    vehicle.write_text(LEAF.replace(before, after, 1))
+    result = run(verb, "--vehicle", vehicle, "--output", tmp_path / "run")
+    assert result.exit_code == 2
+    assert f"{vehicle}: {words}" in result.stderr
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("verb", [demo.demo, live.live])
+def test_an_output_that_is_taken_or_impossible_is_refused(tmp_path: Path, verb) -> None:
+    (tmp_path / "precious.txt").write_text("x")
+    for output in (tmp_path, tmp_path / "precious.txt", tmp_path / "precious.txt" / "run"):
+        result = run(verb, "--output", output)
+        assert result.exit_code == 2 and str(output) in result.stderr and result.stderr.count("\n") == 1
+    assert (tmp_path / "precious.txt").read_text() == "x"
+
+
+def test_a_recording_is_not_overwritten_by_its_own_csv(tmp_path: Path) -> None:
+    recording = tmp_path / "drive.ncom"
+    recording.write_bytes(b"\xe7" * 720)
+    (tmp_path / "link.csv").symlink_to(recording)
+    for options in (["--csv", recording], ["--csv", tmp_path / "link.csv"],
+                    ["--csv", tmp_path / "a.csv", "--status", recording]):
+        result = run(ncom.ncom, recording, *options)
+        assert result.exit_code == 2 and "is the recording itself" in result.stderr
+    assert "name two files" in run(ncom.ncom, recording, "--csv", "a.csv", "--status", "a.csv").stderr
+    assert recording.read_bytes() == b"\xe7" * 720
+
+
+def test_a_command_that_is_not_there_is_named() -> None:
+    result = run(develop.shell, "no-such-command")
+    assert result.exit_code == 127 and "st shell: no-such-command: No such file" in result.stderr
+
+
+@pytest.mark.parametrize("text", ["abc", "-1", "233", "1.5"])
+def test_a_domain_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with pytest.raises(SuiteError, match=r"ROS_DOMAIN_ID: .* from 0 to 232"):
+        chosen_domain_id()
+
+
+def test_a_domain_is_claimed_once_at_a_time() -> None:
+    with claimed_domain() as first, claimed_domain() as second:
+        assert first != second
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, pytest.raises(OSError, match="in use"):
+            probe.bind(("", 7400 + 250 * first + 10))
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("a: {ros__parameters: {x: 1}}\na: {ros__parameters: {x: 2}}\n", "a: given twice"),
+    ("a: {x: 1}\n", "not sections"),
+    ("a: {ros__parameters: {x: 1\n", "not valid YAML"),
+])
+def test_a_parameter_file_that_contradicts_itself_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "nodes.yaml").write_text(text)
+    with pytest.raises(SuiteError, match=words):
+        merge(tmp_path / "nodes.yaml", {})
+
+
+def test_every_node_has_one_section_in_the_parameter_file() -> None:
+    assert merge(ROOT / "config" / "nodes.yaml", {}).keys() == {
+        "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder"}
+
+
+def lines_of(heard: Heard) -> list[str]:
+    console = Console(width=80, force_terminal=True, color_system=None)
+    with console.capture() as captured:
+        console.print(live_view.view(heard, 12.0, 60.0, "S6"))
+    return [line.rstrip() for line in captured.get().splitlines()]
+
+
+def test_the_running_table_takes_one_line_per_model_and_mode_on_eighty_columns() -> None:
+    values = {f"{axis}_{kind}": -23.456 if kind == "mean" else 98.765
+              for axis in ("longitudinal", "lateral") for kind in ("mean", "max", "rmse")}
+    statistics = [ErrorStatistics(model=m, mode=k, n_starts=12345, **values)
+                  for m in ("kinematic", "linear", "nonlinear", "augmented") for k in ("forecast", "hindsight")]
+    ticks = PredictorStatus(due=130, predicted=128, skipped_stale=2)
+    lines = lines_of(Heard(ErrorSummary(statistics=statistics), ticks))
+    rows = [line for line in lines if "forecast" in line or "hindsight" in line]
+    assert len(rows) == 8 and max(map(len, lines)) <= 80
+    for row in rows:
+        assert row.count("-23.46") == 2 and row.count("98.77") == 4 and "12345" in row
+    assert "ticks 130, predicted 128, skipped 2" in lines
+
+
+def test_what_is_wrong_stands_under_the_table_worst_first() -> None:
+    now = time.monotonic()
+    health = [Status("a: one", 1, "not so good", now), Status("b: two", 2, "[bad]", now),
+              Status("c: three", 0, "fine", now)]
+    lines = lines_of(Heard(ErrorSummary(statistics=[ErrorStatistics(model="linear", mode="forecast")]), None,
+                           {s.name: s for s in health}))
+    assert lines[1:5] == ["waiting for the first complete horizon", "predictor: not heard yet", "error: b: two: [bad]",
+                          "warning: a: one: not so good"]
