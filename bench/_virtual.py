@@ -1,0 +1,34 @@
+"""Files of the virtual Leaf, as its own command writes them, and the drives in them."""
+
+import contextlib
+import io
+from pathlib import Path
+
+from st_core.vehicle import VehicleParameters
+from st_offline.paths import config
+from st_offline.runs import find_runs, read
+from st_sim.run import main as virtual_leaf
+
+SCENARIOS = ("S1", "S2", "S3", "S4", "S5", "S6", "S7")
+SECONDS = 60.0
+LEAF = config("vehicle/leaf.yaml")
+
+
+def leaf() -> VehicleParameters:
+    return VehicleParameters.from_yaml(LEAF.read_text(), str(LEAF))
+
+
+def write_scenarios(folder: Path, seed: int = 1) -> Path:
+    """S1 to S7 with the realistic plant, each SECONDS long: folder/<name>/run.ncom and run.mf4."""
+    for name in SCENARIOS:
+        with contextlib.redirect_stdout(io.StringIO()):
+            status = virtual_leaf(["--scenario", name, "--vehicle", str(LEAF), "--duration", str(SECONDS), "--seed",
+                                   str(seed), "--plant", "realistic", "--to-files", str(folder / name)])
+        if status:
+            raise RuntimeError(f"the virtual Leaf did not drive {name}")
+    return folder
+
+
+def read_runs(path: Path, vehicle: VehicleParameters) -> dict:
+    """{name: DriveLog} of all runs below a folder."""
+    return {source.name: read(source, vehicle).log for source in find_runs([path])}

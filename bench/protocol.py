@@ -1,0 +1,74 @@
+"""What each choice the paper leaves open changes in the table: on the virtual Leaf and on the real Genesis drives."""
+
+import os
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from _virtual import leaf, read_runs, write_scenarios
+from st_core.log_evaluation import EvaluationSettings, LogEvaluation, evaluate_log
+from st_core.prediction import PredictionSettings
+from st_core.vehicle import VehicleParameters
+from st_offline.paths import config, project_root
+
+MODELS = ("kinematic", "linear", "nonlinear")
+REFERENCE = EvaluationSettings()
+CHOICES = {
+    "as in the car": REFERENCE,
+    "zero-phase filter": replace(REFERENCE, acceleration="zero_phase"),
+    "inputs held over each step": replace(REFERENCE, inputs="hold"),
+    "both": replace(REFERENCE, acceleration="zero_phase", inputs="hold"),
+    "step of 10 ms": replace(REFERENCE, prediction=PredictionSettings(step=0.01)),
+    "starts from 3 m/s": replace(REFERENCE, prediction=PredictionSettings(minimum_speed=3.0)),
+}
+DATA = "data/hyundai_genesis_oxts"
+
+
+def run() -> dict:
+    """RMSE [m] of all starts of a data set together, longitudinal and lateral, in hindsight."""
+    found = {}
+    with tempfile.TemporaryDirectory(prefix="st-protocol-") as folder:
+        found["virtual Leaf"] = _table(read_runs(write_scenarios(Path(folder)), leaf()), leaf())
+    data = Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / DATA
+    if data.exists():
+        file = config("vehicle/hyundai_genesis.yaml")
+        genesis = VehicleParameters.from_yaml(file.read_text(), str(file))
+        found["Genesis"] = _table(read_runs(data, genesis), genesis)
+    return found
+
+
+def _table(drives: dict, vehicle: VehicleParameters) -> dict:
+    rows = {}
+    reference: list[LogEvaluation] = []
+    for name, settings in CHOICES.items():
+        evaluations = [evaluate_log(MODELS, vehicle, log, settings) for log in drives.values()]
+        reference = reference or evaluations
+        rows[name] = _rmse(evaluations, "means") | {"largest change": _largest_change(evaluations, reference, "means")}
+        if settings is REFERENCE:
+            rows["all samples of the horizons"] = _rmse(evaluations, "samples") | {
+                "largest change": _largest_change(evaluations, reference, "samples")}
+    return rows
+
+
+def _largest_change(evaluations: list[LogEvaluation], reference: list[LogEvaluation], over: str) -> str:
+    """Of an RMSE in the table of runs, and where."""
+    changes = []
+    for now, before in zip(evaluations, reference, strict=True):
+        for model in MODELS:
+            for axis in ("longitudinal", "lateral"):
+                new = now.errors[model, "hindsight"].statistics(axis, over)[2]
+                old = before.errors[model, "hindsight"].statistics(axis, "means")[2]
+                changes.append((abs(new - old), f"{now.name}, {model}, {axis}: {old:.3f} to {new:.3f}"))
+    return max(changes)[1]
+
+
+def _rmse(evaluations: list[LogEvaluation], over: str) -> dict:
+    result = {}
+    for model in MODELS:
+        errors = [e.errors[model, "hindsight"] for e in evaluations]
+        counts = np.array([one.n_starts for one in errors])
+        for axis in ("longitudinal", "lateral"):
+            squares = np.square([one.statistics(axis, over)[2] for one in errors])
+            result[f"{model} {axis}"] = round(float(np.sqrt(np.average(squares, weights=counts))), 3)
+    return result

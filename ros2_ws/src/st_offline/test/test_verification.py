@@ -1,0 +1,183 @@
+"""Live equals offline, without ROS: the live classes' words in a bag against the library; and when they differ."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from st_core.evaluation import Evaluator
+from st_core.prediction import PredictionSettings, Predictor, Start, configuration_hash
+from st_core.types import InsSample
+from st_core.vehicle import VehicleParameters
+from st_offline.cli import app
+from st_offline.evaluation.verification import verify
+from st_offline.runs.bag import ODOMETRY, STEERING, definitions
+from st_offline.runs.cdr import typestore
+from st_predictor.mcap import BagWriter
+from support import ROOT
+from typer.testing import CliRunner
+
+STORE = typestore(definitions())
+PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
+MODELS = ("kinematic", "linear")
+T0 = 1_756_900_800_000_000_000
+SECONDS = 6.0
+SETTINGS = PredictionSettings(horizon=1.0)
+LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
+NODES = {"predictor": {"horizon": 1.0, "vehicle_file": "config/vehicle/leaf.yaml"}, "evaluator": {}}
+
+
+def header(time_ns: int, frame: str = "map") -> Any:
+    sec, nanosec = divmod(time_ns, 10**9)
+    return STORE.types["std_msgs/msg/Header"](stamp(sec, nanosec), frame)
+
+
+def stamp(sec: int, nanosec: int) -> Any:
+    return STORE.types["builtin_interfaces/msg/Time"](sec, nanosec)
+
+
+def message(name: str, **values: Any) -> bytes:
+    return bytes(STORE.serialize_cdr(STORE.types[name](**values), name))
+
+
+def odometry(s: InsSample) -> bytes:
+    t = {n: STORE.types[f"geometry_msgs/msg/{n}"] for n in (
+        "Point", "Quaternion", "Pose", "PoseWithCovariance", "Vector3", "Twist", "TwistWithCovariance")}
+    pose = t["Pose"](t["Point"](s.x, s.y, 0.0), t["Quaternion"](0.0, 0.0, np.sin(s.yaw / 2), np.cos(s.yaw / 2)))
+    twist = t["Twist"](t["Vector3"](s.velocity_x, s.velocity_y, 0.0), t["Vector3"](0.0, 0.0, s.yaw_rate))
+    return message(ODOMETRY, header=header(s.time_ns), child_frame_id="ins_link",
+                   pose=t["PoseWithCovariance"](pose, np.zeros(36)),
+                   twist=t["TwistWithCovariance"](twist, np.zeros(36)))
+
+
+class LiveBag:
+    """A weaving drive seen by Predictor and Evaluator tick by tick, written as the nodes write it."""
+
+    def __init__(self, folder: Path, car: VehicleParameters):
+        self.folder, self.car = folder, car
+        self.shift_one = 0.0  # m added to one predicted path
+        self.score_shift = 0.0  # m added to one score
+        self.without_predictions = False
+        self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
+        self._count = 0
+
+    def write(self) -> Path:
+        import yaml
+
+        parameters = yaml.safe_dump({node: {"ros__parameters": values} for node, values in NODES.items()})
+        writer = BagWriter(self.folder, {"configuration": {"leaf.yaml": LEAF, "parameters.yaml": parameters}})
+        topics = {name: writer.add_topic(topic, name, definition=STORE.generate_msgdef(name, ros_version=2)[0],
+                                         type_hash=STORE.hash_rihs01(name))
+                  for topic, name in (("/ins/odometry", ODOMETRY), ("/vehicle/steering", STEERING),
+                                      ("/predictor/x/prediction", PREDICTION), ("/evaluator/errors", ERROR))}
+        for k in range(round(SECONDS * 100)):
+            time, time_ns = 0.01 * k, T0 + 10_000_000 * k
+            yaw = 0.3 * np.sin(time)
+            sample = InsSample(time_ns, 8.0 * time, 1.2 * (1 - np.cos(time)), yaw, 8.0 + np.sin(time), -0.1,
+                               0.3 * np.cos(time))
+            angle = 0.1 * np.cos(time - 0.003)
+            steering_ns = time_ns + 3_000_000
+            for core in (self._predictor, self._evaluator):
+                core.add_ins(sample)
+                core.add_steering(steering_ns, angle)
+            writer.write(topics[ODOMETRY], odometry(sample), time_ns)
+            writer.write(topics[STEERING], message(STEERING, header=header(steering_ns, ""), road_wheel_angle=angle,
+                                                   steering_wheel_angle=angle * 17.3, valid=True), steering_ns)
+            if k % 10 == 9 and not self.without_predictions:
+                for prediction in self._tick(steering_ns):
+                    writer.write(topics[PREDICTION], prediction, steering_ns)
+            for score in self._evaluator.poll():
+                writer.write(topics[ERROR], self._score(score), steering_ns)
+        for score in self._evaluator.flush():
+            writer.write(topics[ERROR], self._score(score), T0 + 10**10)
+        writer.close()
+        return self.folder
+
+    def _tick(self, now_ns: int) -> list[bytes]:
+        start = self._predictor.start(now_ns)
+        if not isinstance(start, Start):
+            return []
+        found = []
+        for model in MODELS:
+            path = self._predictor.run(start, model)
+            self._evaluator.add_prediction(model, start.time_ns, start.state, start.inputs, path)
+            self._count += 1
+            names = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
+            columns = {name: path.states[:, k].copy() for k, name in enumerate(names)}
+            columns["x"][-1] += self.shift_one if self._count == 41 else 0.0
+            found.append(message(
+                PREDICTION, header=header(start.time_ns), issued_at=stamp(0, 0), model=model, step=path.step,
+                road_wheel_angle=start.inputs.road_wheel_angle, velocity_x_dot=start.inputs.velocity_x_dot, **columns,
+                cg_to_ins_x=self.car.cg_to_ins_x, cg_to_ins_y=0.0, compute_time=0.0,
+                configuration_hash=configuration_hash(self.car, SETTINGS)))
+        return found
+
+    def _score(self, score) -> bytes:
+        shift = self.score_shift if (score.model, score.mode) == ("linear", "hindsight") else 0.0
+        return message(
+            ERROR, header=header(score.start_ns), model=score.model, mode=score.mode, complete=score.complete,
+            incomplete_reason=score.incomplete_reason, horizon=score.horizon, longitudinal=score.longitudinal,
+            lateral=score.lateral + shift, yaw=score.yaw, longitudinal_mean=score.longitudinal_mean,
+            lateral_mean=score.lateral_mean, yaw_mean=score.yaw_mean, configuration_hash="")
+
+
+@pytest.fixture
+def live(tmp_path):
+    return LiveBag(tmp_path / "bag", VehicleParameters.from_yaml(LEAF, "leaf"))
+
+
+def st_verify(*arguments):
+    return CliRunner().invoke(app, ["verify", *map(str, arguments)])
+
+
+def test_the_same_numbers_start_by_start(live):
+    found = verify(live.write())
+    assert [c.model for c in found.comparisons] == list(MODELS) and found.same_configuration
+    for comparison in found.comparisons:
+        assert comparison.n_starts == 60 and comparison.n_disagree == comparison.n_cut == 0
+        # One second of horizon at the end is incomplete on both sides.
+        assert comparison.n_scores == {"hindsight": 50, "forecast": 50}
+        assert comparison.largest < 1e-9 and comparison.yaw < 1e-9
+    result = st_verify(live.folder)
+    assert result.exit_code == 0 and "120 predictions and 200 scores compared" in result.output.replace("\n", " ")
+
+
+def test_two_millimetres_are_found_and_where(live):
+    live.shift_one = 0.002
+    found = verify(live.write())
+    kinematic, linear = found.comparisons
+    assert kinematic.position == pytest.approx(0.002, abs=1e-9) and kinematic.start < 1e-9
+    assert kinematic.at_ns == T0 + 10_000_000 * (20 * 10 + 9) and linear.position < 1e-9
+    result = st_verify(live.folder)
+    assert result.exit_code == 1 and "live differs from offline" in result.output
+    assert st_verify(live.folder, "--tolerance", "0.003").exit_code == 0
+
+
+def test_a_score_of_its_own_is_found(live):
+    live.score_shift = -0.005
+    found = verify(live.write())
+    assert found.comparisons[1].error["hindsight"] == pytest.approx(0.005, abs=1e-9)
+    assert found.comparisons[1].error["forecast"] < 1e-9 and found.largest == pytest.approx(0.005, abs=1e-9)
+
+
+def test_another_vehicle_is_another_prediction(live, tmp_path):
+    other = tmp_path / "other.yaml"
+    stiffness = "cornering_stiffness_front: {value: "
+    other.write_text(LEAF.replace(f"{stiffness}70000.0", f"{stiffness}60000.0"))
+    found = verify(live.write(), other)
+    kinematic, linear = found.comparisons
+    assert not found.same_configuration and kinematic.position < 1e-9 and linear.position > 0.01
+    assert linear.start < 1e-9
+    assert "another vehicle" in st_verify(live.folder, "--vehicle", other).output
+
+
+def test_a_recording_without_predictions_has_nothing_to_compare(live):
+    live.without_predictions = True
+    assert verify(live.write()) is None
+
+
+def test_a_file_that_is_no_recording_says_so(tmp_path):
+    file = tmp_path / "x.mcap"
+    file.write_bytes(b"nothing of the kind")
+    result = st_verify(file)
+    assert result.exit_code == 2 and "x.mcap" in result.output

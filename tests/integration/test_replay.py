@@ -1,0 +1,60 @@
+"""st import, replay and verify on one drive: files of the virtual Leaf through the real nodes, and the library."""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from support import ROOT
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+pytest.importorskip("st_msgs", reason="needs the built workspace")
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+SECONDS = 16
+
+
+def st(*arguments: object) -> subprocess.CompletedProcess:
+    command = [str(ROOT / "st"), *map(str, arguments)]
+    environment = {**os.environ, "COLUMNS": "140"}
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=240, check=False, env=environment)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An imported recording: measurements only."""
+    from st_sim.run import main
+
+    base = tmp_path_factory.mktemp("replay")
+    assert main(["--scenario", "S6", "--vehicle", str(ROOT / "config/vehicle/leaf.yaml"), "--duration", str(SECONDS),
+                 "--to-files", str(base / "S6")]) == 0
+    done = st("import", base / "S6", "--output", base / "S6_bag")
+    assert done.returncode == 0, done.stdout + done.stderr
+    return base / "S6_bag"
+
+
+def test_live_equals_offline_to_a_millimetre(recording, tmp_path):
+    done = st("verify", recording, "--output", tmp_path / "played")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "live equals offline" in done.stdout
+    # 160 ticks; a busy machine may lose a few, and the last horizon is incomplete.
+    models = ("kinematic", "linear", "nonlinear")
+    rows = [line.split() for line in done.stdout.splitlines() if line.strip().startswith(models)]
+    assert len(rows) == 3 and all(int(row[1]) > 120 for row in rows)
+    assert (tmp_path / "played" / "errors" / "metadata.yaml").exists()
+
+
+def test_replay_scores_anew_what_evaluate_finds_in_the_file(recording, tmp_path):
+    played, evaluated = tmp_path / "played", tmp_path / "evaluated"
+    done = st("replay", recording, "--rate", "2", "--output", played)
+    assert done.returncode == 0, done.stdout + done.stderr
+    summary = json.loads((played / "summary.json").read_text())["models"]
+    assert st("evaluate", recording, "--figures", "", "--output", evaluated).returncode == 0
+    (offline,) = json.loads((evaluated / "evaluation.json").read_text())["runs"].values()
+    for model, modes in summary.items():
+        # Other starts, 100 ms apart as well: the same drive, so nearly the same statistics.
+        assert modes["hindsight"]["n_starts"] > 80
+        for axis in ("longitudinal", "lateral"):
+            expected = offline[model]["hindsight"][axis]["rmse"]
+            assert modes["hindsight"][axis]["rmse"] == pytest.approx(expected, rel=0.1, abs=0.01)
