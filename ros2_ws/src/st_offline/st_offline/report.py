@@ -50,5 +50,5 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
     scored = any(modes["hindsight"]["n_starts"] for modes in summary["models"].values())
     if not scored:
         console.print("[yellow]nothing was scored: shorter than a horizon, or an input was missing[/yellow]")
-        console.print(escape(outcome.health.rstrip()), highlight=False, soft_wrap=True)
+        console.print(escape(outcome.health.rstrip()), highlight=False, soft_wrap=not console.is_terminal)
     return 0 if outcome.ok and (scored or outcome.interrupted) else 1

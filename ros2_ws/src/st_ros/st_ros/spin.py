@@ -1,5 +1,6 @@
 """Start a node, spin it, and leave nothing behind: exit 0 on SIGINT or SIGTERM, 2 on a wrong configuration."""
 
+import atexit
 import signal
 import sys
 from collections.abc import Callable
@@ -70,6 +71,8 @@ class _StopRequest:
         self.requested = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._request)
+            # The interpreter takes handlers away before it ends; a signal would then kill what has ended well.
+            atexit.register(signal.signal, number, signal.SIG_IGN)
 
     def _request(self, number: int, frame: FrameType | None) -> None:
         self.requested = True

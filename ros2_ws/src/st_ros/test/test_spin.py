@@ -3,6 +3,7 @@
 import signal
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,17 @@ def test_signal_closes_the_node_and_gives_its_status(
     node = script(processes, TALKER, "talker", argument)
     wait_for(lambda: "up" in processes.log("talker"), what="talker up")
     assert processes.stop(node, number) == status
+    assert processes.log("talker").split() == ["up", "closed"]
+
+
+def test_signals_to_the_very_end_do_not_spoil_the_status(processes: Processes) -> None:
+    """As `ros2 launch` does on Ctrl-C: the terminal's signal, then its own, while the node is on its way out."""
+    node = script(processes, TALKER, "talker", "well")
+    wait_for(lambda: "up" in processes.log("talker"), what="talker up")
+    while node.poll() is None:
+        node.send_signal(signal.SIGINT)
+        time.sleep(0.001)
+    assert node.returncode == 0
     assert processes.log("talker").split() == ["up", "closed"]
 
 

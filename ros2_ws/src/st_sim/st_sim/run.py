@@ -1,6 +1,7 @@
 """The `virtual_leaf` command: a simulated car or a recorded drive on the wires in real time, or into files at once."""
 
 import argparse
+import atexit
 import contextlib
 import json
 import os
@@ -79,6 +80,8 @@ class _Stop:
             # Not in the main thread (a test, an embedding program): then nobody sends us signals.
             with contextlib.suppress(ValueError):
                 signal.signal(number, self._ask)
+                # The interpreter takes handlers away before it ends; a signal would then kill what has ended well.
+                atexit.register(signal.signal, number, signal.SIG_IGN)
 
     def _ask(self, *_: object) -> None:
         self._asked = True

@@ -184,6 +184,16 @@ def test_signal_closes_the_files(tmp_path, number):
     assert len(messages) >= 60 and "settings" in metadata
 
 
+def test_signals_to_the_very_end_do_not_spoil_the_status(tmp_path):
+    options = ["--vehicle", str(LEAF), "--to-files", str(tmp_path), "--duration", "1"]
+    command = [sys.executable, "-m", "st_sim.run", *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert '"done"' in process.stdout.readline()
+    while process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    assert process.returncode == 0 and process.communicate()[1] == ""
+
+
 def test_signal_closes_the_files_of_file_mode(tmp_path):
     command = [
         sys.executable,
