@@ -9,17 +9,17 @@ from pathlib import Path
 from st_offline.node import Monitor
 from st_offline.paths import config
 from st_offline.session import NODES, node_parameters
-from st_offline.suite import Suite, free_domain_id
+from st_offline.suite import Suite, claimed_domain
 from st_offline.wires import VirtualCar
 
 
 @contextmanager
 def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full") -> Iterator[Suite]:
     """Nodes up and data flowing; everything ended and deleted afterwards."""
-    with tempfile.TemporaryDirectory(prefix="st-bench-") as name:
+    with claimed_domain() as domain, tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         rates = ["--ncom-rate", str(ncom_rate), "--can-rate", can_rate]
         car = VirtualCar(config("vehicle/leaf.yaml"), ["--scenario", "S6", "--duration", str(duration), *rates])
-        folder, domain = Path(name), free_domain_id()
+        folder = Path(name)
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         with Suite(folder, node_parameters(folder, car.vehicle, car.bridge_parameters()), domain) as suite:
             for package, executable in NODES:

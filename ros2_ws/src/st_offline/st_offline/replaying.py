@@ -1,10 +1,10 @@
 """A recording through the real nodes: predictor, evaluator and recorder on the recording's own clock."""
 
 import json
-import os
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from .evaluation.recorded import RecordedConfiguration
 from .node import Monitor
 from .paths import config
 from .session import START_TIMEOUT, Outcome
-from .suite import Child, Suite, SuiteError, free_domain_id, merge
+from .suite import Child, Suite, SuiteError, chosen_domain_id, claimed_domain, merge
 
 NODES = ("recorder", "evaluator", "predictor")  # the listeners first, so that nothing is missed
 SETTLE = 1.0  # s after the last message: the newest predictions are on their way to evaluator and recorder
@@ -41,11 +41,11 @@ def replay(bag: Path, folder: Path, parameters: Mapping[str, Mapping[str, Any]],
 
     rate: times as fast as it was recorded; 0: as fast as the nodes follow. Raises SuiteError.
     """
-    chosen = os.environ.get("ROS_DOMAIN_ID")
-    domain = int(chosen) if chosen else free_domain_id()
+    chosen = chosen_domain_id()
+    held = claimed_domain() if chosen is None else nullcontext(chosen)
     problem, interrupted = "", False
     predictor = parameters["predictor"]
-    with Suite(folder, parameters, domain) as suite, Monitor(domain) as monitor:
+    with held as domain, Suite(folder, parameters, domain) as suite, Monitor(domain) as monitor:
         for name in NODES:
             suite.start_node("st_predictor", name)
         _wait(suite, monitor)

@@ -111,6 +111,8 @@ def _end(process: subprocess.Popen) -> int:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        if process.returncode == -signal.SIGINT:
+            return 0  # asked to end before it could listen to being asked
     return process.returncode
 
 
@@ -175,9 +177,3 @@ def claimed_domain() -> Iterator[int]:
             yield domain
             return
     raise SuiteError("no free ROS domain: set ROS_DOMAIN_ID")
-
-
-def free_domain_id() -> int:
-    """As `claimed_domain`, not held."""
-    with claimed_domain() as domain:
-        return domain

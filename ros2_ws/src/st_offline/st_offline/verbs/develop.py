@@ -18,8 +18,8 @@ def test(
 ) -> None:
     """Run every test. Further arguments go to pytest: ./st test -k ncom."""
     root = project_root()
-    # -rs lists each skipped test with its reason; cores are few, so tests run one after another.
-    command = [sys.executable, "-m", "pytest", "-rs", "-q", *(["-m", "not slow"] if fast else []), *context.args]
+    # Failed, broken and skipped tests are listed with their reasons; cores are few, so tests run one after another.
+    command = [sys.executable, "-m", "pytest", "-rfEs", "-q", *(["-m", "not slow"] if fast else []), *context.args]
     with tempfile.TemporaryDirectory(prefix="st-test-") as logs:
         environment = {**os.environ, "ROS_LOG_DIR": logs, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         raise typer.Exit(subprocess.run(command, cwd=root, env=environment, check=False).returncode)
