@@ -79,6 +79,8 @@ class CanedgeBridge(Node):
 
     def close(self) -> None:
         self._receiver.stop()
+        if self._settings.publish_frames:
+            self._publish_frames()
 
     def _make_calibration(self) -> SteeringCalibration | None:
         if self._decoder.table.source_of("steering_wheel_angle") is None:

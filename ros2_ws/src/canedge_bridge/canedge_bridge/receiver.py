@@ -216,4 +216,6 @@ def _errno(error: BaseException) -> int | None:
 
 
 def _line(error: Exception) -> str:
+    if _errno(error) == errno.EAFNOSUPPORT:
+        return "this kernel has no SocketCAN (module can_raw)"
     return " ".join(str(error).split()) or type(error).__name__

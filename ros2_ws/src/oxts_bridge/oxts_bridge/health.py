@@ -14,8 +14,9 @@ from .status import StatusTracker
 from .stream import NcomParser
 from .stream_statistics import StreamStatistics
 
-# A stamp this far from the host's clock is worth a word: one of the two clocks is wrong.
-CLOCKS_APART = 0.5
+# Median distance of the stamps from the host's clock that is worth a word [s]. CAN frames are stamped by the host, so
+# this much is also the error of the steering in time; the delay of the unit and the network stays well below.
+CLOCKS_APART = 0.05
 _NEVER = float("-inf")
 
 
