@@ -23,7 +23,8 @@ def write_scenarios(folder: Path, seed: int = 1) -> Path:
     for name in SCENARIOS:
         with contextlib.redirect_stdout(io.StringIO()):
             status = virtual_leaf(["--scenario", name, "--vehicle", str(LEAF), "--duration", str(SECONDS), "--seed",
-                                   str(seed), "--plant", "realistic", "--to-files", str(folder / name)])
+                                   str(seed), "--plant", "realistic", "--to-files", str(folder / name),
+                                   "--can-format", "mf4"])
         if status:
             raise RuntimeError(f"the virtual Leaf did not drive {name}")
     return folder

@@ -1,0 +1,72 @@
+"""A fleet of logs through `st evaluate`: 40 of ten minutes, one of them cut off, on one worker and on two (Dask)."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import psutil
+from _virtual import LEAF
+from st_offline.paths import project_root
+from st_sim.run import main as virtual_leaf
+
+LOGS, SECONDS, DRIVES = 40, 600.0, ("S1", "S6", "S7", "step")
+LOOK_EVERY = 0.5  # s
+
+
+def run() -> dict:
+    """Wall time [s], memory of the largest worker [MB], and the speed-up; reports without figure files."""
+    with tempfile.TemporaryDirectory(prefix="st-fleet-") as name:
+        folder = Path(name)
+        logs = _write_logs(folder)
+        one, two = (_evaluate(logs, folder / f"out{workers}", workers) for workers in (1, 2))
+    same = one.pop("runs") == two.pop("runs")
+    return {"logs": LOGS, "minutes each": SECONDS / 60, "one worker": one, "two workers": two,
+            "speed-up": one["wall"] / two["wall"], "same table": same}
+
+
+def _write_logs(folder: Path) -> Path:
+    for drive in DRIVES:
+        status = virtual_leaf(["--scenario", drive, "--vehicle", str(LEAF), "--duration", str(SECONDS), "--to-files",
+                               str(folder / "drives" / drive), "--can-format", "mf4"])
+        if status:
+            raise RuntimeError(f"the virtual Leaf did not drive {drive}")
+    for k in range(LOGS):
+        own, source = folder / "logs" / f"log{k:02d}", folder / "drives" / DRIVES[k % len(DRIVES)]
+        own.mkdir(parents=True)
+        for file in (source / "run.ncom", source / "run.mf4"):
+            os.link(file, own / file.name)
+    cut = folder / "logs" / "log00" / "run.ncom"
+    data = cut.read_bytes()[:500]
+    cut.unlink()
+    cut.write_bytes(data)
+    return folder / "logs"
+
+
+def _evaluate(logs: Path, output: Path, workers: int) -> dict:
+    command = [sys.executable, "-m", "st_offline.cli", "evaluate", str(logs), "--figures", "", "--workers",
+               str(workers), "--output", str(output)]
+    began, largest = time.perf_counter(), 0.0
+    pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    with subprocess.Popen(command, cwd=project_root(), **pipe) as st:
+        parent = psutil.Process(st.pid)
+        while st.poll() is None:
+            processes = parent.children(recursive=True) if workers > 1 else [parent]
+            for process in processes:
+                try:
+                    largest = max(largest, process.memory_info().rss / 1e6)
+                except psutil.Error:
+                    continue
+            time.sleep(LOOK_EVERY)
+        text = st.stdout.read()
+    wall = time.perf_counter() - began
+    if st.returncode != 1:
+        raise RuntimeError(f"exit status {st.returncode}, 1 expected for one bad log: {text[-500:]}")
+    content = json.loads((output / "evaluation.json").read_text())
+    rounded = re.sub(r"(\d\.\d{9})\d+", r"\1", json.dumps(content["runs"], sort_keys=True))
+    return {"wall": wall, "largest process MB": largest, "evaluated": len(content["runs"]),
+            "failed": "; ".join(content["failed"].values())[-120:], "runs": rounded}
