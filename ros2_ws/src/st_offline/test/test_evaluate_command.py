@@ -147,3 +147,24 @@ def test_model_file_is_the_augmented_model(folder, tmp_path):
     models = json.loads((tmp_path / "o" / "evaluation.json").read_text())["runs"]["weave"]
     assert list(models) == ["kinematic", "augmented"]
     assert abs(models["augmented"]["hindsight"]["lateral"]["mean"]) > 0.3
+
+
+def test_workers_find_the_same_and_survive_a_bad_run(folder, tmp_path):
+    base, _ = folder
+    result = evaluate(base / "data", "--vehicle", base / "car.yaml", "--output", tmp_path / "o", "--figures", "",
+                      "--workers", "2")
+    assert result.exit_code == 1, result.output
+    content, alone = (json.loads((path / "evaluation.json").read_text()) for path in (tmp_path / "o", base / "out"))
+    assert set(content["failed"]) == {"short"} and list(content["runs"]) == list(alone["runs"])
+    for run, models in alone["runs"].items():
+        for model, modes in models.items():
+            for mode in MODES:
+                found = content["runs"][run][model][mode]
+                assert found["n_starts"] == modes[mode]["n_starts"]
+                assert found["lateral"] == pytest.approx(modes[mode]["lateral"], abs=1e-9)
+
+
+def test_a_scheduler_that_is_not_there_is_said_in_one_line(folder, tmp_path):
+    base, _ = folder
+    result = evaluate(base / "data" / "weave.csv", "--output", tmp_path / "o", "--scheduler", "tcp://127.0.0.1:9")
+    assert result.exit_code == 2 and "no Dask scheduler at tcp://127.0.0.1:9" in result.output

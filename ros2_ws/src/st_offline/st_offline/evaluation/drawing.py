@@ -29,6 +29,7 @@ SETTINGS = {
 }
 WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
 TITLE_LETTERS = 104  # of a line of the title
+TICK_ROOM = 0.09  # inch
 PAGE_DPI = 110  # of what is drawn as pixels inside an SVG
 MOST_POINTS = 900  # of a line; more cannot be told apart on 9 inches
 
@@ -70,7 +71,8 @@ def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> 
             date = {"CreationDate": None} if form == "pdf" else None
             figure.savefig(where.folder / f"{key}.{form}", metadata=date)
     width, height = figure.get_size_inches()
-    below = heading.get_window_extent().y0 / figure.dpi
+    # Half a tick label stands out above the highest axes.
+    below = heading.get_window_extent().y0 / figure.dpi + TICK_ROOM
     heading.set_visible(False)
     svg = io.StringIO()
     figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
