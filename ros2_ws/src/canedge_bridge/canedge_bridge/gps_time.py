@@ -33,7 +33,7 @@ def from_date_time(parts: Mapping[str, float]) -> float:
     try:
         moment = datetime(int(parts["gps_century"]) * 100 + int(parts["gps_year_of_century"]), int(parts["gps_month"]),
                           int(parts["gps_day"]), int(parts["gps_hour"]), int(parts["gps_minute"]), tzinfo=UTC)
-    except ValueError:
+    except (ValueError, OverflowError):
         return float("nan")
     return _to_utc(timegm(moment.timetuple()) + parts["gps_second"] + parts["gps_second_fraction"])
 

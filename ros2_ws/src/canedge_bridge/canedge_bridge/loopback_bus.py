@@ -15,6 +15,9 @@ _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
 _TIMESPEC = struct.Struct("@ll")
 _LARGEST_DATAGRAM = 4096
+# can.Message takes anything that looks like a number as one, and a list for a flag.
+_KINDS = {"arbitration_id": int, "dlc": int, "data": bytes, **dict.fromkeys(
+    ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"), bool)}
 _RECEIVE_BUFFER = 1 << 20
 
 
@@ -100,6 +103,8 @@ class LoopbackMulticastBus(can.BusABC):
         """None for a frame that the filter holds back or that is not one; anybody can send anything to a group."""
         try:
             fields = msgpack.unpackb(data, raw=False)
+            if any(type(fields.get(name, kind())) is not kind for name, kind in _KINDS.items()):
+                raise TypeError("not what python-can sends")
             if (self._accepted is not None and not fields["is_error_frame"]
                     and (fields["arbitration_id"], fields["is_extended_id"]) not in self._accepted):
                 self.filtered += 1

@@ -153,6 +153,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     messages, absent = {}, []
     for name in rows:
         row = rows.entry(name)
+        if [m.name for m in database.messages].count(name) > 1:
+            raise TableError(f"{dbc_path}: has {name} more than once; leave one")
         is_needed = name in wanted if wanted else row.boolean("needed")
         if name in known:
             messages[name] = replace(_message(row, known[name], dbc_path), needed=is_needed)

@@ -99,6 +99,9 @@ def read_car(file: str | Path) -> Car:
     if not isinstance(document, Mapping):
         raise SimulationError(f"{path}: not a mapping of keys to values")
     values = {key: _number(document, key, path, "") for key in _CAR_KEYS}
+    for key in ("mass", "yaw_inertia", "wheelbase", "cornering_stiffness_front", "cornering_stiffness_rear"):
+        if not values[key] > 0:
+            raise SimulationError(f"{path}: {key}: {values[key]:g} is not above 0")
     front_load = values["mass"] * GRAVITY * (values["wheelbase"] - values["cg_to_front_axle"]) / values["wheelbase"] / 2
     rear_load = values["mass"] * GRAVITY * values["cg_to_front_axle"] / values["wheelbase"] / 2
     return Car(
@@ -117,12 +120,16 @@ def _tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness: flo
     values = {name: _number(section, name, path, f"{key}.") for name in _TYRE_KEYS}
     if "lambda_ky" in section:
         return Tyre(lambda_ky=_number(section, "lambda_ky", path, f"{key}."), **values)
-    unscaled = (
-        values["p_ky1"]
-        * values["nominal_load"]
-        * math.sin(values["p_ky4"] * math.atan(static_load / (values["p_ky2"] * values["nominal_load"])))
-    )
-    return Tyre(lambda_ky=axle_stiffness / (2 * abs(unscaled)), **values)
+    try:
+        unscaled = (
+            values["p_ky1"]
+            * values["nominal_load"]
+            * math.sin(values["p_ky4"] * math.atan(static_load / (values["p_ky2"] * values["nominal_load"])))
+        )
+        lambda_ky = axle_stiffness / (2 * abs(unscaled))
+    except ArithmeticError:
+        raise SimulationError(f"{path}: {key}: p_ky1, p_ky2, p_ky4 and nominal_load give no stiffness") from None
+    return Tyre(lambda_ky=lambda_ky, **values)
 
 
 def _number(section: Mapping[str, Any], key: str, path: Path, prefix: str) -> float:

@@ -14,6 +14,10 @@ from canedge_bridge.table_reader import TableError, read_document
 from .errors import SimulationError
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
 
+LONGEST_ROAD = 20_000.0
+"""m, of one round given by a file."""
+FASTEST = 100.0
+"""m/s."""
 PEDAL_LEAD = 0.15
 """s."""
 SPEED_SLACK = 0.15
@@ -275,7 +279,12 @@ def _from_file(file: FilePath) -> Plan:
         pieces = [piece for row in document["road"] for piece in _pieces(row)]
         if not pieces:
             raise ValueError("no rows")
-        return RoadPlan(pieces, float(document.get("acceleration", 1.2)), float(document.get("braking", 1.5)))
+        if not sum(abs(piece.length) for piece in pieces) <= LONGEST_ROAD:
+            raise ValueError(f"longer than {LONGEST_ROAD:g} m")
+        pedals = [float(document.get(key, usual)) for key, usual in (("acceleration", 1.2), ("braking", 1.5))]
+        if not all(0.01 <= pedal <= 20.0 for pedal in pedals):
+            raise ValueError(f"acceleration and braking {pedals}: 0.01 to 20 m/s^2 wanted")
+        return RoadPlan(pieces, *pedals)
     except (ArithmeticError, AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
         raise SimulationError(
             f"{file}: road: {error!r}; rows are {{straight: m, speed: m/s}}, {{turn: deg, radius: m, blend: m, "
@@ -287,8 +296,8 @@ def _pieces(row: dict[str, Any]) -> list[Piece]:
     values = {key: float(value) for key, value in row.items()}
     kind = next(key for key in ("straight", "turn", "shift") if key in values)
     size, speed = values.pop(kind), values.pop("speed")
-    if speed <= 0:
-        raise ValueError(f"speed {speed:g} is not above 0")
+    if not 0 < speed <= FASTEST:
+        raise ValueError(f"speed {speed:g} is not above 0 and at most {FASTEST:g} m/s")
     made = {
         "straight": lambda: straight(size, speed),
         "turn": lambda: turn(values.pop("radius"), size, speed, values.pop("blend", 0.0)),
