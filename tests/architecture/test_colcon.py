@@ -11,7 +11,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.ros]
 pytest.importorskip("colcon_core", reason="colcon is not installed")
 
 
-@pytest.mark.parametrize("package", ["st_core", "canedge_bridge"])
+@pytest.mark.parametrize("package", ["st_ros", "oxts_bridge"])
 def test_colcon_test_counts(package: str, tmp_path) -> None:
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
     run = subprocess.run(
