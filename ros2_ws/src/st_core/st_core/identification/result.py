@@ -1,0 +1,166 @@
+"""What an identification says: values with uncertainty, what they rest on, and how far they may be believed."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import t as student
+
+from ..errors import StCoreError
+from ..vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, Quantity
+
+Status = Literal["identified", "doubtful", "unidentifiable"]
+
+NEAR_BOUND = 1e-3  # of the allowed span; an optimiser rarely lands on the bound itself
+CONTRADICTION = 0.05  # two-sided probability below which two values are not of one quantity
+
+
+class IdentificationError(StCoreError):
+    """Data that cannot give the parameter. Its text is one line: what is wrong, the numbers, what to do."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter, named as in the vehicle file ("mass", "tyre_front.p_ky1"); SI units, as in VehicleParameters.
+
+    standard_uncertainty: one standard deviation of the value. interval95: lower and upper end, not always symmetric.
+    An unidentifiable parameter may have an infinite uncertainty and interval. method: a few words. runs: data used.
+    verdict: whole sentences for the user. A quantity the vehicle file does not have carries a name of its own.
+    """
+
+    parameter: str
+    value: float
+    unit: str
+    standard_uncertainty: float
+    interval95: tuple[float, float]
+    method: str
+    runs: tuple[str, ...]
+    verdict: str
+    status: Status = "identified"
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How the data fill the range of one signal: counts (n,) in bins between edges (n + 1,), and how many are wanted.
+
+    needed: samples a bin must hold to count as filled. bins_needed: filled bins below which the data are too thin.
+    """
+
+    signal: str
+    unit: str
+    edges: np.ndarray
+    counts: np.ndarray
+    needed: int = 1
+    bins_needed: int = 1
+
+    @property
+    def filled(self) -> int:
+        return int(np.count_nonzero(np.asarray(self.counts) >= self.needed))
+
+    @property
+    def enough(self) -> bool:
+        return self.filled >= self.bins_needed
+
+    def words(self) -> str:
+        return (f"{self.signal}: {self.filled} of {len(self.counts)} bins from {self.edges[0]:.4g} to "
+                f"{self.edges[-1]:.4g} {self.unit} hold {self.needed} samples, {self.bins_needed} are needed")
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Outcome of one experiment.
+
+    what: name of the experiment, as `st identify` calls it. used: data that entered. rejected: (data, why).
+    correlation: matrix over the estimates, in their order, or None. coverage: excitation, one entry per signal.
+    warnings: sentences. figure: plain arrays (and numbers, texts) that its picture is drawn from.
+    """
+
+    what: str
+    estimates: tuple[Estimate, ...]
+    used: tuple[str, ...]
+    rejected: tuple[tuple[str, str], ...] = ()
+    correlation: np.ndarray | None = None
+    coverage: tuple[Coverage, ...] = ()
+    warnings: tuple[str, ...] = ()
+    figure: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, parameter: str) -> Estimate:
+        for estimate in self.estimates:
+            if estimate.parameter == parameter:
+                return estimate
+        raise KeyError(parameter)
+
+    def document(self) -> dict[str, dict[str, Any]]:
+        """Body of identification.json: {parameter: {value, unit, standard_uncertainty, interval95, method, runs, ...}}.
+
+        A number that is not finite (an unidentifiable parameter) becomes None: JSON has no infinity.
+        """
+        return {e.parameter: {
+            "value": _plain(e.value), "unit": e.unit, "standard_uncertainty": _plain(e.standard_uncertainty),
+            "interval95": [_plain(end) for end in e.interval95], "method": e.method, "runs": list(e.runs),
+            "verdict": e.verdict} for e in self.estimates}
+
+
+def symmetric_interval(value: float, standard_uncertainty: float, freedom: float = math.inf) -> tuple[float, float]:
+    """95 % interval value -/+ t u with Student's t for `freedom` degrees of freedom (infinite: t = 1.96)."""
+    half = float(student.ppf(0.975, freedom)) * standard_uncertainty
+    return value - half, value + half
+
+
+def quantity(parameter: str) -> Quantity | None:
+    """Unit and limits of a parameter of the vehicle file ("mass", "tyre_rear.p_ky1"); None for any other name."""
+    tyre, _, key = parameter.partition(".")
+    if tyre in TYRES and key:
+        return TYRE_QUANTITIES.get(key)
+    return VEHICLE_QUANTITIES.get(parameter)
+
+
+def bound_hit(parameter: str, value: float, bounds: tuple[float, float] | None = None) -> str:
+    """A sentence when the value lies at a limit of its range (default: of the vehicle file), else an empty text."""
+    limits = quantity(parameter)
+    if bounds is None:
+        if limits is None:
+            return ""
+        bounds = (limits.minimum, limits.maximum)
+    lower, upper = bounds
+    near = NEAR_BOUND * (upper - lower)
+    if lower + near < value < upper - near:
+        return ""
+    end = lower if value <= lower + near else upper
+    return f"{parameter} stopped at its limit {end:g}: the value is the limit's, not the data's."
+
+
+def contradiction(estimate: Estimate, value: float, standard_uncertainty: float, whence: str) -> str:
+    """A sentence when another experiment's value differs by more than chance (two-sided, 5 %), else an empty text.
+
+        z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    said when |z| > 1.96
+    """
+    spread = math.hypot(estimate.standard_uncertainty, standard_uncertainty)
+    gap = estimate.value - value
+    if not math.isfinite(spread) or abs(gap) <= float(student.ppf(1.0 - CONTRADICTION / 2.0, math.inf)) * spread:
+        return ""
+    times = f"{abs(gap) / spread:.1f} times" if spread > 0.0 else "without"
+    return (f"{estimate.parameter} {estimate.value:.5g} contradicts {value:.5g} {estimate.unit} of {whence}: the "
+            f"difference {gap:+.3g} is {times} the combined uncertainty.")
+
+
+def correlation_of(covariance: np.ndarray) -> np.ndarray:
+    """Correlation matrix (n, n) of a covariance (n, n); a parameter without variance is correlated with none."""
+    spread = np.sqrt(np.diag(covariance))
+    scale = np.where(spread > 0.0, spread, 1.0)
+    matrix = covariance / np.outer(scale, scale)
+    np.fill_diagonal(matrix, 1.0)
+    return matrix
+
+
+def strong_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
+    """A sentence for each pair of parameters that the data hardly tell apart."""
+    return tuple(f"{names[i]} and {names[j]} are correlated by {correlation[i, j]:+.3f}: the data fix a combination of "
+                 "the two better than each." for i in range(len(names)) for j in range(i + 1, len(names))
+                 if abs(correlation[i, j]) > limit)
+
+
+def _plain(number: float) -> float | None:
+    return float(number) if math.isfinite(number) else None
