@@ -50,17 +50,20 @@ class Outcome:
         return not self.problem and not any(self.statuses.values())
 
 
-def node_parameters(folder: Path, vehicle: Path, bridges: Parameters) -> Parameters:
-    """config/nodes.yaml with what this run decides on top."""
+def node_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Parameters | None = None) -> Parameters:
+    """config/nodes.yaml with what this run decides on top. model: of `fourth_model`, for one beside the three."""
+    fourth = model or {}
+    files = [values["model_file"] for values in list(fourth.values())[:1]]
     return merge(
         config("nodes.yaml"),
         {
             **bridges,
-            "predictor": {"vehicle_file": str(vehicle)},
-            "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors")},
+            "predictor": {"vehicle_file": str(vehicle), **fourth.get("predictor", {})},
+            "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors"),
+                          **fourth.get("evaluator", {})},
             "recorder": {
                 "output_directory": str(folder / "bag"),
-                "configuration_files": [str(vehicle), str(folder / "parameters.yaml")],
+                "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *files],
             },
         },
     )

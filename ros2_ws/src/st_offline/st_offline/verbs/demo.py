@@ -20,10 +20,18 @@ def demo(
     effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),
     ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
     seed: int = typer.Option(0, help="Of the simulated noise."),
+    model: Path | None = typer.Option(
+        None, help="Model file (model.yaml of `st discover`): a fourth model beside the three.", exists=True,
+        dir_okay=False,
+    ),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
+    ),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
 ) -> None:
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
     # Imported when it runs: the drawing and ROS libraries take a second that `st --help` need not wait.
+    from ..fourth_model import fourth_model
     from ..output import OutputError, new_folder
     from ..report import conclude
     from ..session import node_parameters, run
@@ -42,8 +50,9 @@ def demo(
     options += [word for e in effect for word in ("--effect", e)]
     try:
         car = VirtualCar(vehicle_file(vehicle), options)
+        fourth = fourth_model(model, effects, car.vehicle)
         folder = new_folder(output, f"demo-{what}")
-        parameters = node_parameters(folder, car.vehicle, car.bridge_parameters())
+        parameters = node_parameters(folder, car.vehicle, car.bridge_parameters(), fourth)
         outcome = run(folder, parameters, what, duration, car.start, console)
     except (SuiteError, OutputError) as error:
         typer.echo(f"st demo: {error}", err=True)

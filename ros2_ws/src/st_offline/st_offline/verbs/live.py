@@ -20,10 +20,18 @@ def live(
         None, help="Signal table; default config/can/leaf_ze0.yaml.", exists=True, dir_okay=False
     ),
     duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C.", min=1.0),
+    model: Path | None = typer.Option(
+        None, help="Model file (model.yaml of `st discover`): a fourth model beside the three.", exists=True,
+        dir_okay=False,
+    ),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
+    ),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
     # Imported when it runs, see demo.py.
+    from ..fourth_model import fourth_model
     from ..output import OutputError, new_folder
     from ..report import conclude
     from ..session import node_parameters, run
@@ -35,8 +43,10 @@ def live(
     bus = {"interface": can_interface, "channel": can_channel}
     try:
         vehicle = vehicle_file(vehicle)
+        fourth = fourth_model(model, effects, vehicle)
         folder = new_folder(output, "live")
-        parameters = node_parameters(folder, vehicle, bridge_parameters(vehicle, ins, bus, dbc, signals))
+        bridges = bridge_parameters(vehicle, ins, bus, dbc, signals)
+        parameters = node_parameters(folder, vehicle, bridges, fourth)
         outcome = run(folder, parameters, "live", duration, None, console)
     except (SuiteError, OutputError) as error:
         typer.echo(f"st live: {error}", err=True)

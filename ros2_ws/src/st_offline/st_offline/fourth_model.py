@@ -1,0 +1,37 @@
+"""A model file beside the three models of the paper: read and checked before a node starts."""
+
+from pathlib import Path
+
+from st_core.effects import load_folder
+from st_core.errors import StCoreError
+from st_core.model_file import ModelFile
+from st_core.vehicle import VehicleParameters
+
+from .suite import Parameters, SuiteError
+
+
+def fourth_model(model: Path | None, effects: Path | None, vehicle: Path) -> Parameters:
+    """Parameters of predictor and evaluator for a model file; nothing without one.
+
+    effects: folder of own effects the file uses. Raises SuiteError, one line, for a file that is no model, or one that
+    was found with another car than the vehicle file.
+    """
+    if model is None and effects is None:
+        return {}
+    if model is None:
+        raise SuiteError(f"--effects {effects}: only a --model uses effects; give one")
+    try:
+        if effects is not None:
+            load_folder(str(effects.absolute()))
+        file = ModelFile.from_yaml(model.read_text(encoding="utf-8"), str(model))
+        car = VehicleParameters.from_yaml(vehicle.read_text(encoding="utf-8"), str(vehicle))
+    except (OSError, UnicodeDecodeError) as error:
+        raise SuiteError(f"{model}: cannot be read: {error}") from None
+    except StCoreError as error:
+        raise SuiteError(str(error)) from None
+    try:
+        file.check_vehicle(car, str(vehicle))
+    except StCoreError as error:
+        raise SuiteError(f"{model}: {error}") from None
+    chosen = {"model_file": str(model.absolute()), "effects_directory": str(effects.absolute()) if effects else ""}
+    return {"predictor": chosen, "evaluator": chosen}
