@@ -9,10 +9,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 
-from .results import Results, Track
+from .results import Results
 from .style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 
-SEGMENTS = 6  # predictions drawn on the map
 MEANING = {"hindsight": "measured inputs", "forecast": "inputs held"}
 
 
@@ -30,8 +29,8 @@ def paths_figure(results: Results, title: str, file: Path) -> None:
         for column, (mode, meaning) in enumerate(MEANING.items(), start=1):
             upper = figure.add_subplot(grid[0, column])
             lower = figure.add_subplot(grid[1, column], sharex=upper)
-            _draw_errors(upper, results, mode, "longitudinal_mean")
-            _draw_errors(lower, results, mode, "lateral_mean")
+            _draw_errors(upper, results, mode, "longitudinal")
+            _draw_errors(lower, results, mode, "lateral")
             upper.set_title(f"{mode.capitalize()}: {meaning}", fontsize=9)
             upper.tick_params(labelbottom=False)
             lower.set_xlabel("start of the prediction, s")
@@ -47,17 +46,20 @@ def paths_figure(results: Results, title: str, file: Path) -> None:
 def _draw_map(axes: plt.Axes, results: Results) -> None:
     track = results.track
     axes.plot(track.x, track.y, color=MEASURED_COLOUR, lw=3, alpha=0.45, solid_capstyle="round", zorder=1)
-    for start_ns in _chosen_starts(results):
-        for model in results.models():
-            path = _predicted_path(results, track, model, start_ns)
-            if path is not None:
-                axes.plot(*path, color=MODEL_COLOUR[model], ls=MODEL_LINE[model], zorder=3)
+    for (model, _), segment in results.segments.items():
+        x, y, yaw = (np.interp(segment.time_ns, track.time_ns, v) for v in (track.x, track.y, track.yaw))
+        # The measured position plus the recorded error, turned back from the measured heading into the map.
+        along, across = segment.longitudinal, segment.lateral
+        axes.plot(x + along * np.cos(yaw) - across * np.sin(yaw), y + along * np.sin(yaw) + across * np.cos(yaw),
+                  color=MODEL_COLOUR[model], ls=MODEL_LINE[model], zorder=3)
+    starts = results.starts_drawn()
+    for start_ns in starts:
         x, y = (np.interp(start_ns, track.time_ns, v) for v in (track.x, track.y))
         axes.plot(x, y, "o", ms=4, color="k", zorder=4)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
-    axes.set_title(f"Measured track and 5 s predictions from {len(_chosen_starts(results))} starts", fontsize=9)
+    axes.set_title(f"Measured track and 5 s predictions from {len(starts)} starts", fontsize=9)
     handles = [Line2D([], [], color=MEASURED_COLOUR, lw=3, alpha=0.45, label="measured")]
     handles += [Line2D([], [], color=MODEL_COLOUR[m], ls=MODEL_LINE[m], label=m) for m in results.models()]
     handles += [Line2D([], [], color="k", marker="o", ms=4, ls="", label="start")]
@@ -68,9 +70,11 @@ def _draw_errors(axes: plt.Axes, results: Results, mode: str, quantity: str) -> 
     origin = results.track.time_ns[0] if len(results.track.time_ns) else 0
     axes.axhline(0, color="k", lw=0.6)
     for model in results.models():
-        scores = [s for s in results.select(model, mode) if s.complete]
-        time = np.array([(s.start_ns - origin) * 1e-9 for s in scores])
-        value = np.array([getattr(s, quantity) for s in scores])
+        scores = results.scores.get((model, mode))
+        if scores is None:
+            continue
+        time = (scores.start_ns[scores.complete] - origin) * 1e-9
+        value = getattr(scores, quantity)[scores.complete]
         breaks = np.nonzero(np.diff(time) > 1.0)[0] + 1  # no line across starts that were not scored
         axes.plot(
             np.insert(time, breaks, np.nan),
@@ -78,23 +82,3 @@ def _draw_errors(axes: plt.Axes, results: Results, mode: str, quantity: str) -> 
             color=MODEL_COLOUR[model],
             ls=MODEL_LINE[model],
         )
-
-
-def _chosen_starts(results: Results) -> list[int]:
-    """Evenly spread starts that every model completed in hindsight."""
-    complete = [{s.start_ns for s in results.select(m, "hindsight") if s.complete} for m in results.models()]
-    common = sorted(set.intersection(*complete)) if complete else []
-    if len(common) <= SEGMENTS:
-        return common
-    return [common[i] for i in np.linspace(0, len(common) - 1, SEGMENTS).round().astype(int)]
-
-
-def _predicted_path(results: Results, track: Track, model: str, start_ns: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Measured position plus the recorded error, turned back from the measured heading into the map."""
-    for score in results.select(model, "hindsight"):
-        if score.start_ns == start_ns:
-            time = start_ns + np.asarray(score.horizon) * 1e9
-            x, y, yaw = (np.interp(time, track.time_ns, v) for v in (track.x, track.y, track.yaw))
-            lon, lat = np.asarray(score.longitudinal), np.asarray(score.lateral)
-            return x + lon * np.cos(yaw) - lat * np.sin(yaw), y + lon * np.sin(yaw) + lat * np.cos(yaw)
-    return None

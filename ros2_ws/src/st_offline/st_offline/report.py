@@ -8,6 +8,7 @@ from rich.markup import escape
 
 from .figures import paths_figure
 from .results import read_results, summarise, write_summary
+from .runs.errors import RunError
 from .session import Outcome
 from .tables import error_table, finding
 
@@ -33,7 +34,11 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
             soft_wrap=True,
         )
     with console.status("reading the recordings, drawing"):
-        results = read_results(folder)
+        try:
+            results = read_results(folder)
+        except RunError as error:
+            console.print(f"[red]{escape(str(error))}[/red]", highlight=False, soft_wrap=True)
+            return 1
         summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
         write_summary(folder / "summary.json", summary)
         paths_figure(results, f"{about['what']}: {finding(summary)}", folder / "paths.png")

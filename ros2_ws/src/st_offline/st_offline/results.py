@@ -4,17 +4,24 @@ import importlib.metadata
 import json
 import math
 import platform
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.highlevel import AnyReader
-from st_core.evaluation import ErrorStatistics, Score
+from st_core.evaluation import Statistic
 
 from .paths import source_version
+from .runs.bag import definitions, numbers, open_bag
+from .runs.bag_storage import Storage
+from .runs.cdr import Layouts, typestore
 
 MODES = ("forecast", "hindsight")
+SEGMENTS = 6  # predictions drawn on the map
+ODOMETRY, STATUS, ERRORS = "/ins/odometry", "/predictor/status", "/evaluator/errors"
+ERROR = "st_msgs/msg/PredictionError"
+_MEAN_FIELDS = ("header.stamp", "complete", "longitudinal_mean", "lateral_mean", "yaw_mean")
 
 
 @dataclass(frozen=True)
@@ -27,65 +34,116 @@ class Track:
     yaw: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class MeanErrors:
+    """Scores of one model and mode in order of their start: start_ns (n,), complete (n,), means over the horizon (n,).
+
+    longitudinal, lateral in m, yaw in rad; NaN where not complete.
+    """
+
+    start_ns: np.ndarray
+    complete: np.ndarray
+    longitudinal: np.ndarray
+    lateral: np.ndarray
+    yaw: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """One hindsight prediction to be drawn: time (n,) in ns UTC, errors (n,) in m along the measured heading."""
+
+    time_ns: np.ndarray
+    longitudinal: np.ndarray
+    lateral: np.ndarray
+
+
 @dataclass(frozen=True)
 class Results:
+    """scores: by model and mode. segments: of SEGMENTS starts spread over the run, by model and start."""
+
     track: Track
-    scores: list[Score]
-    ticks: dict[str, int]
+    scores: dict[tuple[str, str], MeanErrors]
+    segments: dict[tuple[str, int], Segment]
+    ticks: dict[str, Any]
     configuration_hash: str
 
     def models(self) -> list[str]:
-        return list(dict.fromkeys(score.model for score in self.scores))
+        return list(dict.fromkeys(model for model, _ in self.scores))
 
-    def select(self, model: str, mode: str) -> list[Score]:
-        return [s for s in self.scores if s.model == model and s.mode == mode]
+    def starts_drawn(self) -> list[int]:
+        return sorted({start_ns for _, start_ns in self.segments})
 
 
 def read_results(folder: Path) -> Results:
-    """Read bag/ and errors/ of a run folder."""
-    odometry, ticks = [], {"due": 0, "predicted": 0, "skipped": 0}
-    for topic, message in _messages(folder / "bag", ("/ins/odometry", "/predictor/status")):
-        if topic == "/ins/odometry":
-            p, q = message.pose.pose.position, message.pose.pose.orientation
-            yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-            odometry.append((_nanoseconds(message.header.stamp), p.x, p.y, yaw))
-        else:
-            skipped = {"stale": message.skipped_stale, "overrun": message.skipped_overrun, "slow": message.skipped_slow}
-            ticks = {
-                "due": message.due,
-                "predicted": message.predicted,
-                "skipped": sum(skipped.values()),
-                "skipped_by_reason": skipped,
-            }
-    time_ns = np.array([row[0] for row in odometry], dtype=np.int64)
-    x, y, yaw = (np.array([row[k] for row in odometry]) for k in (1, 2, 3))
-    scores, configuration = [], ""
-    for _, message in _messages(folder / "errors", ("/evaluator/errors",)):
-        configuration = message.configuration_hash
-        scores.append(
-            Score(
-                model=message.model,
-                mode=message.mode,
-                start_ns=_nanoseconds(message.header.stamp),
-                complete=message.complete,
-                incomplete_reason=message.incomplete_reason,
-                horizon=message.horizon,
-                longitudinal=message.longitudinal,
-                lateral=message.lateral,
-                yaw=message.yaw,
-                longitudinal_mean=message.longitudinal_mean,
-                lateral_mean=message.lateral_mean,
-                yaw_mean=message.yaw_mean,
-            )
-        )
-    return Results(Track(time_ns, x, y, np.unwrap(yaw)), scores, ticks, configuration)
+    """Read bag/ and errors/ of a run folder. Only what is drawn is kept of the errors over the horizons."""
+    bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
+    scores, configuration = _scores(errors)
+    segments = _segments(errors, _spread_starts(scores))
+    return Results(_track(folder / "bag", bag), scores, segments, _ticks(bag), configuration)
+
+
+def _track(path: Path, bag: Storage) -> Track:
+    point = [f"pose.pose.position.{k}" for k in "xy"]
+    turn = [f"pose.pose.orientation.{k}" for k in "wxyz"]
+    values = numbers(path, bag, ODOMETRY, ["header.stamp", *point, *turn])
+    if values is None:
+        return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
+    w, x, y, z = (values[name] for name in turn)
+    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    return Track(values["header.stamp"], *(values[name] for name in point), yaw)
+
+
+def _ticks(bag: Storage) -> dict[str, Any]:
+    last = deque(bag.messages(STATUS), maxlen=1)
+    if not last:
+        return {"due": 0, "predicted": 0, "skipped": 0}
+    status = typestore(definitions()).deserialize_cdr(last[0], "st_msgs/msg/PredictorStatus")
+    skipped = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}
+    return {"due": status.due, "predicted": status.predicted, "skipped": sum(skipped.values()),
+            "skipped_by_reason": skipped}
+
+
+def _scores(errors: Storage) -> tuple[dict[tuple[str, str], MeanErrors], str]:
+    """(scores, the configuration hash of the last one)."""
+    rows: dict[tuple[str, str], list[tuple[int, bool, float, float, float]]] = {}
+    layouts, configuration = Layouts(typestore(definitions()), ERROR), ""
+    for data in errors.messages(ERRORS):
+        layout = layouts.of(data)
+        configuration = layout.example.configuration_hash
+        row = tuple(layout.value(data, field) for field in _MEAN_FIELDS)
+        rows.setdefault((layout.example.model, layout.example.mode), []).append(row)
+    scores = {}
+    for key, entries in rows.items():
+        start_ns, complete, *means = zip(*sorted(entries), strict=True)
+        scores[key] = MeanErrors(np.array(start_ns, np.int64), np.array(complete), *(np.array(m) for m in means))
+    return scores, configuration
+
+
+def _spread_starts(scores: dict[tuple[str, str], MeanErrors]) -> set[int]:
+    """Evenly spread starts that every model completed in hindsight."""
+    complete = [set(s.start_ns[s.complete].tolist()) for (_, mode), s in scores.items() if mode == "hindsight"]
+    common = sorted(set.intersection(*complete)) if complete else []
+    if len(common) <= SEGMENTS:
+        return set(common)
+    return {common[i] for i in np.linspace(0, len(common) - 1, SEGMENTS).round().astype(int)}
+
+
+def _segments(errors: Storage, starts: set[int]) -> dict[tuple[str, int], Segment]:
+    layouts, segments = Layouts(typestore(definitions()), ERROR), {}
+    for data in errors.messages(ERRORS) if starts else ():
+        layout = layouts.of(data)
+        start_ns = layout.value(data, "header.stamp")
+        if start_ns in starts and layout.example.mode == "hindsight":
+            horizon, longitudinal, lateral = (layout.value(data, k) for k in ("horizon", "longitudinal", "lateral"))
+            segments[layout.example.model, start_ns] = Segment(start_ns + horizon * 1e9, longitudinal, lateral)
+    return segments
 
 
 def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
     """The content of summary.json: errors in m, statistics over the horizon means of complete scores."""
     models: dict[str, Any] = {}
     for model in results.models():
-        models[model] = {mode: _statistics(results.select(model, mode)) for mode in MODES}
+        models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in MODES}
     return {
         **about,
         "models": models,
@@ -110,31 +168,18 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _statistics(scores: list[Score]) -> dict[str, Any]:
-    statistics = ErrorStatistics()
-    for score in scores:
-        statistics.add(score)
-    return {
-        "n_starts": statistics.n_starts,
-        "n_incomplete": statistics.n_incomplete,
-        **{
-            axis: {k: _finite(getattr(getattr(statistics, axis), k)) for k in ("mean", "max", "rmse")}
-            for axis in ("longitudinal", "lateral", "yaw")
-        },
-    }
+def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
+    complete = scores.complete if scores else np.zeros(0, dtype=bool)
+    result: dict[str, Any] = {"n_starts": int(complete.sum()), "n_incomplete": int((~complete).sum())}
+    for axis in ("longitudinal", "lateral", "yaw"):
+        statistic = Statistic()
+        if scores:
+            statistic.add(getattr(scores, axis)[complete])
+        result[axis] = {k: _finite(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
+    return result
 
 
 def _finite(value: float) -> float | None:
     """JSON has no NaN: nothing scored is null."""
     return float(value) if math.isfinite(value) else None
 
-
-def _messages(folder: Path, topics: tuple[str, ...]):
-    with AnyReader([folder]) as reader:
-        wanted = [c for c in reader.connections if c.topic in topics]
-        for connection, _, raw in reader.messages(connections=wanted):
-            yield connection.topic, reader.deserialize(raw, connection.msgtype)
-
-
-def _nanoseconds(stamp: Any) -> int:
-    return stamp.sec * 1_000_000_000 + stamp.nanosec

@@ -2,19 +2,19 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.rosbag2 import ReaderError
 
 from ..runs import RunError
-from ..runs.bag import definitions
-from ..runs.cdr import typestore
+from ..runs.bag import definitions, open_bag
+from ..runs.cdr import Layout, Layouts, typestore
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
+STATE = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
 THE_END = ": ends "  # in the evaluator's reason when a signal has no later sample (timeseries.TimeSeries.why_unknown)
 Progress = Callable[[int, int], None]
 
@@ -70,12 +70,12 @@ def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, P
     rows: dict[str, list[tuple[int, np.ndarray]]] = {}
     steps: dict[str, set[float]] = {}
     hashes: dict[str, set[str]] = {}
-    for message in _messages([bag], PREDICTION, progress):
-        states = np.stack([message.x, message.y, message.velocity_x, message.velocity_y, message.yaw,
-                           message.yaw_rate], axis=-1)
-        rows.setdefault(message.model, []).append((_nanoseconds(message.header.stamp), states))
-        steps.setdefault(message.model, set()).add(message.step)
-        hashes.setdefault(message.model, set()).add(message.configuration_hash)
+    for layout, data in _messages([bag], PREDICTION, progress):
+        states = np.stack([layout.value(data, k) for k in STATE], axis=-1)
+        model = layout.example.model
+        rows.setdefault(model, []).append((layout.value(data, "header.stamp"), states))
+        steps.setdefault(model, set()).add(float(layout.value(data, "step")))
+        hashes.setdefault(model, set()).add(layout.example.configuration_hash)
     found = {}
     for model, entries in rows.items():
         if len(steps[model]) > 1 or len({len(states) for _, states in entries}) > 1:
@@ -88,11 +88,11 @@ def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, P
 def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
     """By model and mode, of all the bags together; one start scored twice is kept once."""
     rows: dict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool]]] = {}
-    for message in _messages(bags, ERROR, progress):
-        errors = np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1)
-        start_ns = _nanoseconds(message.header.stamp)
-        cut = THE_END in message.incomplete_reason
-        rows.setdefault((message.model, message.mode), {})[start_ns] = errors, message.complete, cut
+    for layout, data in _messages(bags, ERROR, progress):
+        errors = np.stack([layout.value(data, k) for k in ("longitudinal", "lateral", "yaw")], axis=-1)
+        example, start_ns = layout.example, layout.value(data, "header.stamp")
+        entry = errors, bool(layout.value(data, "complete")), THE_END in example.incomplete_reason
+        rows.setdefault((example.model, example.mode), {})[start_ns] = entry
     found = {}
     for key, entries in rows.items():
         ordered = [entries[start] for start in sorted(entries)]
@@ -107,20 +107,13 @@ def _sorted(entries: Sequence[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.n
     return np.array(starts, np.int64), np.stack([by_start[s] for s in starts])
 
 
-def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None) -> Iterator[Any]:
+def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None) -> Iterator[tuple[Layout, bytes]]:
     for bag in bags:
-        try:
-            with AnyReader([bag], default_typestore=typestore(definitions())) as reader:
-                wanted = [c for c in reader.connections if c.msgtype == type_name and c.msgcount]
-                total = sum(c.msgcount for c in wanted)
-                for done, (connection, _, raw) in enumerate(reader.messages(connections=wanted) if wanted else (), 1):
-                    yield reader.deserialize(raw, connection.msgtype)
-                    if progress and (done % 50 == 0 or done == total):
-                        progress(done, total)
-        except (AnyReaderError, ReaderError) as error:
-            raise RunError(bag, f"cannot be read as a bag ({' '.join(str(error).split())[:120]})",
-                           "if it was cut off while recording, repair it with `st recover`") from None
-
-
-def _nanoseconds(stamp: Any) -> int:
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+        storage, layouts = open_bag(bag), Layouts(typestore(definitions()), type_name)
+        topics = [t for t in storage.topics() if t.type_name == type_name and t.count]
+        total = sum(t.count for t in topics)
+        messages = chain.from_iterable(storage.messages(t.name) for t in topics)
+        for done, data in enumerate(messages, 1):
+            yield layouts.of(data), data
+            if progress and (done % 500 == 0 or done == total):
+                progress(done, total)

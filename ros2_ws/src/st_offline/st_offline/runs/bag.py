@@ -67,21 +67,36 @@ def read_bag(path: Path, name: str | None = None) -> BagDrive:
 
     Raises RunError for what is no bag, was not closed, or lacks one of the two.
     """
-    files = [path] if path.is_file() else storage_files(path)
-    for file in files:
-        check_readable(file)
-    store = typestore(definitions())
-    storage = open_storage(path, files, store)
+    storage = open_bag(path)
     there = storage.topics()
     columns: dict[str, dict[str, np.ndarray]] = {}
     topics = {}
     for type_name, fields in ((ODOMETRY, _ODOMETRY_FIELDS), (STEERING, _STEERING_FIELDS)):
         topic = _topic(path, there, type_name)
         topics[type_name] = topic.name
-        quick = storage.columns(topic, fields, store)
-        columns[type_name] = quick if quick is not None else _one_by_one(path, storage, topic, fields, store)
+        columns[type_name] = _numbers(path, storage, topic, fields)
     log, notes = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in notes))
+
+
+def open_bag(path: Path) -> Storage:
+    """The storage of a directory or a bare file. Raises RunError."""
+    files = [path] if path.is_file() else storage_files(path)
+    for file in files:
+        check_readable(file)
+    return open_storage(path, files, typestore(definitions()))
+
+
+def numbers(path: Path, storage: Storage, topic: str, fields: Sequence[str]) -> dict[str, np.ndarray] | None:
+    """Numbers of all messages of a topic (cdr.Layout), None where there are none. Raises RunError."""
+    found = next((t for t in storage.topics() if t.name == topic and t.count), None)
+    return _numbers(path, storage, found, fields) if found else None
+
+
+def _numbers(path: Path, storage: Storage, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
+    store = typestore(definitions())
+    quick = storage.columns(topic, fields, store)
+    return quick if quick is not None else _one_by_one(path, storage, topic, fields, store)
 
 
 def records_of(path: Path) -> dict[str, dict[str, str]]:

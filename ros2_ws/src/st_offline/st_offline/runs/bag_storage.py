@@ -8,6 +8,7 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,7 +23,7 @@ from rosbags.typesys.store import Typestore
 
 from .cdr import Layout
 from .errors import RunError
-from .mcap_columns import blocks, summary_of
+from .mcap_columns import DAMAGE, Block, blocks, summary_of
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 NOT_CLOSED = "if it was cut off while recording, repair it with `st recover`"
@@ -41,7 +42,7 @@ class Storage(Protocol):
     def topics(self) -> list[Topic]: ...
 
     def messages(self, topic: str) -> Iterator[bytes]:
-        """Serialised messages in order of their log time."""
+        """Serialised messages, in the order of the file."""
 
     def columns(self, topic: Topic, fields: Sequence[str], store: Typestore) -> dict[str, np.ndarray] | None:
         """The quick way to some numbers of all messages (cdr.Layout), None where it cannot be gone."""
@@ -98,16 +99,27 @@ class Mcap:
         return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
 
     def messages(self, topic: str) -> Iterator[bytes]:
-        for file, _ in self._files:
-            for _, channel, message in self._stream(file):
-                if channel.topic == topic:
-                    yield message.data
+        for file, summary in self._files:
+            if summary is None or summary.statistics is None:
+                yield from (message.data for _, channel, message in self._stream(file) if channel.topic == topic)
+                continue
+            channels = [number for number, channel in summary.channels.items() if channel.topic == topic]
+            for block in chain.from_iterable(self._blocks(file, summary, number) for number in channels):
+                for start, size in zip(block.starts.tolist(), block.sizes.tolist(), strict=True):
+                    yield block.buffer[start : start + size].tobytes()
+
+    @staticmethod
+    def _blocks(file: Path, summary: Summary, channel: int) -> Iterator[Block]:
+        try:
+            yield from blocks(file, summary, channel)
+        except DAMAGE as error:
+            raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
 
     @staticmethod
     def _stream(file: Path) -> Iterator[Any]:
         try:
             with file.open("rb") as stream:
-                yield from NonSeekingReader(stream).iter_messages()
+                yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
         except (McapError, ValueError) as error:
             raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
 
@@ -121,7 +133,7 @@ class Mcap:
                 if channel.topic != topic.name or channel.message_encoding != "cdr":
                     continue
                 seen = 0
-                for block in blocks(file, summary, channel.id):
+                for block in self._blocks(file, summary, channel.id):
                     seen += len(block.starts)
                     if layout is None:
                         first = block.buffer[block.starts[0] : block.starts[0] + block.sizes[0]].tobytes()

@@ -56,6 +56,7 @@ class Layout:
         """Raises ValueError for a type with wide texts, which no message of ours has."""
         self._store = store
         self.type_name = type_name
+        self.example = example
         self.template = np.frombuffer(bytes(store.serialize_cdr(example, type_name)), np.uint8)
         self.fields: dict[str, Field] = {}
         end = self._walk(type_name, example, "", 0) + _ENCAPSULATION
@@ -65,6 +66,8 @@ class Layout:
         self._fixed[: _ENCAPSULATION] = self._fixed[end:] = False
         for field in self.fields.values():
             self._fixed[field.offset : field.offset + field.width] = False
+        edges = np.flatnonzero(np.diff(self._fixed, prepend=False, append=False)).reshape(-1, 2).tolist()
+        self._spans = [(begin, end, self.template[begin:end].tobytes()) for begin, end in edges]
 
     def __len__(self) -> int:
         return len(self.template)
@@ -128,6 +131,42 @@ class Layout:
     def fits(self, buffer: np.ndarray, starts: np.ndarray) -> bool:
         """Whether the messages at `starts` have the example's texts and sequence lengths, and so this layout."""
         return all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
+
+    def fits_one(self, data: bytes) -> bool:
+        """As `fits`, of one message."""
+        return len(data) == len(self.template) and all(data[begin:end] == text for begin, end, text in self._spans)
+
+    def value(self, data: bytes, path: str) -> Any:
+        """One field of one message: a number, or a row of them (a view of `data`); a time in ns."""
+        field = self.fields.get(path)
+        if field is None:  # a sequence of length 0
+            return np.empty(0)
+        values = np.frombuffer(data, field.dtype, field.count, field.offset)
+        if path.endswith("stamp"):
+            return int(values[0]) * 1_000_000_000 + int(values[1].astype(np.uint32))
+        return values if field.count > 1 else values[0]
+
+
+class Layouts:
+    """The layouts of one type whose messages differ in texts and sequence lengths: one for each combination met."""
+
+    MAXIMUM = 64  # of one length, looked through for each message; the oldest gives way
+
+    def __init__(self, store: Typestore, type_name: str):
+        self._store = store
+        self._type_name = type_name
+        self._known: dict[int, list[Layout]] = {}
+
+    def of(self, data: bytes) -> Layout:
+        """Raises what rosbags raises for a damaged message."""
+        known = self._known.setdefault(len(data), [])
+        for layout in known:
+            if layout.fits_one(data):
+                return layout
+        layout = Layout(self._store, self._type_name, self._store.deserialize_cdr(data, self._type_name))
+        known.insert(0, layout)
+        del known[self.MAXIMUM :]
+        return layout
 
 
 def _aligned(at: int, size: int) -> int:

@@ -17,6 +17,8 @@ from mcap.summary import Summary
 _RECORD_HEAD = 9  # opcode, length
 _MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
 _CHUNK, _MESSAGE_INDEX = 0x06, 0x07
+# What a file that contradicts its index, or was damaged, makes `blocks` raise.
+DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError)
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ def summary_of(path: Path) -> Summary | None:
 
 
 def blocks(path: Path, summary: Summary, channel: int, progress: Callable[[], None] | None = None) -> Iterator[Block]:
-    """The messages of a channel, chunk by chunk. Raises ValueError for a file that contradicts its index."""
+    """The messages of a channel, chunk by chunk. Raises one of DAMAGE."""
     with path.open("rb") as stream:
         for chunk in sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset):
             if channel in chunk.message_index_offsets:
