@@ -3,12 +3,14 @@
 import hashlib
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 from .errors import ConfigurationError
+from .provenance import KEYS as PROVENANCE_KEYS
+from .provenance import Provenance, read_provenance
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
 from .yaml_text import check_keys, load, number, quoted
 
@@ -67,6 +69,7 @@ TYRE_QUANTITIES = {
     "lambda_muy": _quantity("1", 0.01, 10.0, required=False),
 }
 TYRES = ("tyre_front", "tyre_rear")
+DERIVED = "derived: C / (2 abs(K)) at the static load of one tyre"
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class VehicleParameters:
     steering_wheel_offset [rad]: reading of the steering wheel sensor when driving straight, left +.
     cornering_stiffness_front/_rear: per axle, > 0 [N/rad]. minimum_slip_speed: v_eps [m/s]. tyre_front, tyre_rear: one
     tyre each, lambda_ky filled in. length, width [m]: of the body, for drawing. sources: where each value comes from,
-    by key ("tyre_front.p_cy1" for the tyres).
+    by key ("tyre_front.p_cy1" for the tyres). provenance: of the values that were identified, by key.
 
     Raises ConfigurationError, naming the key and the limit, for a value out of bounds or lengths that contradict.
     """
@@ -101,6 +104,7 @@ class VehicleParameters:
     tyre_front: MagicFormula
     tyre_rear: MagicFormula
     sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
+    provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self):
         for key, quantity in VEHICLE_QUANTITIES.items():
@@ -158,8 +162,8 @@ class VehicleParameters:
         name = document["name"]
         if not isinstance(name, str) or not name.strip():
             raise ConfigurationError(f"name: {name!r} is not a text; write the name of the car")
-        sources: dict[str, str] = {}
-        values = _read("", document, VEHICLE_QUANTITIES, sources)
+        notes = _Notes()
+        values = _read("", document, VEHICLE_QUANTITIES, notes)
         tyres = {}
         for tyre in TYRES:
             section = document[tyre]
@@ -167,23 +171,39 @@ class VehicleParameters:
                 raise ConfigurationError(f"{tyre}: not a section of `key: {{value, unit, source}}`")
             required = [key for key, quantity in TYRE_QUANTITIES.items() if quantity.required]
             check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
-            tyres[tyre] = MagicFormula(**_read(f"{tyre}.", section, TYRE_QUANTITIES, sources))
-        vehicle = cls(name=name, **values, **tyres, sources=sources)
-        return _with_derived_scales(vehicle, document)
+            tyres[tyre] = MagicFormula(**_read(f"{tyre}.", section, TYRE_QUANTITIES, notes))
+        vehicle = cls(name=name, **values, **tyres, sources=notes.sources, provenance=notes.provenance)
+        given = {tyre for tyre in TYRES if "lambda_ky" in document[tyre]}
+        return vehicle.with_derived_scales([tyre for tyre in TYRES if tyre not in given])
+
+    def with_derived_scales(self, tyres: Sequence[str] = TYRES) -> "VehicleParameters":
+        """lambda_ky of these tyres from the axle's cornering stiffness at the static load (`tyres.stiffness_scale`)."""
+        axles = {"tyre_front": (self.cornering_stiffness_front, self.static_tyre_load_front),
+                 "tyre_rear": (self.cornering_stiffness_rear, self.static_tyre_load_rear)}
+        changes = {name: getattr(self, name)._replace(lambda_ky=stiffness_scale(*axles[name], getattr(self, name)))
+                   for name in tyres}
+        return replace(self, **changes, sources={**self.sources, **{f"{name}.lambda_ky": DERIVED for name in tyres}})
 
     def to_yaml(self) -> str:
-        """A vehicle file, SI units, that `from_yaml` reads back to the same parameters (and hash)."""
+        """A vehicle file, SI units, that `from_yaml` reads back to the same parameters (and hash).
+
+        A derived lambda_ky is left out, so that it follows when someone changes the stiffness in the file.
+        """
+        again = self.with_derived_scales()
+        derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED
+                   and getattr(self, tyre) == getattr(again, tyre)]
         lines = [f"name: {quoted(self.name)}"]
         lines += [self._line(key, getattr(self, key), quantity, "") for key, quantity in VEHICLE_QUANTITIES.items()]
         for tyre in TYRES:
             lines.append(f"{tyre}:")
             lines += ["  " + self._line(key, getattr(getattr(self, tyre), key), quantity, f"{tyre}.")
-                      for key, quantity in TYRE_QUANTITIES.items()]
+                      for key, quantity in TYRE_QUANTITIES.items() if key != "lambda_ky" or tyre not in derived]
         return "\n".join(lines) + "\n"
 
     def _line(self, key: str, value: float, quantity: Quantity, prefix: str) -> str:
         source = self.sources.get(prefix + key, "default" if not quantity.required else "not stated")
-        return f"{key}: {{value: {number(value)}, unit: {quoted(quantity.si_unit)}, source: {quoted(source)}}}"
+        return (f"{key}: {{value: {number(value)}, unit: {quoted(quantity.si_unit)}, source: {quoted(source)}"
+                f"{self.provenance.get(prefix + key, Provenance()).words()}}}")
 
     @cached_property
     def hash(self) -> str:
@@ -194,36 +214,27 @@ class VehicleParameters:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _with_derived_scales(vehicle: VehicleParameters, document: Mapping[str, Any]) -> VehicleParameters:
-    axles = (("tyre_front", vehicle.cornering_stiffness_front, vehicle.static_tyre_load_front),
-             ("tyre_rear", vehicle.cornering_stiffness_rear, vehicle.static_tyre_load_rear))
-    changes: dict[str, Any] = {}
-    sources = dict(vehicle.sources)
-    for name, stiffness, static_load in axles:
-        if "lambda_ky" not in document[name]:
-            tyre = getattr(vehicle, name)
-            changes[name] = tyre._replace(lambda_ky=stiffness_scale(stiffness, static_load, tyre))
-            sources[f"{name}.lambda_ky"] = "derived: C / (2 abs(K)) at the static load of one tyre"
-    values = {f.name: getattr(vehicle, f.name) for f in fields(vehicle)}
-    return VehicleParameters(**(values | changes | {"sources": sources}))
+@dataclass
+class _Notes:
+    """What stands beside the values of a file, by key."""
+
+    sources: dict[str, str] = field(default_factory=dict)
+    provenance: dict[str, Provenance] = field(default_factory=dict)
 
 
 def _read(prefix: str, section: Mapping[str, Any], quantities: Mapping[str, Quantity],
-          sources: dict[str, str]) -> dict[str, float]:
-    values = {}
-    for key, quantity in quantities.items():
-        if key in section:
-            values[key], sources[prefix + key] = _read_one(prefix + key, section[key], quantity)
-    return values
+          notes: _Notes) -> dict[str, float]:
+    return {key: _read_one(prefix + key, section[key], quantity, notes)
+            for key, quantity in quantities.items() if key in section}
 
 
-def _read_one(key: str, entry: Any, quantity: Quantity) -> tuple[float, str]:
+def _read_one(key: str, entry: Any, quantity: Quantity, notes: _Notes) -> float:
     units = " or ".join(quantity.units)
     example = f"write `{key.rpartition('.')[2]}: {{value: ..., unit: \"{quantity.si_unit}\", source: \"...\"}}`"
     if not isinstance(entry, dict):
         raise ConfigurationError(f"{key}: {entry!r} has no unit and source; {example}")
     for part in entry:
-        if part not in ("value", "unit", "source"):
+        if part not in ("value", "unit", "source", *PROVENANCE_KEYS):
             raise ConfigurationError(f"{key}.{part}: unknown key; {example}")
     for part in ("value", "unit", "source"):
         if part not in entry:
@@ -239,7 +250,11 @@ def _read_one(key: str, entry: Any, quantity: Quantity) -> tuple[float, str]:
         raise ConfigurationError(f"{key}: source {entry['source']!r} is not a text; say where the value comes from")
     si = float(value) * quantity.units[unit]
     _check_bounds(key, si, quantity)
-    return si, entry["source"]
+    notes.sources[key] = entry["source"]
+    provenance = read_provenance(key, entry, quantity.units[unit])
+    if provenance is not None:
+        notes.provenance[key] = provenance
+    return si
 
 
 def _check_bounds(key: str, value: float, quantity: Quantity) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import yaml
 from st_core.errors import ConfigurationError
+from st_core.provenance import Provenance
 from st_core.vehicle import TYRE_QUANTITIES, VEHICLE_QUANTITIES, VehicleParameters
 from support import ROOT, shared
 
@@ -78,7 +79,33 @@ def test_hash_depends_on_every_value_and_on_no_text(leaf):
     assert len(hashes) == 1 + len(VEHICLE_QUANTITIES) + 2 * len(TYRE_QUANTITIES)
 
 
+NOTES = 'uncertainty: 0.8, method: "four scales", data: "a.csv", date: 2026-05-01'
+NOTED = changed("mass", "unit: kg,", f"unit: kg, {NOTES},")
+
+
+def test_provenance_is_kept_and_changes_no_value(leaf):
+    text = NOTED.replace('offset: {value: -2.7,', 'offset: {value: -2.7, uncertainty: 0.05,')
+    noted = VehicleParameters.from_yaml(text)
+    assert noted == leaf and noted.hash == leaf.hash
+    assert noted.provenance["mass"] == Provenance(0.8, "four scales", "a.csv", "2026-05-01")
+    assert noted.provenance["steering_wheel_offset"].uncertainty == pytest.approx(math.radians(0.05))  # SI
+    again = VehicleParameters.from_yaml(noted.to_yaml())
+    assert again.provenance == noted.provenance and set(again.provenance) == {"mass", "steering_wheel_offset"}
+
+
+def test_a_derived_scale_follows_the_stiffness_of_a_saved_file(leaf):
+    softer = leaf.to_yaml().replace("stiffness_front: {value: 70000.0", "stiffness_front: {value: 35000.0")
+    assert VehicleParameters.from_yaml(softer).tyre_front.lambda_ky == pytest.approx(leaf.tyre_front.lambda_ky / 2)
+    # A value that somebody set, whatever its source says, is written as it stands.
+    own = replace(leaf, tyre_front=leaf.tyre_front._replace(lambda_ky=0.5))
+    assert VehicleParameters.from_yaml(own.to_yaml()) == own
+
+
 @pytest.mark.parametrize(("text", "expected"), [
+    (NOTED.replace("uncertainty: 0.8", "uncertainty: -0.8"), "mass.uncertainty: -0.8 is not a standard deviation"),
+    (NOTED.replace("uncertainty: 0.8", "uncertainty: .inf"), "mass.uncertainty: inf is not a standard deviation"),
+    (NOTED.replace("uncertainty: 0.8", "uncertainty: small"), "mass.uncertainty: 'small' is not a number"),
+    (NOTED.replace('method: "four scales"', "method: 4"), "mass.method: 4 is not a text"),
     (changed("mass", "mass:", "maas:"), "maas: unknown key, did you mean mass?"),
     (changed("p_cy1", "p_cy1:", "pcy1:"), "tyre_front.pcy1: unknown key, did you mean p_cy1?"),
     (LEAF + "colour: red\n", "colour: unknown key; known are name, mass"),

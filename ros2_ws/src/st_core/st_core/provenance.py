@@ -1,0 +1,51 @@
+"""How an identified value of a vehicle file came about: uncertainty, method, data, date."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .errors import ConfigurationError
+from .yaml_text import number, quoted
+
+TEXTS = ("method", "data", "date")
+KEYS = ("uncertainty", *TEXTS)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """uncertainty: one standard deviation, SI; None where not known. method, data: a few words. date: YYYY-MM-DD."""
+
+    uncertainty: float | None = None
+    method: str = ""
+    data: str = ""
+    date: str = ""
+
+    def words(self) -> str:
+        """The keys as they stand in a vehicle file, each with a comma before it."""
+        parts = [] if self.uncertainty is None else [f"uncertainty: {number(self.uncertainty)}"]
+        parts += [f"{key}: {quoted(getattr(self, key))}" for key in TEXTS if getattr(self, key)]
+        return "".join(f", {part}" for part in parts)
+
+
+def read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Provenance | None:
+    """The provenance in an entry of a vehicle file, None without one. factor: of the entry's unit to SI.
+
+    Raises ConfigurationError naming the key for an uncertainty that is none, or a text that is none.
+    """
+    if not any(name in entry for name in KEYS):
+        return None
+    uncertainty = entry.get("uncertainty")
+    if uncertainty is not None:
+        if isinstance(uncertainty, bool) or not isinstance(uncertainty, int | float):
+            raise ConfigurationError(f"{key}.uncertainty: {uncertainty!r} is not a number (1.0e+3, not 1e3)")
+        if not (math.isfinite(uncertainty) and uncertainty >= 0.0):
+            raise ConfigurationError(f"{key}.uncertainty: {uncertainty:g} is not a standard deviation, 0 or above")
+        uncertainty = float(uncertainty) * factor
+    texts = {}
+    for name in TEXTS:
+        # An unquoted day is a date in YAML and still the text it was written as.
+        texts[name] = str(entry[name]) if name == "date" and name in entry else entry.get(name, "")
+        if not isinstance(texts[name], str):
+            raise ConfigurationError(f"{key}.{name}: {texts[name]!r} is not a text")
+    return Provenance(uncertainty, **texts)
