@@ -1,0 +1,141 @@
+"""Mass and position of the centre of gravity (CG) from four wheel scales.
+
+    m = sum of the four readings,   l_f = l (rear readings) / m
+
+Several weighings of the same car, rolled off and on again between them, show what friction in tyres and suspension does
+to a reading. Each scale has an error of its own that repeats in every weighing and does not average out:
+
+    u(m)^2   = s_m^2 / n + 4 u_s^2
+    u(l_f)^2 = s_l^2 / n + 2 u_s^2 (l_f^2 + l_r^2) / m^2 + (l_f / l)^2 u(l)^2
+
+s: scatter over the n weighings, u_s: standard uncertainty of one scale. The interval is Student's, its degrees of
+freedom by Welch and Satterthwaite. Source: paper, parameter identification; JCGM 100:2008, G.4.
+Checked by: test_mass_and_cg.py.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .result import Estimate, Identification, IdentificationError, correlation_of, symmetric_interval
+
+WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+SCALE_UNCERTAINTY = 0.5  # kg, of one scale: class III pads of 500 kg in steps of 0.5 kg
+LARGEST_SIDE_DIFFERENCE = 0.2  # of an axle's load; a car with one person in it stays below 0.12
+LARGEST_SCATTER = 0.02  # of the mass, between weighings of one car
+
+
+@dataclass(frozen=True)
+class Weighings:
+    """readings: (n, 4) [kg], columns as WHEELS. names: of the n weighings. loads: (n,) what was in the car, in words.
+
+    scale_uncertainty: standard uncertainty of one scale [kg].
+    """
+
+    readings: np.ndarray
+    names: tuple[str, ...]
+    loads: tuple[str, ...]
+    scale_uncertainty: float = SCALE_UNCERTAINTY
+
+
+def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: float = 0.0) -> Identification:
+    """Estimates of mass [kg] and cg_to_front_axle [m], of the loading most weighings have (the first of equals).
+
+    wheelbase [m] with its standard uncertainty [m]. Weighings with another loading are rejected.
+    Raises IdentificationError, with the numbers, for readings that are no car's: missing, negative, swapped.
+    """
+    readings = _checked(weighings)
+    load = max(weighings.loads, key=weighings.loads.count)
+    keep = np.array([one == load for one in weighings.loads])
+    used = tuple(name for name, kept in zip(weighings.names, keep, strict=True) if kept)
+    named = list(zip(weighings.names, weighings.loads, strict=True))
+    rejected = tuple((name, f"another loading: {one or 'none noted'}") for name, one in named if one != load)
+    chosen = readings[keep]
+    masses = chosen.sum(axis=1)
+    distances = wheelbase * chosen[:, 2:].sum(axis=1) / masses
+    n, mass, front = len(chosen), float(masses.mean()), float(distances.mean())
+    if np.ptp(masses) > LARGEST_SCATTER * mass:
+        raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg: "
+                                  "not the same car; weigh again, or note what was in it")
+    fixed = _scale_covariance(weighings.scale_uncertainty, mass, front, wheelbase, wheelbase_uncertainty)
+    scatter = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
+    covariance = scatter + fixed
+    spreads = np.sqrt(np.diag(covariance))
+    freedom = [_freedom(scatter[i, i], covariance[i, i], n) for i in (0, 1)]
+    method = (f"four wheel scales, {n} weighing{'s' * (n != 1)}, {weighings.scale_uncertainty:g} kg per scale"
+              + (f", {load}" if load else ""))
+    left = float(chosen[:, [0, 2]].sum() / chosen.sum())
+    estimates = (
+        Estimate("mass", mass, "kg", float(spreads[0]), symmetric_interval(mass, float(spreads[0]), freedom[0]), method,
+                 used, f"The car weighs {mass:.1f} kg{f' with {load}' if load else ''}."),
+        Estimate("cg_to_front_axle", front, "m", float(spreads[1]),
+                 symmetric_interval(front, float(spreads[1]), freedom[1]), method, used,
+                 f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
+                 f"the left wheels, so the CG is {front:.3f} m behind the front axle."),
+    )
+    warnings = [*_side_warnings(chosen)]
+    if n == 1:
+        warnings.append("One weighing: its interval rests on the scales' uncertainty alone. Roll the car off and on "
+                        "and weigh again, three times at least.")
+    if rejected:
+        warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
+    figure = {"readings": readings, "kept": keep, "names": weighings.names, "masses": readings.sum(axis=1),
+              "distances": wheelbase * readings[:, 2:].sum(axis=1) / readings.sum(axis=1)}
+    return Identification("scales", estimates, used, rejected, correlation_of(covariance), (), tuple(warnings), figure)
+
+
+def swapped_axles(found: Identification, wheelbase: float, expected: float) -> str:
+    """A sentence when front and rear readings look exchanged: the CG fits the file's [m] only from the other end."""
+    front = found["cg_to_front_axle"].value
+    if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
+        return (f"cg_to_front_axle comes out as {front:.3f} m, the vehicle file says {expected:.3f} m; with front and "
+                f"rear columns exchanged it would be {wheelbase - front:.3f} m. Check which columns are which.")
+    return ""
+
+
+def _checked(weighings: Weighings) -> np.ndarray:
+    readings = np.asarray(weighings.readings, dtype=float)
+    if readings.ndim != 2 or readings.shape[1] != len(WHEELS) or not len(readings):
+        raise IdentificationError(f"readings of shape {readings.shape}: four wheels per weighing, and at least one "
+                                  "weighing, are needed")
+    for row, name in zip(readings, weighings.names, strict=True):
+        for wheel, value in zip(WHEELS, row, strict=True):
+            if not (math.isfinite(value) and value > 0.0):
+                raise IdentificationError(f"weighing {name}: {wheel} reads {value:g} kg; all four wheels must stand on "
+                                          "scales")
+        for axle, (a, b) in (("front", row[:2]), ("rear", row[2:])):
+            if abs(a - b) > LARGEST_SIDE_DIFFERENCE * (a + b):
+                raise IdentificationError(
+                    f"weighing {name}: the {axle} wheels carry {a:.1f} and {b:.1f} kg, "
+                    f"{100 * abs(a - b) / (a + b):.0f} % of the axle apart; are two "
+                    "columns exchanged, or does a wheel stand beside its scale?")
+    if not (math.isfinite(weighings.scale_uncertainty) and weighings.scale_uncertainty > 0.0):
+        raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: give the standard "
+                                  "uncertainty of one scale, above 0")
+    return readings
+
+
+def _scale_covariance(scale: float, mass: float, front: float, wheelbase: float, wheelbase_spread: float) -> np.ndarray:
+    """Covariance of (mass, l_f) by the four scales' own errors and the wheelbase's."""
+    # d l_f / d reading: -l_f / m in front, (l - l_f) / m behind.
+    slopes = np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass
+    gradient = np.stack([np.ones(4), slopes])
+    covariance = scale**2 * gradient @ gradient.T
+    covariance[1, 1] += (front / wheelbase * wheelbase_spread) ** 2
+    return covariance
+
+
+def _freedom(scatter: float, total: float, n: int) -> float:
+    """Welch and Satterthwaite: nu = u^4 / (u_A^4 / (n - 1)); what the scales contribute counts as known."""
+    return (n - 1) * (total / scatter) ** 2 if scatter > 0.0 else math.inf
+
+
+def _side_warnings(readings: np.ndarray) -> Sequence[str]:
+    mean = readings.mean(axis=0)
+    cross = (mean[0] + mean[3]) / mean.sum()
+    if abs(cross - 0.5) > 0.02:
+        return [f"The diagonal front left + rear right carries {100 * cross:.1f} %: the car is twisted between its "
+                "wheels, or the floor under the scales is uneven. Mass and CG along the car do not suffer from that."]
+    return []
