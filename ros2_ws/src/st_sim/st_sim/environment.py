@@ -26,6 +26,34 @@ class Surroundings(NamedTuple):
     wind_y: float
 
 
+class Road(NamedTuple):
+    """What `road_at` needs of the settings of the same names."""
+
+    friction: float
+    patch: float
+    bank: float
+    grade: float
+    hillside: float
+    wave: float
+
+
+def road_of(settings: Settings) -> Road:
+    names = ("friction_factor", "friction_patch", "bank_angle", "grade_angle", "hillside_slope", "terrain_wave")
+    return Road(*(settings[name] for name in names))
+
+
+def road_at(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
+    """(friction factor, bank, grade [rad]) under a car at x [m, map] that heads for yaw [rad]. May be compiled."""
+    friction = road.friction * (road.patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
+    bank, grade = road.bank, road.grade
+    if road.hillside or road.wave:
+        east, north = road.wave * math.sin(2 * math.pi * x / WAVE_LENGTH), road.hillside
+        c, s = math.cos(yaw), math.sin(yaw)
+        grade += east * c + north * s
+        bank += north * c - east * s
+    return friction, bank, grade
+
+
 class Environment:
     """Surroundings at a place and time.
 
@@ -33,18 +61,15 @@ class Environment:
     """
 
     def __init__(self, settings: Settings, step: float, seed: int):
-        self._friction = settings["friction_factor"]
-        self._patch = settings["friction_patch"]
-        self._bank, self._grade = settings["bank_angle"], settings["grade_angle"]
-        self._hillside, self._wave = settings["hillside_slope"], settings["terrain_wave"]
+        self._road = road_of(settings)
         self._wind, self._gust_sigma = settings["wind_speed"], settings["gust_speed"]
         self._memory = math.exp(-step / GUST_TIME)
         self._gust = [0.0, 0.0]
         self._draw = normal_stream(np.random.default_rng([seed, 1]))
-        self._level = not (self._hillside or self._wave)
         self._calm = not (self._wind or self._gust_sigma)
-        self._constant = Surroundings(self._friction, self._bank, self._grade, 0.0, 0.0)
-        self._everywhere = self._level and self._calm and self._patch == 1.0
+        r = self._road
+        self._constant = Surroundings(r.friction, r.bank, r.grade, 0.0, 0.0)
+        self._everywhere = self._calm and not (r.hillside or r.wave) and r.patch == 1.0
 
     @property
     def calm(self) -> bool:
@@ -53,17 +78,10 @@ class Environment:
     def at(self, x: float, y: float, yaw: float) -> Surroundings:
         if self._everywhere:
             return self._constant
-        friction = self._friction * (self._patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
-        bank, grade = self._bank, self._grade
-        if not self._level:
-            east, north = self._wave * math.sin(2 * math.pi * x / WAVE_LENGTH), self._hillside
-            c, s = math.cos(yaw), math.sin(yaw)
-            grade += east * c + north * s
-            bank += north * c - east * s
         if self._gust_sigma:
             kick = self._gust_sigma * math.sqrt(1 - self._memory**2)
             self._gust = [self._memory * g + kick * self._draw() for g in self._gust]
-        return Surroundings(friction, bank, grade, self._gust[0], self._wind + self._gust[1])
+        return Surroundings(*road_at(self._road, x, yaw), self._gust[0], self._wind + self._gust[1])
 
 
 def normal_stream(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:

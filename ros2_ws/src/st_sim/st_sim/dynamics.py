@@ -1,0 +1,263 @@
+"""Equations of motion of the virtual car as plain functions of numbers: what `Plant` steps, and what may be compiled.
+
+Axes, signs and equations: see `plant`. Nothing here holds state, so the same lines run in Python and compiled
+(checked by: bench/discovery, tests/bench/test_discovery_plant.py).
+"""
+
+from collections.abc import Sequence
+from math import atan, cos, hypot, sin
+from typing import NamedTuple
+
+from .car import GRAVITY, TRACK_WIDTH, Car
+from .settings import Settings
+from .tyres import MINIMUM_LOAD, TyreLaw, left_by_ellipse, tyre_force, tyre_law
+
+AIR_DENSITY = 1.2
+SIDE_AREA = 2.5
+"""m^2, side force coefficient times side area; about half of the Leaf's 4.7 m^2 of flank."""
+WIND_ARM = 0.25
+"""m, centre of side wind ahead of the CG."""
+BRAKE_SHARE_FRONT = 0.65
+ROLL_SHARE_FRONT = 0.55
+"""Share of the lateral load transfer that the front axle takes."""
+
+# Slip needs a speed to divide by. The paper's models use 3 m/s; a real tyre has no such limit, so it is as low as the
+# step allows.
+LOWEST_SLIP_SPEED = 0.5
+CREEP_SPEED = 2.5
+CREEP_DAMPING = 0.17
+"""s/m. Below CREEP_SPEED a relaxing tyre is a spring with little damping; so much slip per sliding speed is added."""
+ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4
+"""rad/s (2 Hz) and share of critical, of the body on its springs; both load transfer and roll follow it."""
+PITCH_TIME = 0.08
+COMPLIANCE_TIME = 0.01
+"""s, first-order: pitch with its load transfer, and the give of the steering."""
+ROLLING_ONSET = 0.2
+"""m/s. Below it the rolling resistance fades out, so that it cannot push a standing car."""
+
+# Positions in the state tuple.
+X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, GIVE, S_FL, S_FR, S_RL, S_RR, LEAN, LEAN_RATE, SQUAT = range(16)
+
+
+class Constants(NamedTuple):
+    """What the equations need of one car and its settings, SI. fastest: largest pace of a relaxing tyre [1/s]."""
+
+    mass: float
+    yaw_inertia: float
+    to_front: float
+    to_rear: float
+    lag: float
+    steering_offset: float
+    compliance: float
+    roll_steer: float
+    rear_roll_steer: float
+    roll_gradient: float
+    camber: float
+    ackermann: float
+    fastest: float
+    relaxation: float
+    combined: float
+    rolling: float
+    drag_area: float
+    transfer_x: float
+    transfer_y: float
+    static_front: float
+    static_rear: float
+    calm: bool
+    front: TyreLaw
+    rear: TyreLaw
+
+
+def constants(car: Car, settings: Settings, step: float) -> Constants:
+    """Of a car with its settings, integrated in steps of `step` [s]."""
+    s = settings
+    mass = car.mass * s["mass_factor"]
+    to_front = car.cg_to_front_axle - s["cg_shift"]
+    to_rear = car.wheelbase - to_front
+    return Constants(
+        mass=mass,
+        yaw_inertia=car.yaw_inertia * s["yaw_inertia_factor"],
+        to_front=to_front,
+        to_rear=to_rear,
+        # A lag shorter than a step is a step: the integrator could not follow it.
+        lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,
+        steering_offset=s["steering_offset"],
+        compliance=s["steering_compliance"],
+        roll_steer=s["roll_steer"],
+        rear_roll_steer=s["rear_roll_steer"],
+        roll_gradient=s["roll_gradient"],
+        camber=s["camber_thrust"],
+        ackermann=s["ackermann"] * TRACK_WIDTH / (2 * car.wheelbase),
+        fastest=1.0 / step,
+        relaxation=s["relaxation_length"],
+        combined=s["combined_slip"],
+        rolling=s["rolling_resistance"],
+        drag_area=s["drag_area"],
+        transfer_x=s["longitudinal_load_transfer"] * mass * car.cg_height / car.wheelbase / 2,
+        transfer_y=s["lateral_load_transfer"] * mass * car.cg_height / TRACK_WIDTH,
+        static_front=mass * GRAVITY * to_rear / car.wheelbase / 2,
+        static_rear=mass * GRAVITY * to_front / car.wheelbase / 2,
+        calm=not (s["wind_speed"] or s["gust_speed"]),
+        front=tyre_law(car.tyre_front, s["front_stiffness_factor"]),
+        rear=tyre_law(car.tyre_rear, s["rear_stiffness_factor"]),
+    )
+
+
+def wheel(
+    contact: tuple[float, float, float],
+    law: TyreLaw,
+    friction: float,
+    load: float,
+    slip: float,
+    slid: float,
+    rolled: float,
+    pull: float,
+) -> tuple[float, float, float]:
+    """Lateral and longitudinal force of one wheel [N] and the rate of its delayed slip.
+
+    contact: relaxation length [m], share of combined slip, largest pace of the slip [1/s]. slip: delayed (state); slid,
+    rolled: velocity of the contact patch across and along the wheel [m/s]; pull: wanted F_x [N].
+    """
+    relaxation, combined, fastest = contact
+    speed = abs(rolled)
+    steady = slid / (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED)
+    if relaxation:
+        pace = (speed if speed > LOWEST_SLIP_SPEED else LOWEST_SLIP_SPEED) / relaxation
+        rate = (pace if pace < fastest else fastest) * (steady - slip)
+        if speed < CREEP_SPEED:
+            slip += CREEP_DAMPING * slid * (1.0 - speed / CREEP_SPEED)
+    else:
+        rate, slip = 0.0, steady
+    lateral, peak = tyre_force(law, atan(slip), load, friction)
+    if abs(pull) > 0.98 * peak:
+        pull = 0.98 * peak if pull > 0 else -0.98 * peak
+    if combined:
+        lateral *= 1.0 - combined + combined * left_by_ellipse(pull, peak)
+    return lateral, pull, rate
+
+
+def air_force(
+    calm: bool, drag_area: float, yaw: float, vx: float, vy: float, wind_x: float, wind_y: float
+) -> tuple[float, float]:
+    """Drag and side force [N] in body axes.
+
+    Still air acts lengthways only: the side force is what the wind adds.
+    """
+    along, across, own = -vx, -vy, hypot(vx, vy)
+    if calm:
+        return 0.5 * AIR_DENSITY * own * drag_area * along, 0.0
+    cosine, sine = cos(yaw), sin(yaw)
+    along, across = along + wind_x * cosine + wind_y * sine, across + wind_y * cosine - wind_x * sine
+    felt = hypot(along, across)
+    side = 0.5 * AIR_DENSITY * SIDE_AREA * (felt * across + own * vy)
+    return 0.5 * AIR_DENSITY * felt * drag_area * along, side
+
+
+def derivative(
+    s: Sequence[float], rack_target: float, drive_force: float, here: tuple, c: Constants
+) -> tuple[tuple, tuple]:
+    """Time derivative of the state, and what `Forces` keeps of it.
+
+    here: (friction, bank, grade [rad], wind_x, wind_y [m/s]). Second result: road-wheel angle; lateral and longitudinal
+    force, load [N], velocity across and along [m/s] of each wheel.
+    """
+    # fmt: off
+    (
+        mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer,
+        roll_gradient, camber, ackermann, fastest, relaxation, combined, rolling, drag_area, transfer_x, transfer_y,
+        static_front, static_rear, calm, front, rear,
+    ) = c
+    # fmt: on
+    (_, _, _, yaw, vx, vy, r, rack, give, s_fl, s_fr, s_rl, s_rr, lean, lean_rate, squat) = s
+    friction, bank, grade, wind_x, wind_y = here
+    half_track = TRACK_WIDTH / 2
+    roll = roll_gradient * lean
+
+    steer = rack + steering_offset + roll_steer * roll - give
+    sine = sin(steer)
+    split = ackermann * sine * sine
+    steer_l, steer_r = steer + split, steer - split
+    cos_l, sin_l, cos_r, sin_r = cos(steer_l), sin(steer_l), cos(steer_r), sin(steer_r)
+    steer_rear = rear_roll_steer * roll
+
+    # Loads: static, then what the filtered accelerations move.
+    normal = cos(bank) * cos(grade)
+    pitch_load = transfer_x * squat
+    sway = transfer_y * lean
+    sway_front, sway_rear = ROLL_SHARE_FRONT * sway, (1.0 - ROLL_SHARE_FRONT) * sway
+    load_front, load_rear = static_front * normal - pitch_load, static_rear * normal + pitch_load
+    load_fl, load_fr = max(load_front - sway_front, MINIMUM_LOAD), max(load_front + sway_front, MINIMUM_LOAD)
+    load_rl, load_rr = max(load_rear - sway_rear, MINIMUM_LOAD), max(load_rear + sway_rear, MINIMUM_LOAD)
+
+    # Velocity of each contact patch, turned into its wheel.
+    left_x, right_x, front_y, rear_y = vx - r * half_track, vx + r * half_track, vy + r * to_front, vy - r * to_rear
+    rolled_fl, slid_fl = left_x * cos_l + front_y * sin_l, front_y * cos_l - left_x * sin_l
+    rolled_fr, slid_fr = right_x * cos_r + front_y * sin_r, front_y * cos_r - right_x * sin_r
+    slid_rl, slid_rr = rear_y - left_x * steer_rear, rear_y - right_x * steer_rear
+
+    if drive_force >= 0.0:
+        pull_front, pull_rear = drive_force / 2, 0.0
+    else:
+        pull_front, pull_rear = drive_force * BRAKE_SHARE_FRONT / 2, drive_force * (1.0 - BRAKE_SHARE_FRONT) / 2
+    contact = relaxation, combined, fastest
+    y_fl, x_fl, rate_fl = wheel(contact, front, friction, load_fl, s_fl, slid_fl, rolled_fl, pull_front)
+    y_fr, x_fr, rate_fr = wheel(contact, front, friction, load_fr, s_fr, slid_fr, rolled_fr, pull_front)
+    y_rl, x_rl, rate_rl = wheel(contact, rear, friction, load_rl, s_rl, slid_rl, left_x, pull_rear)
+    y_rr, x_rr, rate_rr = wheel(contact, rear, friction, load_rr, s_rr, slid_rr, right_x, pull_rear)
+    axle_front = y_fl + y_fr
+    if camber:
+        lean_out = camber * roll
+        y_fl, y_fr = y_fl - lean_out * load_fl, y_fr - lean_out * load_fr
+        y_rl, y_rr = y_rl - lean_out * load_rl, y_rr - lean_out * load_rr
+
+    # Into the body. The rear steers by a fraction of a degree at most: first order is exact to 1e-5.
+    bx_fl, by_fl = x_fl * cos_l - y_fl * sin_l, x_fl * sin_l + y_fl * cos_l
+    bx_fr, by_fr = x_fr * cos_r - y_fr * sin_r, x_fr * sin_r + y_fr * cos_r
+    bx_rl, by_rl = x_rl - y_rl * steer_rear, y_rl + x_rl * steer_rear
+    bx_rr, by_rr = x_rr - y_rr * steer_rear, y_rr + x_rr * steer_rear
+
+    air_x, air_y = air_force(calm, drag_area, yaw, vx, vy, wind_x, wind_y)
+    resistance = rolling * mass * GRAVITY * normal * min(max(vx / ROLLING_ONSET, -1.0), 1.0)
+    force_x = bx_fl + bx_fr + bx_rl + bx_rr + air_x - resistance
+    force_y = by_fl + by_fr + by_rl + by_rr + air_y
+    moment = (
+        to_front * (by_fl + by_fr)
+        - to_rear * (by_rl + by_rr)
+        + half_track * (bx_fr - bx_fl + bx_rr - bx_rl)
+        + WIND_ARM * air_y
+    )
+
+    felt_x, felt_y = force_x / mass, force_y / mass
+    vx_dot = felt_x - GRAVITY * sin(grade) + r * vy
+    vy_dot = felt_y - GRAVITY * sin(bank) - r * vx
+    r_dot = moment / yaw_inertia
+    cos_yaw, sin_yaw = cos(yaw), sin(yaw)
+    climb = vx * sin(grade) + vy * sin(bank)
+    flat = cos(grade)
+    rates = (
+        vx * flat * cos_yaw - vy * sin_yaw,
+        vx * flat * sin_yaw + vy * cos_yaw,
+        climb,
+        r,
+        vx_dot,
+        vy_dot,
+        r_dot,
+        (rack_target - rack) / lag if lag else 0.0,
+        (compliance * axle_front - give) / COMPLIANCE_TIME if compliance else 0.0,
+        rate_fl,
+        rate_fr,
+        rate_rl,
+        rate_rr,
+        lean_rate,
+        ROLL_FREQUENCY * (ROLL_FREQUENCY * (felt_y - lean) - 2 * ROLL_DAMPING * lean_rate),
+        (felt_x - squat) / PITCH_TIME,
+    )
+    seen = (
+        steer,
+        (y_fl, y_fr, y_rl, y_rr),
+        (x_fl, x_fr, x_rl, x_rr),
+        (load_fl, load_fr, load_rl, load_rr),
+        (slid_fl, slid_fr, slid_rl, slid_rr),
+        (rolled_fl, rolled_fr, left_x, right_x),
+    )
+    return rates, seen
