@@ -1,0 +1,178 @@
+"""Where a model misses: its errors by condition, time and place against what is to be expected, put into sentences."""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ..log import DriveLog
+from ..models import Model
+from ..vehicle import VehicleParameters
+from .result import WhereStatement
+from .settings import DiscoverySettings
+from .where_bins import (
+    EVERYWHERE,
+    FALSE_DISCOVERIES,
+    BinExcess,
+    Samples,
+    excesses,
+    membership,
+    words,
+)
+from .where_places import CELL, RELEVANT_STEP, SHUFFLES, Cell, Part, cells, changes
+from .where_samples import sample
+
+MOST_RANGES = 3  # statements about conditions per channel
+SIDED = ("lateral acceleration", "steering angle", "steering rate")
+CONTRAST = 1.15  # a range is worth a sentence when it is so many times worse than the channel everywhere
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Everything behind the statements, for figures. statements: the most telling first within each channel.
+
+    samples, reference: errors of single predictions. bins: by condition. parts: of runs worse than their rest. places:
+    worse than conditions explain.
+    """
+
+    statements: tuple[WhereStatement, ...]
+    samples: Samples
+    reference: Samples | None
+    bins: tuple[BinExcess, ...]
+    parts: tuple[Part, ...]
+    places: tuple[Cell, ...]
+
+
+def where(runs: Sequence[DriveLog], model: Model, vehicle: VehicleParameters, settings: DiscoverySettings,
+          reference: Sequence[DriveLog] = (), noise: Mapping[str, float] | None = None) -> tuple[WhereStatement, ...]:
+    """The statements of `survey`."""
+    return survey(runs, model, vehicle, settings, reference, noise).statements
+
+
+def survey(runs: Sequence[DriveLog], model: Model, vehicle: VehicleParameters, settings: DiscoverySettings,
+           reference: Sequence[DriveLog] = (), noise: Mapping[str, float] | None = None) -> Survey:
+    """Errors of a model on the runs, compared with those on the reference drives, or with the sensor noise.
+
+    noise: one standard deviation by channel [unit]; needed without reference. Every channel that the runs do not have
+    is left out.
+    """
+    samples = sample(runs, model, vehicle, settings)
+    expected = sample(reference, model, vehicle, settings) if reference else None
+    if expected is not None:
+        common = [c for c in samples.squares if c in expected.squares and np.isfinite(expected.squares[c]).any()]
+        samples = _only(samples, common)
+    sigma = {channel: (noise or {}).get(channel, 0.0) for channel in samples.squares}
+    ranges, members = membership(samples)
+    bins = excesses(samples, members, ranges, expected, sigma, settings.seed, settings.resamples)
+    parts, places = [], []
+    shuffles = min(settings.resamples, SHUFFLES)
+    for channel in samples.squares:
+        parts += changes(samples, channel, sigma[channel], settings.block, settings.seed, shuffles)
+        places += cells(samples, channel, sigma[channel])
+    places = _significant(places)
+    statements = tuple(s for channel in samples.squares
+                       for s in _statements(channel, bins, parts, places, samples, expected is not None))
+    return Survey(statements, samples, expected, bins, tuple(parts), tuple(places))
+
+
+def _only(samples: Samples, channels: Sequence[str]) -> Samples:
+    return Samples(samples.names, samples.run, samples.time, samples.x, samples.y, samples.block, samples.conditions,
+                   {c: samples.squares[c] for c in channels})
+
+
+def _significant(found: list[Cell]) -> list[Cell]:
+    if not found:
+        return []
+    adjusted = stats.false_discovery_control([c.p for c in found], method="bh")
+    return [c for c, q in zip(found, adjusted, strict=True) if q <= FALSE_DISCOVERIES and c.step >= RELEVANT_STEP]
+
+
+def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], places: Sequence[Cell],
+                samples: Samples, learnt: bool) -> list[WhereStatement]:
+    mine = [b for b in bins if b.channel == channel]
+    if not any(b.significant for b in mine):
+        return []
+    whole = next(b for b in mine if b.range.quantity == EVERYWHERE)
+    said = [_range_statement(group, mine, whole, learnt) for group in _groups(mine)]
+    # Ranked by what is sure: a range with few observations can seem very bad by chance.
+    told = sorted((s for s in said if s.interval[0] > 1.0 and s.excess >= CONTRAST * whole.excess),
+                  key=lambda s: -s.interval[0])
+    statements = [*told[:MOST_RANGES]]
+    if whole.significant:
+        statements.append(WhereStatement(channel, EVERYWHERE, whole.excess, whole.interval))
+    statements += [_part_statement(part, whole, samples) for part in parts if part.channel == channel]
+    statements += _place_statements([c for c in places if c.channel == channel], whole)
+    return statements
+
+
+def _groups(mine: Sequence[BinExcess]) -> list[list[BinExcess]]:
+    """Neighbouring significant ranges of one quantity that are alike, together."""
+    groups: list[list[BinExcess]] = []
+    for _, of_quantity in itertools.groupby((b for b in mine if b.range.quantity != EVERYWHERE),
+                                            key=lambda b: b.range.quantity):
+        current: list[BinExcess] = []
+        for one in of_quantity:
+            alike = current and one.range.low == current[-1].range.high and one.range.low is not None and (
+                max(one.excess, current[-1].excess) <= 1.5 * min(one.excess, current[-1].excess))
+            if one.significant and alike:
+                current.append(one)
+            else:
+                groups.append(current)
+                current = [one] if one.significant else []
+        groups.append(current)
+    return [g for g in groups if g]
+
+
+def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whole: BinExcess,
+                     learnt: bool) -> WhereStatement:
+    quantity = group[0].range.quantity
+    if quantity == "direction":
+        return WhereStatement(whole.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
+                              else "straight driving", group[0].excess, group[0].interval)
+    unit = group[0].range.label.rsplit(" ", 1)[1]
+    condition = words(quantity, unit, group[0].range.low, group[-1].range.high)
+    sides = {b.range.label: b for b in mine if b.range.quantity == "direction" and b.range.label != "straight"}
+    if quantity in SIDED and group[0].range.low and len(sides) == 2 and all(b.significant for b in sides.values()):
+        condition += ", both directions"
+    if learnt and not all(b.covered for b in group):
+        condition += " (the reference was hardly there)"
+    weights = np.array([b.blocks for b in group], float)
+    excess = math.sqrt(float((weights * [b.excess ** 2 for b in group]).sum() / weights.sum()))
+    low, high = (math.sqrt(float((weights * [b.interval[k] ** 2 for b in group]).sum() / weights.sum()))
+                 for k in (0, 1))
+    return WhereStatement(whole.channel, condition, excess, (low, high))
+
+
+def _part_statement(part: Part, whole: BinExcess, samples: Samples) -> WhereStatement:
+    """Time: the level of the part itself is the whole channel's times its step."""
+    last = float(samples.time[samples.run == part.run].max())
+    name = samples.names[part.run]
+    when = (f"from {part.start:.0f} s on" if part.end >= last - 1.0 else f"until {part.end:.0f} s" if part.start < 2.0
+            else f"from {part.start:.0f} to {part.end:.0f} s")
+    text = f"run {name}, {when}: {part.step:.1f} times as much as on the rest of the run under like conditions"
+    return WhereStatement(part.channel, text, whole.excess * part.step,
+                          (whole.interval[0] * part.step, whole.interval[1] * part.step))
+
+
+def _place_statements(places: Sequence[Cell], whole: BinExcess) -> list[WhereStatement]:
+    """Places that touch each other are one."""
+    left, statements = list(places), []
+    while left:
+        cluster = [left.pop(0)]
+        grown = True
+        while grown:
+            near = [c for c in left if any(max(abs(c.x - o.x), abs(c.y - o.y)) < 1.6 * CELL for o in cluster)]
+            grown = bool(near)
+            cluster += near
+            left = [c for c in left if c not in near]
+        x, y = (float(np.mean([getattr(c, axis) for c in cluster])) for axis in ("x", "y"))
+        reach = max(math.hypot(c.x - x, c.y - y) for c in cluster) + 0.5 * CELL
+        step = float(np.mean([c.step for c in cluster]))
+        low, high = (float(np.mean([c.interval[k] for c in cluster])) for k in (0, 1))
+        text = f"within {reach:.0f} m of east {x:.0f} m, north {y:.0f} m, on every pass"
+        statements.append(WhereStatement(whole.channel, text, whole.excess * step,
+                                         (whole.excess * low, whole.excess * high)))
+    return sorted(statements, key=lambda s: -s.excess)[:2]

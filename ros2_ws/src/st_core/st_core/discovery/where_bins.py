@@ -1,0 +1,180 @@
+"""Excess of squared errors in bins of a drive's conditions, with intervals that respect correlation in time.
+
+    excess = sqrt(mean square in the bin / mean square expected there)
+
+The expected one is that of reference drives in the same bin, of all their bins together where they hardly visit it, or
+the sensor noise without reference. Interval and p come from resampling whole blocks of time: neighbouring predictions
+miss alike. Which bins count is decided over all bins at once (Benjamini and Hochberg, 1995).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ..binning import LATERAL_ACCELERATION, SPEED, STEERING_RATE
+
+STEERING_ANGLE = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad at the road wheels, magnitude
+FORWARD_ACCELERATION = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
+TURNING = 0.5  # m/s^2; below that a stretch is straight
+FEWEST_BLOCKS = 4  # for an interval to mean something
+FALSE_DISCOVERIES = 0.05  # share among the bins called significant
+RELEVANT = 1.25  # times the floor; less is nobody's problem, however sure
+
+EVERYWHERE = "everywhere"
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One row for each prediction. run: index into names. time [s] after the run's first measurement. x, y [m] of its
+    start. block: equal where errors are one observation. conditions: (n,) by name. squares: (n,) mean squared error
+    over the horizon by channel [unit^2]."""
+
+    names: tuple[str, ...]
+    run: np.ndarray
+    time: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    block: np.ndarray
+    conditions: Mapping[str, np.ndarray]
+    squares: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Range:
+    """Part of a quantity. label: as read by people. low, high: its edges, None for kinds that have none."""
+
+    quantity: str
+    label: str
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class BinExcess:
+    """What one channel shows in one range. interval: 95 %. p: that it is not above the floor. covered: whether the
+    reference visited the range; True without one. blocks: observations. level: [unit], root mean square."""
+
+    channel: str
+    range: Range
+    excess: float
+    interval: tuple[float, float]
+    p: float
+    blocks: int
+    level: float
+    covered: bool = True
+    significant: bool = False
+
+
+def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
+    """All ranges and which rows are in them, (n, ranges); the first holds every row."""
+    c = samples.conditions
+    lateral = c["lateral_acceleration"]
+    ranges, columns = [Range(EVERYWHERE, EVERYWHERE)], [np.ones(len(lateral), bool)]
+    for quantity, unit, values, edges in (
+            ("speed", "m/s", c["speed"], SPEED),
+            ("lateral acceleration", "m/s²", np.abs(lateral), LATERAL_ACCELERATION),
+            ("steering angle", "rad", np.abs(c["steering_angle"]), STEERING_ANGLE),
+            ("steering rate", "rad/s", c["steering_rate"], STEERING_RATE),
+            ("forward acceleration", "m/s²", c["forward_acceleration"], FORWARD_ACCELERATION)):
+        for low, high in zip(edges, (*edges[1:], math.inf), strict=True):
+            ranges.append(Range(quantity, words(quantity, unit, low, high), low, high))
+            columns.append((values >= low) & (values < high))
+    for label, rows in (("left", lateral >= TURNING), ("straight", np.abs(lateral) < TURNING),
+                        ("right", lateral <= -TURNING)):
+        ranges.append(Range("direction", label))
+        columns.append(rows)
+    return tuple(ranges), np.stack(columns, axis=1)
+
+
+def words(quantity: str, unit: str, low: float, high: float) -> str:
+    """A range as a reader wants it: "speed above 12 m/s"."""
+    if math.isinf(high):
+        return f"{quantity} above {low:g} {unit}"
+    if low in (0.0, -math.inf):
+        return f"{quantity} below {high:g} {unit}"
+    return f"{quantity} {low:g} to {high:g} {unit}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Means:
+    """Mean squares of bins with bootstrap deviation of their logarithm. blocks: observations in each."""
+
+    mean: np.ndarray
+    deviation: np.ndarray
+    blocks: np.ndarray
+
+
+def excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], reference: Samples | None,
+             noise: Mapping[str, float], seed: int, resamples: int) -> tuple[BinExcess, ...]:
+    """Every channel in every range with enough blocks, `significant` filled in. noise: floor without reference."""
+    found = []
+    expected_members = membership(reference)[1] if reference is not None else None
+    for number, (channel, squares) in enumerate(samples.squares.items()):
+        here = _means(squares, samples.block, members, np.random.default_rng((seed, number, 0)), resamples)
+        if reference is None or expected_members is None:
+            expected = np.full(len(ranges), noise[channel] ** 2)
+            spread, covered = np.zeros(len(ranges)), np.ones(len(ranges), bool)
+        else:
+            there = _means(reference.squares[channel], reference.block, expected_members,
+                           np.random.default_rng((seed, number, 1)), resamples)
+            covered = there.blocks >= FEWEST_BLOCKS
+            # Where the reference was hardly ever: the largest of what it shows anywhere, so as not to cry wolf.
+            most = int(np.nanargmax(np.where(covered, there.mean, -1.0)))
+            expected = np.where(covered, there.mean, there.mean[most])
+            spread = np.where(covered, there.deviation, there.deviation[most])
+        for k in np.flatnonzero(here.blocks >= FEWEST_BLOCKS):
+            found.append(_excess(channel, ranges[k], float(here.mean[k]), float(expected[k]),
+                                 math.hypot(here.deviation[k], spread[k]), int(here.blocks[k]), bool(covered[k])))
+    return judged(found)
+
+
+def _means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.random.Generator,
+           resamples: int) -> _Means:
+    known = np.isfinite(squares)
+    _, index = np.unique(block[known], return_inverse=True)
+    weights = members[known].astype(float)
+    count = int(index.max()) + 1 if len(index) else 0
+    sums, numbers = np.zeros((count, members.shape[1])), np.zeros((count, members.shape[1]))
+    np.add.at(sums, index, weights * squares[known][:, None])
+    np.add.at(numbers, index, weights)
+    blocks = (numbers > 0).sum(axis=0)
+    if not count:
+        return _Means(np.full(members.shape[1], np.nan), np.full(members.shape[1], np.nan), blocks)
+    draws = rng.multinomial(count, np.full(count, 1.0 / count), size=resamples).astype(float)
+    with np.errstate(all="ignore"):
+        mean = sums.sum(axis=0) / numbers.sum(axis=0)
+        drawn = np.log((draws @ sums) / (draws @ numbers))
+        drawn[~np.isfinite(drawn)] = np.nan
+        enough = np.isfinite(drawn).sum(axis=0) > 0.5 * resamples
+        deviation = np.full(members.shape[1], np.nan)
+        if enough.any():
+            deviation[enough] = np.nanstd(drawn[:, enough], axis=0)
+        # A bootstrap over few blocks is too sure of itself by this much.
+        deviation *= np.sqrt(blocks / np.maximum(blocks - 1, 1))
+    return _Means(mean, deviation, np.where(np.isfinite(deviation), blocks, 0))
+
+
+def _excess(channel: str, part: Range, mean: float, expected: float, deviation: float, blocks: int,
+            covered: bool) -> BinExcess:
+    """Log ratio of mean squares as Student t with as many observations as there are blocks."""
+    log_ratio = math.log(max(mean, 1e-300) / max(expected, 1e-300))
+    deviation = max(deviation, 1e-6)
+    reach = float(stats.t.ppf(0.975, blocks - 1)) * deviation
+    p = float(stats.t.sf(log_ratio / deviation, blocks - 1))
+    return BinExcess(channel, part, math.exp(0.5 * log_ratio),
+                     (math.exp(0.5 * (log_ratio - reach)), math.exp(0.5 * min(log_ratio + reach, 60.0))), p, blocks,
+                     math.sqrt(mean), covered)
+
+
+def judged(found: list[BinExcess]) -> tuple[BinExcess, ...]:
+    """`significant` by Benjamini and Hochberg over all of them; and at least RELEVANT times the floor."""
+    if not found:
+        return ()
+    p = np.array([f.p for f in found])
+    adjusted = stats.false_discovery_control(p, method="bh")
+    return tuple(BinExcess(f.channel, f.range, f.excess, f.interval, f.p, f.blocks, f.level, f.covered,
+                           bool(q <= FALSE_DISCOVERIES and f.excess >= RELEVANT))
+                 for f, q in zip(found, adjusted, strict=True))
