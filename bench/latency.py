@@ -1,18 +1,21 @@
 """From the UDP datagram at the socket to the three paths published, at 250 Hz NCOM and full CAN rate."""
 
-import contextlib
 import os
-import threading
 import time
 
 import numpy as np
 import rclpy
 from _suite import running_suite
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from st_msgs.msg import Ncom, Prediction
+from st_ros.polling import PolledSubscription
+from st_ros.stamps import to_nanoseconds
 
 MODELS = ("kinematic", "linear", "nonlinear")
+
+
+PERIOD = 0.05  # s; messages wait in the middleware, each with the time it arrived
 
 
 class Listener(Node):
@@ -22,17 +25,16 @@ class Listener(Node):
         super().__init__("latency_listener")
         self.received: list[int] = []  # kernel receive time of each packet, ns
         self.predictions: list[tuple[int, str, int, int]] = []
-        self.create_subscription(Ncom, "ins/ncom", self._on_ncom, 500)
-        for model in MODELS:
-            self.create_subscription(Prediction, f"predictor/{model}/prediction", self._on_prediction, 100)
+        qos = QoSProfile(depth=1000)
+        self._packets = PolledSubscription(self, Ncom, "ins/ncom", qos)
+        self._models = [PolledSubscription(self, Prediction, f"predictor/{m}/prediction", qos) for m in MODELS]
 
-    def _on_ncom(self, message: Ncom) -> None:
-        self.received.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
-
-    def _on_prediction(self, message: Prediction) -> None:
-        measured = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        issued = message.issued_at.sec * 10**9 + message.issued_at.nanosec
-        self.predictions.append((measured, message.model, issued, time.time_ns()))
+    def take(self) -> None:
+        self.received += [to_nanoseconds(message.header.stamp) for message, _, _ in self._packets.take()]
+        for subscription in self._models:
+            for message, arrived, _ in subscription.take():
+                times = to_nanoseconds(message.header.stamp), to_nanoseconds(message.issued_at)
+                self.predictions.append((times[0], message.model, times[1], arrived))
 
 
 def run() -> dict:
@@ -41,18 +43,10 @@ def run() -> dict:
     with running_suite(seconds + 10):
         rclpy.init()
         node = Listener()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-
-        def spin() -> None:
-            with contextlib.suppress(ExternalShutdownException):
-                executor.spin()
-
-        thread = threading.Thread(target=spin)
-        thread.start()
-        time.sleep(seconds)
-        executor.shutdown()
-        thread.join()
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            node.take()
+            time.sleep(PERIOD)
         node.destroy_node()
         rclpy.try_shutdown()
     return _evaluate(node)

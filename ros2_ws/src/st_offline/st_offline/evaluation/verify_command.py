@@ -46,17 +46,17 @@ def _verified(path: Path, vehicle: Path | None, console: Console) -> Verificatio
 
 
 def _table(found: Verification) -> Table:
+    """Fits into 80 columns with an hour's numbers."""
     table = Table(title=f"Live against library ({found.vehicle}): largest differences", title_justify="left",
-                  title_style="bold", box=None, padding=(0, 1))
+                  title_style="bold", box=None, collapse_padding=True, pad_edge=False)
     table.add_column("model")
-    for heading in ("starts", "start state\nmm", "predicted path\nmm", "hindsight scores\nnumber, mm",
-                    "forecast scores\nnumber, mm", "only on\none side", "where the path\ndiffers most, UTC"):
+    for heading in ("starts", "start\nstate\nmm", "path\nmm", "hindsight\nscores\nnumber, mm",
+                    "forecast\nscores\nnumber, mm", "only on\none side"):
         table.add_column(heading, justify="right", no_wrap=True)
     for c in found.comparisons:
         scores = [f"{c.n_scores[mode]}, {c.error[mode] * 1000:.2g}" for mode in MODES]
         table.add_row(Text(c.model, style=MODEL_COLOUR.get(c.model, "")), str(c.n_starts), f"{c.start * 1000:.2g}",
-                      f"{c.position * 1000:.2g}", *scores, str(c.n_disagree),
-                      f"{datetime.fromtimestamp(c.at_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3] if c.at_ns else "")
+                      f"{c.position * 1000:.2g}", *scores, str(c.n_disagree))
     return table
 
 
@@ -65,7 +65,12 @@ def _conclusion(found: Verification, tolerance: float, console: Console) -> int:
     disagree, cut = (sum(getattr(c, name) for c in found.comparisons) for name in ("n_disagree", "n_cut"))
     passed = found.largest <= tolerance and not disagree
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
+    worst = max(found.comparisons, key=lambda c: c.position)
+    where = ""
+    if worst.at_ns and not passed:
+        time = f"{datetime.fromtimestamp(worst.at_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3]
+        where = f"; the path of {worst.model} most at {time} UTC"
     console.print(f"{verdict}: {found.n_starts} predictions and {scores} scores compared, largest difference "
                   f"{found.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), {disagree} scores complete on one "
-                  f"side only; {cut} more the nodes were ended before", highlight=False, soft_wrap=True)
+                  f"side only; {cut} more the nodes were ended before{where}", highlight=False, soft_wrap=True)
     return 0 if passed else 1
