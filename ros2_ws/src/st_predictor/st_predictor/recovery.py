@@ -8,6 +8,7 @@ import contextlib
 import fcntl
 import os
 import re
+import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from typing import Any, BinaryIO
 
 import yaml
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Footer, Statistics
 
@@ -173,10 +175,15 @@ def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileRepor
     covered = end[:-len(MAGIC) - 4]
     if footer.summary_start != summary_start or footer.summary_crc not in (0, zlib.crc32(covered)):
         return False
-    return all(
-        Statistics.read(ReadDataStream(BytesIO(record.content))).message_count == contents.counts().total()
-        for record in read_records(stream, size, summary_start) if record.opcode == Opcode.STATISTICS
-    )
+    records = list(read_records(stream, size, summary_start))
+    if not records or records[-1].offset != tail_start:
+        return False  # bytes that are no record lie in between
+    statistics = [r for r in records if r.opcode == Opcode.STATISTICS]
+    try:
+        counts = [Statistics.read(ReadDataStream(BytesIO(r.content))).message_count for r in statistics]
+    except (McapError, struct.error):
+        return False
+    return all(count == contents.counts().total() for count in counts)
 
 
 def _good_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from rosbags.typesys.store import Typestore
 from st_core.errors import StCoreError
@@ -16,7 +17,7 @@ from ..paths import project_root
 from .bag_storage import Storage, Topic, open_storage
 from .cdr import typestore
 from .errors import RunError, check_readable
-from .mcap_columns import summary_of
+from .mcap_columns import DAMAGE, summary_of
 
 EXTENSIONS = (".mcap", ".db3")
 ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
@@ -104,8 +105,12 @@ def records_of(path: Path) -> dict[str, dict[str, str]]:
     records: dict[str, dict[str, str]] = {}
     for file in [path] if path.is_file() else storage_files(path):
         if file.suffix.lower() == ".mcap" and summary_of(file) is not None:
-            with file.open("rb") as stream:
-                records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
+            try:
+                with file.open("rb") as stream:
+                    records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
+            except (McapError, *DAMAGE) as error:
+                what = f"what it says about itself is damaged ({type(error).__name__})"
+                raise RunError(file, what, "mend the bag with `st recover`") from None
     records.pop("rosbag2", None)
     return records
 

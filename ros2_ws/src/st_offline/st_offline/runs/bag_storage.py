@@ -120,7 +120,7 @@ class Mcap:
         try:
             with file.open("rb") as stream:
                 yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
-        except (McapError, ValueError) as error:
+        except (McapError, *DAMAGE) as error:
             raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
 
     def columns(self, topic: Topic, fields: Sequence[str], store: Typestore) -> dict[str, np.ndarray] | None:

@@ -8,7 +8,12 @@ class RunError(ValueError):
 
     def __init__(self, path: Path | str, what: str, advice: str = ""):
         self.path, self.what, self.advice = path, what, advice
-        super().__init__(f"{path}: {what}" + (f"; {advice}" if advice else ""))
+        super().__init__(printable(f"{path}: {what}" + (f"; {advice}" if advice else "")))
+
+
+def printable(text: str) -> str:
+    """Names and pieces of damaged files as one line for a terminal: control characters are shown, not obeyed."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def check_readable(path: Path) -> None:

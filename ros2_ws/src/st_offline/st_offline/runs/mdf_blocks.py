@@ -9,6 +9,9 @@ import struct
 Buffer = bytes | mmap.mmap
 _HEADER = 24  # name, reserved, length, number of links
 _UNFINISHED = b"UnFinMF "
+_MOST_INFLATED = 1032  # deflate cannot pack tighter
+_LONGEST_RECORD = 65536  # bytes; a CAN FD frame has some 90
+_MOST_CHANNELS = 10_000  # of a group; more are links in a circle
 # Blocks whose links lead to data. Comments, sources and conversions may be cut off: they are not needed.
 _LINKS_FOLLOWED = {b"##HD": (0,), b"##DG": (0, 1, 2), b"##CG": (0, 1), b"##CN": (0, 1), b"##DL": None, b"##HL": (0,)}
 
@@ -36,10 +39,29 @@ def damage(data: Buffer) -> str:
         data_block = name in (b"##DT", b"##DZ", b"##SD", b"##DV")
         if at + length > size and not (data_block and unfinished):
             return f"the block at byte {at} ends at {at + length}, the file at {size}"
+        if excess := _EXCESS[name](data, at) if name in _EXCESS else "":
+            return excess
         if name in _LINKS_FOLLOWED:
             links, chosen = _links(data, at), _LINKS_FOLLOWED[name]
             waiting += [links[k] for k in chosen if k < len(links)] if chosen is not None else list(links)
     return ""
+
+
+def _excess_of_group(data: Buffer, at: int) -> str:
+    """What a channel group claims and cannot have; memory would be taken for it."""
+    _, records, flags, _, _, size, invalid = _channel_group(data, at)
+    if not flags & 1 and records * (size + invalid) > _MOST_INFLATED * len(data):
+        return f"the block at byte {at} claims {records} records, the file has {len(data)} bytes"
+    return ""
+
+
+def _excess_of_channel(data: Buffer, at: int) -> str:
+    offset, bits = struct.unpack_from("<II", data, at + 24 + 8 * len(_links(data, at)) + 4)
+    reach = offset + bits // 8
+    return f"the channel at byte {at} lies {reach} bytes into a record" if reach > _LONGEST_RECORD else ""
+
+
+_EXCESS = {b"##CG": _excess_of_group, b"##CN": _excess_of_channel}
 
 
 def end_of_last_frame(data: Buffer) -> int | None:
@@ -50,7 +72,7 @@ def end_of_last_frame(data: Buffer) -> int | None:
     """
     try:
         found = _data_group(data)
-    except (struct.error, IndexError, ValueError):
+    except (struct.error, IndexError, ValueError, RecursionError):
         return None
     if found is None:
         return None
@@ -87,10 +109,11 @@ def _data_group(data: Buffer) -> tuple[int, int, dict[int, tuple[int, bool]], se
         return None
     fixed: dict[int, tuple[int, bool]] = {}
     variable: set[int] = set()
-    at = first[1]
-    while at:
+    at, seen = first[1], set()
+    while at and at not in seen:
+        seen.add(at)
         links = _links(data, at)
-        record, _, flags, _, _, size, invalid = struct.unpack_from("<QQHHIII", data, at + 24 + 8 * len(links))
+        record, _, flags, _, _, size, invalid = _channel_group(data, at)
         if flags & 1:
             variable.add(record)
         else:
@@ -100,7 +123,9 @@ def _data_group(data: Buffer) -> tuple[int, int, dict[int, tuple[int, bool]], se
 
 
 def _has_payload_elsewhere(data: Buffer, channel: int) -> bool:
-    while channel:
+    for _ in range(_MOST_CHANNELS):
+        if not channel:
+            return False
         links = _links(data, channel)
         if data[channel + 24 + 8 * len(links)] == 1:  # variable length
             return True
@@ -108,7 +133,12 @@ def _has_payload_elsewhere(data: Buffer, channel: int) -> bool:
         if composition and data[composition : composition + 4] == b"##CN" and _has_payload_elsewhere(data, composition):
             return True
         channel = links[0]
-    return False
+    raise ValueError("channels without end")
+
+
+def _channel_group(data: Buffer, at: int) -> tuple[int, ...]:
+    """Record id, number of records, flags, two more, bytes of a record, bytes of its invalidation bits."""
+    return struct.unpack_from("<QQHHIII", data, at + 24 + 8 * len(_links(data, at)))
 
 
 def _links(data: Buffer, at: int) -> tuple[int, ...]:

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
+from st_core import yaml_text
+from st_core.errors import ConfigurationError
 
 from . import bag, can_logs, csv, ncom
 from .errors import RunError
@@ -143,9 +144,9 @@ def _from_run_file(path: Path) -> RunSource:
 
 def _parsed(path: Path) -> RunSource:
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RunError(path, f"is not YAML ({' '.join(str(error).split())[:100]})") from None
+        content = yaml_text.load(path.read_text(encoding="utf-8"))
+    except (OSError, ConfigurationError, UnicodeDecodeError) as error:
+        raise RunError(path, f"is not YAML as wanted here: {' '.join(str(error).split())[:200]}") from None
     if not isinstance(content, dict):
         raise RunError(path, "does not hold keys and values", f"known keys are {', '.join(_KEYS)}")
     unknown = [key for key in content if key not in _KEYS]
@@ -174,10 +175,12 @@ def _parsed(path: Path) -> RunSource:
 
 
 def _existing(path: Path, key: str, text: Any) -> Path:
-    file = path.parent / str(text)
-    if not isinstance(text, str) or not file.exists():
-        raise RunError(path, f"{key}: there is no {text!r} beside it")
-    return file
+    try:
+        if isinstance(text, str) and (path.parent / text).exists():
+            return path.parent / text
+    except (OSError, ValueError):  # a name no file can have
+        pass
+    raise RunError(path, f"{key}: there is no {str(text)[:200]!r} beside it")
 
 
 def _listed(path: Path, key: str, value: Any) -> list[str]:

@@ -1,0 +1,245 @@
+"""Fuzz targets: what comes over the wires. NCOM packets, CAN frames, datagrams of the simulated bus."""
+
+import math
+import os
+import socket
+import struct
+from copy import copy
+from functools import cache
+from pathlib import Path
+
+import can
+from canedge_bridge.decode import Decoder, FrameStatistics, _row
+from canedge_bridge.error_frames import describe
+from canedge_bridge.loopback_bus import LoopbackMulticastBus, pack_message, parse_channel
+from canedge_bridge.receiver import Receiver
+from oxts_bridge import ncom
+from oxts_bridge.batch import decode_file
+from oxts_bridge.channels import FIELDS, encode_channel
+from oxts_bridge.motion import Accuracy, motion_of
+from oxts_bridge.ncom import PACKET_SIZE, SYNC, NcomError
+from oxts_bridge.origin import FIRST_FIX, UNIT, Origin
+from oxts_bridge.status import StatusTracker
+from oxts_bridge.stream import NcomParser
+from oxts_bridge.stream_statistics import StreamStatistics
+from oxts_bridge.triggers import EventLog
+from support import ROOT
+
+from .harness import Target, one_line
+
+CAN = ROOT / "config" / "can"
+# Of a float's range; what a packet holds is at most a distance on earth or an instrument's limit.
+LARGEST = 1e9
+LAST_STAMP_NS = 2**31 * 10**9
+
+
+class Pipeline:
+    """What the node does with the bytes of a port, up to its messages, with its promises checked at every packet."""
+
+    def __init__(self) -> None:
+        self.parser, self.status, self.events = NcomParser(), StatusTracker(), EventLog()
+        self.origins, self.statistics = (Origin(FIRST_FIX), Origin(UNIT)), StreamStatistics()
+        self.fed = 0
+
+    def feed(self, data: bytes, received_ns: int) -> int:
+        """Number of packets in it."""
+        self.fed += len(data)
+        packets = self.parser.feed(data, received_ns)
+        counters = self.parser.counters
+        waiting = self.fed - PACKET_SIZE * counters.packets - counters.skipped_bytes
+        assert 0 <= waiting < PACKET_SIZE, f"{waiting} bytes are neither packet nor skipped"
+        for received in packets:
+            self._take(received, received_ns)
+        return len(packets)
+
+    def _take(self, received, now_ns: int) -> None:
+        packet = received.packet
+        assert received.utc_ns is None or 0 < received.utc_ns < LAST_STAMP_NS, received.utc_ns
+        if received.rule.status:
+            seconds = None if received.gps_ns is None else received.gps_ns * 1e-9
+            place = (packet.latitude, packet.longitude, packet.altitude) if packet.channel == 25 else None
+            self.status.update(packet.channel, packet.batch_s, seconds, place)
+        event = self.events.event(received)
+        assert event is None or 0 < event.gps_ns < LAST_STAMP_NS
+        motion = motion_of(received)
+        if motion is not None:
+            for origin in self.origins:
+                frame = origin.look(motion, self.status, now_ns)
+                if frame is not None:
+                    assert all(map(math.isfinite, motion.position(frame))), motion
+            assert all(map(math.isfinite, (*motion.attitude.quaternion(), *motion.velocity, *motion.body_velocity)))
+        if received.kind == "regular":
+            self.statistics.add(received)
+
+    def finish(self) -> None:
+        Accuracy.from_status(self.status)
+        self.statistics.take()
+        self.statistics.stamp_minus_host()
+        assert len(self.status.values) < 2000 and len(self.status.seen) <= 256
+        assert math.isnan(self.status.number("no such field"))
+
+
+def with_checksums(data: bytes) -> bytes:
+    """Every 72 bytes that begin with the sync byte, back to back from the start on, get their three checksums."""
+    out = bytearray(data)
+    for at in range(0, len(out) - PACKET_SIZE + 1, PACKET_SIZE):
+        if out[at] == SYNC:
+            packet = out[at:at + PACKET_SIZE]
+            packet[22] = sum(packet[1:22]) & 0xFF
+            packet[61] = sum(packet[1:61]) & 0xFF
+            packet[71] = sum(packet[1:71]) & 0xFF
+            out[at:at + PACKET_SIZE] = packet
+    return bytes(out)
+
+
+def packets() -> list[bytes]:
+    """A valid packet of every status channel and navigation status, as a unit on the road sends them."""
+    base = dict(milliseconds=2_630, acceleration=(0.1, -0.2, -9.8), angular_rate=(0.001, 0.002, 0.1), latitude=0.9,
+                longitude=-0.02, altitude=100.0, velocity_ned=(10.0, 5.0, -0.1), heading=0.5, pitch=0.01, roll=-0.02)
+    minutes = encode_channel(0, {"GpsMinutes": 23_702_000, "GpsNumObs": 12, "GpsPosMode": 6, "GpsVelMode": 6,
+                                 "GpsAttMode": 6})
+    made = [ncom.Packet(**base, navigation_status=4, channel=0, batch_s=minutes)]
+    for number, channel in enumerate(FIELDS):
+        batch_s = bytes([number, 1, 2, 0, 3, 0, 1, 1])
+        made.append(ncom.Packet(**base | {"milliseconds": 2_640 + 10 * number}, navigation_status=4, channel=channel,
+                                batch_s=batch_s))
+    for status in (*range(11), *range(20, 23), 255):
+        made.append(ncom.Packet(**base, navigation_status=status, channel=0, batch_s=minutes))
+    return [ncom.encode(packet) for packet in made]
+
+
+def _streams() -> list[bytes]:
+    """Some packets each, the first with the time."""
+    every = packets()
+    return [b"".join([every[0], *every[k:k + 8]]) for k in range(0, len(every), 8)]
+
+
+def _ncom_stream(data: bytes, folder: Path) -> str:
+    """In portions that depend on the content; byte by byte the same packets come out."""
+    portion = 1 + (data[0] if data else 0) % 200
+    pipeline, found = Pipeline(), 0
+    for k, at in enumerate(range(0, len(data), portion)):
+        found += pipeline.feed(data[at:at + portion], 10**18 + k * 10_000_000)
+    pipeline.finish()
+    whole = NcomParser()
+    assert len(whole.feed(data)) == found
+    return " ".join(name for name, value in vars(pipeline.parser.counters).items() if value)
+
+
+def _ncom_file(data: bytes, folder: Path) -> str:
+    """The decoder of whole files finds what the one of streams finds."""
+    parser = NcomParser()
+    received = parser.feed(data)
+    try:
+        columns = decode_file(data)
+    except NcomError as error:
+        assert not parser.counters.packets
+        return one_line(error, data)
+    offsets = [r.offset for r in received]
+    # The stream drops the vendor's private packets, the file keeps their places.
+    assert offsets == [o for o, s in zip(columns.offset.tolist(), columns.raw[:, 21].tolist(), strict=True) if s != 11]
+    assert vars(columns.counters) == vars(parser.counters)
+    return f"{len(columns)} packets"
+
+
+_FRAME = struct.Struct("<IBB")  # identifier with the flags of linux/can.h, length, flags
+
+
+_table = cache(lambda: Decoder(CAN / "leaf_ze0.dbc", CAN / "leaf_ze0.yaml"))
+
+
+def _decoder() -> Decoder:
+    """A fresh one, without reading the files again."""
+    decoder = copy(_table())
+    decoder._rows = {spec.key: _row(spec) for spec in decoder.table.messages.values()}
+    decoder._by_name = {row.spec.name: row for row in decoder._rows.values()}
+    decoder.frames = FrameStatistics()
+    return decoder
+
+
+def _frames() -> list[bytes]:
+    decoder, made = _decoder(), []
+    for k, name in enumerate(decoder.table.messages):
+        frame = decoder.encode(name, {}, k)
+        made.append(_FRAME.pack(frame.arbitration_id, len(frame.data), 0) + bytes(frame.data))
+    error = _FRAME.pack(0x20000004, 8, 0) + bytes(8)
+    return [b"".join(made), b"".join(made[:3] * 4), made[0] + error]
+
+
+def _can_frames(data: bytes, folder: Path) -> str:
+    """A row of frames through decoder and receiver's error handling; a frame is none, good, or has its reason."""
+    decoder = _decoder()
+    count = at = decoded = 0
+    while at + _FRAME.size <= len(data):
+        identifier, size, more = _FRAME.unpack_from(data, at)
+        payload = data[at + _FRAME.size:at + _FRAME.size + min(size, 64)]
+        at += _FRAME.size + len(payload)
+        count += 1
+        frame = can.Message(arbitration_id=identifier & 0x1FFFFFFF, is_extended_id=bool(identifier & 0x80000000),
+                            is_remote_frame=bool(identifier & 0x40000000), data=payload, is_fd=len(payload) > 8,
+                            is_error_frame=bool(identifier & 0x20000000), timestamp=0.01 * count)
+        if frame.is_error_frame:
+            assert describe(frame).text.isprintable()
+        found = decoder.decode(frame, round((count + more) * 1e7))
+        if found is not None:
+            decoded += 1
+            assert all(map(math.isfinite, (v for k, v in found.values.items() if k != "ins_unix_time"))), found
+    rows = [decoder.statistics(name) for name in decoder.table.messages]
+    frames = decoder.frames
+    assert decoded == sum(row.good for row in rows)
+    assert frames.unknown + frames.error + frames.remote <= count
+    assert all(text.isprintable() for text in decoder.nonsense())
+    reasons = {name for row in rows for name, value in vars(row).items() if value and name != "last_seen_ns"}
+    return " ".join(sorted(reasons | {name for name, value in vars(frames).items() if value}))
+
+
+def _datagrams() -> list[bytes]:
+    frames = [can.Message(arbitration_id=2, is_extended_id=False, data=bytes(5)),
+              can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False, data=bytes(8)),
+              can.Message(arbitration_id=0x18FEF100, data=bytes(64), is_fd=True)]
+    return [pack_message(frame) for frame in frames]
+
+
+MARKER = can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"the end.")
+
+
+@cache
+def _loopback() -> tuple[LoopbackMulticastBus, socket.socket]:
+    """A bus of this process, and a socket that sends to it."""
+    channel = f"239.74.13.77:{20_000 + os.getpid() % 20_000}"
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+    sender.connect(parse_channel(channel))
+    return LoopbackMulticastBus(channel), sender
+
+
+def _can_datagram(data: bytes, folder: Path) -> str:
+    """One datagram through bus, receiver and decoder: none of them may raise, or the bus would be opened anew."""
+    bus, sender = _loopback()
+    decoder = _decoder()
+    seen: list[can.Message] = []
+    receiver = Receiver(lambda: bus, lambda frame, time_ns: seen.append(frame) or decoder.decode(frame, time_ns))
+    receiver._bus, malformed = bus, bus.malformed
+    sender.send(data[:4096])
+    sender.send(pack_message(MARKER))  # so that nothing has to be waited for where the input is no frame
+    while not seen or seen[-1].data != MARKER.data:
+        receiver._receive()
+    status = receiver.status()
+    assert status.callback_errors == 0
+    assert status.frames + status.error_frames + bus.malformed - malformed == 2
+    return "not a frame" if bus.malformed > malformed else f"a frame; {status.last_error}"
+
+
+NCOM_WORDS = (bytes([SYNC]), bytes([SYNC]) * 72, b"\x80\0\0", b"\xff\xff\x7f", struct.pack("<d", math.nan),
+              struct.pack("<d", math.inf), struct.pack("<d", 1e300), struct.pack("<i", 30_525_000), b"\x0b")
+CAN_WORDS = tuple(struct.pack("<I", i) for i in (0x002, 0x284, 0x285, 0x600, 0x604, 0x630, 0x20000040, 0x40000002))
+DATAGRAM_WORDS = (b"\xc0", b"\xc3", b"\x90", b"\x80", b"\xca\x7f\xc0\0\0", b"\xcb\x40\0\0\0\0\0\0\0", b"\xa1a",
+                  b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\x91" * 600, b"\xc7\x10\xff",
+                  b"\xcf" + b"\xff" * 8)
+
+TARGETS = (
+    Target("ncom_stream", _streams, _ncom_stream, NCOM_WORDS, repair=with_checksums),
+    Target("ncom_file", _streams, _ncom_file, NCOM_WORDS, repair=with_checksums),
+    Target("can_frames", _frames, _can_frames, CAN_WORDS),
+    Target("can_datagram", _datagrams, _can_datagram, DATAGRAM_WORDS),
+)
