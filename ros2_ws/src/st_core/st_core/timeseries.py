@@ -134,10 +134,11 @@ class TimeSeries:
             self._first += 1
 
     def _make_room(self) -> None:
-        # Move to the front when that frees half the room, else double it.
+        # Moved to the front where that frees half the room: a long run asks for no more memory. Else twice the room.
         count = len(self)
-        capacity = len(self._times) if 2 * count <= len(self._times) else 2 * len(self._times)
-        times, rows = np.empty(capacity, np.int64), np.empty((capacity, len(self.columns)))
+        times, rows = self._times, self._rows
+        if 2 * count > len(times):
+            times, rows = np.empty(2 * len(times), np.int64), np.empty((2 * len(times), len(self.columns)))
         times[:count], rows[:count] = self.times, self.rows
         self._times, self._rows, self._first, self._end = times, rows, 0, count
 
