@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from ..augmented import AugmentedModel
 from ..log import DriveLog
-from ..models import Model
 from ..vehicle import VehicleParameters
 from .result import WhereStatement
 from .settings import DiscoverySettings
@@ -46,21 +46,22 @@ class Survey:
     places: tuple[Cell, ...]
 
 
-def where(runs: Sequence[DriveLog], model: Model, vehicle: VehicleParameters, settings: DiscoverySettings,
-          reference: Sequence[DriveLog] = (), noise: Mapping[str, float] | None = None) -> tuple[WhereStatement, ...]:
+def where(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters, settings: DiscoverySettings,
+          reference: Sequence[DriveLog] = (), noise: Mapping[str, float] | None = None,
+          gain: float = 0.0) -> tuple[WhereStatement, ...]:
     """The statements of `survey`."""
-    return survey(runs, model, vehicle, settings, reference, noise).statements
+    return survey(runs, model, vehicle, settings, reference, noise, gain).statements
 
 
-def survey(runs: Sequence[DriveLog], model: Model, vehicle: VehicleParameters, settings: DiscoverySettings,
-           reference: Sequence[DriveLog] = (), noise: Mapping[str, float] | None = None) -> Survey:
+def survey(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters, settings: DiscoverySettings,
+           reference: Sequence[DriveLog] = (), noise: Mapping[str, float] | None = None, gain: float = 0.0) -> Survey:
     """Errors of a model on the runs, compared with those on the reference drives, or with the sensor noise.
 
-    noise: one standard deviation by channel [unit]; needed without reference. Every channel that the runs do not have
-    is left out.
+    noise: one standard deviation by channel [unit]; needed without reference. gain: see `Windows.errors`. A channel
+    that runs or reference do not have is left out.
     """
-    samples = sample(runs, model, vehicle, settings)
-    expected = sample(reference, model, vehicle, settings) if reference else None
+    samples = sample(runs, model, vehicle, settings, gain)
+    expected = sample(reference, model, vehicle, settings, gain) if reference else None
     if expected is not None:
         common = [c for c in samples.squares if c in expected.squares and np.isfinite(expected.squares[c]).any()]
         samples = _only(samples, common)
