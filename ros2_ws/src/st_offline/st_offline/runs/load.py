@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -184,7 +184,12 @@ def about_alignment(alignment: Alignment) -> dict[str, Any]:
 
 def hashes(source: RunSource) -> dict[str, str]:
     """Path -> SHA-256 of every file of a run."""
-    files = [f for path in (*source.files, *source.can)
+    return file_hashes((*source.files, *source.can))
+
+
+def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
+    """Path -> SHA-256 of files, and of the files in folders."""
+    files = [f for path in paths
              for f in (sorted(path.iterdir()) if path.is_dir() else [path]) if f.is_file()]
     found = {}
     for file in files:

@@ -1,0 +1,154 @@
+"""What `st identify` does: compute, say it, write it down."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from st_core.identification.apply import against_file, apply, stale_scales
+from st_core.identification.result import Identification, IdentificationError
+from st_core.vehicle import VehicleParameters
+
+from ..evaluation.drawing import Drawn, Place
+from ..evaluation.page import DARK
+from ..results import versions
+from ..runs.load import file_hashes
+from ..style import MODEL_COLOUR
+from .experiment import Experiment, Setup
+from .experiments import EXPERIMENTS
+from .shown import HEADS, rows
+
+FORMATS = ("png", "pdf")
+STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "red"}
+
+
+@dataclass(frozen=True)
+class Job:
+    """What the command line asks for. vehicle_file: where the setup's vehicle comes from. folder: of the results."""
+
+    experiment: Experiment
+    files: tuple[Path, ...]
+    setup: Setup
+    vehicle_file: str
+    folder: Path
+
+
+def run(job: Job, console: Console) -> int:
+    """Exit status: 0 when something was identified, else 1. Raises StCoreError, RunError: one line for the user."""
+    with console.status(f"identifying: {job.experiment.what}"):
+        found = tuple(_compared(one, job.setup.vehicle) for one in identified(job))
+    now = datetime.now(UTC)
+    car = apply(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
+    stale = stale_scales(job.setup.vehicle, found)
+    with console.status("writing"):
+        files = write(job, found, car, about(job, now))
+    show(found, job.setup.vehicle, stale, console)
+    for name, what in (("identification.json", "values, uncertainties, verdicts"),
+                       ("vehicle.yaml", "the car with them"),
+                       ("report.html", "figures, correlations, data used and left out")):
+        console.print(f"  {escape(str(files[name]))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
+    return 0 if any(e.status != "unidentifiable" for one in found for e in one.estimates) else 1
+
+
+def identified(job: Job) -> tuple[Identification, ...]:
+    """Outcome of the experiment; what is wrong with the data is said with the file they are from."""
+    try:
+        return job.experiment.identify(job.files, job.setup)
+    except IdentificationError as error:
+        raise IdentificationError(f"{', '.join(map(str, job.files[:3]))}: {error}") from None
+
+
+def _compared(found: Identification, vehicle: VehicleParameters) -> Identification:
+    """With a warning for each value that contradicts an earlier experiment in the vehicle file."""
+    contradictions = tuple(filter(None, (against_file(vehicle, estimate) for estimate in found.estimates)))
+    return replace(found, warnings=(*found.warnings, *contradictions))
+
+
+def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str], console: Console) -> None:
+    """Table and verdicts in the terminal."""
+    for one in found:
+        table = Table(*HEADS, title=one.what, title_justify="left", box=None, padding=(0, 2))
+        for estimate, cells in zip(one.estimates, rows(one, vehicle), strict=True):
+            *values, status = map(escape, cells)
+            table.add_row(*values, f"[{STATUS_STYLE[estimate.status]}]{status}[/]")
+        console.print(table)
+        for estimate in one.estimates:
+            words = f"{estimate.parameter}: {estimate.verdict}"
+            console.print(f"  {escape(words)}", highlight=False, soft_wrap=True)
+        for coverage in one.coverage:
+            console.print(f"  [dim]{escape(coverage.words())}[/dim]", highlight=False, soft_wrap=True)
+        for name, why in one.rejected:
+            console.print(f"  [dim]left out: {escape(name)}: {escape(why)}[/dim]", highlight=False, soft_wrap=True)
+        for warning in one.warnings:
+            console.print(f"  [yellow]{escape(warning)}[/yellow]", highlight=False, soft_wrap=True)
+    for sentence in stale:
+        console.print(f"  [yellow]{escape(sentence)}[/yellow]", highlight=False, soft_wrap=True)
+
+
+def about(job: Job, now: datetime) -> dict[str, Any]:
+    """What the values depend on."""
+    return {
+        "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name, "seed": job.setup.seed,
+        "vehicle": {"name": job.setup.vehicle.name, "file": job.vehicle_file, "hash": job.setup.vehicle.hash},
+        "files": file_hashes(job.files), "versions": versions(),
+    }
+
+
+def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
+    """All files of the folder, by name."""
+    place = Place(job.folder, FORMATS)
+    drawings = {one.what: EXPERIMENTS[one.what].draw for one in found if one.what in EXPERIMENTS}
+    figures = {what: draw(next(o for o in found if o.what == what), place) if draw else None
+               for what, draw in drawings.items()}
+    texts = {
+        "identification.json": _json({key: entry for one in found for key, entry in one.document().items()}),
+        "details.json": _json({**facts, "experiments": [details(one) for one in found]}),
+        "vehicle.yaml": car.to_yaml(),
+        "report.html": page(found, figures, job.setup.vehicle, facts),
+    }
+    job.folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (job.folder / name).write_text(text, encoding="utf-8")
+    return {name: job.folder / name for name in texts}
+
+
+def details(found: Identification) -> dict[str, Any]:
+    """One experiment in details.json: what stands beside the values."""
+    matrix = found.correlation
+    return {
+        "what": found.what, "used": list(found.used),
+        "rejected": [{"data": name, "why": why} for name, why in found.rejected],
+        "parameters": [e.parameter for e in found.estimates],
+        "status": {e.parameter: e.status for e in found.estimates},
+        "correlation": None if matrix is None else [[round(float(x), 6) for x in row] for row in matrix],
+        "warnings": list(found.warnings),
+        "coverage": [{"signal": c.signal, "unit": c.unit, "edges": [float(x) for x in c.edges],
+                      "counts": [int(x) for x in c.counts], "needed": c.needed, "bins_needed": c.bins_needed}
+                     for c in found.coverage],
+    }
+
+
+def page(found: Sequence[Identification], figures: dict[str, Drawn | None], vehicle: VehicleParameters,
+         facts: dict[str, Any]) -> str:
+    """report.html: one file that loads nothing."""
+    here = Path(__file__).parent
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader([here, here.parent / "evaluation"]), autoescape=True,
+        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["drawing"] = Markup
+    names = list(dict.fromkeys(e.parameter for one in found for e in one.estimates))
+    title = f"{vehicle.name}: {', '.join(names)}"
+    return environment.get_template("page.html.jinja").render(
+        title=title, found=found, figures={**dict.fromkeys((one.what for one in found), None), **figures}, about=facts,
+        heads=HEADS, rows=lambda one: rows(one, vehicle), colours=MODEL_COLOUR, dark=DARK)
+
+
+def _json(content: dict[str, Any]) -> str:
+    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

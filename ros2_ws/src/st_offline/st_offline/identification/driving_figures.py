@@ -1,0 +1,182 @@
+"""Figures of what is identified from driving."""
+
+from collections.abc import Sequence
+
+import matplotlib.pyplot as plt
+import numpy as np
+from st_core.identification.free_parameters import FREE
+from st_core.identification.result import Estimate, Identification
+
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..style import MEASURED_COLOUR, MODEL_COLOUR
+
+MOST_POINTS = 4000
+"""Dots of a cloud; more only make it darker."""
+PAPER, BETTER = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
+DEG = np.rad2deg(1.0)
+UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
+
+
+def offset(found: Identification, place: Place) -> Drawn:
+    """Offset of every straight window and both results; yaw-rate residuals."""
+    data = found.figure
+    with style():
+        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
+        position = _in_line(data["run"], data["time"])
+        left.plot(position, data["offset"] * DEG, ".", color=MEASURED_COLOUR, ms=4, label="steady straight window")
+        for estimate, colour, label in ((found.estimates[0], PAPER, "yaw rate (paper)"),
+                                        (found.estimates[1], BETTER, "mean of windows")):
+            left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
+            left.axhline(estimate.value * DEG, color=colour, label=label)
+        left.set_xlabel("driving, s (runs one after the other, straights only)")
+        left.set_ylabel("hand wheel when straight, deg")
+        left.legend(loc="best")
+        right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
+        right.set_xlabel("yaw rate simulated - measured, deg/s")
+        right.set_ylabel("predictions")
+        first, second = (e.value * DEG for e in found.estimates[:2])
+        return finish(figure, place, "steering-offset",
+                      f"Steering offset {first:.2f} deg by the yaw rate, {second:.2f} deg by the mean reading",
+                      "Bands: 95 % intervals. Right: what the yaw-rate criterion leaves.")
+
+
+def mounting(found: Identification, place: Place) -> Drawn:
+    """Lateral over forward velocity against curvature, slip removed: a line whose slope is the distance to the axle."""
+    data = found.figure
+    with style():
+        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+        thin = _thin(len(data["curvature"]))
+        for number, name in enumerate(data["names"]):
+            here = thin[data["run"][thin] == number]
+            left.plot(data["curvature"][here], data["slope"][here], ".", ms=2.5, label=name)
+        ends = np.array([data["curvature"].min(), data["curvature"].max()])
+        left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
+        left.set_xlabel("yaw rate / forward velocity, 1/m (left +)")
+        left.set_ylabel("lateral / forward velocity at the INS, slip removed, 1")
+        if len(data["names"]) <= 8:
+            left.legend(markerscale=3, fontsize=7)
+        right.plot(data["speed"][thin], data["residual"][thin] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
+        right.axhline(0.0, color=TEXT, lw=0.8)
+        right.set_xlabel("forward velocity, m/s")
+        right.set_ylabel("left over, mm/s")
+        lever, angle = found["cg_to_ins_x"], found["ins_misalignment"]
+        return finish(figure, place, "ins", f"INS {_value(lever)} ahead of the CG, heading turned by {_value(angle)}",
+                      "Slope of the line: INS ahead of the rear axle. Where it crosses zero curvature: misalignment.")
+
+
+def regression(found: Identification, place: Place) -> Drawn:
+    """The paper's figure: axle force against slip angle, and the slope."""
+    with style():
+        figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+        _clouds(panels, found, (found,))
+        return finish(figure, place, "stiffness-paper", f"Slopes {_both(found)}",
+                      "Dots: force and slip angle of the axle from force and moment balance, up to 2 deg of slip.")
+
+
+def stiffness(found: Identification, place: Place) -> Drawn:
+    """Both estimators over the paper's cloud, bootstrap of the pair, profiles."""
+    data = found.figure
+    paper = data.get("paper")
+    with style():
+        figure, panels = plt.subplots(2, 2, figsize=(WIDTH, 6.4))
+        if paper is not None:
+            _clouds(panels[0], paper, (paper, found))
+        else:
+            for axes in panels[0]:
+                axes.set_axis_off()
+        drawn = data["bootstrap"]
+        panels[1, 0].plot(drawn[:, 0] * 1e-3, drawn[:, 1] * 1e-3, ".", color=BETTER, ms=3, label="bootstrap")
+        for one, colour, label in ((found, BETTER, "prediction"), (paper, PAPER, "regression (paper)")):
+            if one is not None:
+                front, rear = one.estimates[:2]
+                panels[1, 0].errorbar(
+                    front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT, label=label, zorder=3,
+                    **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
+                       for axis, e in (("x", front), ("y", rear))})
+        panels[1, 0].set_xlabel("front, kN/rad")
+        panels[1, 0].set_ylabel("rear, kN/rad")
+        panels[1, 0].legend()
+        _profiles(panels[1, 1], found.estimates, data.get("profiles", ()))
+        return finish(figure, place, "stiffness", f"Cornering stiffness {_both(found)} by prediction",
+                      "Top: the paper's force and slip, with both slopes. Below: 95 % intervals and bootstrap of the "
+                      "pair; rise of the deviance beside the estimate, 3.84 ends a 95 % interval.")
+
+
+def prediction(found: Identification, place: Place) -> Drawn:
+    """What a fit of predictions leaves, and how its parameters go together."""
+    data = found.figure
+    estimates = found.estimates
+    with style():
+        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6), width_ratios=(1.4, 1))
+        position = _in_line(data["residual_run"], data["residual_time"])
+        thin = _thin(len(position))
+        for column, (label, factor, colour) in enumerate((("yaw rate, deg/s", DEG, MEASURED_COLOUR),
+                                                          ("lateral velocity, 0.1 m/s", 10.0, BETTER))):
+            left.plot(position[thin], data["residuals"][thin, column] * factor, ".", ms=2, color=colour, label=label)
+        left.set_xlabel("driving, s (runs one after the other)")
+        left.set_ylabel("predicted - measured")
+        left.legend(markerscale=4)
+        names, drawn = data["names"], data["bootstrap"]
+        first, second = (names.index(e.parameter) for e in estimates[:2])
+        right.plot(*(drawn[:, i] * _unit(names[i])[0] for i in (first, second)), ".", color=BETTER, ms=3)
+        for axis, index in (("x", first), ("y", second)):
+            getattr(right, f"set_{axis}label")(f"{names[index].replace('_', ' ')}, {_unit(names[index])[1]}")
+        return finish(figure, place, found.what, "; ".join(f"{e.parameter} {_value(e)}" for e in estimates[:2]),
+                      "Left: residuals of all predictions. Right: bootstrap of the first two parameters.")
+
+
+def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[Identification]) -> None:
+    for axes, axle in zip(panels, ("front", "rear"), strict=True):
+        slip, force = cloud.figure[f"slip_{axle}"], cloud.figure[f"force_{axle}"]
+        thin = _thin(len(slip))
+        axes.plot(slip[thin] * DEG, force[thin] * 1e-3, ".", color=MEASURED_COLOUR, ms=2)
+        ends = np.array([-1.0, 1.0]) * np.abs(slip).max()
+        for one, colour, label in zip(lines, (PAPER, BETTER), ("regression (paper)", "prediction"), strict=False):
+            estimate = one[f"cornering_stiffness_{axle}"]
+            axes.plot(ends * DEG, -estimate.value * ends * 1e-3, color=colour,
+                      label=f"{label}: {estimate.value * 1e-3:.1f} kN/rad")
+        axes.set_xlabel(f"{axle} slip angle, deg (+ slides left)")
+        axes.set_ylabel(f"{axle} axle force, kN (left +)")
+        axes.legend(fontsize=8)
+
+
+def _profiles(axes: plt.Axes, estimates: Sequence[Estimate], profiles) -> None:
+    for estimate, one, colour in zip(estimates, profiles, (MODEL_COLOUR["kinematic"], MODEL_COLOUR["nonlinear"], BETTER,
+                                                           PAPER), strict=False):
+        share = 100.0 * (one.values / estimate.value - 1.0)
+        axes.plot(share, one.deviance, "o-", ms=3, color=colour,
+                  label=estimate.parameter.replace("cornering_stiffness_", ""))
+    axes.axhline(3.84, color=TEXT, lw=0.8, ls=":")
+    axes.set_xlabel("beside the estimate, %")
+    axes.set_ylabel("rise of the deviance, 1")
+    if profiles:
+        axes.legend()
+
+
+def _thin(count: int) -> np.ndarray:
+    return np.arange(0, count, max(1, count // MOST_POINTS))
+
+
+def _in_line(run: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Times of all runs one after the other."""
+    result, end = np.zeros(len(time)), 0.0
+    for number in np.unique(run):
+        here = run == number
+        result[here] = end + time[here] - time[here].min()
+        end = float(result[here].max()) + 2.0
+    return result
+
+
+def _unit(parameter: str) -> tuple[float, str]:
+    unit = FREE[parameter].unit
+    return UNITS.get(unit, (1.0, unit))
+
+
+def _value(estimate: Estimate) -> str:
+    factor, unit = UNITS.get(estimate.unit, (1.0, estimate.unit))
+    text = f"{estimate.value * factor:.4g} +/- {estimate.standard_uncertainty * factor:.2g}"
+    return text if unit == "1" else f"{text} {unit}"
+
+
+def _both(found: Identification) -> str:
+    return ", ".join(f"{axle} {_value(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))

@@ -1,0 +1,60 @@
+"""`st identify`: parameters of the vehicle file from experiments and from driving."""
+
+from pathlib import Path
+
+import typer
+
+from ..paths import config
+
+
+def identify(
+    what: str | None = typer.Argument(None, help="One of the experiments; without it they are listed."),
+    files: list[Path] = typer.Argument(None, help="Data of the experiment: tables (CSV) or recordings."),
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file to start from; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
+    ),
+    output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
+    seed: int = typer.Option(0, help="Of the bootstrap."),
+    offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
+    dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
+    signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
+    steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
+) -> None:
+    """Identify parameters: value, uncertainty, verdict; a figure, a report, and a vehicle file with provenance.
+
+    The vehicle file given stays as it is; the new one is vehicle.yaml in the output folder. Exit status: 0 something
+    was identified, 1 nothing could be, 2 the data cannot be used.
+    """
+    # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
+    from rich.console import Console
+    from rich.table import Table
+    from st_core.errors import StCoreError
+    from st_core.vehicle import VehicleParameters
+
+    from ..identification.command import Job, run
+    from ..identification.experiment import Setup
+    from ..identification.experiments import EXPERIMENTS
+    from ..output import OutputError, new_folder
+    from ..runs import ReadSettings, RunError
+
+    console = Console()
+    if what is None:
+        table = Table("what", "identifies", "from", box=None)
+        for one in EXPERIMENTS.values():
+            table.add_row(one.name, one.what, one.files)
+        console.print(table)
+        return
+    if what not in EXPERIMENTS:
+        typer.echo(f"st identify: no experiment {what!r}; there are {', '.join(EXPERIMENTS)}", err=True)
+        raise typer.Exit(2)
+    file = vehicle or config("vehicle/leaf.yaml")
+    try:
+        car = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        read = ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset)
+        folder = new_folder(output, f"identify-{what}", create=False)
+        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(car, seed, read), str(file), folder)
+        status = run(job, console)
+    except (StCoreError, RunError, OutputError, UnicodeDecodeError) as error:
+        typer.echo(f"st identify {what}: {error}", err=True)
+        raise typer.Exit(2) from None
+    raise typer.Exit(status)
