@@ -1,6 +1,6 @@
 """The slowly cycling status, put together: newest value of every field, counters unwrapped, derived values added."""
 
-from math import radians, sqrt
+from math import isfinite, radians, sqrt
 
 from .channels import FIELDS, TRIGGER_CHANNELS, decode_channel, trigger_nanoseconds
 from .fields import Value
@@ -125,7 +125,7 @@ class StatusTracker:
         x, y, heading = (fields.pop(name) for name in ("OldRefX", "OldRefY", "OldRefHeading"))
         newer = all(self._local_frame.get(name) is not None for name in LOCAL_FRAME)
         marked = None in (x, y, heading) or data == b"\x80\0\0\0\x80\0\0\0"
-        if newer or marked or position is None:
+        if newer or marked or position is None or not all(map(isfinite, position)):
             return
         latitude, longitude, altitude, heading = origin_from_channel_25(x, y, heading, *position)
         fields.update(

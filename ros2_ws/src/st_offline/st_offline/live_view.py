@@ -12,7 +12,6 @@ from .node import Heard
 from .style import MODEL_COLOUR
 
 LEVELS = ("ok", "warning", "error", "stale")
-FORGET_AFTER = 5.0  # s without hearing of a diagnostic before it is shown as silent
 
 
 def view(heard: Heard, elapsed: float, duration: float | None, title: str) -> RenderableType:
@@ -70,7 +69,7 @@ def health(heard: Heard) -> Text:
     now = time.monotonic()
     text = Text()
     for status in sorted(heard.health.values(), key=lambda s: (-s.level, s.name)):
-        silent = now - status.heard_at > FORGET_AFTER
+        silent = status.is_silent(now)
         if status.level == 0 and not silent:
             continue
         level = "silent" if silent else LEVELS[min(status.level, 3)]

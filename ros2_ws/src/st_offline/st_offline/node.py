@@ -6,10 +6,14 @@ import time
 from dataclasses import dataclass, field
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from st_msgs.msg import ErrorSummary, PredictorStatus
+
+
+FORGET_AFTER = 5.0  # s without hearing of a diagnostic before it is shown as silent
+STALE = 3
 
 
 @dataclass(frozen=True)
@@ -20,6 +24,9 @@ class Status:
     level: int
     message: str
     heard_at: float  # s, monotonic
+
+    def is_silent(self, now: float) -> bool:
+        return now - self.heard_at > FORGET_AFTER
 
 
 @dataclass
@@ -34,6 +41,7 @@ class Monitor:
 
     def __init__(self, domain_id: int | None = None):
         self.heard = Heard()
+        self._taking = threading.Lock()
         self._context = rclpy.Context()
         rclpy.init(
             context=self._context, domain_id=domain_id, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO
@@ -42,6 +50,7 @@ class Monitor:
         self._node.create_subscription(ErrorSummary, "evaluator/summary", self._on_summary, 10)
         self._node.create_subscription(PredictorStatus, "predictor/status", self._on_ticks, 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self._health = self._node.create_publisher(DiagnosticArray, "/diagnostics_agg", 10)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, name="monitor", daemon=True)
@@ -60,6 +69,27 @@ class Monitor:
             time.sleep(0.05)
         return missing
 
+    def heard_from(self, name: str) -> float:
+        """When a node last spoke on /diagnostics [s, monotonic]; minus infinity: never."""
+        own = f"{name}: "
+        return max((s.heard_at for n, s in self.heard.health.items() if n.startswith(own)), default=float("-inf"))
+
+    def note(self, status: Status) -> None:
+        """Put a line of our own beside those that are heard."""
+        self._take({status.name: status})
+
+    def publish_health(self) -> None:
+        """All that is known as one array, as a diagnostic aggregator does: first the whole suite, then each line."""
+        now, known = time.monotonic(), self.heard.health
+        lines = [DiagnosticStatus(name=s.name, message=s.message, level=bytes([STALE if s.is_silent(now) else s.level]))
+                 for s in sorted(known.values(), key=lambda s: s.name)]
+        worst = max((line.level[0] for line in lines), default=STALE)
+        bad = [line.name for line in lines if line.level[0]]
+        text = "all nodes well" if not bad else f"{len(bad)} of {len(lines)} checks are not well: {', '.join(bad)}"
+        message = DiagnosticArray(status=[DiagnosticStatus(name="suite", level=bytes([worst]), message=text), *lines])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._health.publish(message)
+
     def close(self) -> None:
         self._executor.shutdown()
         self._thread.join()
@@ -77,12 +107,17 @@ class Monitor:
             self._executor.spin()
 
     def _on_summary(self, message: ErrorSummary) -> None:
-        self.heard = Heard(message, self.heard.ticks, self.heard.health)
+        with self._taking:
+            self.heard = Heard(message, self.heard.ticks, self.heard.health)
 
     def _on_ticks(self, message: PredictorStatus) -> None:
-        self.heard = Heard(self.heard.summary, message, self.heard.health)
+        with self._taking:
+            self.heard = Heard(self.heard.summary, message, self.heard.health)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
-        news = {s.name: Status(s.name, int.from_bytes(s.level, "little"), s.message, now) for s in message.status}
-        self.heard = Heard(self.heard.summary, self.heard.ticks, {**self.heard.health, **news})
+        self._take({s.name: Status(s.name, int.from_bytes(s.level, "little"), s.message, now) for s in message.status})
+
+    def _take(self, news: dict[str, Status]) -> None:
+        with self._taking:  # from its own thread and from the caller's
+            self.heard = Heard(self.heard.summary, self.heard.ticks, {**self.heard.health, **news})

@@ -24,6 +24,11 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
         return 130
     if outcome.problem:
         console.print(f"[red]{escape(outcome.problem)}[/red]", highlight=False, soft_wrap=True)
+    for name, times in outcome.restarts.items():
+        console.print(
+            f"[yellow]{name} was started again, {times} times; its recordings go on beside the first one (bag_2, "
+            "errors_2), and `st recover` mends what was cut off[/yellow]", soft_wrap=True
+        )
     failed = {name: status for name, status in outcome.statuses.items() if status}
     if failed:
         console.print(

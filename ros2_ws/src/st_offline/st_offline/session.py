@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rich.console import Console
@@ -19,6 +19,7 @@ from . import live_view
 from .node import Monitor
 from .paths import config
 from .suite import Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain, merge
+from .supervision import Supervisor
 
 NODES = (  # package, executable: in the order they start; the listeners come first so that nothing is missed
     ("st_predictor", "recorder"),
@@ -44,10 +45,11 @@ class Outcome:
     interrupted: bool
     problem: str = ""
     health: str = ""
+    restarts: dict[str, int] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
-        return not self.problem and not any(self.statuses.values())
+        return not (self.problem or self.restarts or any(self.statuses.values()))
 
 
 def node_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Parameters | None = None) -> Parameters:
@@ -60,9 +62,10 @@ def node_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Par
             **bridges,
             "predictor": {"vehicle_file": str(vehicle), **fourth.get("predictor", {})},
             "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors"),
-                          **fourth.get("evaluator", {})},
+                          "number_when_taken": True, **fourth.get("evaluator", {})},
             "recorder": {
                 "output_directory": str(folder / "bag"),
+                "number_when_taken": True,
                 "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *files],
             },
         },
@@ -76,11 +79,13 @@ def run(
     duration: float | None,
     source: Callable[[Suite], float] | None = None,
     console: Console | None = None,
+    supervised: bool = False,
 ) -> Outcome:
     """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
 
-    duration in s; None: until Ctrl-C, or until the source runs dry: it returns how long it lasts [s]. Raises SuiteError
-    when a node does not come up, or runs already.
+    duration in s; None: until Ctrl-C, or until the source runs dry: it returns how long it lasts [s]. supervised: a node
+    that ends or hangs is started again; else it ends the run. Raises SuiteError when a node does not come up, or runs
+    already.
     """
     console = console or Console()
     # A demo must not be heard by, or hear, another suite on this machine; the car uses the user's own domain.
@@ -101,12 +106,13 @@ def run(
             if source:
                 lasts = source(suite) - BEFORE_THE_END
                 duration = min(duration or lasts, lasts)
-            problem = _watch(suite, monitor, console, title, duration, stop)
+            supervisor = Supervisor(suite, monitor, NODES) if supervised else None
+            problem = _watch(suite, monitor, supervisor, console, title, duration, stop)
             health = live_view.health(monitor.heard).plain
             statuses = {}
             for name in STOP_ORDER:
                 statuses.update(suite.stop(name))
-        return Outcome(statuses, stop.requested, problem, health)
+        return Outcome(statuses, stop.requested, problem, health, supervisor.restarts if supervisor else {})
 
 
 def _refuse_company(monitor: Monitor, domain: int, allowed: int) -> None:
@@ -134,9 +140,13 @@ def _all_up(suite: Suite, monitor: Monitor, stop: "_StopRequest") -> bool:
 
 
 def _watch(
-    suite: Suite, monitor: Monitor, console: Console, title: str, duration: float | None, stop: "_StopRequest"
+    suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
+    duration: float | None, stop: "_StopRequest",
 ) -> str:
-    """Until the time is over or somebody pressed Ctrl-C; a process that dies ends the run and is what is returned."""
+    """Until the time is over or somebody pressed Ctrl-C.
+
+    Without a supervisor a process that dies ends the run, and is what is returned.
+    """
     started = time.monotonic()
     last_line = started
     with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:
@@ -144,10 +154,13 @@ def _watch(
             elapsed = time.monotonic() - started
             if duration is not None and elapsed > duration:
                 break
-            try:
-                suite.check()
-            except SuiteError as error:
-                return str(error)
+            if supervisor:
+                supervisor.look()
+            else:
+                try:
+                    suite.check()
+                except SuiteError as error:
+                    return str(error)
             if console.is_terminal:
                 live.update(live_view.view(monitor.heard, elapsed, duration, title), refresh=True)
             elif time.monotonic() - last_line >= QUIET_REFRESH:

@@ -88,6 +88,21 @@ class Suite:
             status, words = child.process.returncode, child.last_lines() or "no output"
             raise SuiteError(f"{child.name} ended with status {status}: {words}\n(log: {child.log})")
 
+    def reap(self, name: str) -> Child | None:
+        """The child of that name if it has ended by itself; it is forgotten then, and may be started again."""
+        for child in self.dead():
+            if child.name == name:
+                self.children.remove(child)
+                return child
+        return None
+
+    def kill(self, name: str) -> None:
+        """End a child that no longer listens."""
+        for child in [c for c in self.children if c.name == name]:
+            child.process.kill()
+            child.process.wait()
+            self.children.remove(child)
+
     def stop(self, name: str | None = None) -> dict[str, int]:
         """End one child, or all in the order they were started; returns exit statuses."""
         statuses = {}

@@ -69,8 +69,9 @@ class BagWriter:
         self._contents = Contents()
         self._compressor = zstandard.ZstdCompressor()
         self._start_chunk()
-        self._information().save(self.directory)
+        # The file first: of two that begin at one moment only one can make it, and the other has touched nothing.
         self._file = _WholeWrites(self.path)
+        self._information().save(self.directory)
         header = RecordBuilder()
         Header(profile="ros2", library="st_predictor").write(header)
         self._file.write(MAGIC + header.end())

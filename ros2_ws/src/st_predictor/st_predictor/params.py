@@ -41,6 +41,8 @@ PREDICTOR = (
     _MAP_FRAME,
 )
 
+_NUMBER = Parameter("number_when_taken", False, "record beside a bag that is there, as NAME_2, instead of refusing")
+
 EVALUATOR = (
     _VEHICLE_FILE,
     Parameter("models", MODELS, "models whose predictions are scored"),
@@ -50,6 +52,7 @@ EVALUATOR = (
     _FILTER_CUTOFF,
     _MAP_FRAME,
     Parameter("output_directory", "", "bag of errors and summaries, a new or empty directory; empty: none is written"),
+    _NUMBER,
 )
 
 TOPICS = [
@@ -57,6 +60,7 @@ TOPICS = [
 ]
 RECORDER = (
     Parameter("output_directory", "", "the bag, a new or empty directory; required"),
+    _NUMBER,
     Parameter("topics", TOPICS, "topics to record; * and ? stand for any characters; relative to the node's namespace"),
     Parameter("configuration_files", [], "files whose text goes into the bag: vehicle, node parameters"),
     Parameter("metadata_json", "", 'more for the bag: {"record": {"key": "text"}}'),

@@ -47,7 +47,7 @@ def live(
         folder = new_folder(output, "live")
         bridges = bridge_parameters(vehicle, ins, bus, dbc, signals)
         parameters = node_parameters(folder, vehicle, bridges, fourth)
-        outcome = run(folder, parameters, "live", duration, None, console)
+        outcome = run(folder, parameters, "live", duration, None, console, supervised=True)
     except (SuiteError, OutputError) as error:
         typer.echo(f"st live: {error}", err=True)
         raise typer.Exit(2) from None

@@ -1,6 +1,8 @@
 """How evaluator and recorder open their bag and report on it."""
 
+import itertools
 from collections.abc import Mapping
+from pathlib import Path
 from types import SimpleNamespace
 
 from st_ros import diagnostics
@@ -13,10 +15,19 @@ from ..mcap import BagWriter
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
     """The bag of the parameter `output_directory`.
 
+    If it holds something already and `number_when_taken` is set (the node was started again): NAME_2, NAME_3, ...
     Raises ConfigurationError naming the directory where it is not empty or cannot be written.
     """
+    names = (f"{values.output_directory}_{number}" for number in itertools.count(2))
+    name = values.output_directory
     try:
-        return BagWriter(values.output_directory, records)
+        while True:
+            try:
+                return BagWriter(name, records)
+            except FileExistsError:
+                if not values.number_when_taken or Path(name).is_file():
+                    raise
+                name = next(names)
     except OSError as error:
         name = f"{error.filename or values.output_directory}: " if error.strerror else ""
         raise ConfigurationError(f"{values.where}output_directory: {name}{error.strerror or error}") from None
