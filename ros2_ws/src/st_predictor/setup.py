@@ -26,6 +26,7 @@ setup(
             'predictor = st_predictor.nodes.predictor:main',
             'evaluator = st_predictor.nodes.evaluator:main',
             'recorder = st_predictor.nodes.recorder:main',
+            'markers = st_predictor.nodes.markers:main',
         ],
     },
 )

@@ -16,6 +16,7 @@ from .node import Monitor
 from .paths import config
 from .session import START_TIMEOUT, Outcome
 from .suite import Child, Suite, SuiteError, chosen_domain_id, claimed_domain, merge
+from .view.window import Window
 
 NODES = ("recorder", "evaluator", "predictor")  # the listeners first, so that nothing is missed
 SETTLE = 1.0  # s after the last message: the newest predictions are on their way to evaluator and recorder
@@ -36,7 +37,7 @@ def node_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration
 
 
 def replay(bag: Path, folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
-           console: Console) -> Outcome:
+           console: Console, view: Window | None = None) -> Outcome:
     """Play the bag through the nodes; their recordings go to folder/bag and folder/errors.
 
     rate: times as fast as it was recorded; 0: as fast as the nodes follow. Raises SuiteError.
@@ -49,6 +50,8 @@ def replay(bag: Path, folder: Path, parameters: Mapping[str, Mapping[str, Any]],
         for name in NODES:
             suite.start_node("st_predictor", name)
         _wait(suite, monitor)
+        if view:
+            view.open(folder, domain, predictor["vehicle_file"], predictor["map_frame"], bag.name, console)
         player = suite.start("player", [
             sys.executable, "-m", "st_offline.nodes.player", str(bag.absolute()), "--rate", str(rate),
             "--horizon", str(predictor["horizon"]), "--tick-rate", str(predictor["rate"]),

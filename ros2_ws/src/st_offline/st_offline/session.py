@@ -20,6 +20,7 @@ from .node import Monitor
 from .paths import config
 from .suite import Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain, merge
 from .supervision import Supervisor
+from .view.window import Window
 
 NODES = (  # package, executable: in the order they start; the listeners come first so that nothing is missed
     ("st_predictor", "recorder"),
@@ -79,6 +80,7 @@ def run(
     duration: float | None,
     source: Callable[[Suite], float] | None = None,
     console: Console | None = None,
+    view: Window | None = None,
     supervised: bool = False,
 ) -> Outcome:
     """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
@@ -103,6 +105,9 @@ def run(
             _refuse_company(monitor, domain, allowed=1)
             what = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
             console.print(escape(what), highlight=False, soft_wrap=True)
+            if view:
+                predictor = parameters["predictor"]
+                view.open(folder, domain, predictor["vehicle_file"], predictor["map_frame"], title, console)
             if source:
                 lasts = source(suite) - BEFORE_THE_END
                 duration = min(duration or lasts, lasts)

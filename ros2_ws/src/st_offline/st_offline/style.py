@@ -1,7 +1,9 @@
 """One look for every figure and table: the colour of each model, and matplotlib settings for print."""
 
-MODEL_COLOUR = {"kinematic": "#1f77b4", "linear": "#ff7f0e", "nonlinear": "#7e2f8e", "augmented": "#009e73"}
-MEASURED_COLOUR = "#7f7f7f"
+from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR
+
+__all__ = ["MEASURED_COLOUR", "MODEL_COLOUR", "MODEL_LINE", "RC"]
+
 MODEL_LINE = {"kinematic": (0, (6, 2)), "linear": "solid", "nonlinear": (0, (2, 1)), "augmented": (0, (6, 1, 1, 1))}
 
 RC = {

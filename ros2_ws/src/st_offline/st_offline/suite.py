@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import yaml
 from st_core import yaml_text
@@ -41,11 +41,10 @@ class Child:
         return "\n".join(self.log.read_text(errors="replace").strip().splitlines()[-count:])
 
 
-class Suite:
-    """Processes of one run. Leave the `with` block and they have ended."""
+class Processes:
+    """Processes with their logs in folder/logs. Leave the `with` block and they have ended."""
 
-    def __init__(self, folder: Path, parameters: Parameters, domain_id: int | None = None):
-        """folder: gets parameters.yaml and logs/. parameters: {node: {name: value}}, complete."""
+    def __init__(self, folder: Path, domain_id: int | None = None):
         self.folder = folder
         self.children: list[Child] = []
         self.environment = dict(os.environ)
@@ -53,14 +52,6 @@ class Suite:
             self.environment["ROS_DOMAIN_ID"] = str(domain_id)
         self.environment["ROS_LOG_DIR"] = str(folder / "logs" / "ros")
         (folder / "logs").mkdir(parents=True, exist_ok=True)
-        self.parameter_file = folder / "parameters.yaml"
-        document = {node: {"ros__parameters": dict(values)} for node, values in parameters.items()}
-        self.parameter_file.write_text(yaml.safe_dump(document, sort_keys=False))
-
-    def start_node(self, package: str, executable: str) -> Child:
-        return self.start(
-            executable, [find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)]
-        )
 
     def start(self, name: str, command: list[str]) -> Child:
         log = self.folder / "logs" / f"{name}.log"
@@ -103,26 +94,42 @@ class Suite:
             child.process.wait()
             self.children.remove(child)
 
-    def stop(self, name: str | None = None) -> dict[str, int]:
-        """End one child, or all in the order they were started; returns exit statuses."""
+    def stop(self, name: str | None = None, timeout: float = STOP_TIMEOUT) -> dict[str, int]:
+        """End one child, or all in the order they were started; returns exit statuses. timeout in s, each."""
         statuses = {}
         for child in [c for c in self.children if name in (None, c.name)]:
-            statuses[child.name] = _end(child.process)
+            statuses[child.name] = _end(child.process, timeout)
             self.children.remove(child)
         return statuses
 
-    def __enter__(self) -> "Suite":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
 
 
-def _end(process: subprocess.Popen) -> int:
+class Suite(Processes):
+    """The nodes of one run, with one parameter file."""
+
+    def __init__(self, folder: Path, parameters: Parameters, domain_id: int | None = None):
+        """folder: gets parameters.yaml and logs/. parameters: {node: {name: value}}, complete."""
+        super().__init__(folder, domain_id)
+        self.parameter_file = folder / "parameters.yaml"
+        document = {node: {"ros__parameters": dict(values)} for node, values in parameters.items()}
+        self.parameter_file.write_text(yaml.safe_dump(document, sort_keys=False))
+
+    def start_node(self, package: str, executable: str) -> Child:
+        return self.start(
+            executable, [find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)]
+        )
+
+
+def _end(process: subprocess.Popen, timeout: float) -> int:
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
         try:
-            process.wait(STOP_TIMEOUT)
+            process.wait(timeout)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

@@ -36,7 +36,7 @@ def bridge_parameters(
     dbc: Path | None = None,
     signals: Path | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """Parameters of both bridges. ins: of oxts_bridge; bus: interface and channel of canedge_bridge."""
+    """Parameters of both bridges. ins: of oxts_bridge; bus: of canedge_bridge: interface, channel, steering."""
     files = {
         "vehicle_file": str(vehicle),
         "dbc_file": str((dbc or config("can/leaf_ze0.dbc")).absolute()),

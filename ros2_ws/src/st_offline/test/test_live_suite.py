@@ -115,7 +115,7 @@ def test_a_parameter_file_that_contradicts_itself_is_refused(tmp_path: Path, tex
 
 def test_every_node_has_one_section_in_the_parameter_file() -> None:
     assert merge(ROOT / "config" / "nodes.yaml", {}).keys() == {
-        "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder"}
+        "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder", "markers"}
 
 
 def lines_of(heard: Heard) -> list[str]:

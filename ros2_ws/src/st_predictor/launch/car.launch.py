@@ -40,6 +40,7 @@ def suite_node(package, executable, *overrides, **options):
 
 
 def generate_launch_description():
+    drawn = {"condition": IfCondition(LaunchConfiguration("markers"))}
     bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}
     return LaunchDescription([
         argument("config_dir", "folder with nodes.yaml, vehicle/ and can/ (config/ of the repository)"),
@@ -53,6 +54,7 @@ def generate_launch_description():
         argument("ncom_address", "local address to listen on", "0.0.0.0"),
         argument("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
         argument("bridges", "false: odometry and steering come from elsewhere", "true"),
+        argument("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
         argument("use_sim_time", "true: follow /clock", "false"),
         suite_node(
             "st_predictor", "recorder",
@@ -65,6 +67,7 @@ def generate_launch_description():
             text("evaluator", "output_directory", PathJoinSubstitution([OUTPUT, "errors"])),
         ),
         suite_node("st_predictor", "predictor", text("predictor", "vehicle_file", VEHICLE)),
+        suite_node("st_predictor", "markers", text("markers", "vehicle_file", VEHICLE), **drawn),
         suite_node(
             "oxts_bridge", "oxts_bridge",
             number("oxts_bridge", "udp_port", LaunchConfiguration("ncom_port")),

@@ -20,6 +20,7 @@ from st_msgs.msg import ErrorStatistics, Prediction, PredictionError
 from st_ros.stamps import from_nanoseconds, to_nanoseconds
 
 from .bag_metadata import INFINITE_NS, Qos
+from .history import Path
 
 # A unit quaternion that went through float32 is off by 1e-7; one that was never set has length 0.
 QUATERNION_TOLERANCE = 0.01
@@ -98,6 +99,13 @@ def read_prediction(message: Prediction) -> tuple[int, VehicleState, ControlInpu
     inputs = ControlInput(message.road_wheel_angle, message.velocity_x_dot)
     start = VehicleState(*states[0].tolist())
     return to_nanoseconds(message.header.stamp), start, inputs, Trajectory(message.step, states)
+
+
+def ins_path(message: Prediction) -> Path:
+    """The predicted path of the INS point, for drawing."""
+    x, y = cg_to_ins_position(*map(np.asarray, (message.x, message.y, message.yaw)), message.cg_to_ins_x,
+                              message.cg_to_ins_y)
+    return Path(to_nanoseconds(message.header.stamp), message.step, x, y)
 
 
 def error_message(score: Score, map_frame: str, configuration_hash: str) -> PredictionError:

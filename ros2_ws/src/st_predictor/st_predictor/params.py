@@ -1,4 +1,4 @@
-"""Parameters of predictor, evaluator and recorder, declared once: name, default, unit, range."""
+"""Parameters of predictor, evaluator, recorder and markers, declared once: name, default, unit, range."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -64,6 +64,14 @@ RECORDER = (
     Parameter("topics", TOPICS, "topics to record; * and ? stand for any characters; relative to the node's namespace"),
     Parameter("configuration_files", [], "files whose text goes into the bag: vehicle, node parameters"),
     Parameter("metadata_json", "", 'more for the bag: {"record": {"key": "text"}}'),
+)
+
+
+MARKERS = (
+    _VEHICLE_FILE,
+    Parameter("models", [*MODELS, "augmented"], "models to draw; one that does not predict is not drawn"),
+    Parameter("rate", 10.0, "pictures per second", "Hz", 0.1, 50.0),
+    _MAP_FRAME,
 )
 
 

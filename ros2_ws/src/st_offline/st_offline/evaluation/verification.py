@@ -86,14 +86,14 @@ def configuration_of(drive: BagDrive, vehicle: Path | None) -> tuple[VehiclePara
         raise RunError(file, f"cannot be read: {error}") from None
 
 
-def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console):
+def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console, view=None):
     """(Outcome, name of the vehicle) of playing a recording with its own configuration; see replaying.replay."""
     from ..replaying import node_parameters, replay
 
     car, recorded, _ = configuration_of(read_bag(bag), vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
-    return replay(bag, folder, node_parameters(folder, file, recorded), rate, console), car.name
+    return replay(bag, folder, node_parameters(folder, file, recorded), rate, console, view), car.name
 
 
 def recordings_of(path: Path) -> tuple[Path, list[Path]]:

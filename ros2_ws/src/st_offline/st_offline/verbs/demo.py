@@ -27,6 +27,8 @@ def demo(
     effects: Path | None = typer.Option(
         None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
     ),
+    view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
+    view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
 ) -> None:
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
@@ -36,6 +38,7 @@ def demo(
     from ..report import conclude
     from ..session import node_parameters, run
     from ..suite import SuiteError
+    from ..view.window import finish, window
     from ..wires import VirtualCar, vehicle_file
 
     console = Console()
@@ -51,12 +54,15 @@ def demo(
     try:
         car = VirtualCar(vehicle_file(vehicle), options)
         fourth = fourth_model(model, effects, car.vehicle)
+        shown = window(view, view_save)
         folder = new_folder(output, f"demo-{what}")
         parameters = node_parameters(folder, car.vehicle, car.bridge_parameters(), fourth)
-        outcome = run(folder, parameters, what, duration, car.start, console)
+        outcome = run(folder, parameters, what, duration, car.start, console, shown)
     except (SuiteError, OutputError) as error:
         typer.echo(f"st demo: {error}", err=True)
         raise typer.Exit(2) from None
     source = "recorded drive" if drive else "virtual Leaf"
     about = {"what": what, "source": source, "vehicle": car.vehicle.stem, "seed": seed}
-    raise typer.Exit(conclude(folder, outcome, about, console))
+    status = conclude(folder, outcome, about, console)
+    finish(shown, console)
+    raise typer.Exit(status)

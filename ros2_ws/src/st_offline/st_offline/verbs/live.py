@@ -19,6 +19,10 @@ def live(
     signals: Path | None = typer.Option(
         None, help="Signal table; default config/can/leaf_ze0.yaml.", exists=True, dir_okay=False
     ),
+    steering_sign: int = typer.Option(1, help="+1: the decoded sensor is left positive; -1: right positive."),
+    steering_latency: float = typer.Option(
+        0.0, help="From the turn of the wheel to the frame on this host, s.", min=0.0, max=1.0
+    ),
     duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C.", min=1.0),
     model: Path | None = typer.Option(
         None, help="Model file (model.yaml of `st discover`): a fourth model beside the three.", exists=True,
@@ -27,6 +31,8 @@ def live(
     effects: Path | None = typer.Option(
         None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
     ),
+    view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
+    view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
@@ -36,20 +42,28 @@ def live(
     from ..report import conclude
     from ..session import node_parameters, run
     from ..suite import SuiteError
+    from ..view.window import finish, window
     from ..wires import bridge_parameters, vehicle_file
 
     console = Console()
+    if steering_sign not in (1, -1):
+        typer.echo(f"st live: --steering-sign: {steering_sign} is neither 1 nor -1", err=True)
+        raise typer.Exit(2)
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
-    bus = {"interface": can_interface, "channel": can_channel}
+    bus = {"interface": can_interface, "channel": can_channel, "steering_sign": steering_sign,
+           "steering_latency": steering_latency}
     try:
         vehicle = vehicle_file(vehicle)
         fourth = fourth_model(model, effects, vehicle)
+        shown = window(view, view_save)
         folder = new_folder(output, "live")
         bridges = bridge_parameters(vehicle, ins, bus, dbc, signals)
         parameters = node_parameters(folder, vehicle, bridges, fourth)
-        outcome = run(folder, parameters, "live", duration, None, console, supervised=True)
+        outcome = run(folder, parameters, "live", duration, None, console, shown, supervised=True)
     except (SuiteError, OutputError) as error:
         typer.echo(f"st live: {error}", err=True)
         raise typer.Exit(2) from None
     source = f"{can_interface}:{can_channel}, NCOM port {ncom_port}"
-    raise typer.Exit(conclude(folder, outcome, {"what": "live", "source": source, "vehicle": vehicle.stem}, console))
+    status = conclude(folder, outcome, {"what": "live", "source": source, "vehicle": vehicle.stem}, console)
+    finish(shown, console)
+    raise typer.Exit(status)

@@ -13,6 +13,8 @@ def replay(
         None, help="Vehicle file; default the one in the recording, else config/vehicle/leaf.yaml.", exists=True,
         dir_okay=False
     ),
+    view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
+    view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/replay-<time>."),
 ) -> None:
     """Play a recording through predictor, evaluator and recorder on its own clock; record what they say now."""
@@ -24,13 +26,17 @@ def replay(
     from ..report import conclude
     from ..runs import RunError
     from ..suite import SuiteError
+    from ..view.window import finish, window
 
     console = Console()
     try:
+        shown = window(view, view_save)
         folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console)
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, shown)
     except (RunError, SuiteError, OutputError) as error:
         typer.echo(f"st replay: {error}", err=True)
         raise typer.Exit(1) from None
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name}
-    raise typer.Exit(conclude(folder, outcome, about, console))
+    status = conclude(folder, outcome, about, console)
+    finish(shown, console)
+    raise typer.Exit(status)

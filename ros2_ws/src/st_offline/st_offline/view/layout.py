@@ -1,0 +1,45 @@
+"""Which panels the page has, and where."""
+
+import rerun.blueprint as rrb
+
+TIMELINE = "measured"
+SHOWN = 40.0  # s of the plots
+# Metres around the car from the driver's seat: 5 s ahead at town speed, and some of where it came from.
+AHEAD, BEHIND, ASIDE = 62.0, 18.0, 46.0
+PLOTS = {
+    "lateral": "lateral error of the 5 s just over, m (+ predicted left)",
+    "longitudinal": "longitudinal error, m (+ predicted ahead)",
+    "steering": "road wheel angle, deg (left +)",
+    "speed": "speed, m/s",
+    "lateral_acceleration": "lateral acceleration v_x r, m/s² (left +)",
+}
+PAPER = (255, 255, 255)
+
+
+def blueprint() -> rrb.Blueprint:
+    now = rrb.TimeRangeBoundary.cursor_relative
+    window = rrb.VisibleTimeRange(TIMELINE, start=now(seconds=-SHOWN), end=now())
+
+    def plot(name: str) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(origin=f"plots/{name}", name=PLOTS[name], time_ranges=[window],
+                                  plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop))
+
+    ahead = rrb.Spatial2DView(
+        origin="ahead", name="From the driver's seat (heading up, 10 m rings)", background=PAPER,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-ASIDE, ASIDE], y_range=[-AHEAD, BEHIND]))
+    whole = rrb.Spatial2DView(origin="map", name="Map (north up, east right)", background=PAPER)
+    words = rrb.TextDocumentView(origin="words", name="Errors so far, and health")
+    # A Tabs container shows its first; the others are a click away.
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(ahead, rrb.Tabs(plot("steering"), plot("speed"), plot("lateral_acceleration")),
+                         row_shares=[3, 1]),
+            rrb.Vertical(rrb.Horizontal(whole, words, column_shares=[1, 1.3]), plot("lateral"), plot("longitudinal"),
+                         row_shares=[1.8, 1, 1]),
+            column_shares=[1, 1.35],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+    )

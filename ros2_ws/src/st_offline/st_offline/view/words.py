@@ -1,0 +1,45 @@
+"""The running table and what is not well, as Markdown for the page."""
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+
+class Row(Protocol):
+    """One model and mode of st_msgs/ErrorSummary."""
+
+    model: str
+    mode: str
+    n_starts: int
+    longitudinal_mean: float
+    longitudinal_max: float
+    longitudinal_rmse: float
+    lateral_mean: float
+    lateral_max: float
+    lateral_rmse: float
+
+
+LEVELS = ("ok", "warning", "**error**", "stale")
+
+
+def page(rows: Sequence[Row], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
+    """rows: statistics so far. ticks: one line. health: (level, name, message) of everything that was heard."""
+    lines = ["| model | inputs | starts | long. mean / max / RMSE, m | lat. mean / max / RMSE, m |",
+             "|---|---|--:|--:|--:|"]
+    for mode, meaning in (("forecast", "held"), ("hindsight", "measured")):
+        for row in (r for r in rows if r.mode == mode and r.n_starts):
+            lines.append(f"| {row.model} | {meaning} | {row.n_starts} "
+                         f"| {_triple(row.longitudinal_mean, row.longitudinal_max, row.longitudinal_rmse)} "
+                         f"| {_triple(row.lateral_mean, row.lateral_max, row.lateral_rmse)} |")
+    if len(lines) == 2:
+        lines = ["Waiting for the first complete horizon."]
+    lines += ["", ticks, ""]
+    wrong = [entry for entry in health if entry[0] > 0]
+    lines += [f"- {LEVELS[min(level, 3)]}: {name}: {message}" for level, name, message in sorted(wrong, reverse=True)]
+    if health and not wrong:
+        lines.append("All nodes well.")
+    return "\n".join(lines)
+
+
+def _triple(*values: float) -> str:
+    return " / ".join("-" if math.isnan(v) else f"{v:.2f}" for v in values)

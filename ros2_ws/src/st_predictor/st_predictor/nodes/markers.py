@@ -1,0 +1,116 @@
+"""Node markers: the car, its errors and the models' names for RViz and Foxglove, and the errors of each model to plot.
+
+It listens best effort with short queues, so that a publisher never waits for it.
+"""
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import Point, Vector3Stamped
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from st_core.types import InsSample
+from st_msgs.msg import Prediction, PredictionError
+from st_ros import parameters, spin
+from st_ros.polling import PolledSubscription
+from st_ros.stamps import from_nanoseconds
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from .. import convert, params
+from ..history import History, Path
+from ..outline import car_outline
+from ..palette import MEASURED_COLOUR, colour_of, label_index, rgb
+
+NEWEST = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+SCORES = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # those of one instant come together
+LIFETIME = Duration(sec=1)  # a marker of a silent suite goes away
+TEXT_HEIGHT, CAR_WIDTH, MISS_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
+GHOST_ALPHA = 0.4
+
+
+class MarkersNode(Node):
+    def __init__(self) -> None:
+        super().__init__("markers")
+        values = parameters.declare(self, params.MARKERS)
+        self._car, self._map_frame = params.load_vehicle(values), values.map_frame
+        self._history = History()
+        self._odometry = PolledSubscription(self, Odometry, "ins/odometry", NEWEST)
+        self._predictions = {
+            model: PolledSubscription(self, Prediction, f"predictor/{model}/prediction", NEWEST)
+            for model in values.models}
+        self._errors = PolledSubscription(self, PredictionError, "evaluator/errors", SCORES)
+        self._markers = self.create_publisher(MarkerArray, "view/markers", 10)
+        self._plots = {model: self.create_publisher(Vector3Stamped, f"view/{model}/error", 10)
+                       for model in values.models}
+        self.create_timer(1.0 / values.rate, self._draw, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(f"draws {', '.join(values.models)} of {self._car.name}")
+
+    def _draw(self) -> None:
+        for model, subscription in self._predictions.items():
+            for message, _, _ in subscription.take():
+                self._history.add_path(model, convert.ins_path(message))
+        for message, _, _ in self._errors.take():
+            if message.complete and message.mode == "forecast" and message.model in self._plots:
+                self._publish_error(message)
+        sample = None
+        for message, _, _ in self._odometry.take():
+            read = convert.ins_sample(message, self._map_frame)
+            sample = sample if isinstance(read, str) else read
+        if sample is not None:
+            self._history.add_pose(sample.time_ns, sample.x, sample.y)
+            self._markers.publish(MarkerArray(markers=self._picture(sample)))
+
+    def _publish_error(self, message: PredictionError) -> None:
+        """x: longitudinal, y: lateral, the means over the horizon [m]; z: yaw [rad]."""
+        plot = Vector3Stamped(header=message.header)
+        plot.vector.x, plot.vector.y, plot.vector.z = (
+            message.longitudinal_mean, message.lateral_mean, message.yaw_mean)
+        self._plots[message.model].publish(plot)
+
+    def _picture(self, sample: InsSample) -> list[Marker]:
+        now_ns = sample.time_ns
+        track = np.array([(x, y) for _, x, y in self._history.track])
+        pictures = [
+            self._line("track", 0, now_ns, track[:, 0], track[:, 1], MEASURED_COLOUR, TRACK_WIDTH, 0.5, z=-0.2),
+            self._line("car", 0, now_ns, *car_outline((sample.x, sample.y, sample.yaw), self._car), "#141414",
+                       CAR_WIDTH),
+        ]
+        for number, model in enumerate(self._history.models):
+            ghosts = self._history.ghosts(model, now_ns)
+            pictures += [self._line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
+                                    GHOST_WIDTH, GHOST_ALPHA, z=-0.1) for age, ghost in ghosts]
+            if ghosts and (point := ghosts[-1][1].at(now_ns)):
+                pictures.append(self._line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
+                                           colour_of(model), MISS_WIDTH, z=0.1))
+            pictures.append(self._name(number, now_ns, model, self._history.newest(model)))
+        return pictures
+
+    def _marker(self, kind: int, space: str, number: int, time_ns: int, colour: str, alpha: float) -> Marker:
+        marker = Marker(type=kind, ns=space, id=number, action=Marker.ADD, lifetime=LIFETIME)
+        marker.header.stamp, marker.header.frame_id = from_nanoseconds(time_ns), self._map_frame
+        marker.pose.orientation.w = 1.0
+        red, green, blue = (c / 255.0 for c in rgb(colour))
+        marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)
+        return marker
+
+    def _line(self, space: str, number: int, time_ns: int, x, y, colour: str, width: float, alpha: float = 1.0,
+              z: float = 0.0) -> Marker:
+        """z [m] above the map, so that what matters more covers what matters less."""
+        marker = self._marker(Marker.LINE_STRIP, space, number, time_ns, colour, alpha)
+        marker.scale.x = width
+        marker.points = [Point(x=float(px), y=float(py), z=z) for px, py in zip(x, y, strict=True)]
+        return marker
+
+    def _name(self, number: int, time_ns: int, model: str, path: Path) -> Marker:
+        marker = self._marker(Marker.TEXT_VIEW_FACING, "names", number, time_ns, colour_of(model), 1.0)
+        at = label_index(model, path.step, len(path.x))
+        marker.pose.position.x, marker.pose.position.y = float(path.x[at]), float(path.y[at])
+        marker.pose.position.z = 1.0
+        marker.scale.z, marker.text = TEXT_HEIGHT, model
+        return marker
+
+
+def main() -> int:
+    return spin.run(MarkersNode)

@@ -1,0 +1,22 @@
+"""One colour per model, everywhere; told apart with every common kind of colour vision."""
+
+MODEL_COLOUR = {"kinematic": "#1f77b4", "linear": "#ff7f0e", "nonlinear": "#7e2f8e", "augmented": "#009e73"}
+MEASURED_COLOUR = "#7f7f7f"
+OTHER_COLOUR = "#d55e00"  # of a model that is none of these
+# Where along its path a model's name stands [s after the start]: at the same place they would cover each other.
+LABEL_AT = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
+OTHER_LABEL_AT = 2.2
+
+
+def colour_of(model: str) -> str:
+    return MODEL_COLOUR.get(model, OTHER_COLOUR)
+
+
+def rgb(colour: str, strength: float = 1.0) -> tuple[int, int, int]:
+    """Red, green, blue (0 to 255) of "#rrggbb", mixed with white where strength < 1."""
+    return tuple(round(255 - strength * (255 - int(colour[i:i + 2], 16))) for i in (1, 3, 5))
+
+
+def label_index(model: str, step: float, points: int) -> int:
+    """The point of a path with `points` points, `step` s apart, at which the model's name stands."""
+    return min(round(LABEL_AT.get(model, OTHER_LABEL_AT) / step), points - 1)
