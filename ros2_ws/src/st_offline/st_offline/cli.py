@@ -2,7 +2,22 @@
 
 import typer
 
-from .verbs import align, bench, demo, develop, evaluate, export, identify, import_, live, ncom, recover, replay, verify
+from .verbs import (
+    align,
+    bench,
+    demo,
+    develop,
+    discover,
+    evaluate,
+    export,
+    identify,
+    import_,
+    live,
+    ncom,
+    recover,
+    replay,
+    verify,
+)
 
 app = typer.Typer(
     name="st",
@@ -16,6 +31,7 @@ app.command()(demo.demo)
 app.command()(live.live)
 app.command()(ncom.ncom)
 app.command()(evaluate.evaluate)
+app.command()(discover.discover)
 app.command()(identify.identify)
 app.command()(replay.replay)
 app.command()(verify.verify)

@@ -1,0 +1,1 @@
+"""`st discover`: from recordings to the name of what the model lacks, a model file and a page."""

@@ -1,0 +1,104 @@
+"""The files of a discovery: discovery.json (schema in docs/discovery.md), model.yaml, the page and its figures."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from st_core.discovery import Discovery, DiscoverySettings
+from st_core.model_file import Interval, ModelFile, Provenance
+from st_core.vehicle import VehicleParameters
+
+from ..results import versions
+from .drives import Drive
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Question:
+    """What was asked: runs and healthy drives as read, base model by name or file, settings. effects: folder of own
+    effects, and the sha256 of each file in it."""
+
+    runs: Sequence[Drive]
+    reference: Sequence[Drive]
+    base: str
+    vehicle: VehicleParameters
+    vehicle_file: str
+    settings: DiscoverySettings
+    effects: Mapping[str, str]
+
+
+def document(found: Discovery, question: Question, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """The content of discovery.json."""
+    return {"schema": SCHEMA, **_finite(found.document()), "provenance": _finite(provenance(found, question, seconds))}
+
+
+def provenance(found: Discovery, question: Question, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Everything the answer depends on."""
+    return {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "vehicle": {"name": question.vehicle.name, "file": question.vehicle_file, "hash": question.vehicle.hash},
+        "base": {"model": question.base, "values": {e: dict(v) for e, v in found.base.values.items()
+                                                    if _not_null(found, e)}},
+        "settings": asdict(question.settings),
+        "runs": {d.name: d.about for d in question.runs if d.log is not None},
+        "reference": {d.name: d.about for d in question.reference if d.log is not None},
+        "not_used": {d.name: d.problem for d in (*question.runs, *question.reference) if d.problem},
+        "effects_of_the_user": dict(question.effects),
+        "versions": versions(),
+        "seconds": dict(seconds),
+    }
+
+
+def _not_null(found: Discovery, name: str) -> bool:
+    effect = next(e for e in found.base.effects if e.name == name)
+    return any(p.fit and found.base.values[name][p.name] != p.null for p in effect.parameters)
+
+
+def model_file(found: Discovery, question: Question) -> ModelFile | None:
+    """The model with the effects found; None where there is none. Effects at null are left out.
+
+    A fitted value is a change against the healthy car; what the reference drives taught is part of the model too, so
+    its interval is moved to the total.
+    """
+    if found.model is None:
+        return None
+    intervals: dict[tuple[str, str], Interval] = {}
+    for effect in found.effects:
+        for name, p in effect.parameters.items():
+            total = found.model.values[effect.name][name]
+            moved = tuple(total + edge - p.value for edge in p.interval)
+            intervals[effect.name, name] = (min(moved[0], total), max(moved[1], total))
+    files = {f"{d.name}: {Path(name).name}": digest for d in (*question.runs, *question.reference) if d.log is not None
+             for name, digest in d.about["files"].items()}
+    note = f"st discover, outcome {found.outcome}, from {question.base}"
+    about = Provenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
+    whole = ModelFile.of(found.model, question.vehicle, about, intervals, "st discover: multi-step errors")
+    chosen = {e.name for e in found.effects}
+    kept = {}
+    for effect in found.model.effects:
+        values = found.model.values[effect.name]
+        if effect.name not in chosen and all(values[p.name] == p.null for p in effect.parameters if p.fit):
+            continue
+        kept[effect.name] = whole.effects[effect.name]
+    return ModelFile(whole.base, kept, whole.vehicle, whole.vehicle_name, whole.vehicle_hash, about)
+
+
+def write_json(file: Path, content: Mapping[str, Any]) -> None:
+    file.write_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity: null."""
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None

@@ -1,0 +1,186 @@
+"""The figures of a discovery that show driving: errors on the map, over time, and paths from the worst start."""
+
+import re
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.lines import Line2D
+from st_core.augmented import AugmentedModel
+from st_core.batch import LogBatch
+from st_core.discovery import UNITS
+from st_core.log import DriveLog
+from st_core.log_evaluation import regular_starts, usable_starts
+from st_core.log_signals import LogSignals
+from st_core.readings import readings
+
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, finish, style, thinned
+from ..style import MEASURED_COLOUR
+from . import words
+from .figures import AFTER, Scene
+
+HORIZON, STEP, SLOWEST = 5.0, 0.05, 1.5  # s, s, m/s
+PATHS = 3
+FLAT = 0.15  # a track narrower than this share of its length is drawn stretched
+
+
+def held_out(scene: Scene) -> list[DriveLog]:
+    """The drives, or parts of drives, that served nothing but the report: as `Split.report` names them."""
+    logs = []
+    for text in scene.found.split.report:
+        match = re.fullmatch(r"(.*?)(?: ([\d.]+)-([\d.]+) s)?", text, flags=re.S)
+        log = next((run for run in scene.runs if match and run.name == match[1]), None)
+        log = log or next((run for run in scene.runs if run.name == text), None)
+        if log is None:
+            continue
+        if match and match[2] and log.name != text:
+            first = int(log.ins_time_ns[0])
+            log = log.slice(first + round(float(match[2]) * 1e9), first + round(float(match[3]) * 1e9), text)
+        logs.append(log)
+    return [log for log in logs if log.overlap > HORIZON] or [run for run in scene.runs if run.overlap > HORIZON]
+
+
+def maps(scene: Scene) -> Drawn | None:
+    """The track of one run, coloured by the error of the most affected channel, before and after."""
+    run, levels = _worst_run(scene, of_area=True)
+    if run is None:
+        return None
+    sides = [("before", scene.before)] + ([("after", scene.after)] if scene.after else [])
+    top = words.factor(UNITS[scene.channel]) * max(float(np.nanmax(levels)), 1e-12)
+    unit = UNITS[scene.channel]
+    with style():
+        figure, panels = plt.subplots(1, len(sides), figsize=(WIDTH, 4.3), sharex=True, sharey=True, squeeze=False)
+        log = scene.runs[run]
+        every = max(1, len(log.x) // 600)
+        for axes, (name, survey) in zip(panels[0], sides, strict=True):
+            rows = np.flatnonzero(survey.samples.run == run)
+            rows = rows[:: max(1, len(rows) // 500)]
+            x, y = survey.samples.x[rows], survey.samples.y[rows]
+            level = words.factor(unit) * np.sqrt(survey.samples.squares[scene.channel][rows])
+            axes.plot(log.x[::every], log.y[::every], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
+            points = axes.scatter(x, y, c=level, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
+                                  vmin=0.0, vmax=top)
+            if _flatness(log) > FLAT:
+                axes.set_aspect("equal", adjustable="box")
+            axes.set_title("base model" if name == "before" else "with the effect found", fontsize=9)
+            axes.set_xlabel("east, m")
+        panels[0][0].set_ylabel("north, m")
+        bar = figure.colorbar(points, ax=list(panels[0]), shrink=0.8)
+        bar.set_label(f"{words.channel(scene.channel)} error, {words.shown_unit(unit)}")
+        places = [w for w in scene.found.where if w.channel == scene.channel and w.condition.startswith("within")]
+        title = f"{log.name}: where on the track the {words.channel(scene.channel)} is missed"
+        if places:
+            title += f"; most {places[0].condition}"
+        return finish(figure, scene.place, "map", title, "Every point is one prediction, coloured by its error; the "
+                      "same colours on both sides.")
+
+
+def over_time(scene: Scene) -> Drawn | None:
+    """Error of the most affected channel over the same run."""
+    run, _ = _worst_run(scene)
+    if run is None:
+        return None
+    unit = UNITS[scene.channel]
+    with style():
+        figure, axes = plt.subplots(figsize=(WIDTH, 2.7))
+        for survey, colour in ((scene.before, scene.colour), (scene.after, AFTER)):
+            if survey is None:
+                continue
+            rows = survey.samples.run == run
+            level = words.factor(unit) * np.sqrt(survey.samples.squares[scene.channel][rows])
+            axes.plot(*thinned(survey.samples.time[rows], level), color=colour, lw=1.2)
+        parts = [p for p in scene.before.parts if p.run == run and p.channel == scene.channel]
+        for part in parts:
+            axes.axvspan(part.start, part.end, color=MEASURED_COLOUR, alpha=0.15, lw=0)
+        axes.set_ylim(bottom=0)
+        axes.set_xlabel("time in the run, s")
+        axes.set_ylabel(f"{words.channel(scene.channel)} error,\n{words.shown_unit(unit)}")
+        figure.legend(handles=scene.handles("s"), loc="outside lower left", ncols=3)
+        caption = "Root mean square of each prediction." + (
+            " Shaded: worse than like conditions on the rest of the run." if parts else
+            " No part of the run is worse than like conditions elsewhere.")
+        title = f"{scene.runs[run].name}: {words.channel(scene.channel)} error over the run"
+        return finish(figure, scene.place, "time", title, caption)
+
+
+def paths(scene: Scene) -> Drawn | None:
+    """Measured and predicted paths over 5 s from the starts where the base model ends furthest off."""
+    worst = max((_ends(scene, log) for log in held_out(scene)), key=lambda e: e[1].max(initial=-1.0), default=None)
+    if worst is None or not len(worst[1]):
+        return None
+    log, distance, batch, before = worst
+    after = batch.predict(scene.found.model, scene.vehicle).states if scene.found.model else None
+    rows = _apart(batch.starts_ns, distance)
+    with style():
+        figure, panels = plt.subplots(1, len(rows), figsize=(WIDTH, 3.6), squeeze=False)
+        for axes, row in zip(panels[0], rows, strict=True):
+            start = int(batch.starts_ns[row])
+            inside = slice(*np.searchsorted(log.ins_time_ns, (start, start + round(HORIZON * 1e9))))
+            every = max(1, (inside.stop - inside.start) // 120)
+            axes.plot(log.x[inside][::every], log.y[inside][::every], color=MEASURED_COLOUR, lw=5, alpha=0.45,
+                      solid_capstyle="butt")
+            axes.plot(log.x[inside.start], log.y[inside.start], "o", ms=4, color=TEXT, zorder=5)
+            for states, model, colour in ((before, scene.found.base, scene.colour), (after, scene.found.model, AFTER)):
+                if states is not None and model is not None:
+                    seen = readings(model, scene.vehicle, tuple(states[row].T))
+                    axes.plot(seen.x, seen.y, color=colour)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.set_xlabel("east, m")
+            axes.set_title(f"{(start - int(log.ins_time_ns[0])) * 1e-9:.1f} s", fontsize=9)
+        panels[0][0].set_ylabel("north, m")
+        lines = [Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured"),
+                 Line2D([], [], color=scene.colour, label=f"{scene.found.base.base.name} model")]
+        lines += [Line2D([], [], color=AFTER, label="with the effect found")] if after is not None else []
+        figure.legend(handles=lines, loc="outside lower left", ncols=3)
+        text = f"{log.name}: from its worst starts the base model ends up to {distance[rows].max():.2f} m off after 5 s"
+        if after is not None:
+            ends = _distance(batch, scene.found.model, scene)
+            text += f", with the effect {np.nanmax(ends[rows]):.2f} m"
+        return finish(figure, scene.place, "paths", text, "Held-out driving, predictions with the measured inputs.")
+
+
+def _flatness(log: DriveLog) -> float:
+    """Smaller over larger extent of the track."""
+    width, height = np.ptp(log.x), np.ptp(log.y)
+    return float(min(width, height) / max(width, height, 1e-9))
+
+
+def _worst_run(scene: Scene, of_area: bool = False) -> tuple[int | None, np.ndarray]:
+    """The run whose error in the channel is largest, and the errors of all its predictions [SI].
+
+    of_area: of those whose track is no line, if there are any.
+    """
+    samples = scene.before.samples
+    squares = samples.squares.get(scene.channel)
+    if squares is None or not len(squares):
+        return None, np.empty(0)
+    runs = np.unique(samples.run)
+    if of_area:
+        wide = [r for r in runs if _flatness(scene.runs[r]) > FLAT]
+        runs = wide or runs
+    run = int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
+    return run, np.sqrt(squares[samples.run == run])
+
+
+def _ends(scene: Scene, log: DriveLog):
+    signals = LogSignals(log, 0.1, 5.0)
+    starts, _ = usable_starts(signals, scene.vehicle, regular_starts(log, 0.25), SLOWEST)
+    batch = LogBatch(signals, starts, HORIZON, STEP)
+    prediction = batch.predict(scene.found.base, scene.vehicle)
+    distance = np.hypot(*np.moveaxis(batch.errors(prediction)[:, -1, :2], -1, 0))
+    return log, np.nan_to_num(distance, nan=-1.0), batch, prediction.states
+
+
+def _distance(batch: LogBatch, model: AugmentedModel, scene: Scene) -> np.ndarray:
+    errors = batch.errors(batch.predict(model, scene.vehicle))
+    return np.hypot(errors[:, -1, 0], errors[:, -1, 1])
+
+
+def _apart(starts_ns: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Rows of the largest distances, a horizon apart from each other, in order of time."""
+    rows: list[int] = []
+    for row in np.argsort(-distance):
+        if distance[row] < 0 or len(rows) == PATHS:
+            break
+        if all(abs(int(starts_ns[row]) - int(starts_ns[r])) > HORIZON * 1e9 for r in rows):
+            rows.append(int(row))
+    return np.sort(np.array(rows, int))

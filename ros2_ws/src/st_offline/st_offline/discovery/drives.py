@@ -1,0 +1,112 @@
+"""Recordings into drives, with a memory: what was read once is not decoded again when a discovery is started anew."""
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from st_core.errors import StCoreError
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+from ..runs import ReadSettings, RunError, RunSource, read
+from ..runs.load import hashes, signal_files
+
+FORMAT = 1  # of what is kept; another number makes older files useless
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One run as it was read, or the reason why it cannot be used (then log is None). about: for the report."""
+
+    name: str
+    log: DriveLog | None
+    about: dict[str, Any]
+    problem: str = ""
+
+
+def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
+                cache: Path | None, done: Callable[[], None]) -> list[Drive]:
+    """Every run, in the order of the sources. jobs: processes side by side. cache: folder of what is kept; None: no."""
+    if jobs <= 1 or len(sources) < 2:
+        drives = []
+        for source in sources:
+            drives.append(read_drive(source, vehicle, settings, cache))
+            done()
+        return drives
+    with ProcessPoolExecutor(min(jobs, len(sources))) as pool:
+        futures = [pool.submit(read_drive, source, vehicle, settings, cache) for source in sources]
+        for _ in as_completed(futures):
+            done()
+        return [future.result() for future in futures]
+
+
+def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, cache: Path | None) -> Drive:
+    """One run, from what is kept of it where its files are still the same. What is wrong becomes its `problem`."""
+    try:
+        if source.problem is not None:
+            raise source.problem
+        files = hashes(source)
+        kept = cache / f"{_key(source, files, vehicle, settings)}.npz" if cache else None
+        drive = _restored(kept) if kept else None
+        if drive is None:
+            run = read(source, vehicle, settings)
+            about = {"files": files, "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
+                     "warnings": list(run.warnings)}
+            drive = Drive(source.name, run.log, about)
+            if kept:
+                _keep(kept, drive)
+        return drive
+    except (RunError, StCoreError) as error:
+        return Drive(source.name, None, {}, " ".join(str(error).split()))
+    except MemoryError:
+        return Drive(source.name, None, {}, f"{source.where}: too large for the memory of this machine")
+    except OSError as error:
+        return Drive(source.name, None, {}, f"{error.filename or source.where}: {error.strerror or error}")
+
+
+def cache_folder() -> Path | None:
+    """Where drives are kept between starts; None where there is no home."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / "drives"
+    except RuntimeError:
+        return None
+
+
+def _key(source: RunSource, files: dict[str, str], vehicle: VehicleParameters, settings: ReadSettings) -> str:
+    """Of everything the drive depends on: contents, not paths, except that its name is kept in it."""
+    table = [] if source.kind != "ncom" else [hashlib.sha256(f.read_bytes()).hexdigest()
+                                               for f in signal_files(source, settings)]
+    options = {k: v for k, v in asdict(settings).items() if k not in ("dbc", "signals")}
+    content = [FORMAT, source.name, source.kind, sorted(files.values()), table, vehicle.hash, options,
+               source.settings.get("offset")]
+    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
+
+
+def _keep(file: Path, drive: Drive) -> None:
+    """Written beside and moved into place, so that a start cut short leaves nothing half. A full disk is no reason."""
+    arrays = {f.name: getattr(drive.log, f.name) for f in fields(DriveLog)
+              if isinstance(getattr(drive.log, f.name), np.ndarray)}
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        beside = file.with_name(f".{file.stem}.{os.getpid()}.npz")
+        np.savez(beside, about=json.dumps({"name": drive.name, **drive.about}), **arrays)
+        beside.replace(file)
+    except OSError:
+        return
+
+
+def _restored(file: Path) -> Drive | None:
+    try:
+        with np.load(file, allow_pickle=False) as kept:
+            about = json.loads(str(kept["about"]))
+            name = about.pop("name")
+            return Drive(name, DriveLog(name, **{k: kept[k] for k in kept.files if k != "about"}), about)
+    except (OSError, ValueError, KeyError, TypeError, StCoreError, zipfile.BadZipFile, EOFError):
+        return None
