@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
-from .modes import mode_text
+from .modes import mode_text, quality
 from .motion import Accuracy
 from .navigation import BLOCKED, EXPIRED, LOCKED, LOCKING, rule
 from .origin import UNIT, Origin
@@ -39,6 +39,7 @@ class Health:
         self.heard = _NEVER
         self.minute_from_host = False
         self.failures = 0
+        self._best_mode: int | None = None
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
         self._source, self._live, self._ellipsoidal, self._silence_after = source, live, ellipsoidal, silence_after
         self._before = (0, 0, 0, 0)
@@ -119,6 +120,11 @@ class Health:
         values = {key: value for key, value in values.items() if value not in (None, "")}
         text = rule(self.navigation_status).text
         if self.navigation_status == LOCKED:
+            mode = get("GpsPosMode")
+            self._best_mode = max(self._best_mode, mode, key=quality)
+            if quality(mode) < quality(self._best_mode):
+                was = mode_text(self._best_mode)
+                return Check("solution", WARN, f"{text}: position mode {mode_text(mode)}, was {was}", values)
             return Check("solution", OK, text, values)
         if self.navigation_status in (EXPIRED, BLOCKED):
             return Check("solution", ERROR, text, values)

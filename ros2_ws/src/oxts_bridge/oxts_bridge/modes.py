@@ -21,6 +21,14 @@ def mode_text(mode: int | None) -> str:
     return "" if mode is None else MODES.get(mode, f"unknown ({mode})")
 
 
+_QUALITY = {mode: rank for rank, mode in enumerate((0, 1, 2, 3, 7, 4, 5, 6))}
+
+
+def quality(mode: int | None) -> int:
+    """Rank of a live GNSS mode, none 0 to RTK integer 7; -1 for others, which are not compared."""
+    return -1 if mode is None else _QUALITY.get(mode, -1)
+
+
 def fix_status(mode: int | None) -> int:
     """NavSatStatus.status of a position mode. Unknown numbers and a mode not sent yet are no fix."""
     return NO_FIX if mode is None else _STATUS.get(mode, NO_FIX)

@@ -11,7 +11,6 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from st_msgs.msg import ErrorSummary, PredictorStatus
 
-
 FORGET_AFTER = 5.0  # s without hearing of a diagnostic before it is shown as silent
 STALE = 3
 

@@ -85,9 +85,9 @@ def run(
 ) -> Outcome:
     """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
 
-    duration in s; None: until Ctrl-C, or until the source runs dry: it returns how long it lasts [s]. supervised: a node
-    that ends or hangs is started again; else it ends the run. Raises SuiteError when a node does not come up, or runs
-    already.
+    duration in s; None: until Ctrl-C, or until the source runs dry: it returns how long it lasts [s]. supervised: a
+    node that ends or hangs is started again; else it ends the run. Raises SuiteError when a node does not come up, or
+    runs already.
     """
     console = console or Console()
     # A demo must not be heard by, or hear, another suite on this machine; the car uses the user's own domain.

@@ -1,4 +1,4 @@
-"""Keeps the nodes of a live run alive: one that ended or hangs is started again, and all of them are one health topic."""
+"""Keeps the nodes of a live run alive: one that ended or hangs is started again. All of them are one health topic."""
 
 import time
 from collections.abc import Sequence
