@@ -1,0 +1,131 @@
+"""What a healthy car teaches: the base's own values, how large its errors are and how they go together."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .quadratic import Quadratic, Whitening, by_condition, jacobian, quadratic, row_errors, whitened, whitening
+from .settings import DiscoverySettings
+from .space import LIFTED, Space
+from .windows import CHANNEL_OF, Windows
+
+# What the errors of a car nobody measured may be: at once and per second of horizon. SI.
+USUAL_ERRORS = {"velocity_y": (0.03, 0.02), "yaw_rate": (0.008, 0.003), "acceleration_y": (0.15, 0.05),
+                "yaw": (0.001, 0.006), "position_lateral": (0.01, 0.04), "position_longitudinal": (0.01, 0.02)}
+LEAST = {"velocity_y": 0.003, "yaw_rate": 0.0008, "acceleration_y": 0.02, "yaw": 0.0004, "position_lateral": 0.002,
+         "position_longitudinal": 0.002}
+HARDNESS = np.array([1.0, 1.0, 1.5, 2.5, 4.0, 1.5, 1.5, 2.0, 3.0, 5.0])  # how much larger in each kind of driving
+HEALTHY = 1.0  # usual sizes of each effect a car may have before anything is wrong with it, with a reference to say so
+UNKNOWN = 0.35  # the same without a reference
+ROUNDS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """vector: values of the healthy base. spread: (p, p) covariance of what a healthy suspect drive may deviate from it,
+    in usual sizes. inflation: cost per independent piece of data; windows overlap and errors last. rows: (n, m) errors
+    the base leaves on the reference, None without one; size: by channel at the end of the horizon [SI]."""
+
+    vector: np.ndarray
+    how: Whitening
+    spread: np.ndarray
+    inflation: float
+    quadratic: Quadratic | None
+    level: np.ndarray
+    size: Mapping[str, float]
+
+
+def usual(windows: Windows, table: Mapping[str, tuple[float, float]] = USUAL_ERRORS) -> np.ndarray:
+    """(m,) in the order of a row of errors."""
+    return np.array([[table[c][0] + table[c][1] * t for c in windows.columns] for t in windows.time]).ravel()
+
+
+def least(windows: Windows) -> np.ndarray:
+    noise = windows.settings.noise or {}
+    by = [max(LEAST[c], noise.get(CHANNEL_OF.get(c, c), 0.0)) for c in windows.columns]
+    return np.tile(by, len(windows.time))
+
+
+def default_whitening(windows: Windows) -> Whitening:
+    size = usual(windows)
+    return by_condition(size, np.eye(len(size)), HARDNESS, windows.scored)
+
+
+def prior(space: Space, spread: float) -> np.ndarray:
+    """(p,) standard deviations of a healthy car about the vehicle file, in usual sizes."""
+    result = np.full(len(space), spread)
+    result[space.indices(*LIFTED)] = 1e-6
+    result[-1] = 1.0
+    return result
+
+
+def solve_map(hessian: np.ndarray, gradient: np.ndarray, deviation: np.ndarray, at: np.ndarray,
+              low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The step from `at` (deviations from the prior mean) to the most likely point with low <= step <= high."""
+    weight = np.diag(1.0 / deviation**2)
+    a, b = hessian + weight, gradient - weight @ at
+    held, step = np.zeros(len(b), bool), np.zeros(len(b))
+    for _ in range(8):
+        rest = ~held
+        step[rest] = np.linalg.solve(a[np.ix_(rest, rest)], b[rest] - a[np.ix_(rest, held)] @ step[held])
+        out = rest & ((step < low) | (step > high))
+        if not out.any():
+            break
+        held |= out
+        step = np.clip(step, low, high)
+    return step
+
+
+def inflation_of(q: Quadratic) -> np.ndarray:
+    """(p,) how much more the blocks' gradients scatter than errors of size 1, each its own, would make them."""
+    scatter = np.square(q.gradient).sum(axis=0)
+    return scatter / np.maximum(np.einsum("bii->i", q.hessian), 1e-12)
+
+
+def learn(windows: Windows, space: Space, drift: float, tick=None) -> Floor:
+    """Fit the base to healthy drives: all parameters, held by what is usual, a few rounds of Gauss-Newton."""
+    start = space.healthy.copy()
+    x = start.copy()
+    deviation, how, inflation = prior(space, HEALTHY), default_whitening(windows), 4.0
+    rows = row_errors(windows, space, x)
+    q = None
+    for turn in range(ROUNDS):
+        slopes = jacobian(windows, space, x, rows, tick=tick)
+        for _ in range(2 if turn == ROUNDS - 1 else 1):
+            if turn > 0:
+                how = whitening(rows, windows.condition, least(windows), windows.scored)
+            q = quadratic(rows, slopes, windows, how)
+            if turn > 0:
+                inflation = max(float(np.median(inflation_of(q))), 1.0)
+        step = solve_map(q.hessian.sum(0) / inflation, q.gradient.sum(0) / inflation, deviation,
+                         (x - start) / space.scale, (space.low - x) / space.scale, (space.high - x) / space.scale)
+        x, rows = _search(windows, space, x, step, rows, how, inflation, start, deviation)
+    how = whitening(rows, windows.condition, least(windows), windows.scored)
+    q = quadratic(rows, slopes, windows, how)
+    inflation = max(float(np.median(inflation_of(q))), 1.0)
+    posterior = np.linalg.inv(q.hessian.sum(0) / inflation + np.diag(1.0 / deviation**2))
+    spread = posterior + np.diag(np.full(len(space), drift**2))
+    return Floor(x, how, spread, inflation, q, q.cost / np.maximum(q.windows, 1), _sizes(windows, rows))
+
+
+def _search(windows, space, x, step, rows, how, inflation, start, deviation):
+    def total(vector, errors):
+        return (np.square(whitened(errors, windows.condition, how)).sum() / inflation
+                + np.square((vector - start) / space.scale / deviation).sum())
+    best, best_rows, lowest = x, rows, total(x, rows)
+    for share in (1.0, 0.5, 0.2):
+        trial = space.inside(x + share * step * space.scale)
+        errors = row_errors(windows, space, trial)
+        cost = total(trial, errors)
+        if cost < lowest:
+            return trial, errors
+    return best, best_rows
+
+
+def _sizes(windows: Windows, rows: np.ndarray) -> dict[str, float]:
+    values = rows.reshape(len(rows), len(windows.time), -1)[:, -1]
+    values = values[np.isfinite(values).all(axis=1)]
+    rms = np.sqrt(np.square(values).mean(axis=0)) if len(values) else np.full(len(windows.columns), np.nan)
+    return {CHANNEL_OF.get(c, c): float(v) for c, v in zip(windows.columns, rms, strict=True)
+            if c != "position_longitudinal"}

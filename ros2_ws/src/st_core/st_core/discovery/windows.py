@@ -1,0 +1,275 @@
+"""Multi-step errors: from instants of the recorded drives the model predicts what the sensors then showed.
+
+All runs are laid out one after the other on one clock, so that one call of the batch predicts every window of a
+discovery. A window starts from the measured state. Without the measured sideslip it starts from that of steady
+cornering and is scored once that guess is forgotten.
+"""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import frames
+from ..augmented import AugmentedModel
+from ..batch import LogBatch
+from ..composition import compose
+from ..effects import Measured
+from ..errors import StCoreError
+from ..filtering import NANOSECOND
+from ..log import DriveLog
+from ..log_signals import LogSignals
+from ..readings import corrected_log, readings
+from ..vehicle import VehicleParameters
+from .settings import DiscoverySettings
+
+STEP = 0.05  # s, of the integration
+GUESSED = 0.75  # s until a guessed sideslip is forgotten
+MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is known there too
+SLOWEST = 1.5  # m/s. Slower windows say nothing of lateral motion
+PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
+CORNERING, BRAKING = (3.0, 5.0, 7.0, 8.5), 2.0  # m/s^2, bounds between the kinds of driving
+LIMITED = (0.8, 0.4)  # s of horizon that are scored in the two hardest
+CONDITIONS = 2 * (len(CORNERING) + 1)
+SHARES = (0.05, 0.1, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0)  # of the horizon: where it is scored
+COLUMNS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position_lateral", "position_longitudinal")
+CHANNEL_OF = {"position_lateral": "position", "position_longitudinal": "position"}
+
+
+class Signals(LogSignals):
+    """A drive whose forward acceleration is the slope of the forward speed over 2 STEP, without delay."""
+
+    def __init__(self, log: DriveLog, maximum_gap: float):
+        self.log, self.maximum_gap = log, maximum_gap
+        self._gap_ns = round(maximum_gap / NANOSECOND)
+        seconds = (log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND
+        low, high = np.maximum(seconds - STEP, 0.0), np.minimum(seconds + STEP, seconds[-1:])
+        ends = [np.interp(t, seconds, log.velocity_x) for t in (low, high)]
+        self.velocity_x_dot = (ends[1] - ends[0]) / np.maximum(high - low, STEP)
+
+    def of(self, log: DriveLog) -> "Signals":
+        if log.velocity_x is not self.log.velocity_x:
+            return Signals(log, self.maximum_gap)
+        other = copy(self)
+        other.log = log
+        return other
+
+
+class Batch(LogBatch):
+    """A LogBatch for thousands of fits: the step is checked once by who makes it."""
+
+    def _count_substeps(self, model, vehicle):
+        return self._substeps
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """values: (n, k, c), measured minus predicted, SI, columns as `columns`; NaN where not known. predicted: (n, k) the
+    lateral acceleration the sensor would show. time: (k,) after the start [s]."""
+
+    values: np.ndarray
+    predicted: np.ndarray
+    columns: tuple[str, ...]
+    time: np.ndarray
+
+
+def columns_of(settings: DiscoverySettings) -> tuple[str, ...]:
+    """The columns the channels of the settings are scored in."""
+    return tuple(c for c in COLUMNS if CHANNEL_OF.get(c, c) in settings.channels)
+
+
+def score_points(settings: DiscoverySettings) -> np.ndarray:
+    """Multiples of STEP after the start at which errors are taken."""
+    first = 0.0 if "velocity_y" in settings.channels else GUESSED
+    points = np.maximum(np.round((first + settings.horizon * np.array(SHARES)) / STEP), 1).astype(int)
+    return np.unique(points)
+
+
+def smoothed(time_ns: np.ndarray, values: np.ndarray, width_ns: int) -> np.ndarray:
+    """Mean over `width_ns` about each sample, as far as there are samples: centred, no delay."""
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    low = np.searchsorted(time_ns, time_ns - width_ns // 2)
+    high = np.searchsorted(time_ns, time_ns + width_ns // 2, side="right")
+    return (total[high] - total[low]) / (high - low)
+
+
+def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
+    """v_y at the INS of steady cornering [m/s]: r (l_r - m l_f v^2 / (l C_r)) + r d_x."""
+    slip = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
+    return log.yaw_rate * (vehicle.cg_to_rear_axle - slip * log.velocity_x**2 + vehicle.cg_to_ins_x)
+
+
+def prepared(log: DriveLog, vehicle: VehicleParameters, settings: DiscoverySettings) -> DriveLog:
+    """The drive windows start from: yaw rate without most of its noise, sideslip guessed where it is not to be used."""
+    rate = smoothed(log.ins_time_ns, log.yaw_rate, 50_000_000)
+    log = replace(log, yaw_rate=rate)
+    return log if "velocity_y" in settings.channels else replace(log, velocity_y=steady_velocity_y(log, vehicle))
+
+
+class Windows:
+    """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) whole numbers; seconds: (n,) into
+    the run."""
+
+    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings,
+                 starts_ns: np.ndarray | None = None, backend: str | None = None):
+        self.vehicle, self.settings = vehicle, settings
+        self.names = tuple(run.name for run in runs)
+        self.columns, self._points = columns_of(settings), score_points(settings)
+        self.time = STEP * self._points
+        joined, offsets = _join(runs)
+        self._raw = joined
+        horizon = int(self._points[-1]) + 1
+        if starts_ns is None:
+            starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
+        else:
+            starts, run, seconds = np.asarray(starts_ns, np.int64), np.zeros(len(starts_ns), int), np.zeros(0)
+        around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
+        self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
+        signals = Signals(prepared(joined, vehicle, settings), 0.1)
+        self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6), backend=backend)
+        times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
+        self._times, self._measured = times, self._readings(times)
+        self.starts_ns, self.run, self.seconds = starts, run, seconds
+        self.block = _blocks(run, seconds, settings.block) if len(seconds) else np.zeros(len(starts), int)
+        self.condition = self._conditions(horizon * STEP)
+        self.scored = self._scored()
+
+    def __len__(self) -> int:
+        return len(self.starts_ns)
+
+    def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
+        log, width = self._raw, round(2 * STEP / NANOSECOND)
+        signals = Signals(log, 0.1)
+        result = dict(zip(("x", "y", "yaw", "velocity_y", "velocity_x"), signals.ins_at(
+            times, "x", "y", "yaw", "velocity_y", "velocity_x"), strict=True))
+        result["yaw_rate"] = signals.sample(log.ins_time_ns, smoothed(log.ins_time_ns, log.yaw_rate, width), times)
+        if log.acceleration_y is not None:
+            smooth = smoothed(log.ins_time_ns, log.acceleration_y, width)
+            result["acceleration_y"] = signals.sample(log.ins_time_ns, smooth, times)
+        return result
+
+    def _conditions(self, length: float) -> np.ndarray:
+        """(n,) number of the kind of driving of each window, below CONDITIONS: how hard it corners and brakes."""
+        log = self._raw
+        grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, length, 12) / NANOSECOND).astype(np.int64)
+        signals = self._batch.signals
+        rate, speed, acceleration = signals.ins_at(grid, "yaw_rate", "velocity_x", "velocity_x_dot")
+        if not len(log.x):
+            return np.zeros(0, int)
+        lateral = np.abs(np.nan_to_num(rate * speed)).max(axis=1, initial=0.0)
+        braking = np.abs(np.nan_to_num(acceleration)).max(axis=1, initial=0.0) > BRAKING
+        return np.searchsorted(CORNERING, lateral) + (len(CORNERING) + 1) * braking
+
+    def _scored(self) -> np.ndarray:
+        """(CONDITIONS, m) which errors of a row count: near the limit a small error soon becomes a spin."""
+        within = np.tile(np.concatenate([np.full(len(CORNERING) - 1, np.inf), LIMITED]), 2)
+        if "velocity_y" not in self.settings.channels:
+            within = np.full(CONDITIONS, np.inf)
+        return np.repeat(self.time[None] <= within[:, None] + 1e-9, len(self.columns), axis=1)
+
+    def errors(self, model: AugmentedModel, gain: float = 0.0) -> Errors:
+        """Errors of a model; gain: what the accelerometer shows more than the motion, as a body that rolls makes it."""
+        seen = self._seen(model)
+        m, parts = self._measured, {}
+        for column in self.columns:
+            if column == "acceleration_y":
+                parts[column] = m[column] - (1.0 + gain) * seen.acceleration_y
+            elif column == "yaw":
+                parts[column] = frames.wrap_angle(m["yaw"] - seen.yaw)
+            elif not column.startswith("position"):
+                parts[column] = m[column] - getattr(seen, column)
+        if "position_lateral" in self.columns:
+            longitudinal, lateral = frames.map_to_body(m["x"] - seen.x, m["y"] - seen.y, m["yaw"])
+            parts |= {"position_lateral": lateral, "position_longitudinal": longitudinal}
+        return Errors(np.stack([parts[c] for c in self.columns], axis=-1), seen.acceleration_y, self.columns, self.time)
+
+    def _seen(self, model: AugmentedModel) -> Measured:
+        """What the INS would show at the points; acceleration and yaw rate as means over 2 STEP, as measured."""
+        states = self._batch.predict(model, self.vehicle).states
+        before, here, after = (states[:, i] for i in self._around)
+        with np.errstate(all="ignore"):
+            true = readings(_motion_only(model), self.vehicle, tuple(np.moveaxis(here, -1, 0)))
+            ends = [readings(_motion_only(model), self.vehicle, tuple(np.moveaxis(s, -1, 0))) for s in (before, after)]
+            turning = [e.velocity_x * e.yaw_rate for e in (ends[0], true, ends[1])]
+            a_y = (ends[1].velocity_y - ends[0].velocity_y) / (2 * STEP) + (
+                turning[0] + 4.0 * turning[1] + turning[2]) / 6.0
+            rate = (ends[0].yaw_rate + 4.0 * true.yaw_rate + ends[1].yaw_rate) / 6.0
+            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y, acceleration_y=a_y + self._felt(model, here))
+            return model.observe(true)
+
+    def _felt(self, model: AugmentedModel, states: np.ndarray):
+        """What an accelerometer shows on top of the motion [m/s^2]."""
+        if not any(e.felt for e in active(model)):
+            return 0.0
+        signals = self._batch.signals.of(corrected_log(model, self._batch.signals.log))
+        p = model.parameters(self.vehicle)
+        w = model.inputs(signals.road_wheel_angle_at(self._times), *signals.ins_at(self._times, "velocity_x_dot"), p)
+        extra = [np.zeros(self._times.shape)] * len(model.extra_states)
+        return compose(model.base, model.effects).felt((*np.moveaxis(states, -1, 0), *extra), w, p)[1]
+
+
+def active(model: AugmentedModel) -> list:
+    """Effects of a model that are not at null."""
+    return [e for e in model.effects if any(p.fit and model.values[e.name][p.name] != p.null for p in e.parameters)]
+
+
+class _motion_only:  # noqa: N801
+    """A model as `readings` sees it, with the sensors left out: they are applied last."""
+
+    def __init__(self, model: AugmentedModel):
+        self.effective_vehicle = model.effective_vehicle
+
+
+def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
+    """All runs on one clock, PAUSE_NS apart, and what was added to the times of each."""
+    names = ["x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate"]
+    if all(run.acceleration_y is not None for run in runs):
+        names.append("acceleration_y")
+    offsets, at = [], 0
+    for run in runs:
+        offsets.append(at - run.start_ns)
+        at += run.end_ns - run.start_ns + PAUSE_NS
+    parts = {n: np.concatenate([getattr(run, n) for run in runs]) for n in (*names, "road_wheel_angle")}
+    times = {n: np.concatenate([getattr(run, n) + o for run, o in zip(runs, offsets, strict=True)])
+             for n in ("ins_time_ns", "steering_time_ns")}
+    return DriveLog(name="all runs", **times, **parts), offsets
+
+
+def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float, settings: DiscoverySettings):
+    """Instants, run and seconds into the run of all windows driven faster than SLOWEST."""
+    spacing = round(round(settings.interval / (STEP / 2)) * (STEP / 2) / NANOSECOND)
+    length = round(horizon / NANOSECOND)
+    starts, number, seconds = [], [], []
+    for i, (run, offset) in enumerate(zip(runs, offsets, strict=True)):
+        if not run.overlap:
+            continue
+        begin = max(int(run.ins_time_ns[0]), int(run.steering_time_ns[0]))
+        end = min(int(run.ins_time_ns[-1]), int(run.steering_time_ns[-1]))
+        times = np.arange(begin + MARGIN_NS, end - length - MARGIN_NS // 2, spacing, dtype=np.int64)
+        here, there = (np.interp(t - begin, run.ins_time_ns - begin, run.velocity_x) for t in (times, times + length))
+        times = times[(here > SLOWEST) & (there > SLOWEST)]
+        starts.append(times + offset)
+        number.append(np.full(len(times), i))
+        seconds.append((times - begin) * NANOSECOND)
+    if not starts:
+        raise StCoreError("no run in which both INS and steering were measured")
+    return np.concatenate(starts), np.concatenate(number), np.concatenate(seconds)
+
+
+def _blocks(run: np.ndarray, seconds: np.ndarray, length: float) -> np.ndarray:
+    """Number of the block of each window: stretches of `length` seconds of one run."""
+    keys = np.stack([run, (seconds // length).astype(int)], axis=1)
+    return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+
+
+def channel_errors(model: AugmentedModel, vehicle: VehicleParameters, log: DriveLog, starts_ns: np.ndarray,
+                   settings: DiscoverySettings, gain: float = 0.0) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """(time after the start [s] (k,), {channel: (n, k)}) of one drive: measured minus predicted, SI, NaN where unknown.
+
+    starts_ns: on the clock of the log. position: to the left of the measured heading [m]. gain: see `Windows.errors`.
+    """
+    windows = Windows([log], vehicle, settings, np.asarray(starts_ns, np.int64) - log.start_ns)
+    errors = windows.errors(model, gain)
+    return errors.time, {CHANNEL_OF.get(c, c): errors.values[..., i] for i, c in enumerate(errors.columns)
+                         if c != "position_longitudinal"}
