@@ -1,31 +1,18 @@
 """GPS time to UTC for the two time frames an OxTS unit can send on CAN (0x600 and 0x630)."""
 
-from bisect import bisect_right
 from calendar import timegm
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 
-GPS_EPOCH_UNIX = 315_964_800
-
-# Unix second from which GPS - UTC is the given number of seconds. Source: IERS Bulletin C, complete since 2006.
-_LEAP_SECONDS = tuple(
-    (timegm((year, month, 1, 0, 0, 0)), seconds)
-    for year, month, seconds in ((2006, 1, 14), (2009, 1, 15), (2012, 7, 16), (2015, 7, 17), (2017, 1, 18))
-)
-_LEAP_STARTS = tuple(start for start, _ in _LEAP_SECONDS)
+from st_core.leap_seconds import GPS_EPOCH_UNIX, at_gps, at_unix
 
 DATE_TIME_PARTS = ("gps_year_of_century", "gps_century", "gps_month", "gps_day", "gps_hour", "gps_minute", "gps_second",
                    "gps_second_fraction")
 MILLI_TIME_PARTS = ("gps_time", "gps_utc_offset")
 
 
-def leap_seconds(unix_time: float) -> int:
-    """GPS - UTC [s] at a UTC instant; 14 before 2006."""
-    return _LEAP_SECONDS[max(bisect_right(_LEAP_STARTS, unix_time) - 1, 0)][1]
-
-
 def _to_utc(gps_as_unix: float) -> float:
-    return gps_as_unix - leap_seconds(gps_as_unix - leap_seconds(gps_as_unix))
+    return gps_as_unix - at_gps(gps_as_unix - GPS_EPOCH_UNIX)
 
 
 def from_date_time(parts: Mapping[str, float]) -> float:
@@ -40,7 +27,7 @@ def from_date_time(parts: Mapping[str, float]) -> float:
 
 def to_date_time(unix_time: float) -> dict[str, float]:
     """The parts of `from_date_time`, to a hundredth of a second."""
-    hundredths = round((unix_time + leap_seconds(unix_time)) * 100)
+    hundredths = round((unix_time + at_unix(unix_time)) * 100)
     moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=hundredths // 100)
     century, year = divmod(moment.year, 100)
     values = (year, century, moment.month, moment.day, moment.hour, moment.minute, moment.second,
@@ -63,5 +50,5 @@ def from_milli_time(parts: Mapping[str, float]) -> float:
 
 def to_milli_time(unix_time: float) -> dict[str, float]:
     """The parts of `from_milli_time`; the offset as NCOM has it, UTC - GPS."""
-    leap = leap_seconds(unix_time)
+    leap = at_unix(unix_time)
     return {"gps_time": unix_time + leap - GPS_EPOCH_UNIX, "gps_utc_offset": float(-leap)}

@@ -4,18 +4,9 @@ does."""
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps
 
-from .gps_time import (
-    GPS_EPOCH_UNIX,
-    HALF_MINUTE_MS,
-    LARGEST_STEP_NS,
-    LEAP_SECONDS,
-    LEAP_STARTS,
-    MINUTE_MS,
-    NEW,
-    SAME,
-    GpsClock,
-)
+from .gps_time import HALF_MINUTE_MS, LARGEST_STEP_NS, MINUTE_MS, NEW, SAME, GpsClock
 from .stream import DUPLICATE
 
 
@@ -97,7 +88,7 @@ def utc_times(gps_ns: np.ndarray, unknown: int, where: np.ndarray, offsets: np.n
     the table."""
     known = gps_ns != unknown
     seconds = np.where(known, gps_ns // 1_000_000_000, 0)
-    offset = -np.asarray(LEAP_SECONDS)[np.maximum(0, np.searchsorted(LEAP_STARTS, seconds, side="right") - 1)]
+    offset = -at_all_gps(seconds)
     if len(where):
         newest = np.searchsorted(where, np.arange(len(gps_ns)), side="right") - 1
         offset = np.where(newest >= 0, offsets[np.maximum(newest, 0)], offset)

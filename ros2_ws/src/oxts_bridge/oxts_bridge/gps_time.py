@@ -4,23 +4,10 @@ GPS time counts from 1980-01-06T00:00:00 without leap seconds: gps = minutes * 6
 Source: ncom.md section 5. Checked by: test_gps_time.py, tests/golden/test_ncom_vectors.py.
 """
 
-from bisect import bisect_right
-from datetime import UTC, datetime
+from st_core.leap_seconds import GPS_EPOCH_UNIX, at_gps
 
-GPS_EPOCH_UNIX = 315_964_800
 MINUTE_MS = 60_000
 WEEK_MS = 604_800_000
-
-# GPS - UTC from the first day of these months on (IERS bulletins; NCOM itself sends only the present value).
-_LEAP_DATES = (((1980, 1), 0), ((1981, 7), 1), ((1982, 7), 2), ((1983, 7), 3), ((1985, 7), 4), ((1988, 1), 5),
-               ((1990, 1), 6), ((1991, 1), 7), ((1992, 7), 8), ((1993, 7), 9), ((1994, 7), 10), ((1996, 1), 11),
-               ((1997, 7), 12), ((1999, 1), 13), ((2006, 1), 14), ((2009, 1), 15), ((2012, 7), 16), ((2015, 7), 17),
-               ((2017, 1), 18))
-LEAP_SECONDS = tuple(leap for _, leap in _LEAP_DATES)
-# GPS seconds at which each of them begins.
-LEAP_STARTS = tuple(
-    int(datetime(*date, 1, tzinfo=UTC).timestamp()) - GPS_EPOCH_UNIX + leap for date, leap in _LEAP_DATES
-)
 
 # Minutes an NCOM stream can mean: below, the manual says "unknown"; above 2038, no ROS stamp can carry it.
 FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
@@ -38,17 +25,11 @@ DOUBT_MS = 1_000
 LARGEST_STEP_NS = 1_000_000_000
 
 
-def leap_seconds(gps_seconds: int) -> int:
-    """GPS - UTC [s] at a GPS time [s since 1980-01-06], from the table; the newest entry holds until a new one is
-    known."""
-    return LEAP_SECONDS[max(0, bisect_right(LEAP_STARTS, gps_seconds) - 1)]
-
-
 def unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int:
     """UTC as nanoseconds since 1970 from GPS time [ns]; utc_offset: UTC - GPS as the unit sends it (negative) [s],
     else table."""
     if utc_offset is None:
-        utc_offset = -leap_seconds(gps_nanoseconds // 1_000_000_000)
+        utc_offset = -at_gps(gps_nanoseconds // 1_000_000_000)
     return gps_nanoseconds + (GPS_EPOCH_UNIX + utc_offset) * 1_000_000_000
 
 
@@ -56,7 +37,7 @@ def host_minute(received_ns: int, milliseconds: int) -> int:
     """The GPS minute that puts a packet's milliseconds nearest to a host time [ns since 1970]; right if that clock is
     within half a minute."""
     gps_ms = received_ns // 1_000_000 - GPS_EPOCH_UNIX * 1000
-    gps_ms += leap_seconds(gps_ms // 1000) * 1000
+    gps_ms += at_gps(gps_ms // 1000) * 1000
     return round((gps_ms - milliseconds) / MINUTE_MS)
 
 

@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.gps_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, leap_seconds, unix_nanoseconds
+from oxts_bridge.gps_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
+from st_core.leap_seconds import at_gps
 
 SECOND = 1_000_000_000
 MINUTE = 24_015_600
@@ -32,12 +33,12 @@ def gps_seconds(*date):
     ],
 )
 def test_leap_seconds_by_date(date, leap):
-    assert leap_seconds(gps_seconds(*date)) == leap
+    assert at_gps(gps_seconds(*date)) == leap
 
 
 def test_leap_second_changes_at_utc_midnight():
     midnight = gps_seconds(2017, 1, 1) + 18
-    assert (leap_seconds(midnight - 1), leap_seconds(midnight)) == (17, 18)
+    assert (at_gps(midnight - 1), at_gps(midnight)) == (17, 18)
 
 
 def test_worked_example():

@@ -8,6 +8,7 @@ import numpy as np
 from canedge_bridge import gps_time
 from canedge_bridge.log_decode import MessageColumns, decode_log
 from canedge_bridge.signals import ANGLES, MessageSpec, SignalTable, load_table
+from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps
 
 from .can_checks import check_frames
 from .errors import RunError
@@ -111,7 +112,7 @@ def with_unix_time(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The parts of GPS time put together to UTC [s], NaN where they make none: canedge_bridge.gps_time in columns."""
     if "gps_time" in values:
         gps, offset = values["gps_time"], np.abs(values["gps_utc_offset"])
-        as_unix = np.where(gps > 0, gps + gps_time.GPS_EPOCH_UNIX, np.nan)
+        as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
         unix = np.where(offset > 0, as_unix - offset, _to_utc(as_unix))
     elif "gps_century" in values:
         part = {name: values[name].astype(np.int64) for name in gps_time.DATE_TIME_PARTS[:6]}
@@ -126,13 +127,8 @@ def with_unix_time(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
-    """GPS seconds on the Unix scale to UTC. Leap seconds are looked up once per hour in the data."""
-    known = np.isfinite(gps_as_unix)
-    hours, place = np.unique(np.floor(gps_as_unix[known] / 3600.0), return_inverse=True)
-    leaps = np.array([gps_time.leap_seconds(h * 3600.0 - gps_time.leap_seconds(h * 3600.0)) for h in hours.tolist()])
-    unix = gps_as_unix.copy()
-    unix[known] -= leaps[place] if len(leaps) else 0.0
-    return unix
+    """GPS seconds on the Unix scale to UTC."""
+    return gps_as_unix - at_all_gps(gps_as_unix - GPS_EPOCH_UNIX)
 
 
 def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndarray:
