@@ -69,6 +69,14 @@ def test_known_latencies_leave_microseconds(pair: Pair) -> None:
         assert abs(row.difference) < max(3 * row.deviation, 5e-5)
 
 
+def test_latency_given_moves_the_offset_and_narrows_it(pair: Pair) -> None:
+    """A frame that left 3 ms later than assumed was logged at an INS time 3 ms later: so much more is the offset."""
+    assumed, _ = align_clocks(pair.motion, pair.signals)
+    given, _ = align_clocks(pair.motion, pair.signals, latency=(0.005, 0.0005))
+    assert given.offset_at_ns(assumed.at_ns) - assumed.offset_at_ns(assumed.at_ns) == pytest.approx(3e6, abs=5e3)
+    assert given.offset_deviation == pytest.approx(0.0005, rel=0.1)
+
+
 def test_every_signal_shows_its_own_latency(pair: Pair) -> None:
     """Differences between the signals are differences of stamping: to 0.1 ms of the truth."""
     result, _ = align_clocks(pair.motion, pair.signals)

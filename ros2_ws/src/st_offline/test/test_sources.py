@@ -104,10 +104,12 @@ def test_run_yaml(tmp_path: Path) -> None:
         ins: x.ncom
         can: [logs]
         offset: -3.2
+        ins_can_latency: [0.004, 0.001]
         labels: [{name: S3, start: 10, end: 20.5}]
         """)
     (run,) = find_runs([tmp_path])
     assert (run.name, run.kind, len(run.can), run.settings["offset"]) == ("monday", "ncom", 2, -3.2)
+    assert run.settings["ins_can_latency"] == (0.004, 0.001)
     assert (run.labels[0].name, run.labels[0].end) == ("S3", 20.5)
     (pattern,) = find_runs(touch(tmp_path, "other.run.yaml", content="ins: x.ncom\ncan: logs/*.log\n"))
     assert (pattern.name, len(pattern.can)) == ("other", 2)
@@ -123,6 +125,7 @@ def test_run_yaml(tmp_path: Path) -> None:
         ("ins: y.ncom\ncan: 1.log", "ins: there is no 'y.ncom' beside it"),
         ("ins: x.ncom", "key can names no CAN log"),
         ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),
+        ("ins: x.ncom\ncan: 1.log\nins_can_latency: 0.002", r"ins_can_latency: 0\.002 is not \[latency"),
         ("csv: d.csv\nlabels: [{name: a}]", "labels: a list of"),
         ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends"),
     ],

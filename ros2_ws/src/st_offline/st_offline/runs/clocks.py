@@ -10,11 +10,12 @@ from st_core.clock_types import Alignment, SharedSignal, Verdict, refused
 from .can_signals import CanSignals, Signal
 from .ncom import Motion
 
-# What lies between the instant an INS value is true and its CAN frame reaching the logger: calculation, then the queue.
-INS_ON_CAN_LATENCY, INS_ON_CAN_LATENCY_DEVIATION = 0.002, 0.002  # s
+# What lies between the instant an INS value is true and its CAN frame reaching the logger (calculation, then the queue)
+# and its standard deviation, where nobody has measured it [s].
+INS_ON_CAN = (0.002, 0.002)
 # Wheel speeds are counted over a period before they are sent; yaw follows the steering wheel by a car's response time.
-WHEEL_SPEED_LATENCY, WHEEL_SPEED_LATENCY_DEVIATION = 0.015, 0.015
-STEERING_LEAD, STEERING_LEAD_DEVIATION = -0.06, 0.06
+WHEEL_SPEED = (0.015, 0.015)
+STEERING_LEAD = (-0.06, 0.06)
 
 # Standard deviation that tells something [m/s, rad/s, rad, 1/m].
 SMALLEST = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
@@ -26,18 +27,22 @@ CHECKED_WITHIN = 2.0  # s
 ALIKE = 0.97  # of the best correlation
 
 
-def shared_signals(ins: Motion, can: CanSignals) -> list[SharedSignal]:
-    """What both recordings hold of the INS's own signals: forward velocity, yaw rate, yaw."""
+def shared_signals(ins: Motion, can: CanSignals, latency: tuple[float, float] = INS_ON_CAN) -> list[SharedSignal]:
+    """What both recordings hold of the INS's own signals: forward velocity, yaw rate, yaw.
+
+    latency: of INS values on CAN, and its standard deviation [s].
+    """
     reference = _masked(ins, ins.time_ns, ins.velocity_x), _masked(ins, ins.time_ns, ins.yaw_rate)
     speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
-    pairs = [_pair(f"forward velocity ({s.message})", "speed", ins.time_ns, reference[0], s, speed)
+    pairs = [_pair(f"forward velocity ({s.message})", "speed", ins.time_ns, reference[0], s, speed, latency)
              for s in can.all_of("ins_velocity_x")]
-    pairs += [_pair(f"yaw rate ({s.message})", "rate", ins.time_ns, reference[1], s, speed)
+    pairs += [_pair(f"yaw rate ({s.message})", "rate", ins.time_ns, reference[1], s, speed, latency)
               for s in can.all_of("ins_yaw_rate")]
     for signal in can.all_of("ins_yaw"):
         if ins.yaw is None:
             continue
-        pair = _pair(f"yaw ({signal.message})", "angle", ins.time_ns, _masked(ins, ins.time_ns, ins.yaw), signal, speed)
+        yaw = _masked(ins, ins.time_ns, ins.yaw)
+        pair = _pair(f"yaw ({signal.message})", "angle", ins.time_ns, yaw, signal, speed, latency)
         pairs.append(replace(pair, angle=True))
     return pairs
 
@@ -47,8 +52,7 @@ def substitute_signals(ins: Motion, can: CanSignals) -> tuple[list[SharedSignal]
     speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
     if speed is not None:
         values = _masked(ins, ins.time_ns, np.abs(ins.velocity_x))
-        pair = _pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed)
-        return ([replace(pair, latency=WHEEL_SPEED_LATENCY, latency_uncertainty=WHEEL_SPEED_LATENCY_DEVIATION)],
+        return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, WHEEL_SPEED)],
                 "the log holds no INS frames: aligned by the wheel speed, whose own delay is not known")
     steering = can.first_of("steering_wheel_angle")
     if steering is None:
@@ -56,20 +60,20 @@ def substitute_signals(ins: Motion, can: CanSignals) -> tuple[list[SharedSignal]
     fast = np.abs(ins.velocity_x) > CURVATURE_FROM
     curvature = np.where(fast, ins.yaw_rate / np.where(fast, ins.velocity_x, 1.0), np.nan)
     pair = SharedSignal("curvature against steering", ins.time_ns, curvature, steering.time_ns, steering.values,
-                        STEERING_LEAD, STEERING_LEAD_DEVIATION, SMALLEST["curvature"])
+                        *STEERING_LEAD, SMALLEST["curvature"])
     return [pair], ("the log holds no INS frames and no wheel speed: aligned by steering against yaw rate, which lags "
                     "by the response time of the car")
 
 
 def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
-                 ) -> tuple[Alignment, list[SharedSignal]]:
+                 latency: tuple[float, float] = INS_ON_CAN) -> tuple[Alignment, list[SharedSignal]]:
     """The alignment of a run (reference: INS), and the signals it rests on or can be looked at with.
 
     By hand, if `offset` [s] (INS minus CAN clock) is given; else by the INS's own time frame on CAN, checked against
     the shared signals; else by these; else by a substitute, never better than doubtful.
-    search: bounds of the offset [s].
+    search: bounds of the offset [s]. latency: of INS values on CAN, and its standard deviation [s].
     """
-    pairs = shared_signals(ins, can)
+    pairs = shared_signals(ins, can, latency)
     warning = ""
     if not pairs:
         pairs, warning = substitute_signals(ins, can)
@@ -77,7 +81,7 @@ def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, sear
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
         return by_hand(round(offset * 1e9), at_ns, pairs), pairs
     if ins.absolute and (frames := _time_frames(can)) is not None:
-        return _checked_time_frame(frames, pairs if not warning else []), pairs
+        return _checked_time_frame(frames, pairs if not warning else [], latency), pairs
     if not pairs:
         return refused("the CAN log holds no signal that the INS recording has too; give the offset by hand"), pairs
     result = align(pairs, search=search)
@@ -95,11 +99,10 @@ def _nearest(pairs: list[SharedSignal], result: Alignment) -> Alignment:
                         f"the logger's own clock to {NEAR:.0f} s")
 
 
-def _checked_time_frame(frames: Signal, pairs: list[SharedSignal]) -> Alignment:
+def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:
     known = np.isfinite(frames.values)
     result = align_by_time_frame(frames.time_ns[known], np.round(frames.values[known] * 1e6).astype(np.int64) * 1000,
-                                 TIME_FRAME_RESOLUTION.get(frames.message, 0.01),
-                                 INS_ON_CAN_LATENCY, INS_ON_CAN_LATENCY_DEVIATION)
+                                 TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
     if not pairs:
         return result
     # Near the time frame's own answer: on a proving ground the same lap fits many times.
@@ -121,12 +124,11 @@ def _time_frames(can: CanSignals) -> Signal | None:
 
 
 def _pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,
-          ) -> SharedSignal:
+          latency: tuple[float, float]) -> SharedSignal:
     other = signal.values
     if speed is not None:
         other = standstill_masked(signal.time_ns, other, speed.time_ns, speed.values)
-    return SharedSignal(name, time_ns, values, signal.time_ns, other, INS_ON_CAN_LATENCY, INS_ON_CAN_LATENCY_DEVIATION,
-                        SMALLEST[kind])
+    return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, SMALLEST[kind])
 
 
 def _masked(ins: Motion, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:

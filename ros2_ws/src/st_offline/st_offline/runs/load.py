@@ -17,7 +17,7 @@ from ..paths import config
 from . import bag, csv
 from .can_logs import CanLog, read_can_logs
 from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, steering_of
-from .clocks import align_clocks
+from .clocks import INS_ON_CAN, align_clocks
 from .errors import RunError, check_readable
 from .frames import empty
 from .ncom import InsLog, read_ncom
@@ -30,8 +30,9 @@ class ReadSettings:
 
     dbc, signals: of the CAN bus; default config/can/leaf_ze0.*. steering_sign: +1 where the decoded sensor is left
     positive. steering_latency: from the turn of the wheel to the frame in the log [s]. offset: INS minus CAN clock [s],
-    given by hand. search: bounds of that offset [s] when it is looked for. doubtful: whether an alignment that is
-    doubtful may be used (with a warning); a refused one never is.
+    given by hand. search: bounds of that offset [s] when it is looked for. ins_can_latency: from the instant an INS
+    value is true to its CAN frame in the log, and the standard deviation of that [s]; None: assumed (clocks.py).
+    doubtful: whether an alignment that is doubtful may be used (with a warning); a refused one never is.
     """
 
     dbc: Path | None = None
@@ -40,6 +41,7 @@ class ReadSettings:
     steering_latency: float = 0.0
     offset: float | None = None
     search: tuple[float, float] | None = None
+    ins_can_latency: tuple[float, float] | None = None
     doubtful: bool = True
 
 
@@ -113,8 +115,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     if not keep_frames:
         can = replace(can, frames=empty())
     ins = read_ncom(source.where)
-    offset = settings.offset if settings.offset is not None else source.settings.get("offset")
-    alignment, shared = align_clocks(ins.motion, signals, offset, settings.search)
+    alignment, shared = align_clocks(ins.motion, signals, **clock_settings(source, settings))
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(ins, can, signals, steering, alignment, shared, (*ins.warnings, *can.warnings, *faults))
 
@@ -140,7 +141,8 @@ def _read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings
     except StCoreError as error:
         raise RunError(source.where, str(error)) from None
     about = {"reader": "ncom and CAN log", "origin": list(ins.origin), "alignment": about_alignment(run.alignment),
-             "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency}}
+             "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
+                          "ins_can_latency": latency_in_words(source, settings)}}
     return LoadedRun(log, about, source.labels, tuple(warnings), run.alignment)
 
 
@@ -202,6 +204,20 @@ def signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]
     """(DBC, table) of a run: of the settings, else of its run.yaml, else the Leaf's."""
     return (settings.dbc or source.settings.get("dbc") or config("can/leaf_ze0.dbc"),
             settings.signals or source.settings.get("signals") or config("can/leaf_ze0.yaml"))
+
+
+def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
+    """What `align_clocks` is told: by the settings, else by the run's run.yaml, else nothing."""
+    offset = settings.offset if settings.offset is not None else source.settings.get("offset")
+    latency = settings.ins_can_latency or source.settings.get("ins_can_latency") or INS_ON_CAN
+    return {"offset": offset, "search": settings.search, "latency": latency}
+
+
+def latency_in_words(source: RunSource, settings: ReadSettings) -> str:
+    """The latency of INS frames on the bus that the alignment rests on, and where it comes from."""
+    latency, deviation = clock_settings(source, settings)["latency"]
+    given = settings.ins_can_latency or source.settings.get("ins_can_latency")
+    return f"{latency * 1e3:g} ± {deviation * 1e3:g} ms, {'given' if given else 'assumed'}"
 
 
 def _known(values: np.ndarray) -> np.ndarray | None:

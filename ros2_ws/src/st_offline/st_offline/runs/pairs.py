@@ -11,14 +11,14 @@ from .can_logs import EXTENSIONS, CanLog, read_can_logs
 from .can_signals import CanSignals, decode_signals, load_signal_table
 from .clocks import align_clocks
 from .errors import RunError
-from .load import ReadSettings, signal_files
+from .load import ReadSettings, clock_settings, latency_in_words, signal_files
 from .ncom import Motion, read_ncom
 from .sources import RunSource, find_runs
 
 
 @dataclass(frozen=True)
 class Pair:
-    """shared: the signals the alignment rests on, or by which it can be looked at."""
+    """shared: the signals the alignment rests on, or by which it can be looked at. latency: of INS frames, in words."""
 
     name: str
     motion: Motion
@@ -26,6 +26,7 @@ class Pair:
     signals: CanSignals
     alignment: Alignment
     shared: list[SharedSignal]
+    latency: str
     warnings: tuple[str, ...]
 
 
@@ -42,9 +43,9 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
         motion, warnings = ins.motion, ins.warnings
     can = read_can_logs(source.can)
     signals = decode_signals(can.frames, load_signal_table(*signal_files(source, settings)))
-    offset = settings.offset if settings.offset is not None else source.settings.get("offset")
-    alignment, shared = align_clocks(motion, signals, offset, settings.search)
-    return Pair(source.name, motion, can, signals, alignment, shared, (*warnings, *can.warnings))
+    alignment, shared = align_clocks(motion, signals, **clock_settings(source, settings))
+    return Pair(source.name, motion, can, signals, alignment, shared, latency_in_words(source, settings),
+                (*warnings, *can.warnings))
 
 
 def _source(files: Sequence[Path]) -> RunSource:

@@ -15,7 +15,7 @@ from .mf4 import session_of
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
 NO_NAME = "run"  # a stem that says nothing (run.ncom with run.mf4): the folder's name is the run's
-_KEYS = ("name", "ins", "can", "bag", "csv", "offset", "labels", "dbc", "signals")
+_KEYS = ("name", "ins", "can", "bag", "csv", "offset", "ins_can_latency", "labels", "dbc", "signals")
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ class Label:
 class RunSource:
     """The files of one run. kind: "bag", "ncom" (with CAN logs), "csv", or "" where `problem` says why it is none.
 
-    settings: from run.yaml: offset [s], dbc, signals (paths). where: the file or folder to name to the user.
+    settings: from run.yaml: offset [s], ins_can_latency (value and deviation [s]), dbc, signals (paths). where: the
+    file or folder to name to the user.
     """
 
     name: str
@@ -169,9 +170,21 @@ def _parsed(path: Path) -> RunSource:
     settings = {key: _existing(path, key, content[key]) for key in ("dbc", "signals") if key in content}
     if offset is not None:
         settings["offset"] = float(offset)
+    if "ins_can_latency" in content:
+        settings["ins_can_latency"] = _latency(path, content["ins_can_latency"])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     return RunSource(str(content.get("name", default)), {"ins": "ncom"}.get(kinds[0], kinds[0]), (file,), tuple(logs),
                      _labels(path, content.get("labels", [])), settings)
+
+
+def _latency(path: Path, value: Any) -> tuple[float, float]:
+    try:
+        latency, deviation = map(float, value)
+        if 0.0 <= latency <= 1.0 and 0.0 <= deviation <= 1.0:
+            return latency, deviation
+    except (TypeError, ValueError):
+        pass
+    raise RunError(path, f"ins_can_latency: {value!r} is not [latency, standard deviation] in seconds, each 0 to 1")
 
 
 def _existing(path: Path, key: str, text: Any) -> Path:

@@ -23,6 +23,7 @@ from .load import (
     alignment_warnings,
     check_common_time,
     hashes,
+    latency_in_words,
     read_raw,
     steering_times,
 )
@@ -144,6 +145,7 @@ def _records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
             "map_origin": json.dumps({"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude),
                                       "altitude_m": altitude}),
             "steering_sign": str(settings.steering_sign), "steering_latency_s": str(settings.steering_latency),
+            "ins_can_latency": latency_in_words(source, settings),
             "vehicle": vehicle.name, "vehicle_hash": vehicle.hash,
             "labels": json.dumps([[entry.name, entry.start, entry.end] for entry in source.labels]),
         },

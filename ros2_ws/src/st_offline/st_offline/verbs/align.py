@@ -18,6 +18,9 @@ def align(
     search: tuple[float, float] | None = typer.Option(
         None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."
     ),
+    ins_can_latency: tuple[float, float] | None = typer.Option(
+        None, help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002."
+    ),
     dbc: Path | None = typer.Option(None, help="DBC of the bus; default config/can/leaf_ze0.dbc.", exists=True),
     signals: Path | None = typer.Option(
         None, help="Table from DBC signals to ours; default config/can/leaf_ze0.yaml.", exists=True
@@ -38,7 +41,7 @@ def align(
 
     console = Console()
     try:
-        settings = ReadSettings(dbc=dbc, signals=signals, offset=offset, search=search)
+        settings = ReadSettings(dbc=dbc, signals=signals, offset=offset, search=search, ins_can_latency=ins_can_latency)
         with console.status("reading and aligning"):
             pair = read_pair(files, settings)
         folder = new_folder(output, f"align-{pair.name}")
@@ -49,7 +52,8 @@ def align(
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
     alignment = pair.alignment
     report(pair, console)
-    (folder / "alignment.json").write_text(json.dumps(about_alignment(alignment), indent=2, allow_nan=False) + "\n")
+    about = {**about_alignment(alignment), "ins_can_latency": pair.latency}
+    (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
     console.print(f"  {folder / 'alignment.json'}", highlight=False, soft_wrap=True)
     if pair.shared and alignment.offset_ns:
         title = f"{pair.name}: {sentence(alignment, pair.can.start_ns, pair.motion.absolute)}"
@@ -85,6 +89,7 @@ def report(pair, console) -> None:
         if not pair.motion.absolute:
             table.add_row("INS time", f"{_seconds(alignment.to_reference_ns(start))} s", "at the CAN log's start")
         if alignment.method != "by hand":
+            table.add_row("INS frames on the bus", pair.latency, "after the instant they are true for")
             table.add_row("INS minus CAN clock", f"{_seconds(alignment.offset_ns)} s",
                           f"{at:.1f} s later, in the middle of the common time")
             table.add_row("  deviation there", f"{alignment.offset_deviation * 1e3:.2f} ms",

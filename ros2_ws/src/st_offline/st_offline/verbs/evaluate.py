@@ -37,8 +37,12 @@ def evaluate(
     minimum_speed: float = typer.Option(0.5, help="m/s; no prediction starts below."),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
     offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
+    ins_can_latency: tuple[float, float] | None = typer.Option(
+        None, help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002."
+    ),
     dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
     signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
+    steering_sign: int = typer.Option(1, help="CAN logs: +1 where the decoded sensor is left positive; -1: right."),
     steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
     workers: int = typer.Option(1, help="Runs evaluated side by side (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
@@ -63,6 +67,9 @@ def evaluate(
     from ..runs import ReadSettings
 
     vehicle = vehicle or config("vehicle/leaf.yaml")
+    if steering_sign not in (1, -1):
+        typer.echo(f"st evaluate: --steering-sign: {steering_sign} is neither 1 nor -1", err=True)
+        raise typer.Exit(2)
     try:
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
@@ -71,7 +78,8 @@ def evaluate(
             vehicle=VehicleParameters.from_yaml(vehicle.read_text(), str(vehicle)),
             models=tuple(_model(name) for name in dict.fromkeys(model)),
             settings=settings,
-            read=ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset),
+            read=ReadSettings(dbc=dbc, signals=signals, steering_sign=steering_sign, steering_latency=steering_latency,
+                              offset=offset, ins_can_latency=ins_can_latency),
             starts=_numbers(at),
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
         )

@@ -17,6 +17,9 @@ def import_(
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
     steering_sign: int = typer.Option(1, help="+1: the decoded sensor is left positive; -1: right positive."),
     steering_latency: float = typer.Option(0.0, help="From the turn of the wheel to the frame in the log, s.", min=0.0),
+    ins_can_latency: tuple[float, float] | None = typer.Option(
+        None, help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002."
+    ),
     dbc: Path | None = typer.Option(None, help="DBC of the bus; default config/can/leaf_ze0.dbc.", exists=True),
     signals: Path | None = typer.Option(
         None, help="Table from DBC signals to ours; default config/can/leaf_ze0.yaml.", exists=True
@@ -49,7 +52,7 @@ def import_(
         typer.echo(f"st import: {error}", err=True)
         raise typer.Exit(2) from None
     settings = ReadSettings(dbc=dbc, signals=signals, steering_sign=steering_sign, steering_latency=steering_latency,
-                            offset=offset, search=search, doubtful=not strict)
+                            offset=offset, search=search, ins_can_latency=ins_can_latency, doubtful=not strict)
     found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not found:
         typer.echo(f"st import: {', '.join(map(str, paths))}: no raw logs (.ncom with CAN logs) are in there", err=True)
