@@ -1,0 +1,207 @@
+"""Height of the centre of gravity (CG) from the axle-lift test: front axle lifted, rear load against pitch.
+
+The car stands on free-rolling wheels with locked suspension, so each ground force is vertical and passes the centre of
+its wheel. Moments about the front wheel centres, pitch theta nose up, l the wheelbase, r the height of the line between
+the wheel centres under the CG when the car is level:
+
+    m_r(theta) l cos(theta) = m (l_f cos(theta) + (h - r) sin(theta))
+    m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
+    one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
+    all:         h = r + l b / m,  b the slope of m_r over tan(theta), each lift with a level of its own
+    r = r_front (1 - l_f / l) + r_rear l_f / l
+
+r is made of the loaded wheel radii of the LEVEL car, because h is the height there. That the rear tyres give way
+further when lifted does not enter: the force still passes the wheel centre. It does where the pitch is worked out from
+the lift of the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) / l with the radii as they then are.
+
+    u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
+
+Source: paper, parameter identification; ISO 10392. Holds for pitch up to 45 deg. Checked by: test_cg_height.py.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .result import Coverage, Estimate, Identification, IdentificationError, symmetric_interval
+from .straight_line import Line, fit_line
+
+LEVEL = math.radians(0.5)  # a row below counts as level
+SMALLEST_RANGE = math.radians(3.0)  # of pitch; below it the load changes by less than wheel scales resolve
+LARGEST_PITCH = math.radians(45.0)
+BIN = math.radians(3.0)
+RADIUS_UNCERTAINTY = 0.003  # m, of a wheel radius read off a ruler
+LOAD_MISMATCH = 0.02  # between the level rear load and the vehicle file's
+
+
+@dataclass(frozen=True)
+class Lift:
+    """Rows of one or several lifts: pitch (n,) nose up [rad] relative to the level car, rear_load (n,) both wheels
+    [kg].
+
+    lifts: name per row. front_radius, rear_radius: (n,) height of the wheel centres over their ground [m], NaN where
+    not measured; the level rows need them.
+    """
+
+    pitch: np.ndarray
+    rear_load: np.ndarray
+    lifts: tuple[str, ...]
+    front_radius: np.ndarray
+    rear_radius: np.ndarray
+
+
+@dataclass(frozen=True)
+class LiftedCar:
+    """The car as it was lifted: mass [kg], wheelbase [m], cg_to_front_axle [m], and standard uncertainties."""
+
+    mass: float
+    wheelbase: float
+    cg_to_front_axle: float
+    mass_uncertainty: float = 0.0
+    wheelbase_uncertainty: float = 0.0
+    radius_uncertainty: float = RADIUS_UNCERTAINTY
+
+
+def pitch_from_lift(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.ndarray,
+                    wheelbase: float) -> np.ndarray:
+    """Pitch [rad] relative to the first row, from how far the ground under the front wheels was raised [m].
+
+    theta = asin((lift + r_front - r_rear) / l) - the same of the first row; (n,) each. Raises IdentificationError.
+    """
+    rise = (lift + front_radius - rear_radius) / wheelbase
+    if not np.isfinite(rise).all() or np.abs(rise).max() >= math.sin(LARGEST_PITCH):
+        raise IdentificationError(f"lift of {np.nanmax(lift):.3f} m on a wheelbase of {wheelbase:.3f} m: every row "
+                                  "needs both wheel radii, and a pitch below 45 deg; are lift and radii in the unit "
+                                  "of the header?")
+    angle = np.arcsin(rise)
+    return angle - angle[0]
+
+
+def cg_height(data: Lift, car: LiftedCar) -> Identification:
+    """Estimate of cg_height [m].
+
+    Raises IdentificationError, with the numbers, for rows that cannot give one: no level row, too little pitch, pitch
+    in the wrong unit, load that falls as the nose rises.
+    """
+    level = _checked(data)
+    line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
+    if line.slope <= 0.0:
+        raise IdentificationError(f"the rear load changes by {line.slope * math.tan(math.radians(10.0)):+.1f} kg for "
+                                  "10 deg of pitch; with the front axle lifted it rises. Was the rear lifted, or are "
+                                  "columns exchanged?")
+    radius, deflection = _radii(data, car, level)
+    arm = car.wheelbase * line.slope / car.mass
+    height = radius + arm
+    share = car.cg_to_front_axle / car.wheelbase
+    spread = math.hypot(
+        car.wheelbase / car.mass * line.uncertainty, arm * car.mass_uncertainty / car.mass,
+        arm * car.wheelbase_uncertainty / car.wheelbase, car.radius_uncertainty * math.hypot(1.0 - share, share))
+    single, usable = _single_heights(data, car, level, radius, line)
+    average = float(single[usable].mean())
+    freedom = _freedom(line, car, spread)
+    used = tuple(dict.fromkeys(data.lifts))
+    method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(used)} lift{'s' * (len(used) != 1)} up to "
+              f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
+    gave = "" if deflection is None else (
+        f" At the steepest pitch the rear tyres gave way by a further {1e3 * deflection:.1f} mm, which does not enter.")
+    estimate = Estimate(
+        "cg_height", height, "m", spread, symmetric_interval(height, spread, freedom), method, used,
+        f"The CG is {height:.3f} m above the ground, {arm:.3f} m above the wheel centres; the average over the pitch "
+        f"angles, as the paper takes it, is {average:.3f} m.{gave}")
+    edges = np.arange(0.0, data.pitch.max() + BIN, BIN)
+    counts = np.histogram(data.pitch, edges)[0]
+    coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)
+    warnings = [*_order_warnings(data), *_load_warnings(data, car, level)]
+    if abs(average - height) > 2.0 * spread:
+        warnings.append(f"The average over the pitch angles, {average:.3f} m, is off the fit, {height:.3f} m, by more "
+                        "than twice its uncertainty: small pitch angles weigh as much as large ones in it.")
+    figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single, "usable": usable,
+              "average": average, "slope": line.slope, "levels": line.levels, "radius": radius}
+    return Identification("cg-height", (estimate,), used, (), None, (coverage,), tuple(warnings), figure)
+
+
+def _checked(data: Lift) -> np.ndarray:
+    """Which rows are level."""
+    pitch, load = data.pitch, data.rear_load
+    if not (np.isfinite(pitch).all() and np.isfinite(load).all() and (load > 0.0).all()):
+        raise IdentificationError("every row needs a pitch and a rear load above 0 kg")
+    if np.abs(pitch).max(initial=0.0) > LARGEST_PITCH:
+        raise IdentificationError(f"pitch reaches {np.abs(pitch).max():.3g} rad = "
+                                  f"{math.degrees(np.abs(pitch).max()):.0f} deg, limit 45 deg: is the unit in the "
+                                  "header right, or are two columns exchanged?")
+    level = np.abs(pitch) <= LEVEL
+    span = float(np.ptp(pitch)) if len(pitch) else 0.0
+    if span < SMALLEST_RANGE:
+        raise IdentificationError(f"pitch ranges over {math.degrees(span):.3g} deg, at least 3 are needed: lift "
+                                  "further; if the column holds radians, name it pitch_rad")
+    steps = len(np.unique(np.round(np.degrees(pitch[~level]), 1)))
+    if not level.any() or steps < 2:
+        raise IdentificationError(f"{int(level.sum())} level rows and {steps} lifted pitch angles: one of the former "
+                                  "and two of the latter are needed at least")
+    if pitch[~level].max() <= 0.0:
+        raise IdentificationError(f"pitch goes down to {math.degrees(pitch.min()):.1f} deg and never up: nose up is "
+                                  "positive, the front axle is lifted")
+    return level
+
+
+def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float | None]:
+    """Height of the line of wheel centres under the CG, and how far the rear tyres gave way further when lifted [m]."""
+    front, rear = (radius[level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
+    if not len(front) or not len(rear):
+        raise IdentificationError("the level rows have no wheel radius: measure the height of the front and rear wheel "
+                                  "centres over the ground of the loaded, level car")
+    for name, values in (("front", front), ("rear", rear)):
+        if not (values.min() > 0.1 and values.max() < 1.0):
+            raise IdentificationError(f"{name} wheel radius {values.min():.3g} to {values.max():.3g} m is not within "
+                                      "0.1 to 1 m: is the unit in the header right?")
+    share = car.cg_to_front_axle / car.wheelbase
+    height = float(front.mean() * (1.0 - share) + rear.mean() * share)
+    steepest = int(np.argmax(data.pitch))
+    lifted = data.rear_radius[steepest]
+    return height, float(rear.mean() - lifted) if math.isfinite(lifted) and not level[steepest] else None
+
+
+def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
+                    line: Line) -> tuple[np.ndarray, np.ndarray]:
+    """Height of each row by itself (n,), and which rows give one; the level load is the mean of that lift's level "
+    "rows."""
+    groups = np.asarray(data.lifts)
+    zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
+                     else line.levels[name] for name in data.lifts])
+    usable = data.pitch >= SMALLEST_RANGE
+    if not usable.any():
+        usable = data.pitch == data.pitch.max()
+    single = np.full(len(data.pitch), np.nan)
+    single[usable] = radius + (car.wheelbase * (data.rear_load - zero) / car.mass)[usable] / np.tan(data.pitch[usable])
+    return single, usable
+
+
+def _freedom(line: Line, car: LiftedCar, spread: float) -> float:
+    """Welch and Satterthwaite; only the slope's uncertainty was estimated from few rows."""
+    own = car.wheelbase / car.mass * line.uncertainty
+    return line.freedom * (spread / own) ** 4 if own > 0.0 else math.inf
+
+
+def _order_warnings(data: Lift) -> list[str]:
+    sentences = []
+    groups = np.asarray(data.lifts)
+    for name in dict.fromkeys(data.lifts):
+        pitch = np.degrees(data.pitch[groups == name])
+        back = np.flatnonzero(np.diff(pitch) < -0.05)
+        if len(back):
+            k = int(back[0])
+            sentences.append(f"Lift {name}: pitch does not rise row by row, it falls from {pitch[k]:.1f} to "
+                             f"{pitch[k + 1]:.1f} deg at row {k + 2}. Rows are taken as they are; on the way down "
+                             "friction holds load back, so note such rows as a lift of their own.")
+    return sentences
+
+
+def _load_warnings(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
+    measured = float(data.rear_load[level].mean())
+    expected = car.mass * car.cg_to_front_axle / car.wheelbase
+    if abs(measured - expected) <= LOAD_MISMATCH * car.mass:
+        return []
+    return [f"Level, {measured:.1f} kg stand on the rear wheels; mass and CG position of the vehicle file make that "
+            f"{expected:.1f} kg. The car was loaded differently: the height is that of the car as lifted, and is only "
+            f"as right as its mass, {car.mass:.1f} kg."]

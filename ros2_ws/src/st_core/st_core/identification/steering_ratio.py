@@ -1,0 +1,133 @@
+"""Steering ratio from turntables: hand-wheel angle against the angles of both front wheels.
+
+    delta = (left + right) / 2,    delta_k = a_j + delta_h,k / i + e_k,    i = 1 / b,    u(i) = i^2 u(b)
+
+b is one slope through all sweeps, a_j a level per sweep: where the turntables read zero is not where the car drives
+straight, so no steering-wheel offset comes out of this. What the straight line leaves over is looked at with a cubic:
+its share that noise cannot explain (F test, 1 %) is the nonlinearity of the steering.
+
+Angles in rad, left positive. Source: paper, parameter identification. Checked by: test_steering_ratio.py.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from .result import Coverage, Estimate, Identification, IdentificationError, quantity, symmetric_interval
+from .straight_line import Line, fit_line
+
+FEWEST_ROWS = 5
+SMALLEST_RANGE = math.radians(90.0)  # of the hand wheel
+LARGEST_HAND = math.radians(1200.0)
+LARGEST_WHEEL = math.radians(60.0)
+BIN = math.radians(90.0)
+
+
+@dataclass(frozen=True)
+class Turntable:
+    """hand: hand-wheel angle (n,); left, right: angles of the front wheels (n,). rad, left +. sweeps: name per row."""
+
+    hand: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    sweeps: tuple[str, ...]
+
+
+def steering_ratio(data: Turntable) -> Identification:
+    """Estimate of steering_ratio [1]: of the best straight line over the tested range.
+
+    Raises IdentificationError, with the numbers, for too few rows, too small a range, a wrong unit or sign, exchanged
+    columns.
+    """
+    _check(data)
+    mean = 0.5 * (data.left + data.right)
+    line = fit_line(data.hand, mean, data.sweeps)
+    limits = quantity("steering_ratio")
+    ratio = 1.0 / line.slope if line.slope else math.inf
+    if not (limits.minimum <= ratio <= limits.maximum):
+        hint = ("hand wheel and road wheels turn against each other: left is positive in every column" if ratio < 0.0
+                else "are hand-wheel and road-wheel columns exchanged, or their units?")
+        raise IdentificationError(f"the hand wheel turns {ratio:.3g} times as far as the road wheels, limit "
+                                  f"{limits.minimum:g} to {limits.maximum:g}: {hint}")
+    spread = ratio**2 * line.uncertainty
+    low, high = symmetric_interval(line.slope, line.uncertainty, line.freedom)
+    cubic, significant = _cubic(data, line)
+    used = tuple(dict.fromkeys(data.sweeps))
+    span = math.degrees(data.hand.min()), math.degrees(data.hand.max())
+    method = (f"turntables, {len(mean)} rows in {len(used)} sweep{'s' * (len(used) != 1)}, {span[0]:.0f} to "
+              f"{span[1]:.0f} deg")
+    largest = math.degrees(float(np.abs(line.residuals).max()))
+    verdict = (f"The hand wheel turns {ratio:.2f} times as far as the mean of the front wheels; the straight line "
+               f"leaves {largest:.2f} deg at the road wheel at most.")
+    centre = 1.0 / (line.slope + cubic[0]) if significant else ratio
+    if significant:
+        verdict += f" The ratio is not constant: {centre:.2f} about the centre of the range."
+    estimate = Estimate("steering_ratio", ratio, "1", spread, (1.0 / high, 1.0 / low), method, used, verdict)
+    edges = BIN * np.arange(math.floor(data.hand.min() / BIN), math.ceil(data.hand.max() / BIN) + 1)
+    coverage = Coverage("hand-wheel angle", "deg", np.degrees(edges), np.histogram(data.hand, edges)[0], 1, 2)
+    figure = {"hand": data.hand, "left": data.left, "right": data.right, "mean": mean, "sweeps": data.sweeps,
+              "slope": line.slope, "levels": line.levels, "residuals": line.residuals, "cubic": cubic,
+              "significant": significant}
+    return Identification("steering-ratio", (estimate,), used, (), None, (coverage,), tuple(_warnings(data, line)),
+                          figure)
+
+
+def _check(data: Turntable) -> None:
+    columns = {"hand wheel": (data.hand, LARGEST_HAND), "left wheel": (data.left, LARGEST_WHEEL),
+               "right wheel": (data.right, LARGEST_WHEEL)}
+    if len(data.hand) < FEWEST_ROWS:
+        raise IdentificationError(f"{len(data.hand)} rows, at least {FEWEST_ROWS} are needed")
+    for name, (angle, largest) in columns.items():
+        if not np.isfinite(angle).all():
+            raise IdentificationError(f"the {name} angle is missing in row {int(np.argmin(np.isfinite(angle))) + 1}")
+        if np.abs(angle).max() > largest:
+            raise IdentificationError(f"the {name} angle reaches {math.degrees(np.abs(angle).max()):.4g} deg, limit "
+                                      f"{math.degrees(largest):.0f}: is the unit in the header right, or are two "
+                                      "columns exchanged?")
+        if not np.ptp(angle) > 0.0:
+            raise IdentificationError(f"the {name} angle is {math.degrees(angle[0]):.4g} deg in every row: it must "
+                                      "vary")
+    if np.ptp(data.hand) < SMALLEST_RANGE:
+        raise IdentificationError(f"the hand wheel ranges over {math.degrees(np.ptp(data.hand)):.3g} deg, at least 90 "
+                                  "are needed; if the column holds radians, name it steering_wheel_rad")
+
+
+def _cubic(data: Turntable, line: Line) -> tuple[tuple[float, float], bool]:
+    """(linear, cubic) coefficient of what the line leaves over, about the middle of the range; whether it is
+    significant.
+
+        e = c_1 x + c_3 x^3,    F = (sum e^2 - sum e_c^2) / 1 / (sum e_c^2 / (freedom - 1))
+    """
+    x = data.hand
+    groups = np.asarray(data.sweeps)
+    basis = np.stack([x, x**3], axis=1)
+    rest = line.residuals.copy()
+    for name in line.levels:
+        member = groups == name
+        basis[member] -= basis[member].mean(axis=0)
+    coefficients, *_ = np.linalg.lstsq(basis, rest, rcond=None)
+    left = rest - basis @ coefficients
+    before, after, freedom = float(rest @ rest), float(left @ left), line.freedom - 1
+    if freedom < 1 or before <= 1e-20:
+        return (0.0, 0.0), False
+    ratio = (before - after) / max(after / freedom, 1e-20)
+    significant = bool(fisher.sf(ratio, 1, freedom) < 0.01)
+    return (float(coefficients[0]), float(coefficients[1])), significant
+
+
+def _warnings(data: Turntable, line: Line) -> list[str]:
+    sentences = []
+    left_turn, right_turn = data.hand > SMALLEST_RANGE, data.hand < -SMALLEST_RANGE
+    split = data.left - data.right - np.median(data.left - data.right)
+    inner = np.concatenate([split[left_turn], split[right_turn]])
+    if left_turn.any() and right_turn.any() and inner.mean() < -math.radians(0.3):
+        sentences.append(f"The outer wheel turns further than the inner one by {math.degrees(-inner.mean()):.1f} deg "
+                         "on average: left and right columns may be exchanged. Their mean, and with it the ratio, "
+                         "does not suffer.")
+    if len(line.levels) > 1:
+        play = math.degrees(max(line.levels.values()) - min(line.levels.values()))
+        sentences.append(f"The sweeps lie up to {play:.2f} deg apart at the road wheel: play, friction, or turntables "
+                         "set to zero anew.")
+    return sentences
