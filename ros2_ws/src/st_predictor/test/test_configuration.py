@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -118,6 +119,20 @@ def test_virtual_leaf_knows_every_option_it_is_launched_with() -> None:
     program = f"import sys; sys.argv = ['virtual_leaf', '--help']; from {module} import {function}; {function}()"
     shown = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert options <= set(re.findall(r"--[a-z-]+", shown.stdout))
+
+
+def test_two_configuration_files_of_one_name_are_kept_apart(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    from st_predictor.nodes.recorder import metadata_records
+
+    files = [tmp_path / "car" / "leaf.yaml", tmp_path / "can" / "leaf.yaml", tmp_path / "nodes.yaml"]
+    for file in files:
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(f"content of {file.parent.name}")
+    values = SimpleNamespace(where="", configuration_files=[str(f) for f in files], metadata_json="")
+    kept = metadata_records(values)["configuration"]
+    assert set(kept) == {"car/leaf.yaml", "can/leaf.yaml", "nodes.yaml", "hash"}
+    assert kept["can/leaf.yaml"] == "content of can"
 
 
 def test_all_nodes_start_from_the_file(processes: Processes) -> None:

@@ -61,8 +61,10 @@ def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> Recorded
         nodes = {node: dict(section["ros__parameters"]) for node, section in document.items()}
     except (yaml.YAMLError, AttributeError, KeyError, TypeError):
         nodes = {}
-    name = Path(str(nodes.get("predictor", {}).get("vehicle_file", ""))).name
-    return RecordedConfiguration(texts.get(name) or texts.get("vehicle"), nodes)
+    file = Path("/", str(nodes.get("predictor", {}).get("vehicle_file", "")))
+    # Two files of one name are kept with a folder before it.
+    named = [text for key, text in texts.items() if file.parts[-len(Path(key).parts):] == Path(key).parts]
+    return RecordedConfiguration(named[0] if named else texts.get("vehicle"), nodes)
 
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:

@@ -4,6 +4,7 @@ import hashlib
 import importlib
 import json
 import time
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import SimpleNamespace
@@ -107,10 +108,10 @@ def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
     Raises ConfigurationError naming the file or the parameter.
     """
     records: dict[str, dict[str, str]] = {"recording": {"recorder": "st_predictor", "started_ns": str(time.time_ns())}}
-    texts = {}
-    for name in filter(None, values.configuration_files):
+    texts: dict[str, str] = {}
+    for name, key in configuration_keys(values.configuration_files).items():
         try:
-            texts[Path(name).name] = Path(name).read_text()
+            texts[key] = Path(name).read_text()
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "not a text file"
             raise ConfigurationError(f"{values.where}configuration_files: {name}: {reason}") from None
@@ -128,6 +129,19 @@ def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
             record = records.setdefault(name, {})
             record.update({k: v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()})
     return records
+
+
+def configuration_keys(files: Sequence[str]) -> dict[str, str]:
+    """The name each text is kept under: the file's own, with as many folders before it as tell it from the others."""
+    paths = {name: Path(name).absolute() for name in files if name}
+    keys = {}
+    for name, path in paths.items():
+        others = [other for other in paths.values() if other != path]
+        for length in range(1, len(path.parts) + 1):
+            if all(other.parts[-length:] != path.parts[-length:] for other in others):
+                break
+        keys[name] = Path(*path.parts[-length:]).as_posix()
+    return keys
 
 
 def message_class(type_name: str) -> type:
