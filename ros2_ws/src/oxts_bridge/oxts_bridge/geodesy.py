@@ -83,11 +83,6 @@ class LocalFrame:
         )
 
 
-def along_heading(east: float, north: float, heading: float) -> tuple[float, float]:
-    """x along a heading H [rad, clockwise from north], y to its left: x = E sin H + N cos H, y = -E cos H + N sin H."""
-    return east * sin(heading) + north * cos(heading), -east * cos(heading) + north * sin(heading)
-
-
 def ellipsoidal_height(altitude: float, undulation: float) -> float:
     """Height above the ellipsoid [m] of an altitude above the geoid [m]: plus, not minus as the manual prints
     (ncom.md 9)."""

@@ -150,12 +150,3 @@ def up_time(code: int) -> int:
     if code <= 10_800:
         return code
     return (code - 10_620) * 60 if code <= 20_700 else (code - 20_532) * 3600
-
-
-def encode_up_time(seconds: int) -> int:
-    """The code up_time() reads, rounded down to its resolution and limited to 65534."""
-    if seconds <= 10_800:
-        return int(seconds)
-    if seconds <= (20_700 - 10_620) * 60:
-        return int(seconds // 60) + 10_620
-    return min(0xFFFE, int(seconds // 3600) + 20_532)

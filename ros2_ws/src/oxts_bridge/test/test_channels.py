@@ -16,7 +16,7 @@ from oxts_bridge.channels import (
     trigger_nanoseconds,
 )
 from oxts_bridge.ncom import NcomError
-from oxts_bridge.status import encode_up_time, up_time
+from oxts_bridge.status import up_time
 
 # The manual lists these without a layout.
 UNPUBLISHED = {82, 83, 84, 86, 92}
@@ -175,4 +175,3 @@ def test_no_event_yet(minutes, count):
 )
 def test_up_time_in_its_three_ranges(code, seconds):
     assert up_time(code) == seconds
-    assert encode_up_time(seconds) == code

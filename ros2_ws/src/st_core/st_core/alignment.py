@@ -2,11 +2,9 @@
 
 import math
 
-import numpy as np
-
 from .filtering import NANOSECOND, advance
 from .timeseries import TimeSeries
-from .types import ControlInput, InputSequence, InsSample
+from .types import ControlInput, InsSample
 
 INS_COLUMNS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "filtered_velocity_x", "velocity_x_dot")
 YAW, VELOCITY_X, FILTERED, DERIVATIVE = 2, 3, 6, 7
@@ -78,7 +76,3 @@ class MeasurementHistory:
         if ins is None or steering is None or math.isnan(ins[DERIVATIVE]):
             return None
         return ControlInput(steering[0], ins[DERIVATIVE])
-
-    def inputs_over(self, times_ns: np.ndarray) -> InputSequence:
-        """Measured inputs at the given instants [ns]; NaN where not known."""
-        return InputSequence(self.steering.sample(times_ns)[:, 0], self.ins.sample(times_ns)[:, DERIVATIVE])

@@ -17,26 +17,6 @@ def wrap_angle(angle):
     return (angle + math.pi) % TWO_PI - math.pi
 
 
-def heading_to_yaw(heading):
-    """yaw = pi/2 - heading [rad], in [-pi, pi): from east counter-clockwise, of a heading from north clockwise."""
-    return wrap_angle(0.5 * math.pi - heading)
-
-
-def yaw_to_heading(yaw):
-    """Heading from north clockwise [rad], in [0, 2 pi), of a yaw from east counter-clockwise [rad]."""
-    return (0.5 * math.pi - yaw) % TWO_PI
-
-
-def ned_to_enu(north, east, down):
-    """(east, north, up) of a vector given as north, east, down; its own inverse with the names exchanged."""
-    return east, north, -down
-
-
-def frd_to_flu(x, y, z):
-    """Body vector forward, right, down to forward, left, up; its own inverse."""
-    return x, -y, -z
-
-
 def body_to_map(x, y, yaw):
     """Map components of a body vector: rotation by yaw counter-clockwise."""
     return x * np.cos(yaw) - y * np.sin(yaw), x * np.sin(yaw) + y * np.cos(yaw)

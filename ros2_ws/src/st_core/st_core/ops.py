@@ -128,14 +128,14 @@ def absolute(x):
 
 
 def maximum(x, limit):
-    """The larger of the two; NaN if x is NaN. `limit` is a number."""
+    """The larger of the two; NaN if x is NaN, but for a CasADi symbol: there the limit. `limit` is a number."""
     if type(x) is float:
         return limit if x < limit else x
     return _other("maximum", x, limit)
 
 
 def minimum(x, limit):
-    """The smaller of the two; NaN if x is NaN. `limit` is a number."""
+    """The smaller of the two; NaN if x is NaN, but for a CasADi symbol: there the limit. `limit` is a number."""
     if type(x) is float:
         return limit if x > limit else x
     return _other("minimum", x, limit)

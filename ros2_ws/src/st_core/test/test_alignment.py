@@ -60,9 +60,9 @@ def test_inputs_are_known_only_between_samples_of_both():
     assert live.inputs_at(T0 + 90 * MS) is None
     assert live.inputs_at(T0 + 390 * MS) is None
     assert live.inputs_at(T0 - 10 * MS) is None
-    over = live.inputs_over(T0 + np.array([90, 350, 390, 495]) * MS)
-    np.testing.assert_allclose(over.road_wheel_angle, [np.nan, 0.35, np.nan, np.nan], rtol=1e-12)
-    assert np.isfinite(over.velocity_x_dot).tolist() == [True, True, True, False]
+    times_ns = T0 + np.array([90, 350, 390, 495]) * MS
+    np.testing.assert_allclose(live.steering.sample(times_ns)[:, 0], [np.nan, 0.35, np.nan, np.nan], rtol=1e-12)
+    assert np.isfinite(live.ins.sample(times_ns)[:, DERIVATIVE]).tolist() == [True, True, True, False]
 
 
 def test_yaw_is_interpolated_across_the_seam():

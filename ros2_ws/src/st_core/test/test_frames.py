@@ -25,21 +25,9 @@ def test_wrapping_knows_its_ends_and_nan():
     assert math.isnan(frames.wrap_angle(math.nan))
 
 
-@pytest.mark.parametrize(("heading_deg", "yaw_deg"),
-                         [(0.0, 90.0), (90.0, 0.0), (180.0, -90.0), (270.0, -180.0), (45.0, 45.0)])
-def test_heading_and_yaw(heading_deg, yaw_deg):
-    assert math.degrees(frames.heading_to_yaw(math.radians(heading_deg))) == pytest.approx(yaw_deg)
-    assert math.degrees(frames.yaw_to_heading(math.radians(yaw_deg))) == pytest.approx(heading_deg, abs=1e-9)
-
-
 @given(finite, finite, st.floats(-7.0, 7.0))
 def test_body_and_map_round_trip(x, y, yaw):
     assert frames.map_to_body(*frames.body_to_map(x, y, yaw), yaw) == pytest.approx((x, y), abs=1e-9)
-
-
-def test_axes_change_their_signs():
-    assert frames.ned_to_enu(1.0, 2.0, 3.0) == (2.0, 1.0, -3.0)
-    assert frames.frd_to_flu(1.0, 2.0, 3.0) == (1.0, -2.0, -3.0)
 
 
 @given(st.builds(VehicleState, finite, finite, finite, finite, st.floats(-7.0, 7.0), st.floats(-3.0, 3.0)),

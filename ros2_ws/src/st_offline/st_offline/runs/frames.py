@@ -31,10 +31,6 @@ class Frames:
     def select(self, rows: np.ndarray | slice) -> "Frames":
         return Frames(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
-    @property
-    def is_data(self) -> np.ndarray:
-        return self.flags & (REMOTE | ERROR) == 0
-
     def shifted(self, time_ns: np.ndarray) -> "Frames":
         """The same frames with other times."""
         return replace(self, time_ns=time_ns)
