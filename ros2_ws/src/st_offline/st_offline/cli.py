@@ -39,7 +39,7 @@ app.command()(align.align)
 app.command("import")(import_.import_)
 app.command()(recover.recover)
 app.command()(export.export)
-app.command()(bench.bench)
+app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(bench.bench)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.test)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.shell)
 

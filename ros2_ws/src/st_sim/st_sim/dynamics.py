@@ -37,6 +37,7 @@ ROLLING_ONSET = 0.2
 
 # Positions in the state tuple.
 X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, GIVE, S_FL, S_FR, S_RL, S_RR, LEAN, LEAN_RATE, SQUAT = range(16)
+STATES = 16
 
 
 class Constants(NamedTuple):

@@ -43,7 +43,7 @@ class InsReading:
 # (white, slow, correlation time [s]) of each value, one standard deviation. RT3000 v3 with RTK: 0.01 m, 0.014 m/s,
 # 0.1 deg heading, 0.03 deg roll and pitch; most of it wanders slowly, because it comes through the filter. Rates and
 # forces: what a road adds.
-_NOISE = {
+NOISE = {
     "x": (0.001, 0.006, 60.0),
     "y": (0.001, 0.006, 60.0),
     "z": (0.002, 0.012, 60.0),
@@ -90,7 +90,7 @@ class Ins:
         self._noise = (
             {
                 name: _Noise(scale * white, scale * slow, time, interval, draw)
-                for name, (white, slow, time) in _NOISE.items()
+                for name, (white, slow, time) in NOISE.items()
             }
             if scale
             else {}

@@ -1,5 +1,7 @@
 """`st bench`: list and run the measurements under bench/."""
 
+import ast
+import importlib
 import importlib.util
 import json
 import platform
@@ -15,22 +17,31 @@ from ..paths import project_root, source_version
 
 
 def bench(
+    context: typer.Context,
     name: str | None = typer.Argument(None, help="One of the listed names; without it they are listed."),
     json_file: Path | None = typer.Option(None, "--json", help="Also write the result here."),
 ) -> None:
     """List the benchmarks, or run one and print its figures."""
-    files = {
-        path.stem: path for path in sorted((project_root() / "bench").glob("*.py")) if not path.stem.startswith("_")
-    }
+    folder = project_root() / "bench"
+    files = {path.stem: path for path in sorted(folder.glob("*.py")) if not path.stem.startswith("_")}
+    # A package has options of its own and prints for itself.
+    packages = {path.parent.name: path for path in sorted(folder.glob("*/__init__.py"))}
     console = Console()
     if name is None:
         table = Table("name", "what it measures", box=None)
-        for stem, path in files.items():
-            table.add_row(stem, (_load(path).__doc__ or "").strip().splitlines()[0])
+        for stem, path in sorted({**files, **packages}.items()):
+            table.add_row(stem, _first_line(path))
         console.print(table)
         return
+    if name in packages:
+        sys.path.insert(0, str(project_root()))
+        raise typer.Exit(importlib.import_module(f"bench.{name}").main(context.args))
     if name not in files:
-        typer.echo(f"st bench: no benchmark {name!r}; there are {', '.join(files)}", err=True)
+        there = ", ".join(sorted({**files, **packages}))
+        typer.echo(f"st bench: no benchmark {name!r}; there are {there}", err=True)
+        raise typer.Exit(2)
+    if context.args:
+        typer.echo(f"st bench {name}: takes no {context.args[0]}", err=True)
         raise typer.Exit(2)
     result = _load(files[name]).run()
     _show(console, name, result)
@@ -42,6 +53,10 @@ def bench(
             "version": source_version(),
         }
         json_file.write_text(json.dumps({"bench": name, "machine": machine, "result": result}, indent=2) + "\n")
+
+
+def _first_line(path: Path) -> str:
+    return (ast.get_docstring(ast.parse(path.read_text())) or "").strip().splitlines()[0]
 
 
 def _load(path: Path) -> ModuleType:

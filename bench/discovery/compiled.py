@@ -1,0 +1,170 @@
+"""The virtual car compiled: the functions of st_sim themselves, driven by a programme instead of a driver.
+
+What is written here a second time is how `Plant.step` puts them together: hand wheel -> delay -> play -> ratio -> lag,
+Heun's step. Cars that stop are refused, because standstill is left out.
+Checked by: tests/bench/test_discovery_plant.py.
+"""
+
+from dataclasses import dataclass
+from math import exp, sin, sqrt
+
+import numba
+import numpy as np
+from numba.extending import register_jitable
+from st_core.backends import numba_cache, structure
+from st_sim.car import Car
+from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE, X, Z, constants, derivative
+from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
+from st_sim.plant import STANDSTILL, STEP, Plant
+from st_sim.settings import Settings
+
+DECIDE = 5
+"""Steps between two decisions of hand and foot, and between two samples: 0.01 s."""
+FASTEST_HAND = 8.0
+"""rad/s at the hand wheel."""
+SPEED_GAIN, HARDEST_BRAKING, HARDEST_DRIVE, JERK = 1.2, 7.0, 3.5, 10.0
+"""1/s, m/s^2, m/s^2, m/s^3 of the foot, as the driver of st_sim."""
+RECORDED = STATES + 4
+"""State, then the derivatives of v_x, v_y, yaw rate and z."""
+
+
+class Stopped(Exception):
+    """The car came to rest, which the compiled loop does not know."""
+
+
+@dataclass(frozen=True)
+class Programme:
+    """What hand and foot are to do, every 0.01 s from the start: all arrays of one length.
+
+    hand: hand-wheel angle, left + [rad]. yaw: heading to hold [rad], counted from where the hand begins to
+    look; gain: how much road-wheel angle per heading error [1], 0 where it does not look. speed [m/s],
+    acceleration [m/s^2] of it.
+    """
+
+    hand: np.ndarray
+    yaw: np.ndarray
+    gain: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Truth every 0.01 s. rows: (n, RECORDED). hand: one step after each row [rad], as the steering sensor samples it.
+    bank, grade: of the road [rad].
+    """
+
+    rows: np.ndarray
+    hand: np.ndarray
+    bank: np.ndarray
+    grade: np.ndarray
+
+
+def drive(car: Car, settings: Settings, programme: Programme, seed: int,
+          later: tuple[Settings, int] | None = None) -> Recording:
+    """The car drives a programme. later: other settings from that sample on. Raises Stopped."""
+    parts = [(settings, len(programme.hand))] if later is None else [
+        (settings, later[1]), (later[0], len(programme.hand) - later[1])]
+    plant = Plant(car, settings, seed)
+    plant.place(0.0, 0.0, float(programme.yaw[0]), float(programme.speed[0]))
+    # State, hand, pedal, loose play, the two gusts, heading left over, gain; the plant drew four numbers for gusts.
+    state = np.array([*plant.state, 0.0, 0.0, 0.0, plant.here.wind_x,
+                      plant.here.wind_y - settings["wind_speed"], 0.0, 1.0])
+    draw = normal_stream(np.random.default_rng([seed, 1]))
+    for _ in range(4):
+        draw()
+    out = np.empty((len(programme.hand), RECORDED + 3))
+    kernel = _compiled()
+    first = 0
+    for s, count in parts:
+        steps = count * DECIDE
+        gusts = np.array([draw() for _ in range(2 * steps)]) if s["gust_speed"] else np.zeros(2)
+        delayed = np.full(round(s["steering_delay"] / STEP), state[STATES])
+        options = np.array([car.mass, car.wheelbase, car.cg_to_rear_axle, car.steering_ratio,
+                            car.steering_ratio * s["steering_ratio_factor"], s["steering_backlash"] / 2,
+                            s["wind_speed"], s["gust_speed"]])
+        part = slice(first, first + count)
+        arrays = [np.ascontiguousarray(getattr(programme, name)[part], float)
+                  for name in ("hand", "yaw", "gain", "speed", "acceleration")]
+        good = kernel(state, options, constants(car, s, STEP), road_of(s), delayed, gusts, *arrays, out[part])
+        if not good:
+            raise Stopped
+        first += count
+    return Recording(out[:, :RECORDED], out[:, RECORDED], out[:, RECORDED + 1], out[:, RECORDED + 2])
+
+
+_kernels: list = []
+
+
+def _compiled():
+    if not _kernels:
+        for function in structure.reachable(_loop)[:-1]:
+            register_jitable(function)
+        kernel = numba.njit(error_model="numpy")(_loop)
+        numba_cache.enable(kernel, structure.fingerprint(_loop))
+        _kernels.append(kernel)
+    return _kernels[0]
+
+
+def _tuple(s):
+    return (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9], s[10], s[11], s[12], s[13], s[14], s[15])
+
+
+def _loop(state, options, c, road, delayed, gusts, hand, yaw, gain, speed, acceleration, out):
+    mass, wheelbase, rear, nominal_ratio, ratio, play, wind, gust = options
+    memory = exp(-STEP / GUST_TIME)
+    kick = gust * sqrt(1.0 - memory * memory)
+    s, middle, k1 = state[:STATES].copy(), state[:STATES].copy(), state[:STATES].copy()
+    angle, pedal, loose, gust_x, gust_y, left_over, looked = state[STATES:]
+    oldest, drawn = 0, 0
+    force = mass * pedal
+    friction, bank, grade = road_at(road, s[X], s[YAW])
+    for k in range(len(hand)):
+        rates, _ = derivative(_tuple(s), s[RACK], force, (friction, bank, grade, gust_x, wind + gust_y), c)
+        for i in range(STATES):
+            out[k, i] = s[i]
+        out[k, STATES], out[k, STATES + 1], out[k, STATES + 2] = rates[VX], rates[VY], rates[YAW_RATE]
+        out[k, STATES + 3] = rates[Z]
+        out[k, RECORDED + 1], out[k, RECORDED + 2] = bank, grade
+        if gain[k] and not looked:
+            left_over = s[YAW] - yaw[k]
+        looked = gain[k]
+        wanted = hand[k] + gain[k] * (yaw[k] + left_over - s[YAW]) * nominal_ratio
+        bend = abs(s[VX] * s[YAW_RATE] * sin(s[RACK])) * rear / wheelbase
+        target = acceleration[k] + SPEED_GAIN * (speed[k] - s[VX]) + bend - s[VY] * s[YAW_RATE]
+        target = min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
+        pedal += min(max(target - pedal, -JERK * DECIDE * STEP), JERK * DECIDE * STEP)
+        force = mass * pedal
+        for step in range(DECIDE):
+            angle += min(max(wanted - angle, -FASTEST_HAND * STEP), FASTEST_HAND * STEP)
+            if step == 0:
+                out[k, RECORDED] = angle
+            friction, bank, grade = road_at(road, s[X], s[YAW])
+            if gust:
+                gust_x, gust_y = memory * gust_x + kick * gusts[drawn], memory * gust_y + kick * gusts[drawn + 1]
+                drawn += 2
+            here = (friction, bank, grade, gust_x, wind + gust_y)
+            late = angle
+            if len(delayed):
+                late, delayed[oldest] = delayed[oldest], angle
+                oldest = (oldest + 1) % len(delayed)
+            if play:
+                loose = min(max(loose, late - play), late + play)
+                late = loose
+            rack = late / ratio
+            if c.lag == 0.0:
+                s[RACK] = rack
+            rates, _ = derivative(_tuple(s), rack, force, here, c)
+            for i in range(STATES):
+                k1[i] = rates[i]
+                middle[i] = s[i] + STEP * rates[i]
+            rates, _ = derivative(_tuple(middle), rack, force, here, c)
+            for i in range(STATES):
+                s[i] += STEP / 2 * (k1[i] + rates[i])
+            if s[VX] < STANDSTILL:
+                return False
+    for i in range(STATES):
+        state[i] = s[i]
+    state[STATES], state[STATES + 1], state[STATES + 2] = angle, pedal, loose
+    state[STATES + 3], state[STATES + 4], state[STATES + 5], state[STATES + 6] = gust_x, gust_y, left_over, looked
+    return True

@@ -1,0 +1,51 @@
+"""The confusion matrix: what was hidden against what was stated."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+
+from .effects import KNOWN
+
+OTHERS = ("several", "unknown", "none")
+VISIBLE = 0.1
+
+
+def matrix(records: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
+    """(true names, stated names, counts) of single effects with D > 0.1; the best name counts."""
+    truths = [h.library for h in KNOWN]
+    single = [r for r in records if r["kind"] == "single" and r.get("detectability", 0.0) > VISIBLE]
+    stated = [_stated(r) for r in single]
+    columns = truths + sorted(set(stated) - set(truths) - set(OTHERS)) + list(OTHERS)
+    counts = np.zeros((len(truths), len(columns)), int)
+    for r, name in zip(single, stated, strict=True):
+        counts[truths.index(r["truth"][0]), columns.index(name)] += 1
+    return truths, columns, counts
+
+
+def _stated(r: dict[str, Any]) -> str:
+    if len(r["names"]) == 1:
+        return r["names"][0][0]
+    return "several" if r["names"] else "unknown" if r["outcome"] == "unknown" else "none"
+
+
+def confusion(records: Sequence[dict[str, Any]], file: Path) -> None:
+    truths, columns, counts = matrix(records)
+    figure, axes = plt.subplots(figsize=(11, 8.5), layout="constrained")
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    image = axes.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    axes.set_xticks(range(len(columns)), columns, rotation=90)
+    axes.set_yticks(range(len(truths)), [f"{t} ({n})" for t, n in zip(truths, counts.sum(axis=1), strict=True)])
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        axes.text(j, i, counts[i, j], ha="center", va="center", color="white" if share[i, j] > 0.6 else "black")
+    axes.axvline(len(columns) - len(OTHERS) - 0.5, color="0.5", lw=0.8)
+    axes.set_xlabel("best name stated")
+    axes.set_ylabel(f"hidden effect (cases with D > {VISIBLE})")
+    figure.colorbar(image, label="share of the row [1]")
+    figure.savefig(file, dpi=110)
+    plt.close(figure)

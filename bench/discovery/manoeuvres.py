@@ -1,0 +1,164 @@
+"""Programmes of hand and foot, put together from manoeuvres: what is driven in the cases.
+
+Steering is open loop, so that the same programme can be driven by any car, except on ordinary roads, where the hand
+holds the heading as a driver does. Sizes are given as the lateral acceleration the nominal car would reach.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.signal import lfilter
+from st_sim.car import Car
+
+from .compiled import Programme
+
+DT = 0.01
+UNDERSTEER = 0.004
+"""rad s^2/m the hand allows for."""
+HEADING_GAIN = 0.3
+SPEED_CHANGE = 2.5
+"""m/s^2 between two manoeuvres."""
+STRAIGHT = 0.6
+"""s of straight driving before each manoeuvre."""
+TREMOR, TREMOR_TIME = 0.01, 0.4
+"""rad at the hand wheel and s: of a hand that is never still."""
+
+
+@dataclass
+class Builder:
+    """Collects parts; road-wheel angles become hand-wheel angles of the nominal car."""
+
+    car: Car
+    generator: np.random.Generator
+    speed: float
+    rows: list[np.ndarray] = field(default_factory=list)
+    heading: float = 0.0
+
+    def add(self, angle: np.ndarray, speed: np.ndarray | float | None = None, closed: bool = False) -> None:
+        """angle: of the road wheels [rad]; speed [m/s], the present one if not given; closed: hold the heading."""
+        speeds = np.broadcast_to(self.speed if speed is None else speed, angle.shape)
+        curvature = angle / (self.car.wheelbase + UNDERSTEER * speeds**2)
+        turned = self.heading + np.cumsum(curvature * speeds) * DT
+        gain = np.full(len(angle), HEADING_GAIN if closed else 0.0)
+        slope = np.gradient(speeds, DT) if len(speeds) > 1 else np.zeros(len(speeds))
+        self.rows.append(np.stack([angle * self.car.steering_ratio, turned, gain, speeds, slope]))
+        self.speed, self.heading = float(speeds[-1]), float(turned[-1])
+
+    def go_to(self, speed: float) -> None:
+        """Straight on, to another speed."""
+        count = max(round(STRAIGHT / DT), round(abs(speed - self.speed) / SPEED_CHANGE / DT))
+        ramp = self.speed + np.clip(np.arange(1, count + 1) * DT * SPEED_CHANGE, 0, abs(speed - self.speed)) * np.sign(
+            speed - self.speed)
+        self.add(np.zeros(count), ramp, closed=True)
+
+    def programme(self) -> Programme:
+        hand, yaw, gain, speed, acceleration = np.concatenate(self.rows, axis=1)
+        memory = np.exp(-DT / TREMOR_TIME)
+        kicks = TREMOR * np.sqrt(1 - memory**2) * self.generator.standard_normal(len(hand))
+        return Programme(hand + lfilter([1.0], [1.0, -memory], kicks), yaw, gain, speed, acceleration)
+
+    def angle_for(self, lateral: float, speed: float | None = None) -> float:
+        """Road-wheel angle [rad] for a steady lateral acceleration [m/s^2]."""
+        v = self.speed if speed is None else speed
+        return lateral / v**2 * (self.car.wheelbase + UNDERSTEER * v**2)
+
+
+def _time(duration: float) -> np.ndarray:
+    return np.arange(round(duration / DT)) * DT
+
+
+def sweep(b: Builder, lateral: float, duration: float = 9.0) -> None:
+    """Sine, 0.2 to 2.8 Hz."""
+    low, high = 0.2, 2.8
+    rate = np.log(high / low) / duration
+    b.add(b.angle_for(lateral) * np.sin(2 * np.pi * low / rate * (np.exp(rate * _time(duration)) - 1)))
+
+
+def steps(b: Builder, lateral: float) -> None:
+    """Left 1.8 s, straight 1 s, right 1.8 s, straight 0.6 s, or the other way round."""
+    side = b.generator.choice([-1, 1])
+    parts = [np.full(round(s / DT), level) for s, level in ((1.8, 1), (1.0, 0), (1.8, -1), (0.6, 0))]
+    b.add(side * b.angle_for(lateral) * np.concatenate(parts))
+
+
+def slalom(b: Builder, lateral: float) -> None:
+    """Sine of one frequency between 0.4 and 0.7 Hz, 5 s."""
+    b.add(b.angle_for(lateral) * np.sin(2 * np.pi * b.generator.uniform(0.4, 0.7) * _time(5.0)))
+
+
+def weave(b: Builder, lateral: float) -> None:
+    """On-centre: 0.25 Hz, 6 s."""
+    b.add(b.angle_for(lateral) * np.sin(2 * np.pi * 0.25 * _time(6.0)))
+
+
+def ramp_to_limit(b: Builder, lateral: float) -> None:
+    """To beyond the limit in 5 s, back in 1 s."""
+    side = b.generator.choice([-1, 1])
+    up = b.angle_for(lateral) * _time(5.0) / 5.0
+    b.add(side * np.concatenate([up, up[-1] * (1 - _time(1.0))]))
+
+
+def brake_in_turn(b: Builder, lateral: float) -> None:
+    """2 s of circle, braking at 4 m/s^2 for 1.4 s with the hands still, then power for 1.6 s."""
+    side = b.generator.choice([-1, 1])
+    v, angle = b.speed, b.angle_for(lateral)
+    into = np.minimum(_time(2.0) / 0.5, 1.0) * angle
+    slow = v - 4.0 * _time(1.4)
+    fast = slow[-1] + 2.5 * _time(1.6)
+    speeds = np.concatenate([np.full(len(into), v), slow, fast])
+    b.add(side * np.concatenate([into, np.full(len(slow) + len(fast), angle)]), speeds)
+
+
+def ordinary(b: Builder, lateral: float, duration: float = 6.0) -> None:
+    """A winding road: curvature as smooth noise, `lateral` its root mean square; speed up and down by a tenth."""
+    time = _time(duration)
+    waves = [(b.generator.uniform(0.08, 0.35), b.generator.uniform(0, 2 * np.pi)) for _ in range(4)]
+    noise = sum(np.sin(2 * np.pi * f * time + phase) for f, phase in waves) / np.sqrt(2.0)
+    speeds = b.speed * (1 + 0.1 * np.sin(2 * np.pi * time / duration))
+    b.add(b.angle_for(lateral) * noise * np.minimum(time, 1.0), speeds, closed=True)
+
+
+def circle(b: Builder, lateral: float, duration: float = 8.0) -> None:
+    """Slowly into a circle and out of it."""
+    side = b.generator.choice([-1, 1])
+    time = _time(duration)
+    share = np.clip(np.minimum(time, duration - time) / 2.0, 0.0, 1.0)
+    b.add(side * b.angle_for(lateral) * share)
+
+
+@dataclass(frozen=True)
+class Part:
+    """One manoeuvre and the ranges its speed [m/s] and lateral acceleration [m/s^2] are drawn from."""
+
+    drive: Callable[[Builder, float], None]
+    speed: tuple[float, float]
+    lateral: tuple[float, float]
+
+
+SWEEP = Part(sweep, (12.0, 16.0), (2.5, 4.0))
+STEPS = Part(steps, (10.0, 14.0), (3.5, 5.0))
+SLALOM = Part(slalom, (10.0, 13.0), (3.5, 5.0))
+WEAVE = Part(weave, (12.0, 15.0), (0.5, 1.2))
+LIMIT = Part(ramp_to_limit, (9.0, 12.0), (10.0, 14.0))
+BRAKING = Part(brake_in_turn, (10.0, 12.0), (3.5, 4.5))
+ORDINARY = Part(ordinary, (8.0, 14.0), (1.2, 2.0))
+CIRCLE = Part(circle, (8.0, 12.0), (2.5, 3.5))
+
+FULL = (SWEEP, LIMIT, BRAKING, ORDINARY)
+EXTRA = (STEPS, SLALOM, WEAVE)
+
+
+def mixed(car: Car, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None, speed_factor: float = 1.0,
+          lateral_factor: float = 1.0) -> Programme:
+    """A run of about half a minute: the parts in random order and size. None: FULL and one of EXTRA."""
+    generator = np.random.default_rng(seed)
+    if parts is None:
+        parts = (*FULL, EXTRA[generator.integers(len(EXTRA))])
+    order = generator.permutation(len(parts))
+    b = Builder(car, generator, 10.0 * speed_factor)
+    for part in (parts[i] for i in order):
+        b.go_to(generator.uniform(*part.speed) * speed_factor)
+        part.drive(b, generator.uniform(*part.lateral) * lateral_factor)
+    b.go_to(b.speed)
+    return b.programme()

@@ -1,0 +1,116 @@
+"""What the INS and the steering sensor make of a recording: st_sim's sensors for a whole drive at once, as a DriveLog.
+
+The numbers are those of `st_sim.sensors`, noise included, drawn in the same order; then rounded as NCOM and CAN round
+them and turned into the axes of the suite as `st` reads files. Checked by: tests/bench/test_discovery_plant.py.
+"""
+
+import numpy as np
+from scipy.signal import lfilter
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+from st_offline.runs.ncom import to_body
+from st_sim.car import GRAVITY, Car
+from st_sim.dynamics import LEAN, LEAN_RATE, SQUAT, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z
+from st_sim.sensors import NOISE, ROUGH_SPEED
+from st_sim.settings import Settings
+
+from .compiled import Recording
+
+PERIOD, STEERING_PHASE = 0.01, 0.002
+"""s, between samples, and from an INS sample to that of the steering."""
+START_NS = 1_800_000_000_000_000_000
+CHANNELS = tuple(NOISE)
+ROUNDING = {"rate": 1e-5, "force": 1e-4, "angle": 1e-6, "velocity": 1e-4, "steering": np.radians(0.1)}
+"""rad/s, m/s^2, rad, m/s of NCOM; rad of the hand wheel on CAN."""
+
+
+def log_of(name: str, recording: Recording, car: Car, vehicle: VehicleParameters, settings: Settings, seed: int,
+           later: tuple[Settings, int] | None = None) -> DriveLog:
+    """The recorded drive. car: of the plant; vehicle: what the reader of the files thinks it is. later: as in
+    `compiled.drive`, for faults of the sensors."""
+    r = readings(recording, car, settings, seed, later)
+    count = len(recording.rows)
+    stamp = PERIOD * np.arange(count)
+    rates, forces = np.stack([r["rate_x"], r["rate_y"], r["rate_z"]]), np.stack([r["force_x"], r["force_y"]])
+    yaw, roll, pitch = (_rounded(r[key], "angle") for key in ("yaw", "roll", "pitch"))
+    cosine, sine = np.cos(r["yaw"]), np.sin(r["yaw"])
+    level = np.stack([cosine * r["velocity_x"] - sine * r["velocity_y"], sine * r["velocity_x"] +
+                      cosine * r["velocity_y"], r["velocity_z"]])
+    velocity = to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
+    hand = recording.hand + car.steering_wheel_offset
+    if settings["steering_sensor_noise"]:
+        hand = hand + settings["steering_sensor_noise"] * _stream(np.random.default_rng([seed, 4]), count, 256)
+    hand = _rounded(hand, "steering")
+    late = STEERING_PHASE + settings["steering_sensor_latency"]
+    return DriveLog(
+        name, _ns(stamp + settings["ins_time_error"]), r["x"], r["y"], yaw, velocity[0], velocity[1],
+        _rounded(rates, "rate")[2], _ns(stamp + late), vehicle.road_wheel_angle(hand), hand,
+        *_rounded(forces, "force"))
+
+
+def readings(recording: Recording, car: Car, settings: Settings, seed: int,
+             later: tuple[Settings, int] | None = None) -> dict[str, np.ndarray]:
+    """The fields of `InsReading` for every sample, before rounding; rates and forces as rate_x ... force_z."""
+    count = len(recording.rows)
+    parts = [(settings, slice(0, count))] if later is None else [
+        (settings, slice(0, later[1])), (later[0], slice(later[1], count))]
+    clean = [_clean(recording.rows[part], recording.bank[part], recording.grade[part], car, s) for s, part in parts]
+    values = np.concatenate(clean, axis=1)
+    if settings["ins_noise"]:
+        values = values + settings["ins_noise"] * _noise(seed, count, recording.rows[:, VX])
+    return dict(zip(CHANNELS, values, strict=True))
+
+
+def _clean(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, car: Car, s: Settings) -> np.ndarray:
+    """(15, n), rows as CHANNELS: without noise, with the faults of the settings."""
+    x, y, yaw, vx, vy, r, lean, lean_rate, squat = rows[:, (X, Y, YAW, VX, VY, YAW_RATE, LEAN, LEAN_RATE, SQUAT)].T
+    vx_dot, vy_dot, r_dot, climb = rows[:, STATES:].T
+    roll, pitch = s["roll_gradient"] * lean + bank, s["pitch_gradient"] * squat + grade
+    roll_rate = s["roll_gradient"] * lean_rate
+    dx, dy = car.cg_to_ins_x - s["cg_shift"] + s["ins_lever_error"], car.cg_to_ins_y
+    c, sine = np.cos(yaw), np.sin(yaw)
+    x, y, u, v = x + c * dx - sine * dy, y + sine * dx + c * dy, vx - r * dy, vy + r * dx
+    ax, ay = vx_dot - r * vy - r * r * dx - r_dot * dy, vy_dot + r * vx + r_dot * dx - r * r * dy
+    cp, sp, cr, sr = np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+    rates = np.stack([roll_rate + r * sp, r * sr * cp, r * cr * cp]) * s["yaw_rate_scale"]
+    down = sp * ax - cp * GRAVITY
+    force_x, force_y, force_z = cp * ax + sp * GRAVITY, cr * ay - sr * down, -sr * ay - cr * down
+    if s["ins_misalignment"]:
+        c, sine = np.cos(s["ins_misalignment"]), np.sin(s["ins_misalignment"])
+        u, v = c * u + sine * v, c * v - sine * u
+        force_x, force_y = c * force_x + sine * force_y, c * force_y - sine * force_x
+        yaw = yaw + s["ins_misalignment"]
+    scale = s["velocity_scale"]
+    force_y = force_y + s["lateral_acceleration_bias"]
+    z = rows[:, Z]
+    return np.stack([x, y, z, u * scale, v * scale, climb, yaw, roll, pitch, *rates, force_x, force_y, force_z])
+
+
+def _noise(seed: int, count: int, speed: np.ndarray) -> np.ndarray:
+    """(15, n) of noise 1: white, more of it on a fast road for rates and forces, and a slow wander."""
+    kinds = len(CHANNELS)
+    draws = _stream(np.random.default_rng([seed, 3]), kinds * (1 + 2 * count), 4096)
+    first, draws = draws[:kinds], draws[kinds:].reshape(count, kinds, 2)
+    rough = 0.1 + 0.9 * np.minimum(np.abs(speed) / ROUGH_SPEED, 1.0)
+    result = np.empty((kinds, count))
+    for i, (name, (white, slow, time)) in enumerate(NOISE.items()):
+        memory = np.exp(-PERIOD / time)
+        kick = slow * np.sqrt(1 - memory**2)
+        wander, _ = lfilter([kick], [1.0, -memory], draws[:, i, 0], zi=[memory * slow * first[i]])
+        shaken = rough if name.startswith(("rate", "force")) else 1.0
+        result[i] = wander + white * shaken * draws[:, i, 1]
+    return result
+
+
+def _stream(generator: np.random.Generator, count: int, block: int) -> np.ndarray:
+    """The first numbers `environment.normal_stream` hands out: blocks, each from its end."""
+    blocks = [generator.standard_normal(block)[::-1] for _ in range(-(-count // block))]
+    return np.concatenate(blocks)[:count]
+
+
+def _rounded(values: np.ndarray, kind: str) -> np.ndarray:
+    return np.round(values / ROUNDING[kind]) * ROUNDING[kind]
+
+
+def _ns(seconds: np.ndarray) -> np.ndarray:
+    return START_NS + np.round(seconds * 1e9).astype(np.int64)
