@@ -18,7 +18,7 @@ from st_core.models import MODELS, Model, get_model
 from st_core.vehicle import VehicleParameters
 
 from ..evaluation.command import FORMATS
-from ..evaluation.drawing import Place
+from ..evaluation.drawing import Drawn, Place
 from ..output import new_folder
 from ..runs import ReadSettings, find_runs
 from . import words
@@ -48,6 +48,7 @@ class Job:
     output: Path | None
     jobs: int
     formats: tuple[str, ...]
+    report: bool = True
     cached: bool = True
 
 
@@ -67,9 +68,10 @@ def run_command(job: Job, console: Console) -> int:
         found = _discover(job, base, _logs(runs), _logs(reference), progress)
     marks.append(time.perf_counter())
     question = Question(runs, reference, job.base, job.vehicle, job.vehicle_file, job.settings, own)
+    seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
     with console.status("drawing, writing the report"):
-        seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
-        files = write_results(found, question, folder, job.formats, seconds)
+        drawn = draw(found, question, Place(folder / "figures", job.formats)) if job.report else None
+        files = write_results(found, question, folder, drawn, seconds)
     show(found, [d for d in (*runs, *reference) if d.problem], files, console)
     return 1 if any(d.problem for d in (*runs, *reference)) else 0
 
@@ -142,27 +144,31 @@ def _discover(job: Job, base: Model, runs: list[DriveLog], reference: list[Drive
     return discover(runs, job.vehicle, base, reference, job.settings, stage)
 
 
-def write_results(found: Discovery, question: Question, folder: Path, formats: tuple[str, ...],
-                  seconds: dict[str, float]) -> dict[str, Path]:
-    """All files; by what they are."""
-    began = time.perf_counter()
+def draw(found: Discovery, question: Question, place: Place) -> list[Drawn]:
+    """The figures that there are data for, in the order of the page."""
     runs, reference = _logs(question.runs), _logs(question.reference)
 
     def look(model):
         return survey(runs, model, question.vehicle, question.settings, reference, found.noise,
                       found.acceleration_gain)
 
-    scene = Scene(found, runs, question.vehicle, look(found.base), look(found.model) if found.model else None,
-                  Place(folder / "figures", formats))
-    drawn = [figure for make in (gap, conditions, maps, over_time, paths, candidates) if (figure := make(scene))]
-    files = {"report.html": folder / "report.html", "discovery.json": folder / "discovery.json"}
+    scene = Scene(found, runs, question.vehicle, look(found.base), look(found.model) if found.model else None, place)
+    return [figure for make in (gap, conditions, maps, over_time, paths, candidates) if (figure := make(scene))]
+
+
+def write_results(found: Discovery, question: Question, folder: Path, drawn: Sequence[Drawn] | None,
+                  seconds: dict[str, float]) -> dict[str, Path]:
+    """All files; by what they are. drawn: None for no page."""
+    files = {"discovery.json": folder / "discovery.json"}
     model = model_file(found, question)
     if model is not None:
         files["model.yaml"] = folder / "model.yaml"
         files["model.yaml"].write_text(model.to_yaml(), encoding="utf-8")
-    content = document(found, question, {**seconds, "draw": time.perf_counter() - began})
+    content = document(found, question, seconds)
     write_json(files["discovery.json"], content)
-    write_page(files["report.html"], found, content, drawn)
+    if drawn is not None:
+        files = {"report.html": folder / "report.html", **files}
+        write_page(files["report.html"], found, content, drawn)
     return files
 
 

@@ -20,7 +20,7 @@ from .figures import AFTER, Scene
 
 HORIZON, STEP, SLOWEST = 5.0, 0.05, 1.5  # s, s, m/s
 PATHS = 3
-FLAT = 0.15  # a track narrower than this share of its length is drawn stretched
+FLAT = 0.3  # a track narrower than this share of its length is drawn stretched
 
 
 def held_out(scene: Scene) -> list[DriveLog]:
@@ -48,8 +48,10 @@ def maps(scene: Scene) -> Drawn | None:
     top = words.factor(UNITS[scene.channel]) * max(float(np.nanmax(levels)), 1e-12)
     unit = UNITS[scene.channel]
     with style():
-        figure, panels = plt.subplots(1, len(sides), figsize=(WIDTH, 4.3), sharex=True, sharey=True, squeeze=False)
         log = scene.runs[run]
+        shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _flatness(log) > FLAT else 0.5
+        size = (WIDTH, float(np.clip(0.4 * WIDTH * shape, 1.2, 5.0)) + 1.0)
+        figure, panels = plt.subplots(1, len(sides), figsize=size, sharex=True, sharey=True, squeeze=False)
         every = max(1, len(log.x) // 600)
         for axes, (name, survey) in zip(panels[0], sides, strict=True):
             rows = np.flatnonzero(survey.samples.run == run)
@@ -64,12 +66,9 @@ def maps(scene: Scene) -> Drawn | None:
             axes.set_title("base model" if name == "before" else "with the effect found", fontsize=9)
             axes.set_xlabel("east, m")
         panels[0][0].set_ylabel("north, m")
-        bar = figure.colorbar(points, ax=list(panels[0]), shrink=0.8)
+        bar = figure.colorbar(points, ax=list(panels[0]))
         bar.set_label(f"{words.channel(scene.channel)} error, {words.shown_unit(unit)}")
-        places = [w for w in scene.found.where if w.channel == scene.channel and w.condition.startswith("within")]
         title = f"{log.name}: where on the track the {words.channel(scene.channel)} is missed"
-        if places:
-            title += f"; most {places[0].condition}"
         return finish(figure, scene.place, "map", title, "Every point is one prediction, coloured by its error; the "
                       "same colours on both sides.")
 

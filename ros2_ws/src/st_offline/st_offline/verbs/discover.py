@@ -28,6 +28,7 @@ def discover(
     seed: int = typer.Option(0, help="Of the resampling."),
     jobs: int = typer.Option(1, help="Runs read side by side.", min=1),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
+    report: bool = typer.Option(True, help="Draw the figures and the page; without, numbers and model file only."),
     offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
     dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
     signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
@@ -54,7 +55,7 @@ def discover(
             runs, reference, base, VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), str(file),
             DiscoverySettings(channels=tuple(_parts(channels)), seed=seed),
             ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset),
-            effects, output, jobs, tuple(_parts(figures)), not fresh)
+            effects, output, jobs, tuple(_parts(figures)), report, not fresh)
         status = run_command(job, Console())
     except (StCoreError, CommandError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st discover: {error}", err=True)
