@@ -1,0 +1,153 @@
+"""Where the INS sits and where it points, from slow driving.
+
+The rear axle of a slow car goes where it points, but for a little slip, so at the INS, d_x ahead of the CG and turned
+by gamma to the left,
+
+    v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r,    s = m l_f / (L C_r)
+
+Straights show gamma, bends d_x, bends at two speeds the slip s. How far the INS is off the centreline, d_y, changes
+its forward speed in bends to one side against the other:
+
+    atan(L r / (v_x + r d_y)) = delta - K v_x r
+
+which needs tight bends to both sides; ratio, offset and understeer of the steering are fitted beside it.
+Checked by: test_ins_mounting.py.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..log import DriveLog
+from ..vehicle import VehicleParameters
+from . import resampling
+from .coverage import SPEED_EDGES, coverage, require
+from .free_parameters import MISALIGNMENT
+from .result import Coverage, Estimate, Identification, Status, strong_correlations
+from .run_samples import RunSamples, all_samples
+
+MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
+MAXIMUM_ACCELERATION = 2.5  # m/s^2 across
+CURVATURE_EDGES = np.array([-0.3, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.3])  # 1/m, left +
+TIGHT = 0.03  # 1/m, below which left and right do not show d_y
+TIGHT_SECONDS = 5.0  # to each side
+EVERY = 0.1  # s between the samples kept: behind the filter nearer ones add nothing
+
+
+def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters, *, bootstrap: int = 200,
+                          seed: int = 0) -> Identification:
+    """cg_to_ins_x [m], ins_misalignment [rad, heading reported too far left] and, with tight bends, cg_to_ins_y [m].
+
+    vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for implausible or too thin driving.
+    """
+    runs = all_samples(logs, vehicle)
+    masks = [_slow(run) for run in runs]
+    covered = _coverage(runs, masks)
+    require(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
+    columns = [_columns(run, mask, vehicle) for run, mask in zip(runs, masks, strict=True)]
+    run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
+    time, speed, across, rate, angle = np.concatenate(columns).T
+    piece, words = resampling.pieces(run_of, time)
+    used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
+
+    regressors = np.stack([speed, rate, speed**2 * rate], axis=1)
+    theta, covariance, left = _solve(piece, regressors, across, bootstrap, seed)
+    pieces = int(piece.max()) + 1
+    basis = f"{len(time)} samples, resampling {words}"
+    estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, covariance[1, 1], "m", pieces, used,
+                           f"{theta[1]:.3f} m ahead of the rear axle", basis, 0.1),
+                 _estimate(MISALIGNMENT, -theta[0], covariance[0, 0], "rad", pieces, used,
+                           f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", basis, 0.005)]
+    correlation = resampling.correlation_of(covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
+    warnings = [*strong_correlations(["lever arm", "rear slip"], resampling.correlation_of(covariance)[1:, 1:]),
+                _stiffness_words(theta[2], covariance[2, 2], vehicle)]
+    across_estimate = _across(time, speed, rate, angle, piece, vehicle, pieces, used, basis, bootstrap, seed)
+    if isinstance(across_estimate, str):
+        warnings.append(across_estimate)
+    else:
+        estimates.append(across_estimate)
+        wide = np.eye(3)
+        wide[:2, :2] = correlation
+        correlation = wide
+    figure = {"curvature": rate / speed, "speed": speed, "run": run_of, "names": tuple(run.name for run in runs),
+              "slope": across / speed - theta[2] * speed * rate, "residual": left, "theta": theta}
+    rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
+                      f"{MAXIMUM_SPEED:g} m/s or beyond {MAXIMUM_ACCELERATION:g} m/s^2")
+                     for run, mask in zip(runs, masks, strict=True) if not mask.all())
+    return Identification("ins", tuple(estimates), used, rejected, correlation, covered,
+                          tuple(w for w in warnings if w), figure)
+
+
+def _slow(run: RunSamples) -> np.ndarray:
+    return ((run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
+            & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION))
+
+
+def _coverage(runs: Sequence[RunSamples], masks: Sequence[np.ndarray]) -> tuple[Coverage, ...]:
+    interval = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
+    chosen = [(run.velocity_x[m], run.curvature[m]) for run, m in zip(runs, masks, strict=True)]
+    return (coverage("speed", "m/s", SPEED_EDGES[:5], [c[0] for c in chosen], interval, 5.0, 1),
+            coverage("curvature", "1/m", CURVATURE_EDGES, [c[1] for c in chosen], interval, 2.0, 3))
+
+
+def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
+    """(time, v_x, v_y, r, delta) at the INS, every EVERY seconds."""
+    where = np.flatnonzero(mask)
+    if len(where):
+        where = where[np.unique(np.floor(run.time[where] / EVERY), return_index=True)[1]]
+    rate = run.yaw_rate[where]
+    return np.stack([run.time[where], run.velocity_x[where] - rate * vehicle.cg_to_ins_y,
+                     run.velocity_y[where] + rate * vehicle.cg_to_ins_x, rate, run.road_wheel_angle[where]], axis=1)
+
+
+def _solve(piece: np.ndarray, regressors: np.ndarray, wanted: np.ndarray, count: int, seed: int):
+    """Least squares (p,), its bootstrap covariance over pieces (p, p), and what is left over (n,)."""
+    squares = resampling.sums(piece, regressors[:, :, None] * regressors[:, None, :])
+    pulls = resampling.sums(piece, regressors * wanted[:, None])
+    theta = np.linalg.solve(squares.sum(axis=0), pulls.sum(axis=0))
+    weights = resampling.draws(count, len(squares), seed)
+    # A draw may hold no bend at all; a millionth of the whole keeps it solvable and counts for nothing otherwise.
+    drawn = np.linalg.solve(np.tensordot(weights, squares, 1) + 1e-6 * squares.sum(axis=0),
+                            (weights @ pulls + 1e-6 * pulls.sum(axis=0))[:, :, None])[:, :, 0]
+    covariance, _ = resampling.spread(drawn, len(squares))
+    return theta, covariance, wanted - regressors @ theta
+
+
+def _across(time, speed, rate, angle, piece, vehicle, pieces, used, basis, count, seed) -> Estimate | str:
+    curvature = rate / speed
+    seconds = [float(np.count_nonzero(side * curvature > TIGHT)) * EVERY for side in (1.0, -1.0)]
+    if min(seconds) < TIGHT_SECONDS:
+        return (f"cg_to_ins_y is not given: tighter than R = {1 / TIGHT:.0f} m there are {seconds[0]:.0f} s to the "
+                f"left and {seconds[1]:.0f} s to the right, {TIGHT_SECONDS:g} s to each are needed.")
+    d_y = 0.0
+    for _ in range(4):  # the equation is linear in d_y but for a little
+        forward = speed + rate * d_y
+        kinematic = np.arctan(vehicle.wheelbase * rate / forward)
+        slope = -vehicle.wheelbase * rate**2 / (forward**2 + (vehicle.wheelbase * rate) ** 2)
+        # delta_file = f (kinematic + slope (d_y' - d_y) + K v r) + o
+        regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed)], axis=1)
+        theta, covariance, _ = _solve(piece, regressors, angle, count, seed)
+        d_y += float(theta[1] / theta[0])
+    return _estimate("cg_to_ins_y", d_y, covariance[1, 1] / theta[0] ** 2, "m", pieces, used,
+                     "left of the CG, from bends to both sides", basis, 0.1)
+
+
+def _estimate(name, value, variance, unit, pieces, used, words, basis, acceptable) -> Estimate:
+    uncertainty = float(np.sqrt(variance))
+    interval, = resampling.intervals([value], [uncertainty], pieces)
+    found: Status = "identified" if uncertainty < acceptable else (
+        "doubtful" if uncertainty < 5.0 * acceptable else "unidentifiable")
+    head = {"identified": "", "doubtful": "Poorly fixed: ", "unidentifiable": "The data cannot tell it: "}[found]
+    return Estimate(name, float(value), unit, uncertainty, interval, "lateral velocity of slow driving"
+                    if name != "cg_to_ins_y" else "steering against curvature in tight bends", used,
+                    f"{head}{words}, +/- {uncertainty:.2g} {unit}, from {basis}.", found)
+
+
+def _stiffness_words(slip: float, variance: float, vehicle: VehicleParameters) -> str:
+    """The rear stiffness that the slip s implies, when it is fixed and not the vehicle file's."""
+    expected = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
+    found, uncertainty = -slip, float(np.sqrt(variance))
+    if uncertainty > 0.5 * expected or abs(found - expected) < 2.0 * uncertainty:
+        return ""
+    return (f"Rear slip per v_x^2 r is {found:.2e} +/- {uncertainty:.1e} s^2/m, the vehicle file's stiffness gives "
+            f"{expected:.2e}: that stiffness, or the load on the rear axle, is not right.")

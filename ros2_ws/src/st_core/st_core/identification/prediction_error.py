@@ -1,0 +1,205 @@
+"""Parameters from multi-step predictions of several drives at once: what the INS would show, minus what it showed.
+
+From starts all over the drives a model predicts with the measured inputs. Residuals at a few points of the horizon:
+
+    e_r = r_predicted - r,    e_v = (v_y + r d_x - gamma v_x)_predicted - v_y
+
+yaw rate and lateral velocity at the INS, d_x its lever arm, gamma its misalignment, each divided by its own root mean
+square. A prediction has forgotten the noise of its start after a few tenths of a second, so the residuals are those
+of a simulation, but errors cannot pile up over a drive. Steering, tyres and INS noise enter where they act: the
+estimate is not drawn towards zero by noisy slip angles as a regression of force on slip is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..batch import LogBatch
+from ..filtering import NANOSECOND
+from ..log import DriveLog
+from ..log_signals import LogSignals
+from ..vehicle import VehicleParameters
+from . import resampling
+from .free_parameters import FREE, Applied, start_value
+from .result import IdentificationError
+
+TUMBLED = 100.0
+"""rad/s and m/s, residual of a prediction that is no longer finite."""
+
+DIFFERENCE = 1e-3
+"""Step of the derivatives, in usual changes of a parameter (`FreeParameter.scale`)."""
+
+
+@dataclass(frozen=True)
+class PredictionErrorSettings:
+    """points: of the horizon at which errors count [s], multiples of step. interval: between starts [s]. Starts are
+    used when over their whole horizon the speed is at least minimum_speed [m/s] and |v_x r| at most
+    maximum_acceleration [m/s^2]. step [s] is integrated in two. fewest_starts: below, the data are refused.
+    """
+
+    points: tuple[float, ...] = (0.5, 1.0, 1.5)
+    interval: float = 0.5
+    minimum_speed: float = 5.0
+    maximum_acceleration: float = 4.0
+    step: float = 0.05
+    fewest_starts: int = 60
+    maximum_gap: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Outcome of `PredictionError.fit`. values: of `names`, SI. jacobian: of the residuals, (m, p) and (m,), in units
+    of their root mean squares `noise` (yaw rate [rad/s], lateral velocity [m/s]). run_of, time: of each residual.
+    at_bound: names that stopped there.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    residuals: np.ndarray
+    jacobian: np.ndarray
+    noise: np.ndarray
+    run_of: np.ndarray
+    time: np.ndarray
+    evaluations: int
+    at_bound: tuple[str, ...] = field(default=())
+
+    def bootstrap(self, count: int, seed: int) -> tuple[np.ndarray, int, str]:
+        """(values of bootstrap samples (count, p), number of pieces, what they are).
+
+        One Gauss-Newton step from the estimate to that of the drawn pieces:
+
+            theta* = theta - (sum w_c J_c^T J_c)^-1 sum w_c J_c^T e_c
+
+        Good as long as the predictions are nearly linear in the parameters over their spread; complete fits to the
+        same draws agree (test_prediction_error.py). Raises IdentificationError when the pieces do not fix them.
+        """
+        piece, words = resampling.pieces(self.run_of, self.time)
+        squares = resampling.sums(piece, self.jacobian[:, :, None] * self.jacobian[:, None, :])
+        pulls = resampling.sums(piece, self.jacobian * self.residuals[:, None])
+        weights = resampling.draws(count, len(squares), seed)
+        try:
+            steps = np.linalg.solve(np.tensordot(weights, squares, 1), np.tensordot(weights, pulls, 1)[:, :, None])
+        except np.linalg.LinAlgError:
+            raise IdentificationError(f"{', '.join(self.names)}: not fixed by the data; drive with more variety of "
+                                      "speed and bends, or free fewer parameters") from None
+        return self.values - steps[:, :, 0], len(squares), words
+
+
+class PredictionError:
+    """Residuals of several drives as a function of parameters; see the module.
+
+    names: of `free_parameters.FREE`; all others stay as in the vehicle file. base: linear or nonlinear.
+    Raises IdentificationError when too few starts pass. Checked by: test_prediction_error.py.
+    """
+
+    def __init__(self, logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
+                 base: str = "nonlinear", settings: PredictionErrorSettings | None = None):
+        self.settings = settings or PredictionErrorSettings()
+        self.vehicle, self.names, self.base = vehicle, tuple(names), base
+        self._apply = Applied(vehicle, base, names)
+        self._runs = [_Run(log, self.settings) for log in logs]
+        self.starts = {run.name: len(run.batch.starts_ns) for run in self._runs}
+        self.considered = {run.name: run.considered for run in self._runs}
+        total = sum(self.starts.values())
+        if total < self.settings.fewest_starts:
+            raise IdentificationError(
+                f"too few samples: {total} of {sum(self.considered.values())} starts are faster than "
+                f"{self.settings.minimum_speed:g} m/s and below {self.settings.maximum_acceleration:g} m/s^2 over "
+                f"{self.settings.points[-1]:g} s; {self.settings.fewest_starts} are needed")
+        self.run_of = np.concatenate([np.full(r.size, i) for i, r in enumerate(self._runs)])
+        self.time = np.concatenate([r.time for r in self._runs])
+        self._limits = np.array([FREE[n].limits(start_value(n, vehicle)) for n in names]).reshape(-1, 2)
+        self.start = np.array([start_value(n, vehicle) for n in names])
+        self._scale = np.array([FREE[n].step(start_value(n, vehicle)) for n in names])
+
+    def residuals(self, values: Sequence[float]) -> np.ndarray:
+        """(m, 2): yaw rate [rad/s] and lateral velocity at the INS [m/s], predicted minus measured."""
+        model, car, misalignment = self._apply(values)
+        return np.concatenate([run.residuals(model, car, misalignment) for run in self._runs])
+
+    def fit(self, start: Sequence[float] | None = None, noise: np.ndarray | None = None,
+            fixed: Sequence[int] = ()) -> Fit:
+        """Least squares, twice: with the residuals at the start's parameters as noise, then with those left over.
+
+        start: values to begin at. noise: weights to keep. fixed: positions in `names` that stay where they start.
+        """
+        values = np.array(self.start if start is None else start, float)
+        free = np.array([i for i in range(len(self.names)) if i not in fixed], int)
+        evaluations, rounds = 0, 1 if noise is not None else 2
+        noise = _size(self.residuals(values)) if noise is None else noise
+        solution = None
+        for _ in range(rounds):
+            if solution is not None:
+                noise = _size(solution.fun.reshape(-1, 2) * noise)
+            solution = self._solve(values, free, noise)
+            values[free] = solution.x * self._scale[free]
+            evaluations += solution.nfev + len(free) * solution.njev
+        lower, upper = self._limits.T
+        near = 1e-3 * (upper - lower)
+        bound = tuple(n for i, n in enumerate(self.names)
+                      if i in free and not lower[i] + near[i] < values[i] < upper[i] - near[i])
+        return Fit(self.names, values, solution.fun, solution.jac / self._scale[free], noise,
+                   np.repeat(self.run_of, 2), np.repeat(self.time, 2), evaluations, bound)
+
+    def _solve(self, values, free, noise):
+        def weighted(x):
+            trial = values.copy()
+            trial[free] = x * self._scale[free]
+            return (self.residuals(trial) / noise).ravel()
+
+        start = np.clip(values[free], self._limits[free, 0], self._limits[free, 1]) / self._scale[free]
+        bounds = tuple((self._limits[free] / self._scale[free, None]).T)
+        inside = np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6)
+
+        def jacobian(x):
+            # Forward, by a thousandth of a usual change: a dead time is only felt from nanoseconds on.
+            steps = np.where(x + DIFFERENCE <= bounds[1], DIFFERENCE, -DIFFERENCE)
+            here = weighted(x)
+            return np.stack([(weighted(x + step * unit) - here) / step
+                             for step, unit in zip(steps, np.eye(len(x)), strict=True)], axis=1)
+
+        return least_squares(weighted, inside, jacobian, bounds=bounds, xtol=1e-5, ftol=1e-7, gtol=1e-8)
+
+
+class _Run:
+    """One drive: its starts, and what was measured where they are judged."""
+
+    def __init__(self, log: DriveLog, settings: PredictionErrorSettings):
+        signals = LogSignals(log, settings.maximum_gap, 5.0, "zero_phase")
+        starts = _starts(log, settings)
+        self.name, self.considered = log.name, len(starts)
+        horizon = settings.points[-1]
+        grid = np.round(np.arange(0.0, horizon + 0.5 * settings.step, settings.step) / NANOSECOND).astype(np.int64)
+        speed, yaw_rate, derivative = signals.ins_at(starts[:, None] + grid, "velocity_x", "yaw_rate", "velocity_x_dot")
+        angle = signals.road_wheel_angle_at(starts[:, None] + grid)
+        with np.errstate(invalid="ignore"):
+            good = ((speed >= settings.minimum_speed) & (np.abs(speed * yaw_rate) <= settings.maximum_acceleration)
+                    & np.isfinite(angle) & np.isfinite(derivative)).all(axis=1)
+        starts = starts[good]
+        self.batch = LogBatch(signals, starts, horizon, settings.step, points=settings.points, substeps=2)
+        half = np.round(np.asarray(settings.points) / NANOSECOND).astype(np.int64)
+        self._yaw_rate, self._across, self._speed = signals.ins_at(
+            starts[:, None] + half, "yaw_rate", "velocity_y", "velocity_x")
+        self.size = self._yaw_rate.size
+        self.time = np.repeat((starts - log.start_ns) * NANOSECOND, len(settings.points))
+
+    def residuals(self, model, car, misalignment: float) -> np.ndarray:
+        if not self.size:
+            return np.empty((0, 2))
+        predicted = self.batch.predict(model, car)
+        across = predicted.velocity_y + predicted.yaw_rate * car.cg_to_ins_x - misalignment * self._speed
+        both = np.stack([predicted.yaw_rate - self._yaw_rate, across - self._across], axis=-1).reshape(-1, 2)
+        # Values so far off that the car tumbles are the worst of all, not unknown.
+        return np.where(np.isfinite(both), both, TUMBLED)
+
+
+def _starts(log: DriveLog, settings: PredictionErrorSettings) -> np.ndarray:
+    begin = max(int(log.ins_time_ns[0]), int(log.steering_time_ns[0])) + round(0.3 / NANOSECOND)
+    end = min(int(log.ins_time_ns[-1]), int(log.steering_time_ns[-1])) - round(settings.points[-1] / NANOSECOND)
+    return np.arange(begin, end, round(settings.interval / NANOSECOND), dtype=np.int64)
+
+
+def _size(residuals: np.ndarray) -> np.ndarray:
+    return np.maximum(np.sqrt(np.square(residuals).mean(axis=0)), 1e-9)

@@ -1,0 +1,101 @@
+"""Offset of the steering wheel sensor from straight driving, found twice.
+
+The paper's way: the offset with which the simulated yaw rate comes closest to the measured one. Directly: the mean
+reading while the car goes straight, corrected by what little it turns,
+
+    o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / way
+
+in windows with a steady hand. The first rests on the gyro, the second on the heading; a crowned road, side wind or
+worn tyres turn the steering wheel in both. Checked by: test_steering_offset.py.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..handling import understeer_coefficient
+from ..log import DriveLog
+from ..vehicle import VehicleParameters
+from . import resampling
+from .prediction_error import PredictionError, PredictionErrorSettings
+from .result import Estimate, Identification, IdentificationError, contradiction
+from .run_samples import RunSamples, prepared, run_samples
+
+PAPER, DIRECT = "steering_wheel_offset", "steering_wheel_offset_direct"
+SETTINGS = PredictionErrorSettings(points=(0.5, 1.0, 1.5, 2.0), maximum_acceleration=0.5, fewest_starts=40)
+WINDOW = 2.0  # s
+STRAIGHT = 500.0  # m, radius
+STEADY = np.deg2rad(3.0)  # at the hand wheel, standard deviation in a window
+FEWEST_WINDOWS = 10
+
+
+def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters,
+                             settings: PredictionErrorSettings = SETTINGS, *, bootstrap: int = 200,
+                             seed: int = 0) -> Identification:
+    """Offset by both ways [rad at the hand wheel, left +]; parameters PAPER and DIRECT.
+
+    vehicle: ratio and all else; its offset is where the search starts. Raises IdentificationError for implausible
+    driving or too little of it straight.
+    """
+    logs = prepared(logs, vehicle)
+    runs = [run_samples(log, vehicle) for log in logs]
+    windows = [_windows(run, vehicle, settings.minimum_speed) for run in runs]
+    values = np.concatenate([w[:, 1] for w in windows])
+    if len(values) < FEWEST_WINDOWS:
+        raise IdentificationError(
+            f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {STRAIGHT:g} m, with a "
+            f"steady hand and faster than {settings.minimum_speed:g} m/s; {FEWEST_WINDOWS} are needed")
+    problem = PredictionError(logs, vehicle, (PAPER,), "linear", settings)
+    fit = problem.fit(noise=np.array([1.0e-3, np.inf]))  # yaw rate alone, in its own unit of a thousandth
+    drawn, pieces, words = fit.bootstrap(bootstrap, seed)
+    covariance, _ = resampling.spread(drawn, pieces)
+    paper = _estimate(PAPER, fit.values[0], covariance[0, 0], pieces, "simulated against measured yaw rate (paper)",
+                      problem.starts, f"{sum(problem.starts.values())} predictions on straights, resampling {words}")
+
+    run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
+    times = np.concatenate([w[:, 0] for w in windows])
+    piece, words = resampling.pieces(run_of, times)
+    totals = resampling.sums(piece, np.stack([np.ones_like(values), values], axis=1))
+    weights = resampling.draws(bootstrap, len(totals), seed + 1)
+    means = (weights @ totals[:, 1]) / np.maximum(weights @ totals[:, 0], 1.0)
+    covariance, _ = resampling.spread(means[:, None], len(totals))
+    used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
+    direct = _estimate(DIRECT, float(values.mean()), covariance[0, 0], len(totals), "mean reading on steady straights",
+                       used, f"{len(values)} windows of {WINDOW:g} s, resampling {words}")
+    said = contradiction(paper, direct.value, direct.standard_uncertainty, "the mean reading on steady straights")
+    if said:
+        paper = replace(paper, status="doubtful", verdict=f"{paper.verdict} {said}")
+    rejected = tuple((name, "no straight piece in it") for name, n in problem.starts.items()
+                     if not n and not used[name])
+    figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[::2] * 1.0e-3,
+              "residual_run": fit.run_of[::2], "residual_time": fit.time[::2], "names": tuple(r.name for r in runs)}
+    return Identification("steering-offset", (paper, direct), tuple(n for n in used if used[n] or problem.starts[n]),
+                          rejected, None, (), (said,) if said else (), figure)
+
+
+def _windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) -> np.ndarray:
+    """(time, offset [rad]) of the steady straight windows of a run, (n, 2)."""
+    understeer = understeer_coefficient(vehicle)
+    rows = []
+    for start in np.arange(run.time[0], run.time[-1] - WINDOW, WINDOW):
+        part = slice(*np.searchsorted(run.time, (start, start + WINDOW)))
+        time, hand, speed = run.time[part], run.steering_wheel_angle[part], run.velocity_x[part]
+        if len(time) < 10 or time[-1] - time[0] < 0.9 * WINDOW or speed.min() < minimum_speed:
+            continue
+        mean_speed = float(speed.mean())
+        curvature = float(run.yaw[part][-1] - run.yaw[part][0]) / (mean_speed * float(time[-1] - time[0]))
+        if abs(curvature) * STRAIGHT > 1.0 or hand.std() > STEADY:
+            continue
+        turning = vehicle.wheelbase * curvature * (1.0 + understeer * mean_speed**2)
+        rows.append((start, float(hand.mean()) - vehicle.steering_ratio * turning))
+    return np.array(rows).reshape(-1, 2)
+
+
+def _estimate(name, value, variance, pieces, method, used, basis) -> Estimate:
+    uncertainty = float(np.sqrt(variance))
+    interval, = resampling.intervals([value], [uncertainty], pieces)
+    degrees, spread = np.rad2deg(value), np.rad2deg(uncertainty)
+    return Estimate(name, float(value), "rad", uncertainty, interval, method, tuple(n for n, c in used.items() if c),
+                    f"The hand wheel reads {degrees:.2f} +/- {spread:.2f} deg when driving straight, from {basis}.",
+                    "identified" if spread < 0.5 else "doubtful")

@@ -1,0 +1,59 @@
+"""Yaw inertia from transients: how fast the yaw rate follows the steering, at both axles' stiffnesses.
+
+    I_z r_dot = l_f F_f cos(delta) - l_r F_r
+
+In steady bends r_dot is zero and any inertia fits. Steering dynamics, a time stamp that is off, and the relaxation of
+the tyres delay the response as inertia does; the dead time of the steering is therefore fitted beside it, and a strong
+correlation of the two is said. Checked by: test_yaw_inertia.py.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..log import DriveLog
+from ..vehicle import VehicleParameters
+from .coverage import coverage, require
+from .free_parameters import DELAY, MISALIGNMENT
+from .prediction_error import PredictionError, PredictionErrorSettings
+from .prediction_estimates import driving_coverage, identification
+from .result import Estimate, Identification, contradiction
+from .run_samples import prepared, run_samples
+
+NAMES = ("yaw_inertia", "cornering_stiffness_front", "cornering_stiffness_rear", DELAY, "steering_wheel_offset",
+         MISALIGNMENT)
+YAW_ACCELERATION_EDGES = np.array([-10.0, -1.5, -0.7, -0.3, 0.3, 0.7, 1.5, 10.0])  # rad/s^2, left +
+SETTINGS = PredictionErrorSettings(points=(0.1, 0.2, 0.3, 0.4, 0.6, 0.8), interval=0.3)
+RADIUS_OF_GYRATION = (0.35, 0.65)
+"""Share of the wheelbase between which cars lie; outside, the value is doubted."""
+
+
+def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str = "nonlinear",
+                         settings: PredictionErrorSettings = SETTINGS, *, bootstrap: int = 200,
+                         seed: int = 0) -> Identification:
+    """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported beside.
+
+    Raises IdentificationError for implausible driving, and without transients: |r_dot| above 0.3 rad/s^2 to both sides.
+    """
+    logs = prepared(logs, vehicle)
+    runs = [run_samples(log, vehicle) for log in logs]
+    interval = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
+    fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
+    covered = (*driving_coverage(logs, vehicle, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)},
+                                 settings.minimum_speed),
+               coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, interval, 1.0, 5))
+    require(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
+    problem = PredictionError(logs, vehicle, NAMES, base, settings)
+    result = identification("yaw-inertia", problem, problem.fit(),
+                            f"multi-step prediction of transients, {base} tyres", NAMES[:4], covered, bootstrap, seed)
+    inertia = result["yaw_inertia"]
+    warnings = [*result.warnings]
+    share = float(np.sqrt(inertia.value / vehicle.mass) / vehicle.wheelbase)
+    if not RADIUS_OF_GYRATION[0] <= share <= RADIUS_OF_GYRATION[1]:
+        warnings.append(f"A radius of gyration of {share:.2f} wheelbases is no car's: steering or tyre dynamics pass "
+                        "for inertia.")
+        inertia = replace(inertia, status="doubtful")
+    said = contradiction(inertia, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia, "the vehicle file (as +/- 10 %)")
+    estimates: tuple[Estimate, ...] = (inertia, *result.estimates[1:])
+    return replace(result, estimates=estimates, warnings=(*warnings, said) if said else tuple(warnings))
