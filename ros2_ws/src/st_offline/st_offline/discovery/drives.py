@@ -41,10 +41,13 @@ def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settin
             done()
         return drives
     with ProcessPoolExecutor(min(jobs, len(sources))) as pool:
-        futures = [pool.submit(read_drive, source, vehicle, settings, cache) for source in sources]
-        for _ in as_completed(futures):
+        # What is no recording at all is answered here: its error does not travel between processes.
+        futures = {number: pool.submit(read_drive, source, vehicle, settings, cache)
+                   for number, source in enumerate(sources) if source.problem is None}
+        for _ in as_completed(futures.values()):
             done()
-        return [future.result() for future in futures]
+        return [futures[number].result() if number in futures else read_drive(source, vehicle, settings, None)
+                for number, source in enumerate(sources)]
 
 
 def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, cache: Path | None) -> Drive:

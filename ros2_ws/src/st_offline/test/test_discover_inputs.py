@@ -1,0 +1,140 @@
+"""What st discover takes in: drives kept between starts, model files, and what it refuses in one line."""
+
+import numpy as np
+import pytest
+from drives import weave, write_drive
+from st_core.augmented import augment
+from st_core.log import DriveLog
+from st_core.model_file import ModelFile, Provenance
+from st_core.vehicle import VehicleParameters
+from st_offline.cli import app
+from st_offline.discovery.drives import read_drive, read_drives
+from st_offline.fourth_model import fourth_model
+from st_offline.runs import ReadSettings, find_runs
+from st_offline.suite import SuiteError
+from support import ROOT
+from typer.testing import CliRunner
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+GENESIS = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
+
+
+def car(path) -> VehicleParameters:
+    return VehicleParameters.from_yaml(path.read_text(), str(path))
+
+
+def discover(*arguments):
+    return CliRunner().invoke(app, ["discover", *map(str, arguments)])
+
+
+@pytest.fixture
+def drive(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return write_drive(tmp_path / "drive.csv", weave(8.0))
+
+
+def same(a: DriveLog, b: DriveLog) -> bool:
+    return a.name == b.name and all(np.array_equal(getattr(a, n), getattr(b, n)) for n in (
+        "ins_time_ns", "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering_time_ns", "road_wheel_angle",
+        "acceleration_y"))
+
+
+def test_a_drive_is_read_once(drive, tmp_path):
+    kept, (source,) = tmp_path / "kept", find_runs([drive])
+    first = read_drive(source, car(LEAF), ReadSettings(), kept)
+    (file,) = kept.iterdir()
+    stamp = file.stat().st_mtime_ns
+    again = read_drive(source, car(LEAF), ReadSettings(), kept)
+    assert same(first.log, again.log) and first.about == again.about and file.stat().st_mtime_ns == stamp
+
+
+def test_what_is_kept_is_of_these_bytes_this_car_and_these_settings(drive, tmp_path):
+    kept = tmp_path / "kept"
+    for vehicle, settings in ((LEAF, ReadSettings()), (GENESIS, ReadSettings()), (LEAF, ReadSettings(offset=0.1))):
+        read_drive(find_runs([drive])[0], car(vehicle), settings, kept)
+    assert len(list(kept.iterdir())) == 3
+    write_drive(drive, weave(9.0))
+    assert read_drive(find_runs([drive])[0], car(LEAF), ReadSettings(), kept).log.duration > 8.5
+
+
+def test_a_damaged_file_is_read_anew(drive, tmp_path):
+    kept, (source,) = tmp_path / "kept", find_runs([drive])
+    first = read_drive(source, car(LEAF), ReadSettings(), kept)
+    (file,) = kept.iterdir()
+    for content in (b"", b"PK not a zip", file.read_bytes()[:400]):
+        file.write_bytes(content)
+        assert same(read_drive(source, car(LEAF), ReadSettings(), kept).log, first.log)
+
+
+def test_side_by_side_is_the_same(drive, tmp_path):
+    other = write_drive(tmp_path / "other.csv", weave(7.0))
+    sources, ticks = find_runs([drive, other, tmp_path / "none.csv"]), []
+    alone, parallel = (read_drives(sources, car(LEAF), ReadSettings(), jobs, None, lambda: ticks.append(1))
+                       for jobs in (1, 2))
+    assert [d.problem != "" for d in parallel] == [d.problem != "" for d in alone] and len(ticks) == 5
+    for a, b in zip(alone, parallel, strict=True):
+        assert (a.log is None and b.log is None) or same(a.log, b.log)
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["--base", "wrong"], "--base wrong: there are kinematic, linear, nonlinear, or a model file"),
+    (["--base", "none.yaml"], "--base none.yaml: cannot be read: No such file"),
+    (["--channels", "speed"], "channels: 'speed' is none of velocity_y, yaw_rate"),
+    (["--channels", "position"], "at least one of velocity_y, yaw_rate, acceleration_y is needed"),
+    (["--figures", "gif"], "--figures: gif is not one of"),
+    (["--reference", "nowhere"], "no --reference run can be used: "),
+])
+def test_wrong_options_are_one_line(drive, tmp_path, arguments, said):
+    result = discover(drive, "--output", tmp_path / "o", *arguments)
+    assert result.exit_code == 2 and said in result.output and "Traceback" not in result.output
+
+
+def test_no_recording_and_a_broken_one(drive, tmp_path):
+    broken = tmp_path / "broken.csv"
+    broken.write_text(drive.read_text().replace("yaw_rate", "something"))
+    for path, said in ((tmp_path / "none.csv", "there is no such file"), (broken, "broken.csv")):
+        result = discover(path, "--output", tmp_path / "o")
+        assert result.exit_code == 2 and "no run can be used: " in result.output and said in result.output
+
+
+def test_a_drive_cannot_be_its_own_reference(drive, tmp_path):
+    copy = tmp_path / "healthy" / "copy.csv"
+    copy.parent.mkdir()
+    copy.write_bytes(drive.read_bytes())
+    result = discover(drive, "--reference", copy, "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "is given as a run and as --reference" in result.output
+
+
+def test_effects_that_do_not_load_are_one_line(drive, tmp_path):
+    (tmp_path / "effects").mkdir()
+    (tmp_path / "effects" / "broken.py").write_text("import nothing_of_this_name\n")
+    result = discover(drive, "--effects", tmp_path / "effects", "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "broken.py: cannot be loaded: ModuleNotFoundError" in result.output
+
+
+def test_model_file_of_another_car_is_refused(drive, tmp_path):
+    model = tmp_path / "model.yaml"
+    lag = augment("nonlinear", {"steering_lag": {"time_constant": 0.1}})
+    model.write_text(ModelFile.of(lag, car(GENESIS), Provenance()).to_yaml())
+    result = discover(drive, "--base", model, "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "the values hold for 'Hyundai Genesis'" in result.output
+    with pytest.raises(SuiteError, match="the values hold for 'Hyundai Genesis'"):
+        fourth_model(model, None, LEAF)
+    chosen = fourth_model(model, None, GENESIS)
+    assert chosen["predictor"] == chosen["evaluator"] == {"model_file": str(model), "effects_directory": ""}
+
+
+def test_fourth_model_that_is_none(tmp_path):
+    (tmp_path / "model.yaml").write_text("base: nonlinear\neffects: {no_such: {}}\n")
+    with pytest.raises(SuiteError, match="no_such"):
+        fourth_model(tmp_path / "model.yaml", None, LEAF)
+    with pytest.raises(SuiteError, match="only a --model uses effects"):
+        fourth_model(None, tmp_path, LEAF)
+    assert fourth_model(None, None, LEAF) == {}
+
+
+def test_results_are_never_overwritten(drive, tmp_path):
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "precious.txt").write_text("x")
+    result = discover(drive, "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "is not empty" in result.output
