@@ -31,7 +31,7 @@ LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
 SEALED = "single track, discovery, sealed set 1"
 PER_CAR = 10
 RUNS, HELD_OUT = 3, 2
-SCALES = (1.0, 0.5, 0.2)
+SCALES, ODDS = (1.0, 0.5, 0.25), (0.45, 0.35, 0.2)
 COUNTS = {"single": 240, "healthy": 100, "double": 60, "unknown": 60, "untestable": 30, "partial": 24, "real": 60}
 """Cases of the sealed set; kind real is in `real`."""
 SLID_AWAY = 6.0
@@ -101,7 +101,7 @@ def _singles(set_: str) -> list[Case]:
     cases = []
     for index, hidden in enumerate(plan):
         special = (index // PER_CAR) % 3 == 0
-        sign, scale = _sign(draw, hidden), float(draw.choice(SCALES, p=(0.4, 0.35, 0.25)))
+        sign, scale = _sign(draw, hidden), float(draw.choice(SCALES, p=ODDS))
         cases.append(Case(set_, "single", index, (hidden.library,), ((hidden, scale, sign),), index % 3 != 2,
                           car=_car(set_, "single", index, {"combined_slip": 0.0} if special else {})))
     return cases

@@ -38,42 +38,42 @@ class Hidden:
 
 KNOWN = (
     Hidden("steering_offset", "steering_offset", 0.006, group="side"),
-    Hidden("steering_ratio_factor", "steering_ratio", 0.07, factor=True, group="gain"),
-    Hidden("steering_lag", "steering_lag", 0.10, UP, group="time"),
+    Hidden("steering_ratio_factor", "steering_ratio", 0.10, factor=True, group="gain"),
+    Hidden("steering_lag", "steering_lag", 0.08, UP, group="time"),
     Hidden("steering_delay", "steering_delay", 0.05, UP, group="time"),
-    Hidden("steering_backlash", "steering_backlash", 0.12, UP, group="play"),
-    Hidden("steering_compliance", "steering_compliance", 2e-6, UP, group="gain"),
-    Hidden("roll_steer", "roll_steer", 0.10, group="gain"),
+    Hidden("steering_backlash", "steering_backlash", 0.2, UP, group="play"),
+    Hidden("steering_compliance", "steering_compliance", 3e-6, UP, group="gain"),
+    Hidden("roll_steer", "roll_steer", 0.2, group="gain"),
     Hidden("front_stiffness_factor", "front_stiffness", 0.15, factor=True, group="gain"),
-    Hidden("rear_stiffness_factor", "rear_stiffness", 0.15, factor=True, group="rear"),
-    Hidden("friction_factor", "friction", 0.25, DOWN, factor=True, group="limit"),
+    Hidden("rear_stiffness_factor", "rear_stiffness", 0.2, factor=True, group="rear"),
+    Hidden("friction_factor", "friction", 0.15, DOWN, factor=True, group="limit"),
     Hidden("relaxation_length", "tyre_relaxation", 0.6, UP, group="time"),
     Hidden("combined_slip", "combined_slip", 1.0, UP, group="limit", with_={"combined_slip": 0.0}),
     Hidden("lateral_load_transfer", "lateral_load_transfer", 1.0, UP, group="limit"),
     Hidden("longitudinal_load_transfer", "longitudinal_load_transfer", 1.0, UP, group="limit"),
-    Hidden("mass_factor", "mass", 0.18, UP, factor=True, group="gain"),
-    Hidden("yaw_inertia_factor", "yaw_inertia", 0.22, factor=True, group="time"),
-    Hidden("cg_shift", "cg_position", 0.12, group="rear"),
+    Hidden("mass_factor", "mass", 0.3, UP, factor=True, group="gain"),
+    Hidden("yaw_inertia_factor", "yaw_inertia", 0.35, factor=True, group="time"),
+    Hidden("cg_shift", "cg_position", 0.2, group="rear"),
     Hidden("bank_angle", "road_bank", 0.03, group="side"),
-    Hidden("wind_speed", "crosswind", 12.0, group="side"),
-    Hidden("ins_misalignment", "heading_misalignment", 0.015, group="mounting"),
-    Hidden("ins_lever_error", "sensor_lever_arm", 0.3, group="mounting"),
-    Hidden("yaw_rate_scale", "yaw_rate_scale", 0.03, factor=True, group="gain"),
-    Hidden("velocity_scale", "speed_scale", 0.03, factor=True, group="speed"),
+    Hidden("wind_speed", "crosswind", 18.0, group="side"),
+    Hidden("ins_misalignment", "heading_misalignment", 0.006, group="mounting"),
+    Hidden("ins_lever_error", "sensor_lever_arm", 0.2, group="mounting"),
+    Hidden("yaw_rate_scale", "yaw_rate_scale", 0.05, factor=True, group="gain"),
+    Hidden("velocity_scale", "speed_scale", 0.01, factor=True, group="speed"),
     Hidden("lateral_acceleration_bias", "lateral_acceleration_bias", 0.25, group="accelerometer"),
 )
 """In the library. roll_steer counts the other way round there (understeer +); backlash is at the hand wheel here."""
 
 FOREIGN = (
-    Hidden("gust_speed", None, 6.0, UP),
+    Hidden("gust_speed", None, 10.0, UP),
     Hidden("friction_patch", None, 0.5, DOWN, factor=True),
     Hidden("terrain_wave", None, 0.06, UP),
     Hidden("hillside_slope", None, 0.06),
-    Hidden("rear_roll_steer", None, 0.15),
+    Hidden("rear_roll_steer", None, 0.25),
     Hidden("camber_thrust", None, 1.0, UP),
-    Hidden("ackermann", None, 1.0, DOWN),
 )
-"""No effect of the library equals these. Some of them an effect can nearly imitate (rear roll steer, camber thrust)."""
+"""No effect of the library equals these. Some of them an effect can nearly imitate (rear roll steer, camber thrust).
+The Ackermann share is not here: on these drives nothing of it can be seen."""
 
 UNSEEN = {
     "drag_area": ("drag", 0.6),
