@@ -1,0 +1,141 @@
+"""Nonlinear least squares within bounds, and profile-likelihood intervals of each parameter.
+
+    S(p) = sum r(p)^2,   s^2 = S_min / (n - k),   covariance = s^2 (J^T J)^-1 over the parameters inside their bounds
+
+The 95 % interval of parameter i ends where holding it costs as much as chance would, all others fitted anew:
+
+    min over the others of S = S_min + s^2 F_0.95(1, n - k)
+
+An end that is not reached before the parameter's bound is open. Source: Bates and Watts, Nonlinear Regression Analysis,
+ch. 6. Checked by: test_curve_fit.py.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import f as fisher
+
+Residuals = Callable[[np.ndarray], np.ndarray]
+"""From parameters (k,) or many sets of them (m, k) to residuals (n,) or (m, n)."""
+
+ENOUGH = 0.03  # of the rise, at which an end of an interval is found
+MOST_STEPS = 8
+EDGE = 1e-6  # of the bounds' width: nearer than that is at the bound
+
+
+@dataclass(frozen=True)
+class CurveFit:
+    """values (k,), their covariance (k, k), residuals (n,), scatter s, freedom n - k; bounds (k,) each.
+
+    A parameter at its bound has no covariance (zero).
+    """
+
+    values: np.ndarray
+    covariance: np.ndarray
+    residuals: np.ndarray
+    scatter: float
+    freedom: int
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def deviations(self) -> np.ndarray:
+        return np.sqrt(np.diag(self.covariance))
+
+    def at_bound(self, index: int) -> bool:
+        near = EDGE * (self.upper[index] - self.lower[index])
+        return not self.lower[index] + near < self.values[index] < self.upper[index] - near
+
+
+@dataclass(frozen=True)
+class Interval:
+    """95 % interval of one parameter. lower_open, upper_open: whether the end is a bound and not the data's."""
+
+    low: float
+    high: float
+    lower_open: bool
+    upper_open: bool
+
+
+def fit_curve(residuals: Residuals, start: Sequence[float], lower: Sequence[float], upper: Sequence[float]) -> CurveFit:
+    """The least sum of squares from `start`, every parameter within its bounds."""
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+    found = least_squares(residuals, inside, _jacobian(residuals, high), (low, high), x_scale="jac", xtol=1e-10,
+                          ftol=1e-12, gtol=1e-12, max_nfev=400)
+    n, k = found.jac.shape
+    freedom = n - k
+    scatter = math.sqrt(2.0 * found.cost / freedom) if freedom > 0 else math.nan
+    near = EDGE * (high - low)
+    free = (found.x > low + near) & (found.x < high - near)
+    covariance = np.zeros((k, k))
+    if free.any():
+        jacobian = found.jac[:, free]
+        covariance[np.ix_(free, free)] = scatter**2 * np.linalg.pinv(jacobian.T @ jacobian)
+    return CurveFit(found.x, covariance, found.fun, scatter, freedom, low, high)
+
+
+def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interval:
+    """The interval above for parameter `index`, found by the secant method on the root of the rise."""
+    low, low_open = _end(residuals, fit, index, -1.0)
+    high, high_open = _end(residuals, fit, index, 1.0)
+    return Interval(low, high, low_open, high_open)
+
+
+def _end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
+    wanted = fit.scatter**2 * float(fisher.ppf(0.95, 1, fit.freedom))
+    bound = float((fit.upper if side > 0.0 else fit.lower)[index])
+    value, spread = float(fit.values[index]), float(fit.deviations[index])
+    room = abs(bound - value)
+    if room <= EDGE * float(fit.upper[index] - fit.lower[index]):
+        return bound, True
+    distance = min(math.sqrt(wanted) / fit.scatter * spread, room) if spread > 0.0 else 0.1 * room
+    least = float(fit.residuals @ fit.residuals)
+    others = np.arange(len(fit.values)) != index
+    slope = fit.covariance[others, index] / spread**2 if spread > 0.0 else np.zeros(int(others.sum()))
+    start = fit.values[others] + slope * side * distance
+    known = (0.0, 0.0)
+    for _ in range(MOST_STEPS):
+        start, cost = _held(residuals, fit, index, value + side * distance, start)
+        root = math.sqrt(max(cost - least, 0.0) / wanted)
+        if distance >= room and root < 1.0:
+            return bound, True
+        if abs(root - 1.0) < ENOUGH:
+            break
+        if distance == known[0]:
+            break
+        steepness = (root - known[1]) / (distance - known[0])
+        known = (distance, root)
+        step = (1.0 - root) / steepness if steepness > 0.0 else distance
+        # Neither back past the estimate nor out of sight in one step.
+        distance = min(max(distance + step, 0.3 * distance), 4.0 * distance, room)
+    return value + side * distance, False
+
+
+def _jacobian(residuals: Residuals, upper: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Forward differences, all columns in one call; backward where a step would cross the upper bound."""
+    def jacobian(values: np.ndarray) -> np.ndarray:
+        steps = 1e-7 * np.maximum(np.abs(values), 1e-3)
+        steps = np.where(values + steps > upper, -steps, steps)
+        rows = residuals(np.concatenate([values[None], values + np.diag(steps)]))
+        return ((rows[1:] - rows[0]) / steps[:, None]).T
+
+    return jacobian
+
+
+def _held(residuals: Residuals, fit: CurveFit, index: int, value: float, start: np.ndarray) -> tuple[np.ndarray, float]:
+    """The other parameters fitted with one held, and the sum of squares then."""
+    others = np.arange(len(fit.values)) != index
+    low, high = fit.lower[others], fit.upper[others]
+    inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+
+    def rest(free: np.ndarray) -> np.ndarray:
+        return residuals(np.insert(free, index, value, axis=-1))
+
+    # The rise looked for is a twentieth of the sum; a ten-thousandth is exact enough.
+    found = least_squares(rest, inside, _jacobian(rest, high), (low, high), x_scale="jac", xtol=1e-5, ftol=1e-4,
+                          gtol=1e-9, max_nfev=60)
+    return found.x, 2.0 * found.cost

@@ -1,0 +1,238 @@
+"""Magic Formula of one tyre from flat-plank tables: lateral force against slip angle at several vertical loads.
+
+Equations in `tyres.py`; scale factors lambda are 1, p_ey3 stays as the vehicle file has it (the paper: symmetric). One
+more parameter, a shift s of the slip angle common to all loads, takes up conicity and plysteer and is then dropped:
+
+    F_y(F_z, alpha) = D sin(C atan(B x - E (B x - atan(B x)))),   x = alpha + s
+
+First the load nearest to nominal_load: p_cy1, p_dy1, p_ey1 and the stiffness K there. Then, these held, how they
+depend on the load: p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K). That is the paper's order; its result starts a
+fit of all at once, which the values and intervals are from: an interval of the second stage alone would take the first
+one's results for exact. Both are compared. With two loads p_ky4 stays as the vehicle file has it; with one, every load
+dependency does.
+
+Slip angle in rad, force in N, of one tyre, steady state; signs either way (see tyres.py for ours). Source: paper,
+parameter identification and appendix. Checked by: test_magic_formula.py.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..tyres import MagicFormula, magic_formula_coefficients, magic_formula_force, magic_formula_stiffness
+from ..vehicle import TYRE_QUANTITIES
+from .curve_fit import CurveFit, fit_curve, profile_interval
+from .plank_table import FlatPlank, check, load_levels, slip_coverage
+from .result import Estimate, Identification, bound_hit, correlation_of, strong_correlations
+
+SHIFT = "slip_shift"
+# Below p_ky4 = 1 the stiffness would never reach its largest value p_ky1 F_z0, and p_ky1 would lose its meaning; above
+# 2 it would change its sign at some load.
+FIT_BOUNDS = {SHIFT: (-math.radians(2.0), math.radians(2.0)), "p_ky4": (1.0, 2.0)}
+NOMINAL = ("p_cy1", "p_dy1", "p_ey1")
+CURVE = ("p_ky1", "p_ky2", "p_ky4")
+ALL = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2", "p_ky4")
+STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # of (C, E): where the nominal fit begins
+MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "peak friction over load", "p_ey1": "curvature",
+           "p_ey2": "curvature over load", "p_ky1": "stiffness", "p_ky2": "load of the largest stiffness",
+           "p_ky4": "bend of the stiffness over load"}
+
+
+@dataclass(frozen=True)
+class TyreFit:
+    """tyre: with the fitted values. names: of what was free, SHIFT last. fit: of all at once, in the order of names.
+
+    staged: the tyre after the paper's two stages. levels: mean load of each level [N]; level: which a row belongs to.
+    flipped: whether the table had the other sign of the slip angle.
+    """
+
+    tyre: MagicFormula
+    names: tuple[str, ...]
+    fit: CurveFit
+    staged: MagicFormula
+    levels: np.ndarray
+    level: np.ndarray
+    flipped: bool
+
+    def stiffness(self, load: float) -> tuple[float, float]:
+        """K [N/rad] of one tyre at a load [N] and its standard uncertainty, by the fit's covariance."""
+        value = magic_formula_stiffness(load, self.tyre)
+        gradient = np.zeros(len(self.names))
+        for k, name in enumerate(self.names):
+            if name in CURVE:
+                step = 1e-5 * abs(getattr(self.tyre, name))
+                up = self.tyre._replace(**{name: getattr(self.tyre, name) + step})
+                gradient[k] = (magic_formula_stiffness(load, up) - value) / step
+        return float(value), float(math.sqrt(max(gradient @ self.fit.covariance @ gradient, 0.0)))
+
+
+def force(table_load: np.ndarray, slip: np.ndarray, tyre: MagicFormula) -> np.ndarray:
+    """F_y (n,) of one tyre at loads [N] and slip angles [rad]."""
+    return magic_formula_force(slip, *magic_formula_coefficients(table_load, tyre), tyre)
+
+
+def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
+    """The fit in two stages, then of all at once. start: nominal_load, and what stays as it is.
+
+    Raises IdentificationError for a table that cannot give a tyre.
+    """
+    levels, level = load_levels(data)
+    data, flipped = check(data, levels, level, start.nominal_load)
+    base = start._replace(lambda_ky=1.0, lambda_cy=1.0, lambda_muy=1.0)
+    nominal = int(np.argmin(np.abs(levels - start.nominal_load)))
+    first = _nominal(_rows(data, level == nominal), base)
+    staged, names = first, (*NOMINAL, "p_ky1", SHIFT)
+    if len(levels) > 1:
+        free = ("p_dy2", "p_ey2", "p_ky2") + (("p_ky4",) if len(levels) > 2 else ())
+        staged = _load_dependency(data, first, free)
+        names = (*(name for name in ALL if name in (*NOMINAL, "p_ky1", *free)), SHIFT)
+    # Shape and curvature trade against each other, and what the stages settle on may be a side valley.
+    others = [staged._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
+    fit = min((_fit(data, begin, names) for begin in (staged, *others)), key=_cost)
+    return TyreFit(_plain(_with(staged, names, fit.values)), names, fit, staged, levels, level, flipped)
+
+
+def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
+    """Estimates of the tyre's parameters, named as in the vehicle file with the table's tyre in front."""
+    found = fit_tyre(data, start)
+    fit, tyre = found.fit, found.tyre
+    levels, level = found.levels, found.level
+    data = replace(data, slip=-data.slip) if found.flipped else data
+    function = _residuals(data, found.staged, found.names)
+    peak = float(np.abs(data.force).max())
+    method = (f"flat plank, {len(data.load)} points at {', '.join(f'{x:.0f}' for x in levels)} N, nominal load first, "
+              f"then all at once, profile likelihood; residual {100 * fit.scatter / peak:.2f} % of the largest force")
+    estimates = []
+    for k, name in enumerate(found.names[:-1]):
+        interval = profile_interval(function, fit, k)
+        key = f"{data.tyre}.{name}"
+        value, spread = float(fit.values[k]), float(fit.deviations[k])
+        open_ends = interval.lower_open + interval.upper_open
+        words = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
+        status = "identified"
+        if fit.at_bound(k):
+            words.append(bound_hit(key, value, (float(fit.lower[k]), float(fit.upper[k]))))
+            status, spread = "doubtful", (interval.high - interval.low) / 3.92
+        elif open_ends:
+            words.append(f"The data bound it on one side only: the interval ends at the limit {_open_end(interval)}.")
+            status = "doubtful"
+        if open_ends == 2:
+            words = [words[0], f"The data do not bound it within {interval.low:g} to {interval.high:g}; with the "
+                               "others it "
+                     "makes up the stiffness at the tested loads, and is written for that."]
+            # Any value of the range is as likely: what is known of it is the range.
+            status, spread = "doubtful", (interval.high - interval.low) / math.sqrt(12.0)
+        estimates.append(Estimate(key, value, "1", spread, (interval.low, interval.high), method, (data.name,),
+                                  " ".join(words), status))
+    correlation = correlation_of(fit.covariance)[:-1, :-1]
+    grid = np.linspace(data.slip.min(), data.slip.max(), 121)
+    figure = {"tyre": data.tyre, "load": data.load, "slip": data.slip, "force": data.force, "levels": levels,
+              "level": level, "residuals": fit.residuals, "grid": grid, "names": found.names[:-1],
+              "curves": np.stack([force(load, grid + fit.values[-1], tyre) for load in levels]),
+              "stiffness": np.array([found.stiffness(load) for load in levels])}
+    warnings = [*_warnings(data, found, peak), *strong_correlations([e.parameter for e in estimates], correlation,
+                                                                    0.98)]
+    return Identification("tyre", tuple(estimates), (data.name,), (), correlation, slip_coverage(data, levels, level),
+                          tuple(warnings), figure)
+
+
+def _nominal(data: FlatPlank, base: MagicFormula) -> MagicFormula:
+    """First stage. The load dependencies of `base` are what the small differences from the nominal load are put down "
+    "to."""
+    inner = np.abs(data.slip) <= max(math.radians(2.0), np.sort(np.abs(data.slip))[min(3, len(data.slip) - 1)])
+    slope = float(data.slip[inner] @ data.force[inner]) / float(data.slip[inner] @ data.slip[inner])
+    level = float(data.load.mean())
+    at_one = base._replace(p_ky1=-1.0)
+    start_stiffness = slope / abs(float(magic_formula_stiffness(level, at_one)))
+    friction = float(np.abs(data.force).max()) / level
+    names = (*NOMINAL, "p_ky1", SHIFT)
+    fits = []
+    for shape, curvature in STARTS:
+        start = base._replace(p_cy1=shape, p_dy1=friction, p_ey1=curvature, p_ky1=start_stiffness)
+        fits.append(_fit(data, start, names))
+    best = min(fits, key=_cost)
+    return _plain(_with(base, names, best.values))
+
+
+def _load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
+    """Second stage: K at the nominal load held, which makes p_ky1 follow from p_ky2 and p_ky4."""
+    held = float(magic_formula_stiffness(first.nominal_load, first))
+
+    def tyre(values: np.ndarray) -> MagicFormula:
+        changed = _with(first, free, values)
+        one = magic_formula_stiffness(first.nominal_load, changed._replace(p_ky1=-1.0))
+        return changed._replace(p_ky1=-held / one)
+
+    low, high = _bounds(free)
+    start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
+
+    def residuals(values: np.ndarray) -> np.ndarray:
+        return force(data.load, data.slip, tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
+
+    return _plain(tyre(fit_curve(residuals, [start[k] for k in free], low, high).values))
+
+
+def _fit(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> CurveFit:
+    low, high = _bounds(names)
+    first = [0.0 if name == SHIFT else getattr(start, name) for name in names]
+    return fit_curve(_residuals(data, start, names), first, low, high)
+
+
+def _cost(fit: CurveFit) -> float:
+    return float(fit.residuals @ fit.residuals)
+
+
+def _residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]):
+    def residuals(values: np.ndarray) -> np.ndarray:
+        columns = np.moveaxis(values, -1, 0)[..., None]
+        return force(data.load, data.slip + columns[-1], _with(start, names, columns)) - data.force
+
+    return residuals
+
+
+def _with(tyre: MagicFormula, names: Sequence[str], values: np.ndarray) -> MagicFormula:
+    """The tyre with values in the order of names; each may be a number or an array, one element per set."""
+    return tyre._replace(**{name: value for name, value in zip(names, values, strict=True) if name != SHIFT})
+
+
+def _plain(tyre: MagicFormula) -> MagicFormula:
+    return MagicFormula(*map(float, tyre))
+
+
+def _bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
+    """Limits of the vehicle file, narrower where FIT_BOUNDS says so."""
+    limits = [FIT_BOUNDS.get(name) or (TYRE_QUANTITIES[name].minimum, TYRE_QUANTITIES[name].maximum) for name in names]
+    return [low for low, _ in limits], [high for _, high in limits]
+
+
+def _rows(data: FlatPlank, rows: np.ndarray) -> FlatPlank:
+    return replace(data, load=data.load[rows], slip=data.slip[rows], force=data.force[rows])
+
+
+def _open_end(interval) -> str:
+    return f"{interval.low:g}" if interval.lower_open else f"{interval.high:g}"
+
+
+def _warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
+    sentences = []
+    if found.flipped:
+        sentences.append("In the table the force has the sign of the slip angle (the other convention): the slip "
+                         "angle's sign was changed.")
+    if len(found.levels) < 3:
+        kept = "p_ky4 stays" if len(found.levels) == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 stay"
+        sentences.append(f"{len(found.levels)} load{'s' * (len(found.levels) > 1)} only: {kept} as in the vehicle "
+                         "file.")
+    shift, spread = found.fit.values[-1], found.fit.deviations[-1]
+    if abs(shift) > 3.0 * spread and abs(shift) > math.radians(0.02):
+        sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
+                         "plysteer, or the wheel's zero); the models' tyre is symmetric and leaves that out.")
+    grid = np.linspace(data.slip.min(), data.slip.max(), 61)
+    apart = max(float(np.abs(force(load, grid, found.staged) - force(load, grid,
+                                                                     found.tyre)).max()) for load in found.levels)
+    if apart > 0.01 * peak:
+        sentences.append(f"Nominal load first and all loads at once differ by up to {apart:.0f} N, "
+                         f"{100 * apart / peak:.1f} % of the largest force: the load dependency of the formula does "
+                         "not fit all loads alike.")
+    return sentences
