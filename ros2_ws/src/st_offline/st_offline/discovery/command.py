@@ -147,9 +147,12 @@ def _discover(job: Job, base: Model, runs: list[DriveLog], reference: list[Drive
 def draw(found: Discovery, question: Question, place: Place) -> list[Drawn]:
     """The figures that there are data for, in the order of the page."""
     runs, reference = _logs(question.runs), _logs(question.reference)
+    # The channels that were used: one that not every run has was left out.
+    channels = tuple(c for c in question.settings.channels if c in found.noise)
+    settings = replace(question.settings, channels=channels)
 
     def look(model):
-        return survey(runs, model, question.vehicle, question.settings, reference, found.noise,
+        return survey(runs, model, question.vehicle, settings, reference, found.noise,
                       found.acceleration_gain)
 
     scene = Scene(found, runs, question.vehicle, look(found.base), look(found.model) if found.model else None, place)

@@ -134,7 +134,9 @@ def paths(scene: Scene) -> Drawn | None:
         if after is not None:
             ends = _distance(batch, scene.found.model, scene)
             text += f", with the effect {np.nanmax(ends[rows]):.2f} m"
-        return finish(figure, scene.place, "paths", text, "Held-out driving, predictions with the measured inputs.")
+        apart = not set(scene.found.split.report) & set(scene.found.split.fit)
+        whose = "Held-out driving." if apart else "The model shown is fitted to these drives too: none is held out."
+        return finish(figure, scene.place, "paths", text, f"Predictions with the measured inputs. {whose}")
 
 
 def _flatness(log: DriveLog) -> float:

@@ -75,8 +75,8 @@ def gap(scene: Scene) -> Drawn | None:
         floor = [Line2D([], [], color=MEASURED_COLOUR, marker="|", ms=12, mew=2, ls="", label="healthy car")] \
             if any(g.floor is not None for _, g in entries) else []
         figure.legend(handles=[*scene.handles(), *floor], loc="outside lower left", ncols=3)
-        caption = ("Errors of predictions from measured starts, on driving that neither fitted nor chose anything. "
-                   "Band: 95 % interval of the change.")
+        caption = (f"Errors of predictions from measured starts: {scene.found.split.note}. Band: 95 % interval of the "
+                   "change.")
         return finish(figure, scene.place, "gap", _gap_title(scene.found), caption)
 
 
@@ -122,7 +122,7 @@ def conditions(scene: Scene) -> Drawn | None:
         figure.legend(handles=scene.handles(), loc="outside lower left", ncols=3)
         said = [w for w in scene.found.where if w.channel == channel and w.condition != EVERYWHERE]
         title = words.statement(said[0]) if said else f"{words.channel(channel)}: no condition stands out"
-        expected = "the healthy car's in the same range" if scene.before.reference else "the sensor noise"
+        expected = "the healthy car's in the same range" if scene.before.reference else "what a healthy car may leave"
         caption = (f"Root mean square over {expected}; 1 = as expected. Filled: significant over all ranges together "
                    "(false discovery rate 5 %). Bars: 95 %, whole blocks of time resampled.")
         return finish(figure, scene.place, "conditions", title[0].upper() + title[1:], caption)
