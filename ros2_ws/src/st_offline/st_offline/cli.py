@@ -10,6 +10,7 @@ from .verbs import (
     discover,
     evaluate,
     export,
+    foxglove,
     identify,
     import_,
     live,
@@ -17,6 +18,7 @@ from .verbs import (
     recover,
     replay,
     verify,
+    view,
 )
 
 app = typer.Typer(
@@ -35,6 +37,8 @@ app.command()(discover.discover)
 app.command()(identify.identify)
 app.command()(replay.replay)
 app.command()(verify.verify)
+app.command()(view.view)
+app.command()(foxglove.foxglove)
 app.command()(align.align)
 app.command("import")(import_.import_)
 app.command()(recover.recover)

@@ -6,7 +6,6 @@ waits for them.
 """
 
 import argparse
-import importlib
 import json
 import re
 import signal
@@ -31,6 +30,7 @@ from st_ros.polling import PolledSubscription
 
 from ..runs.bag import definitions
 from ..runs.cdr import typestore
+from ._messages import message_class
 
 # What came from the car; predictions and errors of the first run stay out. Predictor and evaluator take two of these.
 MEASURED = re.compile(r"^(/\w+)*/(ins|vehicle|can)/.*|^/tf$|^/tf_static$")
@@ -131,7 +131,7 @@ class Player:
             wanted = MEASURED.match(connection.topic) if self._everything else connection.topic.endswith(INPUTS)
             if not wanted or not connection.msgcount or connection.topic in publishers:
                 continue
-            message_type = _message_class(connection.msgtype)
+            message_type = message_class(connection.msgtype)
             if message_type is None:
                 print(f"{connection.topic} is left out: type {connection.msgtype} is not installed", file=sys.stderr)
                 continue
@@ -169,14 +169,6 @@ class Player:
             self._said = now
             word = {"state": state, "done": round(done, 2), "duration": round(total, 2)}
             print(json.dumps(word | ({"wall": round(wall, 2)} if wall else {})), flush=True)
-
-
-def _message_class(type_name: str) -> type | None:
-    package, _, name = type_name.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
-        return None
 
 
 def main() -> int:

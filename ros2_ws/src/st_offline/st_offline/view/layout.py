@@ -6,6 +6,7 @@ TIMELINE = "measured"
 SHOWN = 40.0  # s of the plots
 # Metres around the car from the driver's seat: 5 s ahead at town speed, and some of where it came from.
 AHEAD, BEHIND, ASIDE = 62.0, 18.0, 46.0
+AROUND, GRID = 75.0, 20.0  # metres shown around the car on the map, and between the lines of its grid
 PLOTS = {
     "lateral": "lateral error of the 5 s just over, m (+ predicted left)",
     "longitudinal": "longitudinal error, m (+ predicted ahead)",
@@ -27,14 +28,16 @@ def blueprint() -> rrb.Blueprint:
     ahead = rrb.Spatial2DView(
         origin="ahead", name="From the driver's seat (heading up, 10 m rings)", background=PAPER,
         visual_bounds=rrb.VisualBounds2D(x_range=[-ASIDE, ASIDE], y_range=[-AHEAD, BEHIND]))
-    whole = rrb.Spatial2DView(origin="map", name="Map (north up, east right)", background=PAPER)
+    around = rrb.Spatial2DView(
+        origin="map", name=f"Map (north up, {GRID:.0f} m grid)", background=PAPER,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-AROUND, AROUND], y_range=[-AROUND, AROUND]))
     words = rrb.TextDocumentView(origin="words", name="Errors so far, and health")
     # A Tabs container shows its first; the others are a click away.
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(ahead, rrb.Tabs(plot("steering"), plot("speed"), plot("lateral_acceleration")),
                          row_shares=[3, 1]),
-            rrb.Vertical(rrb.Horizontal(whole, words, column_shares=[1, 1.3]), plot("lateral"), plot("longitudinal"),
+            rrb.Vertical(rrb.Horizontal(around, words, column_shares=[1, 1.3]), plot("lateral"), plot("longitudinal"),
                          row_shares=[1.8, 1, 1]),
             column_shares=[1, 1.35],
         ),

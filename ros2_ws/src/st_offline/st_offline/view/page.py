@@ -6,6 +6,7 @@ Content-Security-Policy makes the browser refuse those: nothing outside this mac
 
 import argparse
 import http.client
+import importlib.util
 import json
 import os
 import shutil
@@ -72,7 +73,9 @@ def rerun_server(settings: Path, data_port: int, page_port: int, files: list[str
     (settings / "rerun" / "analytics.json").write_text(json.dumps({
         "analytics_enabled": False, "analytics_id": "", "metadata": {},
         "config_file_path": str(settings / "rerun" / "analytics.json"), "data_dir_path": str(settings / "rerun")}))
-    command = ["rerun", *files, "--serve-web", "--bind", LOOPBACK, "--port", str(data_port), "--web-viewer-port",
+    # The program itself: the command `rerun` is a script that would leave it behind.
+    program = Path(importlib.util.find_spec("rerun_cli").submodule_search_locations[0], "rerun")
+    command = [str(program), *files, "--serve-web", "--bind", LOOPBACK, "--port", str(data_port), "--web-viewer-port",
                str(page_port), "--server-memory-limit", MEMORY, "--hide-welcome-screen"]
     if shutil.which("setpriv"):
         command = ["setpriv", "--pdeathsig", "TERM", *command]

@@ -1,6 +1,7 @@
 """Draws one instant of a running suite into a Rerun recording: plain values in, nothing of ROS."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import rerun as rr
@@ -9,12 +10,18 @@ from st_predictor.history import History
 from st_predictor.outline import car_outline
 from st_predictor.palette import MEASURED_COLOUR, colour_of, label_index, rgb
 
-from . import geometry
-from .layout import TIMELINE
+from .geometry import Pose, grid, heading_up, north_up
+from .layout import AROUND, GRID, TIMELINE
 
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
+FAINT = (228, 228, 228)
 GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
-PATH_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 0.22, 0.09, 0.5  # m, radii
+GHOST_STRIDE, TRACK_STRIDE = 5, 2  # of their points, one in so many is drawn
+# Half the width of a line, in points of the screen: the same at every zoom.
+THIN, MEDIUM, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.4, 1.8, 4.0))
+
+
+Place = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
 
 
 class Scene:
@@ -25,10 +32,10 @@ class Scene:
         self._named: set[str] = set()
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
-        recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[(228, 228, 228)], radii=0.04, draw_order=-1.0),
+        recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[FAINT], radii=THIN, draw_order=-1.0),
                       static=True)
         recording.log("ahead/ring_names", rr.Points2D(
-            [(0.0, -float(r)) for r in RINGS[1::2]], radii=0.01, colors=[(120, 120, 120)],
+            [(0.0, -float(r)) for r in RINGS[1::2]], radii=THIN, colors=[(120, 120, 120)],
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)
         for name, unit in (("steering", "road wheel angle"), ("speed", "speed"),
                            ("lateral_acceleration", "v_x r")):
@@ -59,50 +66,44 @@ class Scene:
         self._at(time_ns)
         self._rr.log("words", rr.TextDocument(markdown, media_type="text/markdown"))
 
-    def paths(self, time_ns: int, pose: tuple[float, float, float], history: History) -> None:
+    def paths(self, time_ns: int, pose: Pose, history: History) -> None:
         """Car, track, predictions and ghosts, on the map and from the driver's seat; pose (x, y [m], yaw [rad])."""
         self._at(time_ns)
-        self._picture("map", geometry.north_up, pose, history, time_ns, width=2.5)
-        self._picture("ahead", lambda x, y: geometry.heading_up(x, y, pose), pose, history, time_ns)
+        lines = [north_up(x, y, pose) for x, y in grid(pose, GRID, 2.0 * AROUND)]
+        self._lines("map/grid", lines, [FAINT], THIN, order=-1.0)
+        self._picture("map", lambda x, y: north_up(x, y, pose), pose, history, time_ns)
+        self._picture("ahead", lambda x, y: heading_up(x, y, pose), pose, history, time_ns)
 
-    def _picture(self, root: str, place, pose, history: History, now_ns: int, width: float = 1.0) -> None:
-        strips, colours, radii = [], [], []
+    def _picture(self, root: str, place: Place, pose: Pose, history: History, now_ns: int) -> None:
+        track = np.array([(x, y) for _, x, y in history.track])[::-TRACK_STRIDE]
+        self._lines(f"{root}/track", [place(track[:, 0], track[:, 1])], [rgb(MEASURED_COLOUR, 0.6)], TRACK, order=0.0)
+        self._lines(f"{root}/car", [place(*car_outline(pose, self._car))], [(20, 20, 20)], THICK, order=5.0)
+        ghosts, ghost_colours, misses, miss_colours = [], [], [], []
         for model in history.models:
-            for age, ghost in history.ghosts(model, now_ns):
-                strips.append(place(ghost.x, ghost.y))
-                colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
-                radii.append(GHOST_WIDTH * width)
-        self._rr.log(f"{root}/ghosts", rr.LineStrips2D(strips, colors=colours, radii=radii, draw_order=1.0))
-        track = np.array([(x, y) for _, x, y in history.track])
-        self._rr.log(f"{root}/track", rr.LineStrips2D(
-            [place(track[:, 0], track[:, 1])], colors=[rgb(MEASURED_COLOUR, 0.6)], radii=TRACK_WIDTH * width ** 0.5,
-            draw_order=0.0))
-        for model in history.models:
-            self._prediction(root, place, model, history, width)
-        self._misses(root, place, pose, history, now_ns, width)
-        self._rr.log(f"{root}/car", rr.LineStrips2D(
-            [place(*car_outline(pose, self._car))], colors=[(20, 20, 20)], radii=0.08 * width,
-            draw_order=5.0))
+            self._prediction(root, place, model, history)
+            old = history.ghosts(model, now_ns)
+            for age, ghost in old:
+                ghosts.append(place(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
+                ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
+            # From where the car is to where the oldest ghost has it now.
+            if old and (point := old[-1][1].at(now_ns)):
+                misses.append(place(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
+                miss_colours.append(rgb(colour_of(model)))
+        self._lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)
+        self._lines(f"{root}/misses", misses, miss_colours, THICK, order=4.5)
 
-    def _prediction(self, root: str, place, model: str, history: History, width: float) -> None:
+    def _prediction(self, root: str, place: Place, model: str, history: History) -> None:
         path, colour = history.newest(model), rgb(colour_of(model))
         points = place(path.x, path.y)
-        self._rr.log(f"{root}/paths/{model}", rr.LineStrips2D(
-            [points], colors=[colour], radii=PATH_WIDTH * width, draw_order=3.0))
-        label_at = label_index(model, path.step, len(points))
-        self._rr.log(f"{root}/names/{model}", rr.Points2D(
-            [points[label_at]], colors=[colour], radii=0.4 * width, labels=[model], show_labels=root == "ahead",
-            draw_order=4.0))
+        self._lines(f"{root}/paths/{model}", [points], [colour], MEDIUM, order=3.0)
+        if root == "ahead":
+            at = label_index(model, path.step, len(points))
+            self._rr.log(f"{root}/names/{model}", rr.Points2D(
+                [points[at]], colors=[colour], radii=rr.Radius.ui_points(3.0), labels=[model], show_labels=True,
+                draw_order=4.0))
 
-    def _misses(self, root: str, place, pose, history: History, now_ns: int, width: float) -> None:
-        """From where the car is to where the oldest ghost of each model had it."""
-        strips, colours = [], []
-        for model in history.models:
-            if (ghosts := history.ghosts(model, now_ns)) and (point := ghosts[-1][1].at(now_ns)):
-                strips.append(place(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
-                colours.append(rgb(colour_of(model)))
-        self._rr.log(f"{root}/misses", rr.LineStrips2D(
-            strips, colors=colours, radii=0.12 * width, draw_order=4.5))
+    def _lines(self, entity: str, strips: list[np.ndarray], colours: list, width: object, order: float) -> None:
+        self._rr.log(entity, rr.LineStrips2D(strips, colors=colours, radii=width, draw_order=order))
 
     def _at(self, time_ns: int) -> None:
         self._rr.set_time(TIMELINE, timestamp=np.datetime64(time_ns, "ns"))

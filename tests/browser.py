@@ -1,0 +1,91 @@
+"""Headless Chromium, driven through its DevTools port: open a page, look at it, note what it asks for."""
+
+import asyncio
+import base64
+import json
+import shutil
+import subprocess
+import urllib.request
+from pathlib import Path
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+# Software rendering: a machine without a graphics card, or a container, draws WebGL all the same.
+FLAGS = ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+         "--hide-scrollbars", "--no-first-run", "--disable-background-networking", "--disable-component-update",
+         "--remote-debugging-port=0", "--remote-debugging-address=127.0.0.1")
+
+
+def program() -> str | None:
+    return next(filter(None, map(shutil.which, PROGRAMS)), None)
+
+
+class Browser:
+    """One page in a browser of its own. Use as `async with`."""
+
+    def __init__(self, folder: Path, size: tuple[int, int] = (1600, 1000)):
+        self._folder, self._size = folder, size
+        self.requested: list[str] = []  # addresses the page asked for
+        self.refused: list[str] = []  # of these, what the page's own policy refused
+        self.console: list[str] = []
+        self._number = 0
+        self._answers: dict[int, asyncio.Future] = {}
+
+    async def __aenter__(self) -> "Browser":
+        from tornado.websocket import websocket_connect
+
+        command = [program(), *FLAGS, f"--window-size={self._size[0]},{self._size[1]}",
+                   f"--user-data-dir={self._folder / 'profile'}", "about:blank"]
+        with (self._folder / "browser.log").open("wb") as log:
+            self._process = subprocess.Popen(command, stdout=log, stderr=log)
+        port_file = self._folder / "profile" / "DevToolsActivePort"
+        for _ in range(300):
+            if port_file.exists() and port_file.read_text().count("\n") >= 1:
+                break
+            await asyncio.sleep(0.1)
+        port = int(port_file.read_text().split()[0])
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
+            page = next(p for p in json.load(answer) if p["type"] == "page")
+        self._socket = await websocket_connect(page["webSocketDebuggerUrl"], max_message_size=100_000_000)
+        self._reader = asyncio.ensure_future(self._read())
+        for domain in ("Page", "Network", "Runtime", "Log"):
+            await self._call(f"{domain}.enable")
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._reader.cancel()
+        self._socket.close()
+        self._process.terminate()
+        try:
+            self._process.wait(10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    async def open(self, url: str) -> None:
+        await self._call("Page.navigate", url=url)
+
+    async def picture(self, file: Path) -> None:
+        answer = await self._call("Page.captureScreenshot", format="png")
+        file.write_bytes(base64.b64decode(answer["data"]))
+
+    async def _call(self, method: str, **parameters: object) -> dict:
+        self._number += 1
+        number, future = self._number, asyncio.get_running_loop().create_future()
+        self._answers[number] = future
+        await self._socket.write_message(json.dumps({"id": number, "method": method, "params": parameters}))
+        return await asyncio.wait_for(future, 120)
+
+    async def _read(self) -> None:
+        while (text := await self._socket.read_message()) is not None:
+            message = json.loads(text)
+            if "id" in message:
+                self._answers.pop(message["id"]).set_result(message.get("result", {}))
+            elif message["method"] == "Network.requestWillBeSent":
+                self.requested.append(message["params"]["request"]["url"])
+            elif message["method"] == "Network.loadingFailed" and message["params"].get("blockedReason") == "csp":
+                self.refused.append(message["params"]["requestId"])
+            elif message["method"] == "Runtime.consoleAPICalled":
+                self.console.append(" ".join(str(a.get("value", a.get("description", "")))
+                                             for a in message["params"]["args"]))
+            elif message["method"] == "Log.entryAdded":
+                self.console.append(message["params"]["entry"]["text"])
