@@ -104,9 +104,7 @@ def about(job: Job, now: datetime) -> dict[str, Any]:
 def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
     """All files of the folder, by name."""
     place = Place(job.folder, FORMATS)
-    drawings = {one.what: EXPERIMENTS[one.what].draw for one in found if one.what in EXPERIMENTS}
-    figures = {what: draw(next(o for o in found if o.what == what), place) if draw else None
-               for what, draw in drawings.items()}
+    figures = [draw(one, place) if (draw := EXPERIMENTS[one.what].draw) else None for one in found]
     texts = {
         "identification.json": _json({key: entry for one in found for key, entry in one.document().items()}),
         "details.json": _json({**facts, "experiments": [details(one) for one in found]}),
@@ -135,7 +133,7 @@ def details(found: Identification) -> dict[str, Any]:
     }
 
 
-def page(found: Sequence[Identification], figures: dict[str, Drawn | None], vehicle: VehicleParameters,
+def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehicle: VehicleParameters,
          facts: dict[str, Any]) -> str:
     """report.html: one file that loads nothing."""
     here = Path(__file__).parent
@@ -146,7 +144,7 @@ def page(found: Sequence[Identification], figures: dict[str, Drawn | None], vehi
     names = list(dict.fromkeys(e.parameter for one in found for e in one.estimates))
     title = f"{vehicle.name}: {', '.join(names)}"
     return environment.get_template("page.html.jinja").render(
-        title=title, found=found, figures={**dict.fromkeys((one.what for one in found), None), **figures}, about=facts,
+        title=title, found=list(zip(found, figures, strict=True)), about=facts,
         heads=HEADS, rows=lambda one: rows(one, vehicle), colours=MODEL_COLOUR, dark=DARK)
 
 

@@ -1,0 +1,84 @@
+"""Stiffness scale of the Magic Formula from the axle's cornering stiffness.
+
+    lambda_ky = C / (2 |K|),   K of one tyre at lambda_ky = 1 and its static load m g l_r / l / 2 (front), m g l_f / l
+    / 2
+
+    (u(lambda) / lambda)^2 = (u(C) / C)^2 + (u(K) / K)^2 + (d ln K / d ln F_z)^2 (u(F_z) / F_z)^2
+
+The static load decides, not F_z0: at F_z0 the Leaf's front would come out as 0.426 instead of 0.423. u(K) is known when
+the tyre's table is given: the errors of p_ky1, p_ky2 and p_ky4 cancel in it almost, so it cannot be had from theirs.
+Source: paper, equation of lambda_Ky. Checked by: test_lambda_ky.py.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ..tyres import magic_formula_stiffness, stiffness_scale
+from ..vehicle import TYRES, VehicleParameters
+from .result import Estimate, Identification, IdentificationError, symmetric_interval
+
+
+@dataclass(frozen=True)
+class TableStiffness:
+    """Relative standard uncertainty of K at the static load [1], as the tyre's flat-plank table gives it, and its "
+    "name."""
+
+    uncertainty: float
+    name: str
+
+
+def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) -> Identification:
+    """Estimates of tyre_front.lambda_ky and tyre_rear.lambda_ky [1].
+
+    tables: by tyre; without one the uncertainty holds the axle stiffness's only. Raises IdentificationError when the
+    vehicle file has no stiffness with an uncertainty: then the scale is a division, not an identification.
+    """
+    estimates, warnings = [], []
+    for tyre in TYRES:
+        axle = tyre.removeprefix("tyre_")
+        key = f"cornering_stiffness_{axle}"
+        known = vehicle.provenance.get(key)
+        if known is None or known.uncertainty is None:
+            raise IdentificationError(f"{key} of the vehicle file has no uncertainty: identify the stiffness first "
+                                      "and give the vehicle.yaml that comes of it (without lambda_ky a file derives "
+                                      "it by itself)")
+        stiffness = getattr(vehicle, key)
+        load = getattr(vehicle, f"static_tyre_load_{axle}")
+        formula = getattr(vehicle, tyre)
+        value = stiffness_scale(stiffness, load, formula)
+        table = tables.get(tyre)
+        relative = math.hypot(known.uncertainty / stiffness, table.uncertainty if table else 0.0,
+                              _load_sensitivity(load, formula) * _load_uncertainty(vehicle, axle))
+        spread = value * relative
+        words = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
+                 "the rest is compliance of steering and suspension.") if value < 1.0 else (
+                 f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
+                 "no compliance makes an axle stiffer than its tyres, so surface, temperature or inflation differ.")
+        status = "identified" if value <= 1.0 + 2.0 * relative else "doubtful"
+        runs = tuple(filter(None, (known.data, table.name if table else "")))
+        method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
+        estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", spread, symmetric_interval(value, spread), method,
+                                  runs, words, status))
+        if table is None:
+            warnings.append(f"No table of {tyre} was given: its stiffness on the flat plank is taken for exact.")
+    figure = {"scale": [e.value for e in estimates], "stiffness": [getattr(vehicle, f"cornering_stiffness_{a}")
+                                                                   for a in ("front", "rear")]}
+    used = tuple(dict.fromkeys(run for e in estimates for run in e.runs))
+    return Identification("lambda", tuple(estimates), used, (), None, (), tuple(warnings), figure)
+
+
+def _load_sensitivity(load: float, tyre) -> float:
+    """d ln K / d ln F_z [1]."""
+    step = 1e-4
+    up, down = (math.log(abs(magic_formula_stiffness(load * (1.0 + sign * step), tyre))) for sign in (1.0, -1.0))
+    return (up - down) / (2.0 * step)
+
+
+def _load_uncertainty(vehicle: VehicleParameters, axle: str) -> float:
+    """Relative standard uncertainty of the static load [1], of mass and CG position as far as the file states them."""
+    distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
+    sizes = {"mass": vehicle.mass, "cg_to_front_axle": distance}
+    known = {key: vehicle.provenance[key].uncertainty or 0.0 for key in sizes if key in vehicle.provenance}
+    parts = [spread / sizes[key] for key, spread in known.items()]
+    return math.hypot(*parts)
