@@ -97,7 +97,7 @@ def _singles(set_: str) -> list[Case]:
     """Every effect of the table ten times; each third case without v_y."""
     draw = np.random.default_rng(seed_of(set_, "single"))
     plan = [KNOWN[i] for i in draw.permutation(np.repeat(np.arange(len(KNOWN)), COUNTS["single"] // len(KNOWN)))]
-    _gather(plan)
+    _gather(plan, draw)
     cases = []
     for index, hidden in enumerate(plan):
         special = (index // PER_CAR) % 3 == 0
@@ -107,14 +107,14 @@ def _singles(set_: str) -> list[Case]:
     return cases
 
 
-def _gather(plan: list[Hidden]) -> None:
+def _gather(plan: list[Hidden], draw: np.random.Generator) -> None:
     """Effects that need room in the healthy car go to every third car, which gives it."""
     def special(i: int) -> bool:
         return (i // PER_CAR) % 3 == 0
     free = [i for i, h in enumerate(plan) if special(i) and not h.with_]
     for i, hidden in enumerate(plan):
         if hidden.with_ and not special(i):
-            j = free.pop(0)
+            j = free.pop(draw.integers(len(free)))
             plan[i], plan[j] = plan[j], hidden
 
 

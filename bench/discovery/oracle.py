@@ -76,5 +76,5 @@ def oracle(suspect: Sequence[DriveLog], names: Sequence[str], vehicle: VehiclePa
     # Half a usual size to either side, where there is room: play and its like have no slope at null.
     begins = [np.clip(np.full(len(free), side), low + 1e-3, high - 1e-3) for side in (0.5, -0.5)]
     begin = min(begins, key=lambda x: np.sum(np.square(residual(x))))
-    fit = least_squares(residual, begin, bounds=(low, high), diff_step=1e-2, xtol=1e-3, ftol=1e-3, max_nfev=6)
+    fit = least_squares(residual, begin, bounds=(low, high), diff_step=1e-2, xtol=1e-3, ftol=1e-3, max_nfev=5)
     return model(fit.x)
