@@ -1,21 +1,225 @@
 """From drives to the name of what the model lacks."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
+import numpy as np
+
+from ..errors import StCoreError
 from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
-from .result import Discovery
+from . import choice, gap, manoeuvres, several, testable
+from .floor import Floor, assumed, learn
+from .result import Candidate, Discovery, FittedParameter, FoundEffect, Separability, WhereStatement
 from .settings import DiscoverySettings
+from .space import Space
+from .study import Fit, Study
+from .where import where
+from .windows import Windows
 
 Progress = Callable[[str, int, int], None]
+LEAST_BLOCKS = 4
+TRIED = 7  # hypotheses fitted to the end
+KEPT = 4  # floors of references, for who discovers again and again
+_floors: dict[tuple, tuple[tuple, Floor, dict]] = {}
 
 
 def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
              reference: Sequence[DriveLog] = (), settings: DiscoverySettings | None = None,
              progress: Progress | None = None) -> Discovery:
-    """The effects the base model lacks to explain the runs. reference: drives of the healthy car.
+    """The effects the base model lacks to explain the runs.
 
-    progress(stage, done, total): called as the work goes on.
+    runs: suspect drives. reference: drives of the healthy car; effects are then changes against it, without they are
+    what the base lacks against the vehicle file. vehicle: as in its file. progress(stage, done, total): called as the
+    work goes on.
+
+    All hypotheses are simulated through the model and fitted to multi-step errors, weighted as errors on the healthy
+    drives go together. One is believed when it gains more than any gains on healthy data; the answer is every name
+    not worse than the best. Raises StCoreError for runs in which nothing can be predicted, ConfigurationError for
+    settings that do not fit the base. Checked by: test_discovery*.py.
     """
-    raise NotImplementedError("discover")
+    settings = settings or DiscoverySettings()
+    return _Work(list(runs), vehicle, base, list(reference), settings, progress).result()
+
+
+class _Work:
+    def __init__(self, runs, vehicle, base, reference, settings, progress):
+        self.settings, self.vehicle, self._progress = settings, vehicle, progress
+        self.space = Space(base, settings)
+        self.rng = np.random.default_rng(settings.seed)
+        self.warnings: list[str] = []
+        self.runs, self.reference = self._usable(runs, "run"), self._usable(reference, "reference")
+        if not self.runs:
+            raise StCoreError("no run is long enough: a run needs "
+                              f"{settings.horizon + 2.0:g} s of driving above walking speed with INS and steering")
+        self.settings = self._channels()
+
+    def result(self) -> Discovery:
+        space, settings = self.space, self.settings
+        floor, null_of = self._floor()
+        self.floor = floor
+        parts = gap.split(self.runs, self.settings)
+        windows = Windows(parts.used, self.vehicle, settings)
+        study = self.study = Study(windows, space, floor, gap.folds(windows), tick=self._tick("hypotheses", len(space)))
+        blocks = int(windows.block.max()) + 1
+        if blocks < LEAST_BLOCKS:
+            self.warnings.append(f"only {blocks} blocks of {settings.block:g} s: little can be said")
+        null = null_of(blocks, study)
+        limit = choice.threshold(null, settings.false_alarm)
+        untestable = testable.not_testable(study)
+        names = space.hypotheses
+        linear = {n: study.base.cost - study.linear((n,))[1] for n in names}
+        tried = sorted(names, key=linear.get, reverse=True)[:TRIED]
+        fits = {}
+        for i, name in enumerate(tried):
+            fits[name] = study.fit((name,))
+            self._say("fits", i + 1, len(tried))
+        best = min(fits.values(), key=lambda fit: fit.cost)
+        gain = study.base.cost - best.cost
+        p = choice.probability(gain, null)
+        found: list[Fit] = []
+        unknown, signature = False, ()
+        if gain > limit:
+            found, level = several.search(study, fits, limit, settings.maximum_effects)
+            unknown = several.unexplained(study, found[0], level)
+        elif several.excess(study, study.base) > several.UNKNOWN_ALONE:
+            unknown = True
+        answer = found[0] if found else study.base
+        rivals = several.rivals(study, answer, fits, gain) if found and not unknown else {}
+        outcome = self._outcome(answer, rivals, unknown, untestable, names)
+        model, vector = None, floor.vector
+        if answer.names and not unknown:
+            vector = several.alone(study, answer)
+            model = space.at(vector)
+        effects = tuple(self._effect(n, answer, vector, rivals, fits) for n in answer.names) if model else ()
+        gaps = gap.measure(parts, self.vehicle, study, answer if model else study.base, vector, floor)
+        separable = tuple(self._separability(rivals, fits)) if model else ()
+        following = manoeuvres.following(study, effects, fits) if separable else None
+        where = self._where(floor)
+        if unknown:
+            signature = tuple(f"{w.channel}: {w.condition}" for w in where[:6])
+        return Discovery(
+            outcome=outcome, effects=effects, where=where, gap=gaps, not_testable=untestable, next_manoeuvre=following,
+            separability=separable, signature=signature,
+            candidates=self._candidates(linear, fits, answer, rivals, study, null, untestable),
+            base=space.at(floor.vector), model=model, split=parts.said, p=p, warnings=tuple(self.warnings),
+            acceleration_gain=float(floor.vector[-1]), noise=dict(floor.size))
+
+    # What is given
+
+    def _usable(self, runs: list[DriveLog], what: str) -> list[DriveLog]:
+        least = self.settings.horizon + 2.0
+        good = []
+        for run in runs:
+            if run.overlap < least:
+                self.warnings.append(f"{what} {run.name} left out: {run.overlap:.1f} s with INS and steering, "
+                                     f"{least:g} s are needed")
+            else:
+                good.append(run)
+        return good
+
+    def _channels(self) -> DiscoverySettings:
+        everything = [*self.runs, *self.reference]
+        if "acceleration_y" in self.settings.channels and any(r.acceleration_y is None for r in everything):
+            self.warnings.append("acceleration_y is not in all runs and is not used")
+            left = tuple(c for c in self.settings.channels if c != "acceleration_y")
+            return replace(self.settings, channels=left)
+        return self.settings
+
+    def _floor(self):
+        """The floor, and what gives the gains of healthy data for a number of blocks."""
+        settings, space = self.settings, self.space
+        if not self.reference:
+            self.warnings.append("no reference drives: effects are counted from the vehicle file, and what a healthy "
+                                 "car may differ from it widens every answer")
+            windows = Windows(self.runs, self.vehicle, settings)
+            floor = assumed(windows, space, tick=self._tick("floor", len(space)))
+            return floor, lambda blocks, study: choice.null_gains(study.quadratic, floor, space, space.hypotheses,
+                                                                  blocks, self.rng)
+        key = (tuple(id(r) for r in self.reference), self.vehicle.hash, space.key, settings)
+        if key not in _floors:
+            windows = Windows(self.reference, self.vehicle, settings)
+            floor = learn(windows, space, settings.drift, tick=self._tick("floor", 5 * len(space)))
+            while len(_floors) >= KEPT:
+                _floors.pop(next(iter(_floors)))
+            _floors[key] = (tuple(self.reference), floor, {})
+        _, floor, kept = _floors[key]
+
+        def null_of(blocks, study):
+            if blocks not in kept:
+                kept[blocks] = choice.null_gains(floor.quadratic, floor, space, space.hypotheses, blocks,
+                                                 np.random.default_rng(settings.seed))
+            return kept[blocks]
+        return floor, null_of
+
+    # What is said
+
+    def _outcome(self, answer: Fit, rivals, unknown: bool, untestable, names):
+        if unknown:
+            return "unknown"
+        if not answer.names:
+            blind = {n.name for n in untestable} & set(names)
+            return "not_testable" if len(blind) > 0.6 * len(names) else "none"
+        if len(answer.names) > 1:
+            return "several"
+        return "ambiguous" if rivals.get(answer.names[0]) else "named"
+
+    def _effect(self, name: str, answer: Fit, vector: np.ndarray, rivals, fits) -> FoundEffect:
+        study, space = self.study, self.space
+        others = rivals.get(name, [])
+        parameters = {}
+        for i in space.indices(name):
+            free = space.free[i]
+            change = float(vector[i] - self.floor.vector[i])
+            half = 1.96 * testable.deviation(study, answer, i, change)
+            value = free.null + change
+            parameters[free.parameter] = FittedParameter(value, free.unit, (value - half, value + half))
+        likely = np.exp(-0.5 * np.array([0.0] + [more for more, _ in others]) / choice.CLOSE)
+        return FoundEffect(name, parameters, tuple(n for _, n in others), float(likely[0] / likely.sum()))
+
+    def _separability(self, rivals, fits):
+        for name, others in rivals.items():
+            for _, other in others:
+                if name in fits and other in fits:
+                    cosine, strength = testable.separable(self.study, fits[name], fits[other])
+                    yield Separability(name, other, cosine, strength)
+
+    def _candidates(self, linear, fits, answer, rivals, study, null, untestable):
+        blind = {n.name for n in untestable}
+        also = {other for others in rivals.values() for _, other in others}
+        rows = []
+        for name in sorted(self.space.hypotheses, key=lambda n: fits[n].cost if n in fits else 1e18 - linear[n]):
+            fit = fits.get(name)
+            gain = study.base.cost - fit.cost if fit else linear[name]
+            vector = fit.vector if fit else self.space.inside(
+                self.floor.vector + study.linear((name,))[0] * self.space.scale)
+            values = {self.space.free[i].parameter: float(self.space.free[i].null + vector[i] - self.floor.vector[i])
+                      for i in self.space.indices(name)}
+            verdict = ("chosen" if name in answer.names else "alternative" if name in also
+                       else "not testable" if name in blind else "explains less" if answer.names
+                       else "no more than on healthy drives")
+            share = gain / max(study.base.cost, 1e-9)
+            rows.append(Candidate(name, values, float(share), choice.probability(gain, null), verdict))
+        return tuple(rows)
+
+    def _where(self, floor: Floor) -> tuple[WhereStatement, ...]:
+        if not self.settings.where:
+            return ()
+        return where(self.runs, self.space.at(floor.vector), self.vehicle, self.settings, self.reference,
+                     dict(floor.size), float(floor.vector[-1]))
+
+    # How far it is
+
+    def _say(self, stage: str, done: int, total: int) -> None:
+        if self._progress:
+            self._progress(stage, done, total)
+
+    def _tick(self, stage: str, total: int):
+        count = 0
+
+        def tick():
+            nonlocal count
+            count += 1
+            self._say(stage, min(count, total), total)
+        return tick

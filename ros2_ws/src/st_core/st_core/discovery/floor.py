@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .quadratic import Quadratic, Whitening, by_condition, jacobian, quadratic, row_errors, whitened, whitening
-from .settings import DiscoverySettings
+from .quadratic import Quadratic, Whitening, by_condition, costs, jacobian, quadratic, row_errors, whitened, whitening
 from .space import LIFTED, Space
 from .windows import CHANNEL_OF, Windows
 
@@ -23,9 +22,10 @@ ROUNDS = 5
 
 @dataclass(frozen=True, eq=False)
 class Floor:
-    """vector: values of the healthy base. spread: (p, p) covariance of what a healthy suspect drive may deviate from it,
-    in usual sizes. inflation: cost per independent piece of data; windows overlap and errors last. rows: (n, m) errors
-    the base leaves on the reference, None without one; size: by channel at the end of the horizon [SI]."""
+    """vector: values of the healthy base. spread: (p, p) covariance of what healthy suspect drives may deviate from
+    it, in usual sizes. inflation: cost per independent piece of data; windows overlap and errors last. quadratic: of
+    the reference drives, None without one. level: cost per window of their blocks. size: by channel at the end of the
+    horizon [SI]."""
 
     vector: np.ndarray
     how: Whitening
@@ -109,9 +109,30 @@ def learn(windows: Windows, space: Space, drift: float, tick=None) -> Floor:
     return Floor(x, how, spread, inflation, q, q.cost / np.maximum(q.windows, 1), _sizes(windows, rows))
 
 
+def assumed(windows: Windows, space: Space, tick=None) -> Floor:
+    """Without a reference: the vehicle file, and what healthy cars may differ from it.
+
+    How large errors are and how they go together is taken from what is left of the suspect drives themselves once every
+    effect may help a little.
+    """
+    start, how, inflation = space.start.copy(), default_whitening(windows), 4.0
+    deviation = prior(space, UNKNOWN)
+    x, rows = start.copy(), row_errors(windows, space, start)
+    for _ in range(2):
+        q = quadratic(rows, jacobian(windows, space, x, rows, tick=tick), windows, how)
+        step = solve_map(q.hessian.sum(0) / inflation, q.gradient.sum(0) / inflation, prior(space, 1.0),
+                         (x - start) / space.scale, (space.low - x) / space.scale, (space.high - x) / space.scale)
+        x, rows = _search(windows, space, x, step, rows, how, inflation, start, prior(space, 1.0))
+    how = whitening(rows, windows.condition, usual(windows) * 0.3, windows.scored)
+    q = quadratic(rows, jacobian(windows, space, x, rows, tick=tick), windows, how)
+    inflation = max(float(np.median(inflation_of(q))), 2.0)
+    return Floor(start, how, np.diag(deviation**2), inflation, None, q.cost / np.maximum(q.windows, 1),
+                 _sizes(windows, rows))
+
+
 def _search(windows, space, x, step, rows, how, inflation, start, deviation):
     def total(vector, errors):
-        return (np.square(whitened(errors, windows.condition, how)).sum() / inflation
+        return (costs(whitened(errors, windows.condition, how), windows)[0].sum() / inflation
                 + np.square((vector - start) / space.scale / deviation).sum())
     best, best_rows, lowest = x, rows, total(x, rows)
     for share in (1.0, 0.5, 0.2):

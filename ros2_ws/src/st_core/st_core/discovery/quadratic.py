@@ -1,4 +1,8 @@
-"""The cost of a set of windows about a point, block by block: c - 2 g'd + d'H d. All statistics are sums of these."""
+"""The cost of a set of windows about a point, block by block: c - 2 g'd + d'H d. All statistics are sums of these.
+
+A window with square error e counts rho = s log(1 + e / s), s = TAIL times the number of errors in it: as under
+Student's distribution a few windows the base does not hold for cannot outvote the rest.
+"""
 
 from dataclasses import dataclass
 
@@ -8,14 +12,15 @@ from .space import Space
 from .windows import CONDITIONS, Windows
 
 LARGEST = 30.0  # standard deviations; a window further off counts as that far, in each direction of the whitened errors
+TAIL = 2.0
 FAR = 4.0  # mean square of a window beyond which it is taken for an outlier of the floor
 BEND = 0.1  # of the usual size: step of the difference quotients
 
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """matrices: (CONDITIONS, m, m), errors of a window as a row times that of its kind of driving are uncorrelated and of
-    size 1 on healthy drives."""
+    """matrices: (CONDITIONS, m, m), errors of a window as a row times that of its kind of driving are uncorrelated and
+    of size 1 on healthy drives."""
 
     matrices: np.ndarray
 
@@ -30,7 +35,7 @@ class Whitening:
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """By block: cost (b,), gradient (b, p), hessian (b, p, p), windows (b,). Parameters in units of their usual size."""
+    """By block: cost (b,), gradient (b, p), hessian (b, p, p), windows (b,). Parameters in their usual sizes."""
 
     cost: np.ndarray
     gradient: np.ndarray
@@ -116,6 +121,13 @@ def whitened(rows: np.ndarray, condition: np.ndarray, how: Whitening) -> np.ndar
     return np.clip(rows, -LARGEST, LARGEST)
 
 
+def costs(whitened_rows: np.ndarray, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) rho of each window and its derivative by the square error, 0 to 1."""
+    scale = TAIL * windows.scored[windows.condition].sum(axis=1)
+    square = np.square(whitened_rows).sum(axis=1)
+    return scale * np.log1p(square / scale), 1.0 / (1.0 + square / scale)
+
+
 def jacobian(windows: Windows, space: Space, vector: np.ndarray, rows: np.ndarray,
              which: np.ndarray | None = None, tick=None) -> np.ndarray:
     """(p, n, m) minus the change of the errors per usual size, by differences; zero for parameters not in `which`."""
@@ -139,11 +151,13 @@ def quadratic(rows: np.ndarray, slopes: np.ndarray, windows: Windows, how: White
     r = whitened(rows, windows.condition, how)
     j = how.of(np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0), windows.condition)
     j = np.clip(j, -LARGEST / BEND, LARGEST / BEND)
+    each, weight = costs(r, windows)
+    r, j = r * np.sqrt(weight)[:, None], j * np.sqrt(weight)[:, None]
     count = int(block.max()) + 1
     p = len(j)
     cost, gradient, hessian = np.zeros(count), np.zeros((count, p)), np.zeros((count, p, p))
     for b in range(count):
         mine = block == b
         jb, rb = j[:, mine].reshape(p, -1), r[mine].ravel()
-        cost[b], gradient[b], hessian[b] = rb @ rb, jb @ rb, jb @ jb.T
+        cost[b], gradient[b], hessian[b] = each[mine].sum(), jb @ rb, jb @ jb.T
     return Quadratic(cost, gradient, hessian, np.bincount(block, minlength=count))

@@ -1,4 +1,4 @@
-"""What a discovery says: outcome, names, values, where, how sure. Plain data; `Discovery.document` is discovery.json."""
+"""What a discovery says: outcome, names, values, where. Plain data; `Discovery.document` is discovery.json."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -50,9 +50,9 @@ class WhereStatement:
 class Gap:
     """Error on runs that served nothing else, root mean square, before and after.
 
-    base, augmented [unit]. interval: 95 % of base - augmented [unit], above zero where it surely shrank. floor: what the
-    base leaves on reference drives [unit]; None without reference. worst_run, worst: the run with the largest augmented
-    error and that error. worse_runs: runs on which the error grew by more than a tenth of the floor.
+    base, augmented [unit]. interval: 95 % of base - augmented [unit], above zero where it surely shrank. floor: what
+    the base leaves on reference drives [unit]; None without reference. worst_run, worst: the run with the largest
+    augmented error and that error. worse_runs: runs on which the error grew by more than a tenth of the floor.
     """
 
     base: float
@@ -75,7 +75,7 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class NextManoeuvre:
-    """The drive that would tell most. name: a scenario of the virtual car, or `name at v m/s`. scenario: its name there.
+    """The drive that would tell most. name: as in the catalogue. scenario: what st_sim calls it.
 
     separates: the pair least well told apart by it. strength: of that pair, in standard deviations. options: strength
     of every manoeuvre tried, by name.
@@ -131,7 +131,9 @@ class Discovery:
     outcome: none = nothing beyond what healthy drives show; named = one effect; ambiguous = one effect, several names;
     several = more than one effect; unknown = a gap no effect explains; not_testable = the data show too little.
     base: the model errors are counted from, steered drive force and what the reference taught included. model: base
-    with the effects found; None without any. signature: of an unknown effect, in words.
+    with the effects found; None without any. signature: of an unknown effect, in words. acceleration_gain: what the
+    accelerometer shows more than the motion, as the body rolls [1]. noise: by channel, root mean square at the end of
+    the horizon that a healthy car leaves [SI].
     """
 
     outcome: Outcome
@@ -147,7 +149,9 @@ class Discovery:
     model: AugmentedModel | None
     split: Split
     p: float
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
+    acceleration_gain: float = 0.0
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """The body of discovery.json: dicts, lists, texts and numbers only."""

@@ -26,13 +26,15 @@ class DiscoverySettings:
     seed: int = 0
     maximum_effects: int = 4
     horizon: float = 2.0
-    interval: float = 0.25
+    interval: float = 0.5
     block: float = 4.0
     confidence: float = 0.95
     false_alarm: float = 0.01
     effects: tuple[str, ...] | None = None
     noise: Mapping[str, float] | None = None
     resamples: int = 1000
+    drift: float = 0.05
+    where: bool = True
 
     def __post_init__(self):
         for channel in (*self.channels, *(self.noise or {})):
@@ -42,6 +44,6 @@ class DiscoverySettings:
             raise ConfigurationError(f"channels: at least one of {', '.join(CHANNELS[:3])} is needed")
         for key, low, high in (("maximum_effects", 1, 8), ("horizon", 0.5, 10.0), ("interval", 0.1, 5.0),
                                ("block", 1.0, 60.0), ("confidence", 0.5, 0.999), ("false_alarm", 1e-4, 0.5),
-                               ("resamples", 100, 100_000)):
+                               ("resamples", 100, 100_000), ("drift", 0.0, 1.0)):
             if not low <= getattr(self, key) <= high:
                 raise ConfigurationError(f"{key}: {getattr(self, key):g} is outside {low:g} to {high:g}")

@@ -1,5 +1,5 @@
-"""The numbers a discovery may change: all parameters of all effects of the library, and how much a roll of the body adds
-to the accelerometer. One vector; one set of compiled functions for all its values."""
+"""The numbers a discovery may change: all parameters of all effects of the library, and how much a roll of the body
+adds to the accelerometer. One vector; one set of compiled functions for all its values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -57,6 +57,11 @@ class Space:
         self.start = np.append(self.model.vector, GAIN_USUAL)
         real = {n: v for n, v in THEORY.items() if n in takes_part and n not in values}
         self.healthy = np.append(self.model.with_values(real).vector, GAIN_USUAL)
+
+    @property
+    def key(self) -> tuple:
+        """The same for two spaces of the same numbers."""
+        return self.model.base.name, self.effect_of.tobytes(), self.start.tobytes(), self.hypotheses
 
     def __len__(self) -> int:
         return len(self.scale)

@@ -189,8 +189,8 @@ class Windows:
         states = self._batch.predict(model, self.vehicle).states
         before, here, after = (states[:, i] for i in self._around)
         with np.errstate(all="ignore"):
-            true = readings(_motion_only(model), self.vehicle, tuple(np.moveaxis(here, -1, 0)))
-            ends = [readings(_motion_only(model), self.vehicle, tuple(np.moveaxis(s, -1, 0))) for s in (before, after)]
+            true = readings(_MotionOnly(model), self.vehicle, tuple(np.moveaxis(here, -1, 0)))
+            ends = [readings(_MotionOnly(model), self.vehicle, tuple(np.moveaxis(s, -1, 0))) for s in (before, after)]
             turning = [e.velocity_x * e.yaw_rate for e in (ends[0], true, ends[1])]
             a_y = (ends[1].velocity_y - ends[0].velocity_y) / (2 * STEP) + (
                 turning[0] + 4.0 * turning[1] + turning[2]) / 6.0
@@ -214,7 +214,7 @@ def active(model: AugmentedModel) -> list:
     return [e for e in model.effects if any(p.fit and model.values[e.name][p.name] != p.null for p in e.parameters)]
 
 
-class _motion_only:  # noqa: N801
+class _MotionOnly:
     """A model as `readings` sees it, with the sensors left out: they are applied last."""
 
     def __init__(self, model: AugmentedModel):

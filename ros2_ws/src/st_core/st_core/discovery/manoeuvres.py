@@ -1,0 +1,144 @@
+"""The drive that would tell the names of an ambiguous answer apart: a catalogue, simulated with the models at hand."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ..augmented import AugmentedModel
+from ..log import DriveLog
+from ..prediction import predict
+from ..types import InputSequence, VehicleState
+from ..vehicle import VehicleParameters
+from .choice import precision
+from .quadratic import jacobian, quadratic, row_errors
+from .result import FoundEffect, NextManoeuvre
+from .study import Fit, Study
+from .windows import STEP, Windows
+
+PERIOD = STEP / 2  # s, of the simulated log
+MOST_LATERAL = 9.0  # m/s^2
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """steering(t) -> road wheel angle [rad]; braking(t) -> forward acceleration [m/s^2]; speed at the start [m/s].
+
+    name: the scenario of the virtual car that drives it.
+    """
+
+    name: str
+    speed: float
+    duration: float
+    steering: Callable[[float], float]
+    forward: Callable[[float], float] = lambda t: 0.0
+
+
+def _sweep(t: float, low: float = 0.2, high: float = 2.8, length: float = 26.0) -> float:
+    rate = math.log(high / low) / length
+    return 0.055 * math.sin(2 * math.pi * low / rate * (math.exp(rate * t) - 1.0)) if t < length else 0.0
+
+
+def _steps(t: float) -> float:
+    t %= 14.0
+    return 0.0 if t < 3.0 or 7.0 <= t < 10.0 else 0.09 if t < 7.0 else -0.09
+
+
+def _ramp(t: float) -> float:
+    half, t = divmod(t, 16.0)
+    return (1.0 if half % 2 == 0 else -1.0) * 0.016 * min(t, 15.0 * max(0.0, 16.0 - t))
+
+
+def _turn(t: float) -> float:
+    return 0.105
+
+
+def _brake(t: float) -> float:
+    t %= 16.0
+    return -4.0 if 8.0 <= t < 9.9 else 2.0 if 10.5 <= t < 14.3 else 0.0
+
+
+CATALOGUE = (
+    Manoeuvre("sweep", 14.0, 30.0, _sweep),
+    Manoeuvre("step", 12.0, 28.0, _steps),
+    Manoeuvre("ramp_to_limit", 11.0, 32.0, _ramp),
+    Manoeuvre("brake_in_turn", 11.0, 32.0, _turn, _brake),
+    Manoeuvre("lane_change", 12.0, 30.0, lambda t: 0.05 * math.sin(2 * math.pi * 0.35 * t)),
+    Manoeuvre("S1", 4.0, 60.0, lambda t: 0.23 * math.tanh(3.0 * math.sin(2 * math.pi * t / 34.0))),
+    Manoeuvre("circle", 6.6, 20.0, lambda t: 0.24),
+)
+
+
+def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
+    """What faultless sensors at the CG of the vehicle file would record if the car were the model."""
+    steps = round(manoeuvre.duration / PERIOD)
+    times = 0.5 * PERIOD * np.arange(2 * steps + 1)
+    angle = np.array([manoeuvre.steering(t) for t in times])
+    forward = np.array([manoeuvre.forward(t) for t in times])
+    start = VehicleState(0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0)
+    path = predict(model, vehicle, start, InputSequence(angle, forward), steps * PERIOD, PERIOD)
+    car = model.effective_vehicle(vehicle)
+    dx, dy = car.cg_to_ins_x, car.cg_to_ins_y
+    cosine, sine = np.cos(path.yaw), np.sin(path.yaw)
+    time_ns = np.round(path.time * 1e9).astype(np.int64)
+    velocity_y = path.velocity_y + path.yaw_rate * dx
+    a_y = np.gradient(velocity_y, PERIOD) + path.velocity_x * path.yaw_rate
+    return DriveLog(manoeuvre.name, time_ns, path.x + cosine * dx - sine * dy, path.y + sine * dx + cosine * dy,
+                    path.yaw, path.velocity_x - path.yaw_rate * dy, velocity_y, path.yaw_rate, time_ns, angle[::2].copy(),
+                    acceleration_x=0.0 * a_y, acceleration_y=a_y)
+
+
+def following(study: Study, effects: Sequence[FoundEffect], fits: Mapping[str, Fit]) -> NextManoeuvre | None:
+    """The manoeuvre with the largest smallest strength over all pairs of the ambiguous answer; None without a pair."""
+    pairs = [pair for e in effects for pair in combinations((e.name, *e.alternatives), 2)
+             if all(name in fits for name in pair)]
+    if not pairs:
+        return None
+    names = tuple(dict.fromkeys(n for pair in pairs for n in pair))
+    weakest = {}
+    for manoeuvre in CATALOGUE:
+        strengths = _strengths(study, manoeuvre, pairs, names, fits)
+        if strengths:
+            pair = min(strengths, key=strengths.get)
+            weakest[manoeuvre.name] = (strengths[pair], pair)
+    if not weakest:
+        return None
+    name = max(weakest, key=lambda n: weakest[n][0])
+    strength, pair = weakest[name]
+    chosen = next(m for m in CATALOGUE if m.name == name)
+    return NextManoeuvre(name, name, pair, strength, {n: s for n, (s, _) in weakest.items()}, chosen.duration,
+                         chosen.speed, f"{pair[0]} and {pair[1]} differ most there of all manoeuvres of the catalogue")
+
+
+def _strengths(study: Study, manoeuvre: Manoeuvre, pairs, names, fits: Mapping[str, Fit]) -> dict:
+    space, floor = study.space, study.floor
+    log = drive(manoeuvre, space.at(floor.vector), study.windows.vehicle)
+    lateral = np.abs(log.velocity_x * log.yaw_rate)
+    if not np.isfinite(lateral).all():
+        return {}
+    fine = lateral <= MOST_LATERAL
+    if not fine.all():
+        log = log.slice(0, int(log.ins_time_ns[max(int(np.argmin(fine)) - 1, 1)]))
+    if log.overlap < study.settings.horizon + 3.0:
+        return {}
+    windows = Windows([log], study.windows.vehicle, study.settings)
+    if not len(windows):
+        return {}
+    rows = row_errors(windows, space, floor.vector)
+    which = np.append(space.indices(*names), len(space) - 1)
+    q = quadratic(0.0 * rows, jacobian(windows, space, floor.vector, rows, which), windows, floor.how)
+    h = q.hessian.sum(0) / floor.inflation
+    result = {}
+    for first, second in pairs:
+        left = []
+        for a, b in ((first, second), (second, first)):
+            own = space.indices(a)
+            d = np.zeros(len(space))
+            d[own] = ((fits[a].vector - floor.vector) / space.scale)[own]
+            g = h @ d
+            weight = precision(np.diag(np.full(len(space), study.settings.drift**2 + 1e-6)), space.indices(b))
+            left.append(d @ h @ d - g @ np.linalg.solve(h + weight, g))
+        result[first, second] = float(np.sqrt(max(min(left), 0.0)))
+    return result

@@ -1,0 +1,99 @@
+"""One effect or more: forward steps with everything fitted anew, effects taken out again and exchanged, and when to say
+that the library does not explain it."""
+
+from collections.abc import Mapping
+from itertools import combinations
+
+import numpy as np
+
+from . import choice
+from .study import Fit, Study
+
+SHARE = 0.05  # of the whole gain another effect must bring
+PARTNERS = 8  # pairs fitted to the end
+UNKNOWN_ALONE = 3.0  # excess of a base no effect improves
+UNKNOWN_LEFT = 2.0  # excess an explanation may leave
+EXPLAINED = 0.8  # share of the excess an explanation takes away in any case
+
+
+def excess(study: Study, fit: Fit) -> float:
+    """Cost of a typical block over that of a typical block of healthy driving [1]."""
+    q = fit.quadratic
+    return float(np.median(q.cost / np.maximum(q.windows, 1)) / np.median(study.floor.level))
+
+
+def search(study: Study, fits: Mapping[str, Fit], limit: float, most: int) -> tuple[list[Fit], float]:
+    """([the answer, the fits it beat ...], excess it leaves). limit: the gain another effect must bring."""
+    base = study.base.cost
+    answer = min(fits.values(), key=lambda fit: fit.cost)
+    while len(answer.names) < most:
+        gain = base - answer.cost
+        need = max(limit, SHARE * gain)
+        better = _joined(study, answer, fits, need)
+        if better is None or answer.cost - better.cost < need:
+            break
+        answer = _without_idle(study, better, need)
+        if len(answer.names) == 1:
+            break
+    return [answer], excess(study, answer)
+
+
+def _joined(study: Study, answer: Fit, fits: Mapping[str, Fit], need: float) -> Fit | None:
+    """The best fit with one effect more, exchanges of those found included."""
+    names = study.space.hypotheses
+    about = [(*answer.names, n) for n in names if n not in answer.names]
+    if len(answer.names) == 1:
+        strong = sorted(fits, key=lambda n: fits[n].cost)[:5]
+        about += [pair for pair in combinations(strong, 2) if answer.names[0] not in pair]
+        about += [(a, n) for a in strong if a != answer.names[0] for n in names if n not in (a, answer.names[0])]
+    promise = {}
+    for group in dict.fromkeys(tuple(sorted(g)) for g in about):
+        promise[group] = study.promise(group, fits, answer)
+    tried = sorted(promise, key=promise.get)[:PARTNERS]
+    if not tried or answer.cost - promise[tried[0]] < 0.3 * need:
+        return None
+    joint = [study.fit(group, study.start_of(group, fits, answer)) for group in tried[:3]]
+    return min(joint, key=lambda fit: fit.cost)
+
+
+def _without_idle(study: Study, fit: Fit, need: float) -> Fit:
+    """The fit without effects it hardly needs."""
+    for name in fit.names:
+        rest = tuple(n for n in fit.names if n != name)
+        smaller = study.fit(rest, study.start_of(rest, {}, fit))
+        if smaller.cost - fit.cost < need:
+            return _without_idle(study, smaller, need) if len(rest) > 1 else smaller
+    return fit
+
+
+def rivals(study: Study, answer: Fit, fits: Mapping[str, Fit], gain: float) -> dict[str, list[tuple[float, str]]]:
+    """For each effect of the answer the (cost more, name) of those that could stand in its place."""
+    result = {}
+    for name in answer.names:
+        rest = tuple(n for n in answer.names if n != name)
+        alone = {n: f for n, f in fits.items() if n != name}
+        swapped = _swapped(study, answer, name, rest, fits) if rest else alone
+        names = choice.not_worse(swapped, answer, gain, study)
+        result[name] = [(choice.behind(swapped[n], answer, study)[0], n) for n in names]
+    return result
+
+
+def _swapped(study: Study, answer: Fit, name: str, rest: tuple[str, ...], fits: Mapping[str, Fit]) -> dict[str, Fit]:
+    others = [n for n in study.space.hypotheses if n not in answer.names]
+    promise = {n: study.promise((*rest, n), fits, answer) for n in others}
+    near = sorted(promise, key=promise.get)[:3]
+    return {n: study.fit((*rest, n), study.start_of((*rest, n), fits, answer)) for n in near}
+
+
+def unexplained(study: Study, answer: Fit, left: float) -> bool:
+    """Whether so much is left that the truth must be outside the library."""
+    before = excess(study, study.base)
+    if left < UNKNOWN_LEFT:
+        return False
+    return (before - left) / max(before - 1.0, 1e-9) < EXPLAINED
+
+
+def alone(study: Study, answer: Fit) -> np.ndarray:
+    """The vector with the effects of the answer changed and all else that of the floor, fitted so."""
+    free = study.space.indices(*answer.names)
+    return study.only(answer, free)
