@@ -1,4 +1,4 @@
-"""Raw logs to a bag: an hour of 250 Hz NCOM and full CAN traffic read, aligned and written; share of each, peak memory.
+"""An hour of 250 Hz NCOM and full CAN traffic: imported, evaluated from the bag, and from the raw files; share of each.
 
 The logs are made by the virtual Leaf first, which takes several minutes; ST_BENCH_MINUTES sets another length, and
 ST_BENCH_LOGS keeps them in a folder for the next time.
@@ -20,16 +20,25 @@ from st_offline.paths import config
 
 
 def run() -> dict:
-    """Every figure of one import, taken in a process of its own so that its peak memory is its own."""
+    """Import, `st evaluate` of the imported bag, and of the raw files; each in a process of its own, for its memory."""
     kept = os.environ.get("ST_BENCH_LOGS")
     with nullcontext(kept) if kept else tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         logs = Path(name) / "logs"
         if not (logs / "run.mf4").exists():
             _drive(logs, 60 * float(os.environ.get("ST_BENCH_MINUTES", "60")))
         with tempfile.TemporaryDirectory(prefix="st-bench-") as output:
-            command = [sys.executable, __file__, "--measure", str(logs), str(Path(output) / "bag")]
-            done = subprocess.run(command, check=True, capture_output=True, text=True)
-    return json.loads(done.stdout)
+            bag = Path(output) / "bag"
+            return {
+                "import": _apart("import", logs, bag),
+                "evaluate_imported": _apart("evaluate", bag, Path(output) / "from_bag"),
+                "raw_to_report": _apart("evaluate", logs, Path(output) / "from_raw"),
+            }
+
+
+def _apart(what: str, source: Path, output: Path) -> dict:
+    done = subprocess.run([sys.executable, __file__, what, str(source), str(output)], check=True, capture_output=True,
+                          text=True)
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def _drive(folder: Path, seconds: float) -> None:
@@ -43,42 +52,71 @@ def _drive(folder: Path, seconds: float) -> None:
     ])
 
 
-def _measure(logs: Path, output: Path) -> dict:
-    from st_core.vehicle import VehicleParameters
-    from st_offline.runs import find_runs, load, read, write
-
-    leaf = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text(), "leaf.yaml")
-    (source,) = find_runs([logs])
-    seconds: dict[str, float] = {}
+def _timed(parts: dict[str, tuple[Any, str]]) -> dict[str, float]:
+    """Seconds each function takes from now on. parts: name -> (module, function)."""
+    seconds = dict.fromkeys(parts, 0.0)
 
     def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def wrapper(*given: Any, **named: Any) -> Any:
             start = time.perf_counter()
             result = function(*given, **named)
-            seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
+            seconds[name] += time.perf_counter() - start
             return result
         return wrapper
 
-    for name, function in (("read_ncom", "read_ncom"), ("read_mf4", "read_can_logs"), ("decode_can", "decode_signals"),
-                           ("align", "align_clocks")):
-        setattr(load, function, timed(name, getattr(load, function)))
+    for name, (module, function) in parts.items():
+        setattr(module, function, timed(name, getattr(module, function)))
+    return seconds
+
+
+def _reading() -> dict[str, tuple[Any, str]]:
+    from st_offline.runs import load
+
+    return {"read_ncom": (load, "read_ncom"), "read_mf4": (load, "read_can_logs"),
+            "decode_can": (load, "decode_signals"), "align": (load, "align_clocks")}
+
+
+def _spent(seconds: dict[str, float], wall: float) -> dict[str, float]:
+    """Wall time and its parts, processor time of this process and what it started [s], peak memory."""
+    parts = {f"{name}_s": value for name, value in seconds.items() if value}
+    return {"wall_s": wall, **parts, "rest_s": wall - sum(seconds.values()), "processor_s": sum(os.times()[:4]),
+            "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
+
+
+def measure_import(logs: Path, output: Path) -> dict:
+    from st_core.vehicle import VehicleParameters
+    from st_offline.runs import find_runs, load, write
+
+    leaf = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text(), "leaf.yaml")
+    (source,) = find_runs([logs])
+    seconds = _timed(_reading())
     start = time.perf_counter()
     done = write.import_run(source, leaf, output, load.ReadSettings())
     total = time.perf_counter() - start
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    start = time.perf_counter()
-    read(find_runs([output])[0], leaf)
-    return {
-        "minutes": done.span / 60, "ncom_packets": done.counts["/ins/ncom"], "can_frames": len(done.run.can.frames),
-        "verdict": str(done.run.alignment.verdict), "import_s": total, "times_real_time": done.span / total,
-        **{f"{name}_s": value for name, value in seconds.items()}, "write_s": total - sum(seconds.values()),
-        "peak_memory_mb": peak, "read_the_bag_s": time.perf_counter() - start,
-        "bag_mb": sum(f.stat().st_size for f in output.iterdir()) / 2**20,
-    }
+    return {"minutes": done.span / 60, "ncom_packets": done.counts["/ins/ncom"], "can_frames": len(done.run.can.frames),
+            "verdict": str(done.run.alignment.verdict), "times_real_time": done.span / total, **_spent(seconds, total),
+            "bag_mb": sum(f.stat().st_size for f in output.iterdir()) / 2**20}
+
+
+def measure_evaluate(source: Path, output: Path) -> dict:
+    """The command as it is called, from the start of this process."""
+    import psutil
+    from st_offline import cli
+    from st_offline.evaluation import command, work
+    from st_offline.runs import load
+
+    parts = {**_reading(), "read_bag": (load.bag, "read_bag"), "hash": (load, "hashes"),
+             "predict": (work, "evaluate_log"), "starts_csv": (work, "write_starts"), "draw": (work, "run_figures"),
+             "report": (command, "write_results")}
+    seconds = _timed(parts)
+    status = cli.app(["evaluate", str(source), "--output", str(output)], standalone_mode=False)
+    wall = time.time() - psutil.Process().create_time()
+    return {"exit_status": status or 0, **_spent(seconds, wall)}
 
 
 if __name__ == "__main__":
-    if "--measure" in sys.argv:
-        print(json.dumps(_measure(Path(sys.argv[-2]), Path(sys.argv[-1]))))
+    if len(sys.argv) > 1:
+        measure = {"import": measure_import, "evaluate": measure_evaluate}[sys.argv[1]]
+        print(json.dumps(measure(Path(sys.argv[2]), Path(sys.argv[3]))))
     else:
         print(json.dumps(run(), indent=2))

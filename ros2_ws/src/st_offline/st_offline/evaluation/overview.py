@@ -28,6 +28,7 @@ def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | N
         chosen = [r for r in chosen if r in worst]
     with style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(chosen)), sharey=True)
+        figure.get_layout_engine().set(w_pad=0.12)  # inch; the last label of one axis and the first of the next
         for axes, axis in zip(panels, SHOWN_AXES, strict=True):
             for row, report in enumerate(chosen):
                 sizes = [rmse(report, model, axis) for model in models if model in report.models]
@@ -48,15 +49,17 @@ def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | N
 
 
 def finding(reports: Sequence[RunReport], over: str) -> str:
-    """In how many runs each model has the smallest lateral RMSE, to the centimetre."""
-    models = list(dict.fromkeys(m for r in reports for m in r.models))
-    wins = dict.fromkeys(models, 0)
-    for report in reports:
-        size = {m: shown(values(report.models, m, "hindsight", "lateral", over)["rmse"]) for m in report.models}
+    """Lateral RMSE of one run, best model first; of several, in how many each model has the smallest, to the cm."""
+    sizes = [{m: shown(values(r.models, m, "hindsight", "lateral", over)["rmse"]) for m in r.models} for r in reports]
+    if len(reports) == 1:
+        ranked = sorted(sizes[0].items(), key=lambda item: _number(item[1]))
+        return f"{reports[0].name}: lateral RMSE " + ", ".join(f"{model} {size} m" for model, size in ranked)
+    wins = dict.fromkeys((m for r in reports for m in r.models), 0)
+    for size in sizes:
         for model in (m for m in size if size[m] == min(size.values(), key=_number)):
             wins[model] += 1
     counts = ", ".join(f"{model} in {count}" for model, count in wins.items())
-    return f"Smallest lateral RMSE of {len(reports)} run{'s' * (len(reports) != 1)}: {counts}"
+    return f"Smallest lateral RMSE of {len(reports)} runs: {counts}"
 
 
 def _number(text: str) -> float:

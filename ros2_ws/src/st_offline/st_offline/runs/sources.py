@@ -14,7 +14,7 @@ from .mf4 import session_of
 
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
-NO_NAME = "run"  # a stem that says nothing (run.ncom with run.mf4): the folder's name is the run's
+NO_NAME = ("run", "bag")  # says nothing (run.ncom with run.mf4, bag/ of st live): the folder's name is the run's
 _KEYS = ("name", "ins", "can", "bag", "csv", "offset", "ins_can_latency", "labels", "dbc", "signals")
 
 
@@ -224,7 +224,7 @@ def _with_own_names(runs: Sequence[RunSource]) -> list[RunSource]:
     named = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.where))):
         name = run.name
-        if name == NO_NAME and run.files:
+        if name in NO_NAME and run.files:
             name = run.where.absolute().parent.name or name
         if name in taken and run.files:
             name = f"{run.where.absolute().parent.name}_{run.name}"
