@@ -1,7 +1,9 @@
 """Hostile bytes at every reader: inputs and findings; ST_FUZZ_SECONDS for each (60).
 
-`ncom_packets` is the fast one: single packets with changed bytes, most with right checksums, through all that the node
-does before its messages. ST_FUZZ_TARGETS=ncom_packets,dbc names targets, ST_FUZZ_SEED a seed; ST_FUZZ_KEEP=1 keeps
+`ncom_bulk` is the fastest: blocks of packets with changed bytes through the streaming parser, and every tenth block
+through the decoder of files, which has to find the same. `ncom_packets` puts single packets, most with right checksums,
+through all that the node does before its messages. ST_FUZZ_TARGETS=ncom_packets,dbc names targets, ST_FUZZ_SEED a
+seed; ST_FUZZ_KEEP=1 keeps
 findings, made smaller, in tests/fuzz/corpus. As a script its exit status is 1 if there were any.
 """
 
@@ -14,11 +16,16 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+import numpy as np
 from fuzz.harness import fuzz, save, smaller
 from fuzz.targets import TARGETS
 from fuzz.wires import Pipeline, packets, with_checksums
+from oxts_bridge.batch import decode_file
+from oxts_bridge.ncom import PACKET_SIZE
+from oxts_bridge.stream import NcomParser
 
-FAST = "ncom_packets"
+FAST, BULK = "ncom_packets", "ncom_bulk"
+MOST_BULK = 12_000_000
 BLOCK = 2000  # packets through one pipeline: state grows old, and a finding is found again by its seed
 
 
@@ -57,14 +64,56 @@ def fuzz_packets(seed: int, seconds: float) -> dict:
     return result | {"findings": len(found), **{f"finding {what}": f"seed {at}" for what, at in found.items()}}
 
 
+def bulk_block(seed: int, base: np.ndarray) -> bytes:
+    """Packets with 1 to 3 bytes changed; three of four get right checksums, a few bytes are cut out anywhere."""
+    chance = np.random.default_rng(seed)
+    data = base[chance.integers(len(base), size=BLOCK)]
+    rows = np.arange(BLOCK)
+    for share in (1.0, 0.5, 0.25):
+        hit = rows[chance.random(BLOCK) < share]
+        data[hit, chance.integers(1, PACKET_SIZE, len(hit))] = chance.integers(256, size=len(hit))
+    right = rows[chance.random(BLOCK) < 0.75]
+    for end in (22, 61, 71):
+        data[right, end] = data[right, 1:end].sum(axis=1, dtype=np.uint32) & 0xFF
+    stream = bytearray(data.tobytes())
+    for at in chance.integers(len(stream) - 100, size=5).tolist():
+        del stream[at:at + at % 97]
+    return bytes(stream)
+
+
+def fuzz_bulk(seed: int, seconds: float) -> dict:
+    """The parser may say anything but has to account for every byte."""
+    base = np.frombuffer(b"".join(packets()), np.uint8).reshape(-1, PACKET_SIZE)
+    started, blocks, accepted, found = time.monotonic(), 0, 0, {}
+    while time.monotonic() - started < seconds and blocks * BLOCK < MOST_BULK:
+        block_seed = seed * 10**9 + blocks
+        data, parser = bulk_block(block_seed, base), NcomParser()
+        try:
+            received = parser.feed(data, 10**18)
+            counters = parser.counters
+            waiting = len(data) - PACKET_SIZE * counters.packets - counters.skipped_bytes
+            assert 0 <= waiting < PACKET_SIZE, f"{waiting} bytes are neither packet nor skipped"
+            if blocks % 10 == 0:
+                columns = decode_file(data)
+                assert vars(columns.counters) == vars(counters), "stream and file decoder disagree"
+            accepted += len(received)
+        except Exception as error:
+            found.setdefault(f"{type(error).__name__}: {error}"[:60], block_seed)
+        blocks += 1
+    elapsed = time.monotonic() - started
+    result = {"inputs": blocks * BLOCK, "accepted": accepted, "seconds": elapsed, "cpu_seconds": time.process_time(),
+              "findings": len(found)}
+    return result | {f"finding {what}": f"seed {at}" for what, at in found.items()}
+
+
 def run() -> dict:
     seconds = float(os.environ.get("ST_FUZZ_SECONDS", "60"))
     seed = int(os.environ.get("ST_FUZZ_SEED") or time.time())
-    names = [name for name in os.environ.get("ST_FUZZ_TARGETS", "").split(",") if name] or [FAST, *TARGETS]
+    names = [name for name in os.environ.get("ST_FUZZ_TARGETS", "").split(",") if name] or [BULK, FAST, *TARGETS]
     results: dict = {"seed": seed}
     for name in names:
-        if name == FAST:
-            results[name] = fuzz_packets(seed, seconds)
+        if name in (FAST, BULK):
+            results[name] = (fuzz_packets if name == FAST else fuzz_bulk)(seed, seconds)
             continue
         tally = fuzz(TARGETS[name], seed, seconds)
         results[name] = {"inputs": tally.inputs, "seconds": tally.seconds, "outcomes": len(tally.outcomes),

@@ -1,0 +1,66 @@
+"""Faults put into the running suite, one after another: noticed, survived, lost; writes docs/reliability.md's table.
+
+About twelve minutes; ST_FAULTS=long adds an INS silent for two minutes, ST_FAULTS=short leaves most of them out, a part
+of a name puts in only what is called so. The table is written by a run without choice.
+"""
+
+import math
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from faults.catalogue import FAULTS, LONG, Fault
+from faults.measure import Recorded, Row, row
+from faults.measure import run as put_all
+from faults.rig import running
+
+DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "reliability.md"
+BEGIN, END = "<!-- fault table: written by `st bench faults` -->\n", "<!-- end of fault table -->\n"
+
+
+def chosen() -> tuple[Fault, ...]:
+    choice = os.environ.get("ST_FAULTS", "")
+    if choice in ("", "long"):
+        return (*FAULTS, *(LONG if choice else ()))
+    return tuple(f for f in FAULTS if (f.short if choice == "short" else choice in f.name))
+
+
+def run() -> dict:
+    faults = chosen()
+    with tempfile.TemporaryDirectory(prefix="st-faults-") as name:
+        folder = Path(name)
+        with running(folder) as rig:
+            windows = put_all(rig, faults, lambda text: print(text, file=sys.stderr, flush=True))
+        recorded = Recorded(folder)
+        rows = [row(window, rig, recorded) for window in windows]
+    if os.environ.get("ST_FAULTS", "") in ("", "long"):
+        write(rows)
+    return {r.fault.name: {"notice": r.notice, "recover": r.recover, "ticks lost": r.ticks_lost,
+                           "packets not recorded": r.packets_lost, "verdict": verdict(r)} for r in rows}
+
+
+def verdict(found: Row) -> str:
+    if found.problems:
+        return "open: " + "; ".join(found.problems)
+    return f"open: {found.fault.open}" if found.fault.open else "as promised"
+
+
+def table(rows: list[Row]) -> str:
+    head = ("fault", "what is to happen", "noticed after, s", "predictions back after, s", "predictions not in the bag",
+            "packets not in the bag", "verdict")
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    for r in rows:
+        notice = "-" if math.isnan(r.notice) else f"{r.notice:.1f}"
+        what = verdict(r).replace("|", "/")
+        cells = (r.fault.name, r.fault.promise, notice, f"{r.recover:.1f}", r.ticks_lost, r.packets_lost, what)
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def write(rows: list[Row]) -> None:
+    text = DOCUMENT.read_text()
+    head, rest = text.split(BEGIN)
+    DOCUMENT.write_text(head + BEGIN + table(rows) + END + rest.split(END)[1])

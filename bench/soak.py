@@ -1,0 +1,197 @@
+"""The suite for an hour at full rates with random faults: memory, handles, shared memory, age of predictions, losses.
+
+250 NCOM packets and 1750 CAN frames per second; a fault every 30 s or so, kills and hangs among them. ST_SOAK_MINUTES
+(60), ST_SOAK_SEED (1). Writes docs/images/soak.png; reading the recordings takes a few minutes more.
+"""
+
+import contextlib
+import os
+import random
+import re
+import struct
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import numpy as np
+import psutil
+from faults.catalogue import CAN, HANGING, INS, KILLED, Fault
+from faults.rig import Rig, running
+from st_offline.runs.bag import open_bag
+from st_offline.style import RC
+from st_predictor.mcap import recover
+
+FIGURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "soak.png"
+MOST_FAULT = 12.0  # s; longer ones have their own rows in the fault table
+CALM = (15.0, 45.0)  # s between two faults
+CALM_AT_THE_END = 20.0
+SAMPLE_PERIOD = 5.0
+SEGMENT = re.compile(r"/dev/shm/(fastrtps_[0-9a-f]+)")
+ODDS = {"kill": 1, "hang": 1, "wire": 6}
+
+
+@dataclass
+class Samples:
+    """One entry per sample; per process: node -> values, NaN while it does not run."""
+
+    minutes: list[float] = field(default_factory=list)
+    memory: dict[str, list[float]] = field(default_factory=dict)  # MB resident
+    handles: dict[str, list[float]] = field(default_factory=dict)
+    segments: list[int] = field(default_factory=list)  # mapped by a node of ours
+    left: list[int] = field(default_factory=list)  # of nodes that are gone
+    behind: list[float] = field(default_factory=list)  # s, of the sender
+    busy: list[float] = field(default_factory=list)  # load of the machine
+    known: set[str] = field(default_factory=set)
+
+
+def sample(rig: Rig, samples: Samples, began: float) -> None:
+    samples.minutes.append((time.monotonic() - began) / 60)
+    mapped: set[str] = set()
+    running_now = {}
+    for child in rig.suite.children:
+        try:
+            process = psutil.Process(child.process.pid)
+            running_now[child.name] = process.memory_info().rss / 2**20, process.num_fds()
+            mapped |= set(SEGMENT.findall(Path(f"/proc/{process.pid}/maps").read_text()))
+        except (psutil.Error, OSError):
+            continue
+    for name in rig.names:
+        memory, handles = running_now.get(name, (float("nan"), float("nan")))
+        samples.memory.setdefault(name, []).append(memory)
+        samples.handles.setdefault(name, []).append(handles)
+    samples.known |= mapped
+    samples.segments.append(len(mapped))
+    samples.left.append(sum(Path("/dev/shm", name).exists() for name in samples.known - mapped))
+    samples.behind.append(rig.car.behind)
+    rig.car.behind = 0.0
+    samples.busy.append(os.getloadavg()[0])
+
+
+def choose(chance: random.Random) -> Fault:
+    kind = chance.choices(list(ODDS), list(ODDS.values()))[0]
+    wire = [f for f in (*INS, *CAN) if f.seconds <= MOST_FAULT]
+    return chance.choice({"kill": KILLED, "hang": HANGING, "wire": wire}[kind])
+
+
+def drive(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[float]]:
+    """The samples, how often each fault was in, and the minutes at which."""
+    chance, samples, faults, when = random.Random(seed), Samples(), Counter(), []
+    began = time.monotonic()
+    end, due, next_fault = began + 60 * minutes, began, began + CALM[0]
+    undo, until = None, 0.0
+    while (now := time.monotonic()) < end:
+        rig.run(0.5)
+        if now >= due:
+            due = now + SAMPLE_PERIOD
+            sample(rig, samples, began)
+        if undo and now >= until:
+            with contextlib.suppress(ProcessLookupError):
+                undo()
+            undo, next_fault = None, now + chance.uniform(*CALM)
+        elif not undo and now >= next_fault and now < end - MOST_FAULT - CALM_AT_THE_END:
+            fault = choose(chance)
+            try:
+                undo, until = fault.put(rig), now + fault.seconds
+                faults[fault.name] += 1
+                when.append((now - began) / 60)
+            except (StopIteration, ProcessLookupError):  # the node is being started again already
+                next_fault = now + CALM[0]
+    return samples, faults, when
+
+
+def recorded(folder: Path) -> dict[str, np.ndarray]:
+    """Of all bags: start and age of the predictions, stamps of the NCOM packets, number of CAN frames."""
+    starts, ages, packets, frames = [], [], [], 0
+    for bag in sorted(folder.glob("bag*")):
+        recover(bag)
+        storage = open_bag(bag)
+        for raw in storage.messages("/predictor/linear/prediction"):
+            begin, issued = (s * 10**9 + n for s, n in (struct.unpack_from("<iI", raw, at) for at in (4, 20)))
+            starts.append(begin)
+            ages.append((issued - begin) * 1e-6)
+        packets += [s * 10**9 + n for s, n in (struct.unpack_from("<iI", r, 4) for r in storage.messages("/ins/ncom"))]
+        for raw in storage.messages("/can/frames"):
+            length = struct.unpack_from("<I", raw, 12)[0]
+            frames += struct.unpack_from("<I", raw, 16 + (length + 3) // 4 * 4)[0]
+    return {"start_ns": np.array(starts), "age_ms": np.array(ages), "packets": len(packets), "frames": frames}
+
+
+def slope(minutes: list[float], values: list[float]) -> float:
+    """MB or handles per hour of a node's longest life (it starts anew when it is killed), the first minute left out."""
+    t, v = np.array(minutes), np.array(values)
+    cuts = np.flatnonzero(np.isnan(v) | (np.diff(v, prepend=v[0]) < -0.3 * np.nanmax(v)))
+    lives = np.split(np.arange(len(v)), cuts)
+    life = max(lives, key=len)
+    life = life[(t[life] > t[life][0] + 1.0) & ~np.isnan(v[life])]
+    return float(np.polyfit(t[life], v[life], 1)[0] * 60) if len(life) > 12 else float("nan")
+
+
+def draw(samples: Samples, found: dict, when: list[float], began_ns: int) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context(RC):
+        figure, axes = plt.subplots(5, 1, figsize=(8, 10), sharex=True)
+        for name, values in samples.memory.items():
+            axes[0].plot(samples.minutes, values, label=name)
+            axes[1].plot(samples.minutes, samples.handles[name])
+        axes[0].set(ylabel="resident memory, MB", ylim=(0, None))
+        axes[0].legend(ncols=5, loc="lower left", fontsize=8)
+        axes[1].set(ylabel="open handles", ylim=(0, None))
+        axes[2].plot(samples.minutes, samples.segments, label="mapped by a node")
+        axes[2].plot(samples.minutes, samples.left, label="left behind by a killed node")
+        axes[2].set(ylabel="shared-memory segments", ylim=(0, None))
+        axes[2].legend(loc="upper left", fontsize=8)
+        at = (found["start_ns"] - began_ns) / 60e9
+        for share, label in ((50, "median"), (99, "99 %")):
+            edges = np.arange(0, samples.minutes[-1], 1.0)
+            inside = [found["age_ms"][(at >= e) & (at < e + 1)] for e in edges]
+            axes[3].plot(edges + 0.5, [np.percentile(x, share) if len(x) else np.nan for x in inside], label=label)
+        axes[3].set(ylabel="measured to published, ms", yscale="log")
+        axes[3].legend(loc="upper left", fontsize=8)
+        axes[4].plot(samples.minutes, samples.busy, color="#888888")
+        axes[4].set(ylabel="load of the machine", xlabel="minutes", ylim=(0, None))
+        for axis in axes:
+            for minute in when:
+                axis.axvline(minute, color="#dddddd", linewidth=0.5, zorder=0)
+        axes[0].set_title("Soak at 250 NCOM packets/s and 1750 CAN frames/s; thin lines: faults put in")
+        figure.savefig(FIGURE)
+
+
+def run() -> dict:
+    minutes, seed = float(os.environ.get("ST_SOAK_MINUTES", "60")), int(os.environ.get("ST_SOAK_SEED", "1"))
+    with tempfile.TemporaryDirectory(prefix="st-soak-") as name:
+        folder = Path(name)
+        with running(folder, 250, full_bus=True) as rig:
+            began_ns = time.time_ns()
+            ticks = rig.monitor.heard.ticks
+            samples, faults, when = drive(rig, minutes, seed)
+            ill, restarts = rig.ill(), rig.supervisor.restarts
+            sent, frames_sent = len(rig.car.ins.sent_ns), len(rig.car.can.sent_ns)
+            ticks = rig.monitor.heard.ticks or ticks
+        statuses = rig.statuses
+        found = recorded(folder)
+        size = sum(f.stat().st_size for f in folder.rglob("*.mcap"))
+    draw(samples, found, when, began_ns)
+    ages = found["age_ms"]
+    half = len(ages) // 2
+    return {
+        "minutes": samples.minutes[-1], "faults": sum(faults.values()), "kinds": len(faults), "restarts": restarts,
+        "statuses at the end": {k: v for k, v in statuses.items() if v}, "not well at the end": ill,
+        "ncom sent": sent, "ncom recorded": int(found["packets"]),
+        "can sent": frames_sent, "can recorded": int(found["frames"]),
+        "predictions": len(ages), "predictions due": round(samples.minutes[-1] * 600),
+        "age ms, first half": dict(zip(("p50", "p99"), np.percentile(ages[:half], (50, 99)).tolist(), strict=True)),
+        "age ms, second half": dict(zip(("p50", "p99"), np.percentile(ages[half:], (50, 99)).tolist(), strict=True)),
+        "memory MB per hour": {name: slope(samples.minutes, v) for name, v in samples.memory.items()},
+        "handles per hour": {name: slope(samples.minutes, v) for name, v in samples.handles.items()},
+        "segments left behind": samples.left[-1], "sender behind, worst s": max(samples.behind),
+        "load of the machine, mean": float(np.mean(samples.busy)), "recorded MB": size / 1e6,
+    }

@@ -1,0 +1,225 @@
+"""The faults: how each is put in and taken away again, and what the suite is to do about it."""
+
+import contextlib
+import os
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import changes
+from .rig import Rig
+from .wires import OTHER_UNIT, Change, datagram, unchanged
+
+GO_ON, STOP, ANY = "go on", "stop", "may pause"
+Undo = Callable[[], None]
+NODES = ("oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """seconds: how long it lasts. put: puts it in, returns what takes it away. promise: in words, for the table.
+
+    check: the line of the terminal that has to tell it, "" where none needs to; words: that have to stand there.
+    predictions: what they do meanwhile. short: also in the quick run. restarts: a node that is started again.
+    """
+
+    name: str
+    seconds: float
+    put: Callable[[Rig], Undo]
+    promise: str
+    check: str = ""
+    words: str = ""
+    predictions: str = GO_ON
+    short: bool = False
+    restarts: str = ""
+    open: str = ""
+
+
+def on_ins(make: Callable[[], Change]) -> Callable[[Rig], Undo]:
+    def put(rig: Rig) -> Undo:
+        rig.car.ins.change = make()
+        return lambda: setattr(rig.car.ins, "change", unchanged)
+
+    return put
+
+
+def on_can(make: Callable[[], Change], extra: tuple[bytes, ...] = ()) -> Callable[[Rig], Undo]:
+    def put(rig: Rig) -> Undo:
+        rig.car.can.change, rig.car.extra = make(), extra
+
+        def undo() -> None:
+            rig.car.can.change, rig.car.extra = unchanged, ()
+
+        return undo
+
+    return put
+
+
+def signalled(name: str, number: int, after: int | None = None) -> Callable[[Rig], Undo]:
+    def put(rig: Rig) -> Undo:
+        pid = rig.pid(name)
+        os.kill(pid, number)
+        return (lambda: os.kill(pid, after)) if after else (lambda: None)
+
+    return put
+
+
+def idle(name: str) -> Callable[[Rig], Undo]:
+    """All its threads run only when nobody else wants to: a recorder that is slower than its data."""
+
+    def put(rig: Rig) -> Undo:
+        threads = [int(path.name) for path in Path(f"/proc/{rig.pid(name)}/task").iterdir()]
+        for thread in threads:
+            os.sched_setscheduler(thread, os.SCHED_IDLE, os.sched_param(0))
+
+        def undo() -> None:
+            for thread in threads:
+                with contextlib.suppress(ProcessLookupError):
+                    os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+
+        return undo
+
+    return put
+
+
+def second_unit(rig: Rig) -> Undo:
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    other.bind((OTHER_UNIT, 0))
+    elsewhere = changes.moved(0.001)
+
+    def twice(data: bytes) -> Sequence[bytes]:
+        other.sendto(elsewhere(data)[0], rig.car.ins.to)
+        return (data,)
+
+    rig.car.ins.change = twice
+
+    def undo() -> None:
+        rig.car.ins.change = unchanged
+        other.close()
+
+    return undo
+
+
+def full_disk(rig: Rig) -> Undo:
+    """The limit of the file size stands for the disk."""
+    pid, bag = rig.pid("recorder"), next((rig.folder / "bag").glob("*.mcap"))
+    limit = bag.stat().st_size + 100_000
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+
+    def undo() -> None:
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        os.kill(pid, signal.SIGTERM)  # what a person does: room is made, the recorder is started again
+
+    return undo
+
+
+def changed_vehicle(rig: Rig) -> Undo:
+    file, kept = rig.folder / "leaf.yaml", rig.folder / "kept.yaml"
+    shutil.copy(file, kept)
+    file.write_text("name: [not a vehicle\n")
+    return lambda: kept.replace(file)
+
+
+SUBSCRIBER = """
+import rclpy
+from st_msgs.msg import Prediction
+rclpy.init()
+node = rclpy.create_node("slow")
+node.create_subscription(Prediction, "predictor/linear/prediction", lambda message: None, 1)
+rclpy.spin(node)
+"""
+
+
+def slow_subscriber(rig: Rig) -> Undo:
+    process = subprocess.Popen([sys.executable, "-c", SUBSCRIBER], env=rig.suite.environment,
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    rig.run(20.0, lambda: "slow" in rig.monitor.node_names())
+    process.send_signal(signal.SIGSTOP)
+
+    def undo() -> None:
+        process.kill()
+        process.wait()
+
+    return undo
+
+
+BUS_OFF = datagram(0x040, bytes(8), error=True)
+BABBLE = (datagram(0x001, bytes(8)),) * 6  # 3000 frames/s: what 500 kbit/s carry
+NOISE = tuple(datagram(0x100 + k, bytes([k] * 8)) for k in range(4))  # 2000 frames/s more
+STREAM, SOLUTION, TIME = "oxts_bridge: stream", "oxts_bridge: solution", "oxts_bridge: time"
+PREDICTION, BUS, FRAMES = "predictor: prediction", "canedge_bridge: bus", "canedge_bridge: frames"
+RECORDING = "recorder: recording"
+
+INS = (
+    Fault("INS silent 0.1 s", 0.1, on_ins(changes.silent), "predictions go on; the gap is counted", STREAM, "gaps"),
+    Fault("INS silent 1 s", 1.0, on_ins(changes.silent), "no prediction from stale input; back by itself", PREDICTION,
+          "INS", STOP, short=True),
+    Fault("INS silent 10 s", 10.0, on_ins(changes.silent), "the same", STREAM, "no packet", STOP),
+    Fault("RTK to float", 3.0, on_ins(lambda: changes.position_mode(5)), "predictions go on; the mode is told",
+          SOLUTION, "RTK float", short=True),
+    Fault("RTK to none", 3.0, on_ins(lambda: changes.position_mode(0)), "predictions go on; the mode is told", SOLUTION,
+          "none"),
+    Fault("INS restart: silent, initialising, locking", 6.0, on_ins(lambda: changes.Restart().change),
+          "no prediction while there is no fix; back by itself", SOLUTION, "no fix", ANY),
+    Fault("INS clock +1 s", 3.0, on_ins(lambda: changes.shifted(1000)), "no crash; told; back by itself", TIME, "clock",
+          ANY),
+    Fault("INS clock -1 s", 3.0, on_ins(lambda: changes.shifted(-1000)), "no prediction from stale input", PREDICTION,
+          "INS", STOP, short=True),
+    Fault("UDP loss 1 %", 5.0, on_ins(lambda: changes.Chance(0.01).lose), "predictions go on; gaps counted", STREAM,
+          "gaps"),
+    Fault("UDP loss 10 %", 5.0, on_ins(lambda: changes.Chance(0.1).lose), "the same", STREAM, "gaps", short=True),
+    Fault("UDP loss 50 %", 5.0, on_ins(lambda: changes.Chance(0.5).lose), "predictions go on while no gap passes 0.1 s",
+          STREAM, "gaps", ANY),
+    Fault("UDP duplication", 3.0, on_ins(lambda: changes.twice), "nothing is published twice"),
+    Fault("UDP reordering (neighbours)", 3.0, on_ins(lambda: changes.Swap().change),
+          "late packets are recorded, not published backwards", STREAM, "late"),
+    Fault("UDP bursts of 0.15 s", 3.0, on_ins(lambda: changes.Burst(0.15).change), "predictions go on", "", "", ANY),
+    Fault("second unit on the port", 4.0, second_unit, "ignored, counted by address", short=True),
+    Fault("1 % corrupt packets, final checksum right", 4.0, on_ins(lambda: changes.Chance(0.01).corrupt),
+          "accepted as the vendor's decoder does; inner checksums counted", open="a packet in 100 shows a wrong speed: "
+          "the maker's rule accepts it, predictions started from it are wrong"),
+    Fault("GPS minute wraps", 61.0, lambda rig: lambda: None, "nothing to be seen"),
+)
+CAN = (
+    Fault("CAN silent 2 s", 2.0, on_can(changes.silent), "no prediction from stale steering", BUS, "silent",
+          STOP, short=True),
+    Fault("CAN bus-off (error frame, then silence)", 2.0, on_can(lambda: changes.Once(BUS_OFF).change),
+          "told; back with the first frame", BUS, "bus-off", STOP),
+    Fault("steering frames with wrong checksum", 2.0, on_can(lambda: changes.Steering().wrong_checksum),
+          "marked invalid, not used", FRAMES, "bad frames", STOP, short=True),
+    Fault("steering frames with a stuck counter", 2.0, on_can(lambda: changes.Steering().stuck_counter),
+          "marked invalid, not used", FRAMES, "bad frames", STOP),
+    Fault("steering angle frozen, counter runs", 3.0, on_can(lambda: changes.Steering().frozen), "not detected",
+          open="a frozen value with a good counter and checksum looks like a held wheel"),
+    Fault("steering jumps by 90 deg in one frame", 1.0, on_can(lambda: changes.Steering().jump),
+          "that frame is not used", FRAMES, "bad frames", ANY),
+    Fault("one identifier babbles, 3000 frames/s", 3.0, on_can(lambda: unchanged, BABBLE), "predictions go on",
+          predictions=ANY),
+    Fault("full bus, 2000 frames/s more", 3.0, on_can(lambda: unchanged, NOISE), "predictions go on",
+          predictions=ANY),
+)
+KILLED = tuple(
+    Fault(f"{name} killed (-9)", 1.0, signalled(name, signal.SIGKILL), "started again", f"suite: {name}", "ended with",
+          GO_ON if name in ("evaluator", "recorder") else ANY, name == "predictor", name) for name in NODES)
+HANGING = tuple(
+    Fault(f"{name} hangs (SIGSTOP)", 12.0, signalled(name, signal.SIGSTOP), "killed after 8 s without a word, started "
+          "again", f"suite: {name}", "said nothing", GO_ON if name in ("evaluator", "recorder") else ANY,
+          name == "oxts_bridge", name) for name in NODES)
+MACHINE = (
+    Fault("recorder gets no processor time others want, 10 s", 10.0, idle("recorder"), "queues hold it: nothing lost",
+          predictions=ANY, short=True),
+    Fault("recorder stands still for 3 s", 3.0, signalled("recorder", signal.SIGSTOP, signal.SIGCONT),
+          "records again by itself; what came meanwhile is lost", predictions=ANY),
+    Fault("slow subscriber (stopped for 5 s)", 5.0, slow_subscriber, "nobody else waits for it"),
+    Fault("vehicle file broken under running nodes", 3.0, changed_vehicle, "nothing changes: files are read at start"),
+    Fault("disk full", 6.0, full_disk, "told; bag closed whole; a restart records into bag_2", RECORDING,
+          "recording stopped", short=True, restarts="recorder"),
+)
+LONG = (Fault("INS silent 120 s", 120.0, on_ins(changes.silent), "as 1 s", STREAM, "no packet", STOP),)
+FAULTS = (*INS, *CAN, *KILLED, *HANGING, *MACHINE)

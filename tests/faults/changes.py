@@ -1,0 +1,196 @@
+"""What happens to a datagram on its way: packets and frames as bytes in, bytes out."""
+
+import random
+import struct
+import time
+from collections.abc import Sequence
+from functools import cache
+
+from canedge_bridge.decode import Decoder
+from st_offline.paths import config
+
+from .wires import Change, datagram, frame_data, identifier
+
+STEERING = 0x002
+_MINUTE_MS = 60_000
+_NONE: Sequence[bytes] = ()
+
+
+def silent() -> Change:
+    return lambda data: _NONE
+
+
+def twice(data: bytes) -> Sequence[bytes]:
+    return (data, data)
+
+
+def signed(packet: bytearray) -> bytes:
+    """With its three checksums."""
+    packet[22] = sum(packet[1:22]) & 0xFF
+    packet[61] = sum(packet[1:61]) & 0xFF
+    packet[71] = sum(packet[1:71]) & 0xFF
+    return bytes(packet)
+
+
+def position_mode(mode: int) -> Change:
+    """Channel 0 carries the modes."""
+
+    def change(data: bytes) -> Sequence[bytes]:
+        packet = bytearray(data)
+        if packet[62] == 0:
+            packet[63 + 5] = mode
+        return (signed(packet),)
+
+    return change
+
+
+def moved(latitude: float) -> Change:
+    """Another place: radians further north."""
+
+    def change(data: bytes) -> Sequence[bytes]:
+        packet = bytearray(data)
+        packet[23:31] = struct.pack("<d", struct.unpack_from("<d", packet, 23)[0] + latitude)
+        return (signed(packet),)
+
+    return change
+
+
+def shifted(milliseconds: int) -> Change:
+    """GPS time of every packet, the minute of channel 0 included."""
+
+    def change(data: bytes) -> Sequence[bytes]:
+        packet = bytearray(data)
+        before = struct.unpack_from("<H", packet, 1)[0]
+        minutes, after = divmod(before + milliseconds, _MINUTE_MS)
+        packet[1:3] = struct.pack("<H", after)
+        if packet[62] == 0:
+            packet[63:67] = struct.pack("<i", struct.unpack_from("<i", packet, 63)[0] + minutes)
+        return (signed(packet),)
+
+    return change
+
+
+class Restart:
+    """A unit switched off and on: silent, then initialising, then locking [s since the first packet]."""
+
+    SILENT, INITIALISING = 2.0, 4.0
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+
+    def change(self, data: bytes) -> Sequence[bytes]:
+        self._since = self._since or time.monotonic()
+        age = time.monotonic() - self._since
+        if age < self.SILENT:
+            return _NONE
+        packet = bytearray(data)
+        packet[21] = 2 if age < self.INITIALISING else 3
+        return (signed(packet),)
+
+
+class Chance:
+    """Each packet by itself, with a given probability; always the same row of them."""
+
+    def __init__(self, probability: float):
+        self._probability, self._random = probability, random.Random(1)
+
+    def lose(self, data: bytes) -> Sequence[bytes]:
+        return _NONE if self._random.random() < self._probability else (data,)
+
+    def corrupt(self, data: bytes) -> Sequence[bytes]:
+        """Two bytes of the northern velocity, so that the final sum is as it was."""
+        if self._random.random() >= self._probability:
+            return (data,)
+        packet = bytearray(data)
+        packet[44], packet[47] = (packet[44] + 0x20) & 0xFF, (packet[47] - 0x20) & 0xFF
+        return (bytes(packet),)
+
+
+class Swap:
+    """Every pair of packets in the wrong order."""
+
+    def __init__(self) -> None:
+        self._held = b""
+
+    def change(self, data: bytes) -> Sequence[bytes]:
+        if not self._held:
+            self._held = data
+            return _NONE
+        held, self._held = self._held, b""
+        return (data, held)
+
+
+class Burst:
+    """Held back and let go together, every so many seconds."""
+
+    def __init__(self, period: float):
+        self._period, self._held, self._since = period, [], time.monotonic()
+
+    def change(self, data: bytes) -> Sequence[bytes]:
+        self._held.append(data)
+        if time.monotonic() - self._since < self._period:
+            return _NONE
+        held, self._held, self._since = self._held, [], time.monotonic()
+        return held
+
+
+class Once:
+    """One datagram instead of all others."""
+
+    def __init__(self, instead: bytes):
+        self._instead: list[bytes] = [instead]
+
+    def change(self, data: bytes) -> Sequence[bytes]:
+        instead, self._instead = self._instead, []
+        return instead
+
+
+@cache
+def _decoder() -> Decoder:
+    return Decoder(config("can/leaf_ze0.dbc"), config("can/leaf_ze0.yaml"))
+
+
+class Steering:
+    """Faults of the steering sensor; all other frames pass."""
+
+    def __init__(self) -> None:
+        table = _decoder().table
+        self._spec = next(m for m in table.messages.values() if m.key == (STEERING, False))
+        self._first = b""
+        self._jumped = False
+
+    def wrong_checksum(self, data: bytes) -> Sequence[bytes]:
+        if identifier(data) != STEERING:
+            return (data,)
+        frame, field = frame_data(data), self._spec.checksum.field
+        return (datagram(STEERING, field.written(frame, field.read(frame) ^ 1)),)
+
+    def stuck_counter(self, data: bytes) -> Sequence[bytes]:
+        if identifier(data) != STEERING:
+            return (data,)
+        return (self._encoded(self._angle(frame_data(data)), 5),)
+
+    def frozen(self, data: bytes) -> Sequence[bytes]:
+        if identifier(data) != STEERING:
+            return (data,)
+        frame = frame_data(data)
+        self._first = self._first or frame
+        return (self._encoded(self._angle(self._first), self._spec.counter.field.read(frame)),)
+
+    def jump(self, data: bytes) -> Sequence[bytes]:
+        if self._jumped or identifier(data) != STEERING:
+            return (data,)
+        self._jumped = True
+        frame = frame_data(data)
+        return (self._encoded(self._angle(frame) + 1.57, self._spec.counter.field.read(frame)),)
+
+    def _angle(self, frame: bytes) -> float:
+        (signal,) = self._spec.signals
+        return signal.to_si(self._spec_database().decode(frame, decode_choices=False, scaling=True)[signal.dbc.name])
+
+    def _spec_database(self):
+        return _decoder().table.database.get_message_by_name(self._spec.name)
+
+    def _encoded(self, angle: float, counter: int) -> bytes:
+        frame = _decoder().encode(self._spec.name, {"steering_wheel_angle": angle}, counter)
+        return datagram(STEERING, bytes(frame.data))
