@@ -108,18 +108,19 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
     for k, name in enumerate(found.names[:-1]):
         interval = profile_interval(function, fit, k)
         key = f"{data.tyre}.{name}"
-        value, spread = float(fit.values[k]), float(fit.deviations[k])
+        # Of the interval, not of the curvature at the estimate, which knows nothing of bounds.
+        value, spread = float(fit.values[k]), (interval.high - interval.low) / 3.92
         open_ends = interval.lower_open + interval.upper_open
         words = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
         status = "identified"
         if fit.at_bound(k):
             words.append(bound_hit(key, value, (float(fit.lower[k]), float(fit.upper[k]))))
-            status, spread = "doubtful", (interval.high - interval.low) / 3.92
+            status = "doubtful"
         elif open_ends:
             words.append(f"The data bound it on one side only: the interval ends at the limit {_open_end(interval)}.")
             status = "doubtful"
         if open_ends == 2:
-            words = [words[0], f"The data do not bound it within {interval.low:g} to {interval.high:g}; with the "
+            words = [*words, f"The data do not bound it within {interval.low:g} to {interval.high:g}; with the "
                                "others it "
                      "makes up the stiffness at the tested loads, and is written for that."]
             # Any value of the range is as likely: what is known of it is the range.

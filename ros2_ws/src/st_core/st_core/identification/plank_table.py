@@ -54,7 +54,7 @@ def check(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: 
     for k, value in enumerate(levels):
         if (level == k).sum() < 3:
             raise IdentificationError(f"{data.tyre}: {(level == k).sum()} rows at {value:.0f} N, at least 3 are "
-                                      "needed: add some, or leave them out")
+                                      "needed: add some, or leave them out; or are load and lateral force exchanged?")
     largest = float(np.abs(data.slip).max())
     if largest > LARGEST_SLIP:
         raise IdentificationError(f"{data.tyre}: slip angle reaches {largest:.4g} rad = {math.degrees(largest):.0f} "
