@@ -79,6 +79,8 @@ def test_ghosts_are_the_predictions_of_one_to_five_seconds_ago() -> None:
         assert (now_ns - path.start_ns) * 1e-9 == pytest.approx(age, abs=GHOST_TOLERANCE)
         assert path.at(now_ns) == pytest.approx((79.0, 0.0))  # a car that did what was predicted is on all of them
     assert history.newest("linear").start_ns == now_ns
+    assert history.expected("linear", now_ns) == pytest.approx((79.0, 0.0))
+    assert history.expected("linear", 20_000_000_000) is None and history.expected("kinematic", now_ns) is None
     assert straight(0).at(5_100_000_000) is None and straight(10**9).at(0) is None
 
 

@@ -75,3 +75,10 @@ class History:
             if best is not None and abs(best.start_ns - wanted) <= GHOST_TOLERANCE * 1e9:
                 found.append((age, best))
         return found
+
+    def expected(self, model: str, now_ns: int) -> tuple[float, float] | None:
+        """Where the oldest prediction whose horizon reaches this far has the car now; None without one."""
+        for path in self._paths.get(model, ()):
+            if (point := path.at(now_ns)) is not None and path.start_ns < now_ns:
+                return point
+        return None

@@ -25,10 +25,10 @@ from st_msgs.msg import ErrorSummary, Prediction, PredictionError, PredictorStat
 from st_ros.polling import PolledSubscription
 
 from ..view.feed import TOPICS, Feed
-from ..view.layout import blueprint
-from ..view.scene import Scene
+from ..view.scene import Scene, recording
 
 PERIOD = 0.1  # s between pictures
+FLUSH = 0.2  # s; every piece costs the page something
 NICENESS = 10  # the predictor goes first
 TYPES = {"status": PredictorStatus, "odometry": Odometry, "steering": Steering, "prediction": Prediction,
          "error": PredictionError, "summary": ErrorSummary, "diagnostics": DiagnosticArray}
@@ -80,13 +80,11 @@ def main() -> int:
     options = parser.parse_args()
     os.nice(NICENESS)
     car = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
-    recording = rr.RecordingStream("single_track_predictor")
-    recording.send_recording_name(options.title)
     sinks = [rr.GrpcSink(options.server)] if options.server else []
     sinks += [rr.FileSink(str(options.save))] if options.save else []
-    recording.set_sinks(*sinks, default_blueprint=blueprint())
+    drawing = recording(options.title, FLUSH, *sinks)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    viewer = Viewer(Feed(Scene(recording, car), options.map_frame))
+    viewer = Viewer(Feed(Scene(drawing, car), options.map_frame))
 
     def stop(number: int, frame: FrameType | None) -> None:
         viewer.stop = True
@@ -94,8 +92,8 @@ def main() -> int:
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
     viewer.spin()
-    recording.flush()
-    recording.disconnect()
+    drawing.flush()
+    drawing.disconnect()
     rclpy.try_shutdown()
     return 0
 

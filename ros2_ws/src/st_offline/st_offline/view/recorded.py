@@ -8,11 +8,11 @@ from rosbags.highlevel import AnyReader
 from ..evaluation.verification import configuration_of, recordings_of
 from ..runs.bag import definitions, open_bag, read_bag
 from ..runs.cdr import typestore
+from . import scene
 from .feed import TOPICS, Feed
-from .layout import blueprint
-from .scene import Scene
 
 PERIOD_NS = 100_000_000
+FLUSH = 5.0  # s; few large pieces load quickly
 
 
 def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
@@ -23,10 +23,8 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
     bag, _ = recordings_of(path)
     open_bag(bag)
     car, recorded, _ = configuration_of(read_bag(bag), vehicle)
-    recording = rr.RecordingStream("single_track_predictor")
-    recording.send_recording_name(path.name)
-    recording.set_sinks(rr.FileSink(str(file)), default_blueprint=blueprint())
-    feed = Feed(Scene(recording, car), recorded.nodes.get("predictor", {}).get("map_frame", "map"))
+    recording = scene.recording(path.name, FLUSH, rr.FileSink(str(file)))
+    feed = Feed(scene.Scene(recording, car), recorded.nodes.get("predictor", {}).get("map_frame", "map"))
     pictures, due_ns = 0, 0
     with AnyReader([bag], default_typestore=typestore(definitions())) as reader:
         wanted = [c for c in reader.connections if _topic(c.topic)]

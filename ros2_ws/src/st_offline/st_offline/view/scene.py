@@ -11,7 +11,7 @@ from st_predictor.outline import car_outline
 from st_predictor.palette import MEASURED_COLOUR, colour_of, label_index, rgb
 
 from .geometry import Pose, grid, heading_up, north_up
-from .layout import AROUND, GRID, TIMELINE
+from .layout import AROUND, GRID, TIMELINE, blueprint
 
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 FAINT = (228, 228, 228)
@@ -19,9 +19,16 @@ GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
 GHOST_STRIDE, TRACK_STRIDE = 5, 2  # of their points, one in so many is drawn
 # Half the width of a line, in points of the screen: the same at every zoom.
 THIN, MEDIUM, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.4, 1.8, 4.0))
-
-
 Place = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
+
+
+def recording(name: str, flush: float, *sinks: object) -> rr.RecordingStream:
+    """A recording into sinks, with the layout of the page. flush [s]: what is drawn goes out this often."""
+    batches = rr.ChunkBatcherConfig(flush_tick=flush, flush_num_bytes=2_000_000)
+    stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)
+    stream.send_recording_name(name)
+    stream.set_sinks(*sinks, default_blueprint=blueprint())
+    return stream
 
 
 class Scene:
@@ -81,12 +88,11 @@ class Scene:
         ghosts, ghost_colours, misses, miss_colours = [], [], [], []
         for model in history.models:
             self._prediction(root, place, model, history)
-            old = history.ghosts(model, now_ns)
-            for age, ghost in old:
+            for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(place(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
-            # From where the car is to where the oldest ghost has it now.
-            if old and (point := old[-1][1].at(now_ns)):
+            # From where the car is to where a horizon ago it was expected to be.
+            if point := history.expected(model, now_ns):
                 misses.append(place(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
                 miss_colours.append(rgb(colour_of(model)))
         self._lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)

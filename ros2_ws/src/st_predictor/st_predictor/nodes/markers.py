@@ -78,10 +78,10 @@ class MarkersNode(Node):
                        CAR_WIDTH),
         ]
         for number, model in enumerate(self._history.models):
-            ghosts = self._history.ghosts(model, now_ns)
             pictures += [self._line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
-                                    GHOST_WIDTH, GHOST_ALPHA, z=-0.1) for age, ghost in ghosts]
-            if ghosts and (point := ghosts[-1][1].at(now_ns)):
+                                    GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
+                         for age, ghost in self._history.ghosts(model, now_ns)]
+            if point := self._history.expected(model, now_ns):
                 pictures.append(self._line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
                                            colour_of(model), MISS_WIDTH, z=0.1))
             pictures.append(self._name(number, now_ns, model, self._history.newest(model)))

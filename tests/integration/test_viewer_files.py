@@ -1,0 +1,146 @@
+"""Files for RViz, Foxglove and PlotJuggler against the topics, types and fields that the nodes really publish."""
+
+import importlib
+import json
+import re
+import socket
+import time
+from collections.abc import Iterator
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+pytest.importorskip("st_msgs", reason="needs the built workspace")
+
+import rclpy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from ros_processes import Processes
+from st_predictor.palette import MODEL_COLOUR, rgb
+from support import ROOT
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+NODES_YAML = ROOT / "config" / "nodes.yaml"
+DRAWN = {"rviz_default_plugins/Path": "nav_msgs/msg/Path", "rviz_default_plugins/MarkerArray":
+         "visualization_msgs/msg/MarkerArray", "rviz_default_plugins/Odometry": "nav_msgs/msg/Odometry"}
+NUMBERS = ("double", "float", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tuple[str, list]]]:
+    """Type and publishers' QoS of every topic of the suite, by name; a fourth model publishes as the third does."""
+    processes = Processes(tmp_path_factory.mktemp("nodes"))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    arguments = ("--params-file", str(NODES_YAML))
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=int(processes.environment["ROS_DOMAIN_ID"]))
+    node = rclpy.create_node("looker", context=context)
+    try:
+        processes.node("oxts_bridge", "oxts_bridge", f"oxts_bridge:udp_port:={port}", arguments=arguments)
+        processes.node("canedge_bridge", "canedge_bridge", "canedge_bridge:interface:=udp_multicast",
+                       f"canedge_bridge:channel:=239.74.163.{1 + port % 250}", arguments=arguments)
+        for name in ("predictor", "evaluator", "markers"):
+            processes.node("st_predictor", name, arguments=arguments)
+        wanted = {"/ins/odometry", "/vehicle/steering", "/predictor/status", "/evaluator/summary", "/view/markers"}
+        end = time.monotonic() + 60
+        while not wanted <= {t for t, _ in node.get_topic_names_and_types() if node.count_publishers(t)}:
+            assert time.monotonic() < end, node.get_topic_names_and_types()
+            time.sleep(0.1)
+        found = {}
+        for topic, types in node.get_topic_names_and_types():
+            publishers = node.get_publishers_info_by_topic(topic)
+            if publishers:
+                assert len(types) == 1
+                found[topic] = (types[0], [p.qos_profile for p in publishers])
+        yield found
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+        processes.close()
+
+
+def existing(topic: str) -> str:
+    """augmented is published only with a model file, exactly as the others."""
+    return topic.replace("/augmented/", "/linear/")
+
+
+def is_number(type_name: str, path: list[str]) -> bool:
+    """Whether a field path leads to one number of a message type."""
+    for name in path:
+        package, _, kind = type_name.replace("/msg/", "/").partition("/")
+        fields = getattr(importlib.import_module(f"{package}.msg"), kind).get_fields_and_field_types()
+        if name not in fields:
+            return False
+        type_name = fields[name]
+    return type_name in NUMBERS
+
+
+def test_rviz_draws_topics_that_are_there_with_a_quality_they_offer(published) -> None:
+    document = yaml.safe_load((ROOT / "config/rviz/st.rviz").read_text())["Visualization Manager"]
+    displays = [d for d in document["Displays"] if "Topic" in d]
+    assert {d["Topic"]["Value"] for d in displays} >= {f"/predictor/{m}/path" for m in MODEL_COLOUR} | {"/view/markers"}
+    for display in displays:
+        topic = existing(display["Topic"]["Value"])
+        type_name, offered = published[topic]
+        assert type_name == DRAWN[display["Class"]], topic
+        if display["Topic"]["Reliability Policy"] == "Reliable":
+            assert all(q.reliability == ReliabilityPolicy.RELIABLE for q in offered), topic
+        if display["Topic"]["Durability Policy"] == "Transient Local":
+            assert all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in offered), topic
+    for display in displays:
+        model = re.match(r"/predictor/(\w+)/path", display["Topic"]["Value"])
+        if model:
+            assert display["Color"] == "; ".join(map(str, rgb(MODEL_COLOUR[model.group(1)])))
+    nodes = yaml.safe_load(NODES_YAML.read_text())["oxts_bridge"]["ros__parameters"]
+    assert document["Global Options"]["Fixed Frame"] == nodes["map_frame"]
+    assert document["Views"]["Current"]["Target Frame"] == nodes["base_frame"]
+
+
+def test_foxglove_shows_topics_and_fields_that_are_there(published) -> None:
+    layout = json.loads((ROOT / "config/foxglove/st.json").read_text())
+    panels = layout["configById"]
+    assert set(_leaves(layout["layout"])) == set(panels)
+    for topic in panels["3D!map"]["topics"]:
+        assert published[existing(topic)][0] in DRAWN.values(), topic
+    lines = [line for name, panel in panels.items() if name.startswith("Plot!") for line in panel["paths"]]
+    assert len(lines) >= 2 * len(MODEL_COLOUR) + 2
+    for line in lines:
+        topic, *fields = line["value"].split(".")
+        assert is_number(published[existing(topic)][0], fields), line["value"]
+        assert is_number(published[existing(topic)][0], ["header", "stamp", "sec"])  # timestampMethod headerStamp
+        if line["label"] in MODEL_COLOUR:
+            assert line["color"] == MODEL_COLOUR[line["label"]] and f"/{line['label']}/" in topic
+    assert published[panels["DiagnosticSummary!health"]["topicToRender"]][0] == "diagnostic_msgs/msg/DiagnosticArray"
+    assert panels["RawMessages!summary"]["topicPath"] in published
+
+
+def _leaves(layout: object) -> Iterator[str]:
+    if isinstance(layout, str):
+        yield layout
+    else:
+        yield from _leaves(layout["first"])
+        yield from _leaves(layout["second"])
+
+
+def test_plotjuggler_plots_fields_that_are_there(published) -> None:
+    root = ElementTree.parse(ROOT / "config/plotjuggler/st.xml").getroot()
+    subscribed = {existing(t.get("name")) for t in root.iter("topic")}
+    assert subscribed <= published.keys()
+    curves = [(c.get("name"), c.get("color")) for c in root.iter("curve")]
+    assert len(curves) >= 3 * len(MODEL_COLOUR)
+    for name, colour in curves:
+        topic = max((t for t in published if existing(name).startswith(t + "/")), key=len)
+        assert topic in subscribed, name
+        assert is_number(published[topic][0], existing(name)[len(topic) + 1:].split("/")), name
+        model = re.match(r"/(?:view|predictor)/(\w+)/", name)
+        if model and model.group(1) in MODEL_COLOUR:
+            assert colour == MODEL_COLOUR[model.group(1)], name
+
+
+def test_the_files_are_well_formed_for_every_reader() -> None:
+    for file in ("config/rviz/st.rviz", "config/foxglove/st.json", "config/plotjuggler/st.xml"):
+        text = (ROOT / file).read_text()
+        assert text.isascii() and "\t" not in text, file
