@@ -173,8 +173,8 @@ def _parsed(path: Path) -> RunSource:
     if "ins_can_latency" in content:
         settings["ins_can_latency"] = _latency(path, content["ins_can_latency"])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
-    return RunSource(str(content.get("name", default)), {"ins": "ncom"}.get(kinds[0], kinds[0]), (file,), tuple(logs),
-                     _labels(path, content.get("labels", [])), settings)
+    name, kind = _plain_name(path, content.get("name", default)), {"ins": "ncom"}.get(kinds[0], kinds[0])
+    return RunSource(name, kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
 
 
 def _latency(path: Path, value: Any) -> tuple[float, float]:
@@ -185,6 +185,14 @@ def _latency(path: Path, value: Any) -> tuple[float, float]:
     except (TypeError, ValueError):
         pass
     raise RunError(path, f"ins_can_latency: {value!r} is not [latency, standard deviation] in seconds, each 0 to 1")
+
+
+def _plain_name(path: Path, value: Any) -> str:
+    """Results are filed by it, so it must not lead anywhere else."""
+    name = str(value)
+    if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
+        raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder", "leave out slashes")
+    return name
 
 
 def _existing(path: Path, key: str, text: Any) -> Path:
