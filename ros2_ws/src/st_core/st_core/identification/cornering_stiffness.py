@@ -20,7 +20,7 @@ from ..vehicle import VehicleParameters
 from . import resampling
 from .coverage import ACCELERATION_EDGES, SPEED_EDGES, coverage, require
 from .result import Coverage, Estimate, Identification, IdentificationError, Status, strong_correlations
-from .run_samples import LateralAcceleration, RunSamples, all_samples
+from .run_samples import LateralAcceleration, RunSamples, prepared, run_samples
 
 AXLES = ("front", "rear")
 METHOD = "regression of axle force on slip angle (paper)"
@@ -79,7 +79,9 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, set
     Raises IdentificationError, with the numbers, for implausible or too thin driving.
     """
     settings = settings or StiffnessSettings()
-    runs = all_samples(logs, vehicle, cutoff=settings.cutoff, lateral_acceleration=settings.lateral_acceleration)
+    logs, noticed = prepared(logs, vehicle)
+    runs = [run_samples(log, vehicle, settings.cutoff, lateral_acceleration=settings.lateral_acceleration)
+            for log in logs]
     masks, rejected = zip(*(_gate(run, settings) for run in runs), strict=True)
     covered = _coverage(runs, masks)
     require(covered, "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 across.")
@@ -95,7 +97,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, set
               for axle, samples in zip(AXLES, axles, strict=True) for name in ("slip", "force", "run_of")}
     return Identification(
         "stiffness", estimates, tuple(run.name for run in runs), tuple(r for rows in rejected for r in rows),
-        correlation, covered, strong_correlations([e.parameter for e in estimates], correlation), figure)
+        correlation, covered, (*noticed, *strong_correlations([e.parameter for e in estimates], correlation)), figure)
 
 
 def _gate(run: RunSamples, settings: StiffnessSettings) -> tuple[np.ndarray, list[tuple[str, str]]]:

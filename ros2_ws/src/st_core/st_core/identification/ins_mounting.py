@@ -8,9 +8,10 @@ by gamma to the left,
 Straights show gamma, bends d_x, bends at two speeds the slip s. How far the INS is off the centreline, d_y, changes
 its forward speed in bends to one side against the other:
 
-    atan(L r / (v_x + r d_y)) = delta - K v_x r
+    phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
-which needs tight bends to both sides; ratio, offset and understeer of the steering are fitted beside it.
+which needs tight bends to both sides. Ratio, offset and understeer of the steering are fitted beside it, and c, what
+the axle's mean angle differs from the formula in tight bends: driven more often to one side that would pass for d_y.
 Checked by: test_ins_mounting.py.
 """
 
@@ -24,7 +25,7 @@ from . import resampling
 from .coverage import SPEED_EDGES, coverage, require
 from .free_parameters import MISALIGNMENT
 from .result import Coverage, Estimate, Identification, Status, strong_correlations
-from .run_samples import RunSamples, all_samples
+from .run_samples import RunSamples, prepared, run_samples
 
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
 MAXIMUM_ACCELERATION = 2.5  # m/s^2 across
@@ -40,7 +41,8 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters, 
 
     vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for implausible or too thin driving.
     """
-    runs = all_samples(logs, vehicle)
+    logs, noticed = prepared(logs, vehicle)
+    runs = [run_samples(log, vehicle) for log in logs]
     masks = [_slow(run) for run in runs]
     covered = _coverage(runs, masks)
     require(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
@@ -59,7 +61,8 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters, 
                  _estimate(MISALIGNMENT, -theta[0], covariance[0, 0], "rad", pieces, used,
                            f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", basis, 0.005)]
     correlation = resampling.correlation_of(covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
-    warnings = [*strong_correlations(["lever arm", "rear slip"], resampling.correlation_of(covariance)[1:, 1:]),
+    together = resampling.correlation_of(covariance)[1:, 1:]
+    warnings = [*noticed, *strong_correlations(["lever arm", "rear slip"], together),
                 _stiffness_words(theta[2], covariance[2, 2], vehicle)]
     across_estimate = _across(time, speed, rate, angle, piece, vehicle, pieces, used, basis, bootstrap, seed)
     if isinstance(across_estimate, str):
@@ -125,7 +128,7 @@ def _across(time, speed, rate, angle, piece, vehicle, pieces, used, basis, count
         kinematic = np.arctan(vehicle.wheelbase * rate / forward)
         slope = -vehicle.wheelbase * rate**2 / (forward**2 + (vehicle.wheelbase * rate) ** 2)
         # delta_file = f (kinematic + slope (d_y' - d_y) + K v r) + o
-        regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed)], axis=1)
+        regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed), kinematic**3], axis=1)
         theta, covariance, _ = _solve(piece, regressors, angle, count, seed)
         d_y += float(theta[1] / theta[0])
     return _estimate("cg_to_ins_y", d_y, covariance[1, 1] / theta[0] ** 2, "m", pieces, used,

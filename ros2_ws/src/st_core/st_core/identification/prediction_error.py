@@ -10,6 +10,7 @@ of a simulation, but errors cannot pile up over a drive. Steering, tyres and INS
 estimate is not drawn towards zero by noisy slip angles as a regression of force on slip is.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -18,13 +19,17 @@ from scipy.optimize import least_squares
 
 from ..batch import LogBatch
 from ..filtering import NANOSECOND
-from ..log import DriveLog
+from ..log import INS_SIGNALS, DriveLog
 from ..log_signals import LogSignals
+from ..models import Model
+from ..stability import StepTooLongWarning
 from ..vehicle import VehicleParameters
 from . import resampling
 from .free_parameters import FREE, Applied, start_value
 from .result import IdentificationError
 
+APART = 1.0
+"""s between two drives on the common clock, far more than any gap that is bridged."""
 TUMBLED = 100.0
 """rad/s and m/s, residual of a prediction that is no longer finite."""
 
@@ -95,21 +100,20 @@ class PredictionError:
     """
 
     def __init__(self, logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
-                 base: str = "nonlinear", settings: PredictionErrorSettings | None = None):
+                 base: str | Model = "nonlinear", settings: PredictionErrorSettings | None = None):
         self.settings = settings or PredictionErrorSettings()
         self.vehicle, self.names, self.base = vehicle, tuple(names), base
         self._apply = Applied(vehicle, base, names)
-        self._runs = [_Run(log, self.settings) for log in logs]
-        self.starts = {run.name: len(run.batch.starts_ns) for run in self._runs}
-        self.considered = {run.name: run.considered for run in self._runs}
+        self._drives = drives = _Drives(logs, self.settings)
+        self.starts = dict(zip(drives.names, drives.used.tolist(), strict=True))
+        self.considered = dict(zip(drives.names, drives.considered.tolist(), strict=True))
         total = sum(self.starts.values())
         if total < self.settings.fewest_starts:
             raise IdentificationError(
                 f"too few samples: {total} of {sum(self.considered.values())} starts are faster than "
                 f"{self.settings.minimum_speed:g} m/s and below {self.settings.maximum_acceleration:g} m/s^2 over "
                 f"{self.settings.points[-1]:g} s; {self.settings.fewest_starts} are needed")
-        self.run_of = np.concatenate([np.full(r.size, i) for i, r in enumerate(self._runs)])
-        self.time = np.concatenate([r.time for r in self._runs])
+        self.run_of, self.time = (np.repeat(v, len(self.settings.points)) for v in (drives.run_of, drives.time))
         self._limits = np.array([FREE[n].limits(start_value(n, vehicle)) for n in names]).reshape(-1, 2)
         self.start = np.array([start_value(n, vehicle) for n in names])
         self._scale = np.array([FREE[n].step(start_value(n, vehicle)) for n in names])
@@ -117,23 +121,25 @@ class PredictionError:
     def residuals(self, values: Sequence[float]) -> np.ndarray:
         """(m, 2): yaw rate [rad/s] and lateral velocity at the INS [m/s], predicted minus measured."""
         model, car, misalignment = self._apply(values)
-        return np.concatenate([run.residuals(model, car, misalignment) for run in self._runs])
+        return self._drives.residuals(model, car, misalignment)
 
     def fit(self, start: Sequence[float] | None = None, noise: np.ndarray | None = None,
-            fixed: Sequence[int] = ()) -> Fit:
+            fixed: Sequence[int] = (), weights: Sequence[float] | None = None) -> Fit:
         """Least squares, twice: with the residuals at the start's parameters as noise, then with those left over.
 
-        start: values to begin at. noise: weights to keep. fixed: positions in `names` that stay where they start.
+        start: values to begin at. noise: root mean squares to keep. fixed: positions in `names` that stay where they
+        start. weights: how often each drive counts; once if not given.
         """
         values = np.array(self.start if start is None else start, float)
         free = np.array([i for i in range(len(self.names)) if i not in fixed], int)
+        counted = np.sqrt(np.ones(len(self.starts)) if weights is None else np.asarray(weights, float))[self.run_of]
         evaluations, rounds = 0, 1 if noise is not None else 2
         noise = _size(self.residuals(values)) if noise is None else noise
         solution = None
         for _ in range(rounds):
             if solution is not None:
                 noise = _size(solution.fun.reshape(-1, 2) * noise)
-            solution = self._solve(values, free, noise)
+            solution = self._solve(values, free, noise, counted)
             values[free] = solution.x * self._scale[free]
             evaluations += solution.nfev + len(free) * solution.njev
         lower, upper = self._limits.T
@@ -143,15 +149,17 @@ class PredictionError:
         return Fit(self.names, values, solution.fun, solution.jac / self._scale[free], noise,
                    np.repeat(self.run_of, 2), np.repeat(self.time, 2), evaluations, bound)
 
-    def _solve(self, values, free, noise):
-        def weighted(x):
-            trial = values.copy()
-            trial[free] = x * self._scale[free]
-            return (self.residuals(trial) / noise).ravel()
+    def _solve(self, values, free, noise, counted):
+        latest: dict[bytes, np.ndarray] = {}
 
-        start = np.clip(values[free], self._limits[free, 0], self._limits[free, 1]) / self._scale[free]
-        bounds = tuple((self._limits[free] / self._scale[free, None]).T)
-        inside = np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6)
+        def weighted(x):
+            key = x.tobytes()
+            if key not in latest:
+                trial = values.copy()
+                trial[free] = x * self._scale[free]
+                latest.clear()
+                latest[key] = (self.residuals(trial) / noise * counted[:, None]).ravel()
+            return latest[key]
 
         def jacobian(x):
             # Forward, by a thousandth of a usual change: a dead time is only felt from nanoseconds on.
@@ -160,45 +168,71 @@ class PredictionError:
             return np.stack([(weighted(x + step * unit) - here) / step
                              for step, unit in zip(steps, np.eye(len(x)), strict=True)], axis=1)
 
-        return least_squares(weighted, inside, jacobian, bounds=bounds, xtol=1e-5, ftol=1e-7, gtol=1e-8)
+        start = np.clip(values[free], self._limits[free, 0], self._limits[free, 1]) / self._scale[free]
+        bounds = tuple((self._limits[free] / self._scale[free, None]).T)
+        inside = np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6)
+        return least_squares(weighted, inside, jacobian, bounds=bounds, xtol=1e-4, ftol=1e-6, gtol=1e-8)
 
 
-class _Run:
-    """One drive: its starts, and what was measured where they are judged."""
+class _Drives:
+    """All drives on one clock, apart: one batch of predictions, though no filter, interpolation or horizon reaches
+    from one into the next. names, considered, used: of each drive, with its starts. run_of, time: of each start used.
 
-    def __init__(self, log: DriveLog, settings: PredictionErrorSettings):
-        signals = LogSignals(log, settings.maximum_gap, 5.0, "zero_phase")
-        starts = _starts(log, settings)
-        self.name, self.considered = log.name, len(starts)
+    Predicted is from a regular grid of starts, which a batch does fastest, and what is of no use is left out after.
+    """
+
+    def __init__(self, logs: Sequence[DriveLog], settings: PredictionErrorSettings):
+        self.names = tuple(log.name for log in logs)
+        interval = round(settings.interval / NANOSECOND)
+        apart, begins = _apart(logs, interval)
+        signals = LogSignals(apart, settings.maximum_gap, 5.0, "zero_phase")
+        starts = np.arange(0, apart.end_ns, interval, dtype=np.int64)
         horizon = settings.points[-1]
         grid = np.round(np.arange(0.0, horizon + 0.5 * settings.step, settings.step) / NANOSECOND).astype(np.int64)
         speed, yaw_rate, derivative = signals.ins_at(starts[:, None] + grid, "velocity_x", "yaw_rate", "velocity_x_dot")
         angle = signals.road_wheel_angle_at(starts[:, None] + grid)
+        known = (np.isfinite(speed) & np.isfinite(angle) & np.isfinite(derivative)).all(axis=1)
         with np.errstate(invalid="ignore"):
-            good = ((speed >= settings.minimum_speed) & (np.abs(speed * yaw_rate) <= settings.maximum_acceleration)
-                    & np.isfinite(angle) & np.isfinite(derivative)).all(axis=1)
-        starts = starts[good]
-        self.batch = LogBatch(signals, starts, horizon, settings.step, points=settings.points, substeps=2)
-        half = np.round(np.asarray(settings.points) / NANOSECOND).astype(np.int64)
+            self._good = known & ((speed >= settings.minimum_speed) & (
+                np.abs(speed * yaw_rate) <= settings.maximum_acceleration)).all(axis=1)
+        run_of = np.searchsorted(begins, starts, side="right") - 1
+        self.considered = np.bincount(run_of[known], minlength=len(logs))
+        self.run_of = run_of[self._good]
+        self.used = np.bincount(self.run_of, minlength=len(logs))
+        self.time = (starts[self._good] - begins[self.run_of]) * NANOSECOND
+        self._batch = LogBatch(signals, starts, horizon, settings.step, points=settings.points, substeps=2)
+        points = np.round(np.asarray(settings.points) / NANOSECOND).astype(np.int64)
         self._yaw_rate, self._across, self._speed = signals.ins_at(
-            starts[:, None] + half, "yaw_rate", "velocity_y", "velocity_x")
-        self.size = self._yaw_rate.size
-        self.time = np.repeat((starts - log.start_ns) * NANOSECOND, len(settings.points))
+            starts[self._good, None] + points, "yaw_rate", "velocity_y", "velocity_x")
 
     def residuals(self, model, car, misalignment: float) -> np.ndarray:
-        if not self.size:
-            return np.empty((0, 2))
-        predicted = self.batch.predict(model, car)
-        across = predicted.velocity_y + predicted.yaw_rate * car.cg_to_ins_x - misalignment * self._speed
-        both = np.stack([predicted.yaw_rate - self._yaw_rate, across - self._across], axis=-1).reshape(-1, 2)
+        with warnings.catch_warnings():
+            # Of slow starts, which are not used.
+            warnings.simplefilter("ignore", StepTooLongWarning)
+            predicted = self._batch.predict(model, car)
+        yaw_rate, velocity_y = predicted.yaw_rate[self._good], predicted.velocity_y[self._good]
+        across = velocity_y + yaw_rate * car.cg_to_ins_x - misalignment * self._speed
+        both = np.stack([yaw_rate - self._yaw_rate, across - self._across], axis=-1).reshape(-1, 2)
         # Values so far off that the car tumbles are the worst of all, not unknown.
         return np.where(np.isfinite(both), both, TUMBLED)
 
 
-def _starts(log: DriveLog, settings: PredictionErrorSettings) -> np.ndarray:
-    begin = max(int(log.ins_time_ns[0]), int(log.steering_time_ns[0])) + round(0.3 / NANOSECOND)
-    end = min(int(log.ins_time_ns[-1]), int(log.steering_time_ns[-1])) - round(settings.points[-1] / NANOSECOND)
-    return np.arange(begin, end, round(settings.interval / NANOSECOND), dtype=np.int64)
+def _apart(logs: Sequence[DriveLog], grid_ns: int) -> tuple[DriveLog, np.ndarray]:
+    """(all drives in one log, at least APART seconds between them; where each begins [ns], on a grid)."""
+    begins, now = [], 0
+    for log in logs:
+        begins.append(now)
+        length = log.end_ns - log.start_ns + round(APART / NANOSECOND)
+        now += -(-length // grid_ns) * grid_ns
+    shifts = [begin - log.start_ns for begin, log in zip(begins, logs, strict=True)]
+
+    def together(name: str) -> np.ndarray:
+        return np.concatenate([getattr(log, name) for log in logs])
+
+    times = {name: np.concatenate([getattr(log, name) + shift for log, shift in zip(logs, shifts, strict=True)])
+             for name in ("ins_time_ns", "steering_time_ns")}
+    return (DriveLog("all drives", **times, **{n: together(n) for n in (*INS_SIGNALS, "road_wheel_angle")}),
+            np.array(begins, np.int64))
 
 
 def _size(residuals: np.ndarray) -> np.ndarray:

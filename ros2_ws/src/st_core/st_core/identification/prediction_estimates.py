@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..augmented import AugmentedModel
 from ..log import DriveLog
+from ..models import Model, get_model
 from ..vehicle import VehicleParameters
 from . import resampling
 from .coverage import ACCELERATION_EDGES, SPEED_EDGES, coverage
@@ -65,6 +67,13 @@ def verdict(fit: Fit, index: int, uncertainty: float, basis: str) -> str:
                  "unidentifiable": "The data cannot tell it: fixed only"}[status(fit, index, uncertainty)]
         return f"{words} to +/- {share:.1f} %, from {basis}."
     return f"{value:.4g} +/- {uncertainty:.2g} {FREE[name].unit}, from {basis}."
+
+
+def described(base: str | Model) -> str:
+    """The model a fit predicts with, in words."""
+    if isinstance(base, AugmentedModel):
+        return f"{base.base.name} tyres with {', '.join(effect.name for effect in base.effects)}"
+    return f"{get_model(base).name} tyres"
 
 
 def driving_coverage(logs: Sequence[DriveLog], vehicle: VehicleParameters, needs: Mapping[str, tuple[float, int]],

@@ -9,7 +9,7 @@ import numpy as np
 
 from .result import correlation_of, symmetric_interval
 
-FEWEST_RUNS = 6
+FEWEST_RUNS = 8
 """Below so many runs blocks of them are drawn instead."""
 BLOCK = 10.0
 """s, length of such a block."""

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ..log import DriveLog
+from ..models import Model
 from ..vehicle import VehicleParameters
 from .prediction_error import PredictionErrorSettings
 from .result import Identification
@@ -19,7 +20,7 @@ from .stiffness_prediction import predict_stiffness
 RATIO, OFFSET = "steering_ratio", "steering_wheel_offset"
 
 
-def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str = "nonlinear",
+def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
                       settings: PredictionErrorSettings | None = None, *, bootstrap: int = 200,
                       seed: int = 0) -> Identification:
     """Ratio and offset with their uncertainty, and the stiffnesses that go with them.

@@ -38,7 +38,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     vehicle: ratio and all else; its offset is where the search starts. Raises IdentificationError for implausible
     driving or too little of it straight.
     """
-    logs = prepared(logs, vehicle)
+    logs, noticed = prepared(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
     windows = [_windows(run, vehicle, settings.minimum_speed) for run in runs]
     values = np.concatenate([w[:, 1] for w in windows])
@@ -71,7 +71,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[::2] * 1.0e-3,
               "residual_run": fit.run_of[::2], "residual_time": fit.time[::2], "names": tuple(r.name for r in runs)}
     return Identification("steering-offset", (paper, direct), tuple(n for n in used if used[n] or problem.starts[n]),
-                          rejected, None, (), (said,) if said else (), figure)
+                          rejected, None, (), (*noticed, *([said] if said else [])), figure)
 
 
 def _windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) -> np.ndarray:

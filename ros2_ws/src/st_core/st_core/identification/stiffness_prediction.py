@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ..log import DriveLog
+from ..models import Model
 from ..vehicle import VehicleParameters
 from .coverage import require
 from .free_parameters import MISALIGNMENT
 from .prediction_error import PredictionError, PredictionErrorSettings
-from .prediction_estimates import driving_coverage, identification
+from .prediction_estimates import described, driving_coverage, identification
 from .profile import profile
 from .result import Identification
 from .run_samples import prepared
@@ -24,25 +25,27 @@ NUISANCE = ("steering_wheel_offset", MISALIGNMENT)
 NEEDS = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}
 
 
-def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str = "nonlinear",
+def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
                       settings: PredictionErrorSettings | None = None, *, also: Sequence[str] = (),
                       bootstrap: int = 200, seed: int = 0, profiles: bool = False) -> Identification:
     """Both stiffnesses with their uncertainty over runs.
 
-    vehicle: everything else, and where the fit starts. also: further parameters to fit and report, of
+    vehicle: everything else, and where the fit starts. base: linear, nonlinear, or either with effects that are known
+    (`augment`: drive force on steered wheels, say). also: further parameters to fit and report, of
     `free_parameters.FREE` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). profiles: add profile
     likelihoods to the figure, ten more fits each. Raises IdentificationError for implausible or too thin driving.
     """
     settings = settings or PredictionErrorSettings()
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *NUISANCE)))
-    logs = prepared(logs, vehicle)
+    logs, noticed = prepared(logs, vehicle)
     needs = NEEDS | ({"speed": (5.0, 2)} if "steering_ratio" in names else {})
     covered = driving_coverage(logs, vehicle, needs, settings.minimum_speed)
     require(covered, "Drive bends to both sides, at two speeds or more, with 1 to 4 m/s^2 across.")
     problem = PredictionError(logs, vehicle, names, base, settings)
     fit = problem.fit()
-    result = identification("stiffness", problem, fit, f"multi-step prediction, {base} tyres", (*STIFFNESSES, *also),
-                            covered, bootstrap, seed)
+    method = f"multi-step prediction, {described(base)}"
+    result = identification("stiffness", problem, fit, method, (*STIFFNESSES, *also), covered, bootstrap, seed)
+    result = replace(result, warnings=(*noticed, *result.warnings))
     if not profiles:
         return result
     found = tuple(profile(problem, fit, e.parameter, e.standard_uncertainty) for e in result.estimates)

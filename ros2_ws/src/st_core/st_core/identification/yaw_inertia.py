@@ -13,11 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..log import DriveLog
+from ..models import Model
 from ..vehicle import VehicleParameters
 from .coverage import coverage, require
 from .free_parameters import DELAY, MISALIGNMENT
 from .prediction_error import PredictionError, PredictionErrorSettings
-from .prediction_estimates import driving_coverage, identification
+from .prediction_estimates import described, driving_coverage, identification
 from .result import Estimate, Identification, contradiction
 from .run_samples import prepared, run_samples
 
@@ -29,14 +30,14 @@ RADIUS_OF_GYRATION = (0.35, 0.65)
 """Share of the wheelbase between which cars lie; outside, the value is doubted."""
 
 
-def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str = "nonlinear",
+def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
                          settings: PredictionErrorSettings = SETTINGS, *, bootstrap: int = 200,
                          seed: int = 0) -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported beside.
 
     Raises IdentificationError for implausible driving, and without transients: |r_dot| above 0.3 rad/s^2 to both sides.
     """
-    logs = prepared(logs, vehicle)
+    logs, noticed = prepared(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]
     interval = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
@@ -45,10 +46,10 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
                coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, interval, 1.0, 5))
     require(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
     problem = PredictionError(logs, vehicle, NAMES, base, settings)
-    result = identification("yaw-inertia", problem, problem.fit(),
-                            f"multi-step prediction of transients, {base} tyres", NAMES[:4], covered, bootstrap, seed)
+    method = f"multi-step prediction of transients, {described(base)}"
+    result = identification("yaw-inertia", problem, problem.fit(), method, NAMES[:4], covered, bootstrap, seed)
     inertia = result["yaw_inertia"]
-    warnings = [*result.warnings]
+    warnings = [*noticed, *result.warnings]
     share = float(np.sqrt(inertia.value / vehicle.mass) / vehicle.wheelbase)
     if not RADIUS_OF_GYRATION[0] <= share <= RADIUS_OF_GYRATION[1]:
         warnings.append(f"A radius of gyration of {share:.2f} wheelbases is no car's: steering or tyre dynamics pass "

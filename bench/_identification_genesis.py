@@ -1,0 +1,125 @@
+"""The Genesis identified on some of its drives and judged on the others, by the position error after five seconds."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from st_core.augmented import augment
+from st_core.batch import LogBatch
+from st_core.identification import resampling
+from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.free_parameters import MISALIGNMENT, identified_vehicle
+from st_core.identification.ins_mounting import identify_ins_mounting
+from st_core.identification.result import Identification, IdentificationError
+from st_core.identification.steering_offset import identify_steering_offset
+from st_core.identification.stiffness_prediction import predict_stiffness
+from st_core.identification.yaw_inertia import identify_yaw_inertia
+from st_core.log import DriveLog
+from st_core.log_evaluation import regular_starts, usable_starts
+from st_core.log_signals import LogSignals
+from st_core.vehicle import VehicleParameters
+from st_offline.paths import config, project_root
+from st_offline.runs import find_runs, read
+
+LEARNT = ("cpg_lap_slow", "cpg_lap_fast", "cpg_lap_medium", "cpg_low_speed_a")
+STEERING = ("steering_ratio", "steering_wheel_offset")
+SECONDS = 5
+
+
+def genesis() -> dict:
+    """Estimates from LEARNT, and what they change on the other drives."""
+    file = config("vehicle/hyundai_genesis.yaml")
+    car = VehicleParameters.from_yaml(file.read_text(), str(file))
+    shared = Path(os.environ.get("ST_SHARED", project_root().parent / "shared"))
+    logs = {source.name: read(source, car).log for source in find_runs([shared / "data" / "hyundai_genesis_oxts"])}
+    # The recordings hold the road wheels: hand wheel / 15.87. Back to the hand wheel, so that the ratio can be changed.
+    logs = {name: replace(log, steering_wheel_angle=car.steering_wheel_angle(log.road_wheel_angle))
+            for name, log in logs.items()}
+    learnt, others = [logs[n] for n in LEARNT], [log for name, log in logs.items() if name not in LEARNT]
+    everything = predict_stiffness(learnt, car, "linear", also=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
+    steered = predict_stiffness(learnt, car, "linear", also=(*STEERING, MISALIGNMENT))
+    ins = identify_ins_mounting(learnt, car)
+    found = {"prediction": everything, "prediction, lever arm as published": steered, "slow driving": ins,
+             "paper, published steering": identify_stiffness(learnt, car),
+             "paper, steering and INS as identified": identify_stiffness(
+                 [turned(log, everything[MISALIGNMENT].value) for log in learnt],
+                 taken(car, everything, (*STEERING, "cg_to_ins_x")))}
+    result = {"learnt from": ", ".join(LEARNT), "estimates": {name: _rows(one) for name, one in found.items()}}
+    result["by drive"] = {name: _alone(log, car) for name, log in logs.items()}
+    result["yaw inertia"] = _said(lambda: identify_yaw_inertia(learnt, car))
+    result["offset on straights"] = _said(lambda: identify_steering_offset(learnt, car))
+    steps = {
+        "published": (car, 0.0),
+        "steering ratio, offset": (taken(car, steered, STEERING), 0.0),
+        "and misalignment": (taken(car, steered, STEERING), steered[MISALIGNMENT].value),
+        "and stiffnesses": (taken(car, steered), steered[MISALIGNMENT].value),
+        "and lever arm": (taken(car, everything), everything[MISALIGNMENT].value),
+    }
+    for what, chosen in (("judged on the others", others), ("on the drives learnt from", learnt)):
+        result[what] = {name: judged(chosen, *step) for name, step in steps.items()}
+    return result
+
+
+def taken(car: VehicleParameters, found: Identification, names=None) -> VehicleParameters:
+    """The car with the estimates of these names; of all without."""
+    chosen = [e for e in found.estimates if names is None or e.parameter in names]
+    return identified_vehicle(car, {e.parameter: e.value for e in chosen})
+
+
+def turned(log: DriveLog, angle: float) -> DriveLog:
+    """The drive as an INS would have recorded it that is not turned by `angle` [rad]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return replace(log, yaw=log.yaw - angle, velocity_x=cosine * log.velocity_x - sine * log.velocity_y,
+                   velocity_y=cosine * log.velocity_y + sine * log.velocity_x, acceleration_x=None, acceleration_y=None)
+
+
+def judged(logs: list[DriveLog], car: VehicleParameters, misalignment: float) -> dict:
+    """Root mean square of the position error 5 s after the start [m], hindsight, with its 95 % interval."""
+    result = {}
+    for base in ("kinematic", "linear"):
+        model = augment(base, {"heading_misalignment": {"angle": misalignment}})
+        columns = []
+        for number, log in enumerate(logs):
+            own = log.with_steering(car)
+            starts, _ = usable_starts(LogSignals(own, 0.1, 5.0), car, regular_starts(own, 0.1), 0.5)
+            # As many integration steps as these stiffnesses need at the slowest speed.
+            batch = LogBatch(own, starts, points=(SECONDS,), substeps="auto")
+            errors = batch.errors(batch.predict(model, car))[:, 0, :2]
+            good = np.isfinite(errors).all(axis=1)
+            columns.append(np.column_stack((np.full(good.sum(), number), (starts[good] - log.start_ns) * 1e-9,
+                                            errors[good])))
+        run_of, time, along, across = np.concatenate(columns).T
+        result[base] = {"position": _rms(np.hypot(along, across), run_of, time), "lateral": _rms(across, run_of, time),
+                        **{log.name: float(np.sqrt(np.mean((along**2 + across**2)[run_of == number])))
+                           for number, log in enumerate(logs)}}
+    return result
+
+
+def _rms(values, run_of, time) -> str:
+    piece, _ = resampling.pieces(run_of, time)
+    totals = resampling.sums(piece, np.stack([np.ones_like(values), values**2], axis=1))
+    weights = resampling.draws(500, len(totals), 0)
+    drawn = np.sqrt((weights @ totals[:, 1]) / (weights @ totals[:, 0]))
+    low, high = np.percentile(drawn, (2.5, 97.5))
+    return f"{np.sqrt(np.mean(values**2)):.2f} ({low:.2f} to {high:.2f})"
+
+
+def _rows(found: Identification) -> dict:
+    return {e.parameter: f"{e.value:.5g} +/- {e.standard_uncertainty:.2g}, {e.interval95[0]:.5g} to "
+                         f"{e.interval95[1]:.5g} {e.unit}, {e.status}" for e in found.estimates}
+
+
+def _alone(log: DriveLog, car: VehicleParameters) -> dict | str:
+    try:
+        return _rows(predict_stiffness([log], car, "linear", also=(*STEERING, MISALIGNMENT)))
+    except IdentificationError as error:
+        return str(error)
+
+
+def _said(call) -> dict | str:
+    try:
+        found = call()
+        return {**_rows(found), "warnings": " ".join(found.warnings)}
+    except IdentificationError as error:
+        return str(error)
