@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -77,14 +77,18 @@ def model_file(found: Discovery, question: Question) -> ModelFile | None:
              for name, digest in d.about["files"].items()}
     note = f"st discover, outcome {found.outcome}, from {question.base}"
     about = Provenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
-    whole = ModelFile.of(found.model, question.vehicle, about, intervals, "st discover: multi-step errors")
     chosen = {e.name for e in found.effects}
+    whole = ModelFile.of(found.model, question.vehicle, about, intervals, "st discover: found in the runs")
+    learnt = "st discover: the healthy car's, from the reference drives" if question.reference else "part of the base"
     kept = {}
     for effect in found.model.effects:
         values = found.model.values[effect.name]
         if effect.name not in chosen and all(values[p.name] == p.null for p in effect.parameters if p.fit):
             continue
-        kept[effect.name] = whole.effects[effect.name]
+        estimates = whole.effects[effect.name]
+        kept[effect.name] = estimates if effect.name in chosen else {
+            p.name: replace(estimates[p.name], source=learnt) if p.fit else estimates[p.name]
+            for p in effect.parameters}
     return ModelFile(whole.base, kept, whole.vehicle, whole.vehicle_name, whole.vehicle_hash, about)
 
 

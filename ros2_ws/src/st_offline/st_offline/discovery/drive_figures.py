@@ -92,7 +92,7 @@ def over_time(scene: Scene) -> Drawn | None:
             axes.axvspan(part.start, part.end, color=MEASURED_COLOUR, alpha=0.15, lw=0)
         axes.set_ylim(bottom=0)
         axes.set_xlabel("time in the run, s")
-        axes.set_ylabel(f"{words.channel(scene.channel)} error,\n{words.shown_unit(unit)}")
+        axes.set_ylabel(f"{words.channel(scene.channel)}\nerror, {words.shown_unit(unit)}")
         figure.legend(handles=scene.handles("s"), loc="outside lower left", ncols=3)
         caption = "Root mean square of each prediction." + (
             " Shaded: worse than like conditions on the rest of the run." if parts else

@@ -18,6 +18,7 @@ from . import words
 
 AFTER = MODEL_COLOUR["augmented"]
 MOST_CANDIDATES = 14
+LEAST_GAIN = 0.005  # share of the error; less is not drawn
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,8 @@ def _tick(one: BinExcess) -> str:
 
 def candidates(scene: Scene) -> Drawn | None:
     """How much of the base's squared error each hypothesis takes away when it is tried alone."""
-    ranked = sorted(scene.found.candidates, key=lambda c: -c.gain)[:MOST_CANDIDATES]
+    ranked = sorted((c for c in scene.found.candidates if c.gain > LEAST_GAIN), key=lambda c: -c.gain)
+    ranked = ranked[:MOST_CANDIDATES]
     if not ranked:
         return None
     chosen = {e.name for e in scene.found.effects}
@@ -162,11 +164,12 @@ def candidates(scene: Scene) -> Drawn | None:
         axes.set_yticks(range(len(ranked)), [words.plain(c.name) for c in ranked])
         axes.set_ylim(len(ranked) - 0.5, -0.6)
         top = 100 * max(*(c.gain for c in ranked), 0.01)
-        axes.set_xlim(min(0.0, 100 * min(c.gain for c in ranked)), 1.6 * top)
+        axes.set_xlim(0.0, 1.5 * top)
         axes.set_xlabel("share of the base model's squared error taken away on the selection data, %")
         best = " or ".join(words.plain(n) for n in [*chosen, *sorted(alternatives)][:3])
         title = f"Of {len(scene.found.candidates)} hypotheses simulated, {best} explains most" if chosen else \
             f"None of {len(scene.found.candidates)} hypotheses simulated is accepted"
         caption = ("Each effect alone, simulated through the model and fitted on other driving. Dark: chosen. Hatched: "
-                   "cannot be told from it.")
+                   f"cannot be told from it. The {len(scene.found.candidates) - len(ranked)} not shown explain "
+                   "less, or nothing.")
         return finish(figure, scene.place, "candidates", title, caption)

@@ -24,5 +24,5 @@ def write_page(file: Path, found: Discovery, content: dict[str, Any], figures: S
     environment.filters.update(drawing=Markup, plain=words.plain, channel=words.channel)
     text = environment.get_template("discovery.html.jinja").render(
         title=words.title(found), found=found, verdict=words.verdict(found), content=content, figures=figures,
-        size=words.size, value=words.value, statement=words.statement, colours=MODEL_COLOUR, dark=DARK)
+        size=words.size, value=words.value, condition=words.condition, colours=MODEL_COLOUR, dark=DARK)
     file.write_text(text, encoding="utf-8")

@@ -7,6 +7,7 @@ from st_core.effects import EFFECTS
 
 CHANNEL = {"velocity_y": "lateral velocity", "yaw_rate": "yaw rate", "acceleration_y": "lateral acceleration",
            "yaw": "heading", "position": "position", "position_5s": "position after 5 s"}
+MOST_BLIND = 6
 MOST_CHANGES = 3  # told in a sentence; all are in the table
 RANKED = ("position_5s", "velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
@@ -77,10 +78,15 @@ def where(found: Discovery) -> str:
 
 
 def statement(w: WhereStatement) -> str:
+    return f"{channel(w.channel)} {condition(w)}"
+
+
+def condition(w: WhereStatement) -> str:
+    """A statement without its channel."""
     before = {"everywhere": "", "within": "", "speed": "at ", "lateral": "at ", "steering": "at ", "forward": "at "}
     where = before.get(w.condition.split()[0], "in ") + w.condition
     low, high = w.interval
-    return f"{channel(w.channel)} {where}: {w.excess:.1f} times the expected error ({low:.1f} to {high:.1f})"
+    return f"{where}: {w.excess:.1f} times the expected error ({low:.1f} to {high:.1f})"
 
 
 def what(found: Discovery) -> str:
@@ -129,11 +135,13 @@ def sure(found: Discovery) -> str:
               f"Probability that healthy drives show as much: {_probability(found.p)}.")
     parts = [chance]
     for effect in found.effects:
-        others = f"; not excluded: {', '.join(plain(a) for a in effect.alternatives)}" if effect.alternatives else \
-            "; no other effect of the library explains it as well"
-        parts.append(f"{plain(effect.name)}: {100 * effect.probability:.0f} % among its alternatives{others}.")
+        others = ", ".join(plain(a) for a in effect.alternatives)
+        parts.append(f"{plain(effect.name)} has {100 * effect.probability:.0f} % against {others}." if others else
+                     f"No other effect of the library explains as well what {plain(effect.name)} does.")
     if found.not_testable:
-        parts.append(f"These data cannot show {len(found.not_testable)} further effects.")
+        parts.append("Effects these drives cannot show: "
+                     f"{', '.join(plain(n.name) for n in found.not_testable[:MOST_BLIND])}"
+                     f"{', …' if len(found.not_testable) > MOST_BLIND else ''}.")
     return " ".join(parts)
 
 
