@@ -94,7 +94,7 @@ def cases_of(set_: str, kind: str, count: int) -> list[Case]:
 
 
 def _singles(set_: str) -> list[Case]:
-    """Every effect of the table ten times; each third case without v_y."""
+    """Every effect of the table ten times; each third car without v_y."""
     draw = np.random.default_rng(seed_of(set_, "single"))
     plan = [KNOWN[i] for i in draw.permutation(np.repeat(np.arange(len(KNOWN)), COUNTS["single"] // len(KNOWN)))]
     _gather(plan, draw)
@@ -102,7 +102,8 @@ def _singles(set_: str) -> list[Case]:
     for index, hidden in enumerate(plan):
         special = (index // PER_CAR) % 3 == 0
         sign, scale = _sign(draw, hidden), float(draw.choice(SCALES, p=ODDS))
-        cases.append(Case(set_, "single", index, (hidden.library,), ((hidden, scale, sign),), index % 3 != 2,
+        cases.append(Case(set_, "single", index, (hidden.library,), ((hidden, scale, sign),),
+                          index // PER_CAR % 3 != 2,
                           car=_car(set_, "single", index, {"combined_slip": 0.0} if special else {})))
     return cases
 
@@ -127,7 +128,7 @@ def _car(set_: str, kind: str, index: int, others: dict[str, float] | None = Non
 
 
 def _healthy(set_: str) -> list[Case]:
-    """In turn under the conditions of the reference and under others; every fourth without v_y."""
+    """In turn under the conditions of the reference and under others; every fifth car without v_y."""
     draw = np.random.default_rng(seed_of(set_, "healthy"))
     cases = []
     for index in range(COUNTS["healthy"]):
@@ -136,7 +137,7 @@ def _healthy(set_: str) -> list[Case]:
         if shifted:
             pool = (m.SWEEP, m.STEPS, m.SLALOM, m.WEAVE, m.BRAKING, m.ORDINARY, m.CIRCLE, m.LIMIT)
             parts = tuple(pool[i] for i in draw.choice(len(pool), 5, replace=False))
-        cases.append(Case(set_, "healthy", index, (), with_vy=index % 8 < 6, shifted=shifted, parts=parts,
+        cases.append(Case(set_, "healthy", index, (), with_vy=index // PER_CAR % 5 != 2, shifted=shifted, parts=parts,
                           car=_car(set_, "healthy", index)))
     return cases
 
@@ -163,7 +164,9 @@ def _unknown(set_: str) -> list[Case]:
         if index % 2 == 0:
             hidden, names, note = FOREIGN[(index // 2) % len(FOREIGN)], None, "foreign"
         else:
-            hidden, note = left_out[draw.integers(len(left_out))], "left out"
+            # The same one for a car: what the library holds decides what the reference teaches.
+            absent = np.random.default_rng(seed_of(set_, "unknown", "left out", index // PER_CAR))
+            hidden, note = left_out[absent.integers(len(left_out))], "left out"
             names = tuple(n for n in everything if n != hidden.library)
         truth = (hidden.library or hidden.setting,)
         scale = float(draw.choice([1.0, 0.6]))

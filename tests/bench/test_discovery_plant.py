@@ -115,7 +115,7 @@ def test_cases_repeat_and_differ():
     first, again = (cases_of("development", "single", 30) for _ in range(2))
     assert first == again
     assert cases_of("sealed", "single", 30) != first
-    case: Case = first[2]
+    case: Case = first[22]
     assert not case.with_vy
     a, b = drives_of(case), drives_of(case)
     np.testing.assert_array_equal(a.suspect[0].x, b.suspect[0].x)

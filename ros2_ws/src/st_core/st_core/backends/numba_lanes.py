@@ -70,12 +70,16 @@ def _leaves(p: Any) -> Iterator[float]:
 
 def _kernel(model: Model, p: Any, fields: int, states: int):
     # Values are not in the key: a fit changes them a thousand times and compiles once.
-    shape = numba.typeof(p)
-    key = (model.rhs, shape, fields, states)
+    key = (model.rhs, _skeleton(p), fields, states)
     with _lock:
         if key not in _compiled:
-            _compiled[key] = _compile(model, shape, fields, states)
+            _compiled[key] = _compile(model, numba.typeof(p), fields, states)
         return _compiled[key]
+
+
+def _skeleton(p: Any):
+    """How p is nested and of what types. numba's own type says the same and takes milliseconds to make."""
+    return (type(p), *map(_skeleton, p)) if isinstance(p, tuple) else float
 
 
 def _compile(model: Model, shape, fields: int, states: int):
