@@ -4,6 +4,7 @@ A message whose texts and sequence lengths are the same in all instances is a fi
 in it follows from the definition and one example, so a changed definition moves everything by itself.
 """
 
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -17,6 +18,7 @@ from rosbags.typesys.store import Typestore
 
 _DTYPE = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "uint64": "<u8", "int32": "<i4", "uint32": "<u4",
           "int16": "<i2", "uint16": "<u2", "int8": "i1", "uint8": "u1", "byte": "u1", "char": "u1", "bool": "?"}
+_STAMP = struct.Struct("<iI")
 _ENCAPSULATION = 4  # bytes before the body; alignment counts from behind them
 
 
@@ -141,9 +143,10 @@ class Layout:
         field = self.fields.get(path)
         if field is None:  # a sequence of length 0
             return np.empty(0)
-        values = np.frombuffer(data, field.dtype, field.count, field.offset)
         if path.endswith("stamp"):
-            return int(values[0]) * 1_000_000_000 + int(values[1].astype(np.uint32))
+            sec, nanosec = _STAMP.unpack_from(data, field.offset)
+            return sec * 1_000_000_000 + nanosec
+        values = np.frombuffer(data, field.dtype, field.count, field.offset)
         return values if field.count > 1 else values[0]
 
 
