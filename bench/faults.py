@@ -1,7 +1,7 @@
 """Faults put into the running suite, one after another: noticed, survived, lost; writes docs/reliability.md's table.
 
 About twelve minutes; ST_FAULTS=long adds an INS silent for two minutes, ST_FAULTS=short leaves most of them out, a part
-of a name puts in only what is called so. The table is written by a run without choice.
+of a name puts in only what is called so and renews those lines of the table.
 """
 
 import math
@@ -36,8 +36,7 @@ def run() -> dict:
             windows = put_all(rig, faults, lambda text: print(text, file=sys.stderr, flush=True))
         recorded = Recorded(folder)
         rows = [row(window, rig, recorded) for window in windows]
-    if os.environ.get("ST_FAULTS", "") in ("", "long"):
-        write(rows)
+    write(rows)
     return {r.fault.name: {"notice": r.notice, "recover": r.recover, "ticks lost": r.ticks_lost,
                            "packets not recorded": r.packets_lost, "verdict": verdict(r)} for r in rows}
 
@@ -48,7 +47,7 @@ def verdict(found: Row) -> str:
     return f"open: {found.fault.open}" if found.fault.open else "as promised"
 
 
-def table(rows: list[Row]) -> str:
+def table(rows: list[Row], before: dict[str, str]) -> str:
     head = ("fault", "what is to happen", "noticed after, s", "predictions back after, s", "predictions not in the bag",
             "packets not in the bag", "verdict")
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
@@ -56,11 +55,14 @@ def table(rows: list[Row]) -> str:
         notice = "-" if math.isnan(r.notice) else f"{r.notice:.1f}"
         what = verdict(r).replace("|", "/")
         cells = (r.fault.name, r.fault.promise, notice, f"{r.recover:.1f}", r.ticks_lost, r.packets_lost, what)
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join(lines) + "\n"
+        before[r.fault.name] = "| " + " | ".join(map(str, cells)) + " |"
+    kept = [before[fault.name] for fault in (*FAULTS, *LONG) if fault.name in before]
+    return "\n".join([*lines, *kept]) + "\n"
 
 
 def write(rows: list[Row]) -> None:
     text = DOCUMENT.read_text()
     head, rest = text.split(BEGIN)
-    DOCUMENT.write_text(head + BEGIN + table(rows) + END + rest.split(END)[1])
+    old, tail = rest.split(END)
+    before = {line.split(" | ")[0].removeprefix("| "): line for line in old.splitlines()}
+    DOCUMENT.write_text(head + BEGIN + table(rows, before) + END + tail)

@@ -17,6 +17,7 @@ RATE = 10.0  # predictions per second
 GRACE = 0.1
 # Where predictions are to go on, so many of them have to come even on a machine that does other things as well.
 LEAST = 0.5
+AFTER, AFTER_RESTART = 1.5, 4.0  # s
 SETTLED = 30.0  # s for everything to be well again
 
 
@@ -46,14 +47,15 @@ class Row:
 
 def put(rig: Rig, fault: Fault) -> Window:
     before = dict(rig.supervisor.restarts)
-    begin = time.time_ns()
     undo = fault.put(rig)
+    begin = time.time_ns()
     rig.run(fault.seconds)
     undo()
     end = time.time_ns()
     wanted = before.get(fault.restarts, 0) + 1
     rig.run(SETTLED, lambda: not fault.restarts or rig.supervisor.restarts.get(fault.restarts, 0) >= wanted)
-    rig.run(1.5)  # checks speak once a second
+    # Checks speak once a second; a recorder that was started again has to find its topics first.
+    rig.run(AFTER_RESTART if fault.restarts else AFTER)
     is_well = rig.run(SETTLED, rig.is_well)
     well = time.time_ns()
     new = {name: n - before.get(name, 0) for name, n in rig.supervisor.restarts.items() if n > before.get(name, 0)}

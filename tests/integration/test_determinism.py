@@ -1,0 +1,83 @@
+"""The same measurements and the same configuration give the same bytes: predictions, and errors."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from support import ROOT
+
+LIVE = """
+import hashlib
+import numpy as np
+from drives import weave
+from st_core.evaluation import Evaluator
+from st_core.prediction import PredictionSettings, Predictor, Start
+from st_core.types import InsSample
+from st_core.vehicle import VehicleParameters
+from support import ROOT
+
+file = ROOT / "config" / "vehicle" / "leaf.yaml"
+vehicle, settings = VehicleParameters.from_yaml(file.read_text(), str(file)), PredictionSettings()
+predictor = Predictor(vehicle, ["kinematic", "linear", "nonlinear"], settings)
+evaluator = Evaluator(vehicle, settings, 65.0)
+predictions, errors, count = hashlib.sha256(), hashlib.sha256(), 0
+for k, (t, x, y, yaw, vx, vy, yaw_rate, _, _, delta) in enumerate(weave(9.0).tolist()):
+    time_ns = 10**18 + round(t * 1e9)
+    sample = InsSample(time_ns=time_ns, x=x, y=y, yaw=yaw, velocity_x=vx, velocity_y=vy, yaw_rate=yaw_rate)
+    for side in (predictor, evaluator):
+        side.add_ins(sample)
+        side.add_steering(time_ns, delta)
+    start = predictor.start(time_ns) if k % 5 == 4 else None
+    if isinstance(start, Start):
+        for model in predictor.models:
+            trajectory = predictor.run(start, model)
+            predictions.update(trajectory.states.tobytes())
+            evaluator.add_prediction(model, start.time_ns, start.state, start.inputs, trajectory)
+    for score in (*evaluator.poll(), *(evaluator.flush() if k == 449 else ())):
+        count += score.complete
+        errors.update(np.stack([score.longitudinal, score.lateral, score.yaw]).tobytes())
+print(predictions.hexdigest(), errors.hexdigest(), count)
+"""
+
+BATCH = """
+import hashlib
+from drives import weave, write_drive
+from pathlib import Path
+import tempfile
+from st_core.log_evaluation import evaluate_log
+from st_core.vehicle import VehicleParameters
+from st_offline.runs import csv
+from support import ROOT
+
+file = ROOT / "config" / "vehicle" / "leaf.yaml"
+vehicle = VehicleParameters.from_yaml(file.read_text(), str(file))
+with tempfile.TemporaryDirectory() as name:
+    log, _ = csv.read_drive(write_drive(Path(name) / "drive.csv", weave(14.0)))
+found = evaluate_log(["kinematic", "linear", "nonlinear"], vehicle, log)
+content = hashlib.sha256()
+for key in sorted(found.errors):
+    for values in vars(found.errors[key]).values():
+        content.update(values.tobytes())
+print(content.hexdigest(), len(found.starts_ns))
+"""
+
+
+def outputs(program: str) -> list[str]:
+    """Of two processes that differ in all a process may differ in: the order of sets, and the number of threads."""
+    found = []
+    for seed, threads in (("1", "1"), ("2", "2")):
+        environment = os.environ | {"PYTHONHASHSEED": seed, "OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads,
+                                    "PYTHONPATH": os.pathsep.join([str(ROOT / "tests"), *sys.path])}
+        run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True,
+                             check=False)
+        assert run.returncode == 0, run.stderr
+        found.append(run.stdout)
+    return found
+
+
+@pytest.mark.parametrize("program", [LIVE, BATCH], ids=["live classes", "batch over a log"])
+def test_two_processes_give_the_same_bytes(program):
+    first, second = outputs(program)
+    assert first == second
+    assert int(first.split()[-1]) > 20
