@@ -183,7 +183,8 @@ INS = (
     Fault("UDP bursts of 0.15 s", 3.0, on_ins(lambda: changes.Burst(0.15).change), "predictions go on", "", "", ANY),
     Fault("second unit on the port", 4.0, second_unit, "ignored, counted by address", short=True),
     Fault("1 % corrupt packets, final checksum right", 4.0, on_ins(lambda: changes.Chance(0.01).corrupt),
-          "nothing: all three sums are right", open="no sum can tell; a prediction that starts from such a packet is wrong"),
+          "nothing: all three sums are right",
+          open="no sum can tell; a prediction that starts from such a packet is wrong"),
     Fault("GPS minute wraps", 61.0, lambda rig: lambda: None, "nothing to be seen"),
 )
 CAN = (

@@ -36,7 +36,8 @@ def suite_node(package, executable, *overrides, **options):
     clock = number(executable, "use_sim_time", LaunchConfiguration("use_sim_time"))
     words = ["--params-file", PARAMETERS, *(word for pair in (clock, *overrides) for word in pair)]
     return Node(
-        package=package, executable=executable, name=executable, output="screen", ros_arguments=words, **options)
+        package=package, executable=executable, name=executable, output="screen", ros_arguments=words,
+        respawn=LaunchConfiguration("respawn"), respawn_delay=2.0, **options)
 
 
 def generate_launch_description():
@@ -55,16 +56,19 @@ def generate_launch_description():
         argument("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
         argument("bridges", "false: odometry and steering come from elsewhere", "true"),
         argument("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
+        argument("respawn", "true: a node that ends is started again, and records into a folder beside", "true"),
         argument("use_sim_time", "true: follow /clock", "false"),
         suite_node(
             "st_predictor", "recorder",
             text("recorder", "output_directory", PathJoinSubstitution([OUTPUT, "bag"])),
+            number("recorder", "number_when_taken", LaunchConfiguration("respawn")),
             ["-p", ["recorder:configuration_files:=['", VEHICLE, "', '", PARAMETERS, "']"]],
         ),
         suite_node(
             "st_predictor", "evaluator",
             text("evaluator", "vehicle_file", VEHICLE),
             text("evaluator", "output_directory", PathJoinSubstitution([OUTPUT, "errors"])),
+            number("evaluator", "number_when_taken", LaunchConfiguration("respawn")),
         ),
         suite_node("st_predictor", "predictor", text("predictor", "vehicle_file", VEHICLE)),
         suite_node("st_predictor", "markers", text("markers", "vehicle_file", VEHICLE), **drawn),
