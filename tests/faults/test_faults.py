@@ -1,6 +1,9 @@
 """Faults in a running, supervised suite, one after another. `st bench faults` puts in all of them."""
 
+from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
 
 import pytest
 
@@ -10,20 +13,45 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 from faults.catalogue import FAULTS
 from faults.measure import Recorded, Row, row, run
 from faults.rig import running
+from support import ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 SHORT = tuple(fault for fault in FAULTS if fault.short)
 
 
+class Run(NamedTuple):
+    """graph: node -> (topics it publishes, topics it subscribes), before the first fault."""
+
+    rows: dict[str, Row]
+    graph: dict[str, tuple[set[str], set[str]]]
+    statuses: dict[str, int]
+
+
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Row]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder: Path = tmp_path_factory.mktemp("faults")
     with running(folder) as rig:
+        graph = rig.monitor.graph(rig.names)
         windows = run(rig, SHORT)
     recorded = Recorded(folder)
-    return {window.fault.name: row(window, rig, recorded) for window in windows}
+    return Run({window.fault.name: row(window, rig, recorded) for window in windows}, graph, rig.statuses)
 
 
 @pytest.mark.parametrize("name", [fault.name for fault in SHORT])
-def test_a_fault_is_told_and_survived(rows: dict[str, Row], name: str) -> None:
-    assert not rows[name].problems
+def test_a_fault_is_told_and_survived(done: Run, name: str) -> None:
+    assert not done.rows[name].problems
+
+
+def test_all_end_well_afterwards(done: Run) -> None:
+    assert done.statuses.keys() == {"oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder"}
+    assert not any(done.statuses.values())
+
+
+def test_policies_allow_what_the_nodes_do_and_no_more(done: Run) -> None:
+    tree = ElementTree.parse(ROOT / "config" / "sros2" / "policies.xml")
+    for node, (published, subscribed) in done.graph.items():
+        profile = tree.find(f".//profile[@node='{node}']")
+        for kind, used in (("publish", published), ("subscribe", subscribed)):
+            allowed = {topic.text for topic in profile.findall(f"./topics[@{kind}='ALLOW']/topic")}
+            assert [t for t in sorted(used) if not any(fnmatchcase(t, a) for a in allowed)] == [], (node, kind)
+            assert [a for a in sorted(allowed) if not any(fnmatchcase(t, a) for t in used)] == [], (node, kind)

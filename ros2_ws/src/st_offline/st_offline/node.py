@@ -3,6 +3,7 @@
 import contextlib
 import threading
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import rclpy
@@ -67,6 +68,13 @@ class Monitor:
                 break
             time.sleep(0.05)
         return missing
+
+    def graph(self, names: Iterable[str]) -> dict[str, tuple[set[str], set[str]]]:
+        """Node -> (topics it publishes, topics it subscribes)."""
+        published, subscribed = (
+            self._node.get_publisher_names_and_types_by_node, self._node.get_subscriber_names_and_types_by_node
+        )
+        return {n: tuple({topic for topic, _ in ask(n, "/")} for ask in (published, subscribed)) for n in names}
 
     def heard_from(self, name: str) -> float:
         """When a node last spoke on /diagnostics [s, monotonic]; minus infinity: never."""
