@@ -7,7 +7,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from . import figures, score
+from st_offline.paths import source_version
+
+from . import figures, score, tables
 from .run import ALL, Record, in_fair_order, run_all
 
 
@@ -25,7 +27,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         help="folder for what was computed already")
     parser.add_argument("--minutes", type=float, help="begin no case after this time")
     parser.add_argument("--no-judge", action="store_true", help="leave out oracle, baselines and suggested drives")
-    parser.add_argument("--output", type=Path, help="write scores (results.json) and figures to this folder")
+    parser.add_argument("--output", type=Path, help="write the scores (results.json) to this folder")
+    parser.add_argument("--page", type=Path,
+                        help="put the scores between the marks of this Markdown page, the figure into images/ beside it")
     chosen = parser.parse_args(arguments)
     counts = {kind: min(ALL[kind], chosen.first + chosen.cases) if chosen.cases else ALL[kind]
               for kind in chosen.kind or ALL}
@@ -37,9 +41,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(score.as_text(document))
     if chosen.output:
         chosen.output.mkdir(parents=True, exist_ok=True)
+        version = {"set": chosen.set, "version": source_version(), "date": time.strftime("%Y-%m-%d", time.gmtime())}
         (chosen.output / "results.json").write_text(json.dumps(
-            {"set": chosen.set, **document, "cases": [score.short(r) for r in records]}, separators=(",", ":")) + "\n")
-        figures.confusion(records, chosen.output / "discovery_confusion.png")
+            {**version, **document, "cases": [score.short(r) for r in records]}, separators=(",", ":")) + "\n")
+    if chosen.page:
+        tables.put_into(chosen.page, tables.as_markdown(document, records))
+        figures.confusion(records, chosen.page.parent / "images" / "discovery_confusion.png")
     return 0
 
 
