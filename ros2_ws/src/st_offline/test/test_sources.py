@@ -63,7 +63,7 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
     touch(tmp_path, "errors/metadata.yaml", content=topics % "")
     touch(tmp_path, "bag/bag_0.mcap", "errors/errors_0.mcap")
     runs = by_name(find_runs([tmp_path]))
-    assert {name: run.kind for name, run in runs.items()} == {"one": "ncom", "genesis": "csv", "bag": "bag"}
+    assert {name: run.kind for name, run in runs.items()} == {"one": "ncom", "genesis": "csv", tmp_path.name: "bag"}
     assert len(read(runs["genesis"]).log.x) == 50
     with pytest.raises(RunError, match=r"one\.ncom: .* give its vehicle file"):
         read(runs["one"])
