@@ -8,6 +8,7 @@ from .verbs import (
     demo,
     develop,
     discover,
+    docs,
     evaluate,
     export,
     foxglove,
@@ -43,6 +44,7 @@ app.command()(align.align)
 app.command("import")(import_.import_)
 app.command()(recover.recover)
 app.command()(export.export)
+app.command()(docs.docs)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(bench.bench)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.test)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.shell)

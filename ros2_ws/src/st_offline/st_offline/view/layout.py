@@ -5,8 +5,8 @@ import rerun.blueprint as rrb
 TIMELINE = "measured"
 SHOWN = 40.0  # s of the plots
 # Metres around the car from the driver's seat: 5 s ahead at town speed, and some of where it came from.
-AHEAD, BEHIND, ASIDE = 62.0, 18.0, 46.0
-AROUND, GRID = 75.0, 20.0  # metres shown around the car on the map, and between the lines of its grid
+AHEAD, BEHIND, ASIDE = 44.0, 16.0, 34.0
+AROUND, GRID = 50.0, 20.0  # metres shown around the car on the map, and between the lines of its grid
 PLOTS = {
     "lateral": "lateral error of the 5 s just over, m (+ predicted left)",
     "longitudinal": "longitudinal error, m (+ predicted ahead)",

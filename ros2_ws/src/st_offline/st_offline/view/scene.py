@@ -8,10 +8,10 @@ import rerun as rr
 from st_core.vehicle import VehicleParameters
 from st_predictor.history import History
 from st_predictor.outline import car_outline
-from st_predictor.palette import MEASURED_COLOUR, colour_of, label_index, rgb
+from st_predictor.palette import MEASURED_COLOUR, colour_of, rgb
 
 from .geometry import Pose, grid, heading_up, north_up
-from .layout import AROUND, GRID, TIMELINE, blueprint
+from .layout import AROUND, ASIDE, BEHIND, GRID, TIMELINE, blueprint
 
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 FAINT = (228, 228, 228)
@@ -36,13 +36,15 @@ class Scene:
 
     def __init__(self, recording: rr.RecordingStream, car: VehicleParameters):
         self._rr, self._car = recording, car
-        self._named: set[str] = set()
+        self._named: list[str] = []
+        self._scored: set[str] = set()
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
         recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[FAINT], radii=THIN, draw_order=-1.0),
                       static=True)
+        # Towards the right and ahead, where a path rarely is.
         recording.log("ahead/ring_names", rr.Points2D(
-            [(0.0, -float(r)) for r in RINGS[1::2]], radii=THIN, colors=[(120, 120, 120)],
+            [(0.7 * r, -0.7 * r) for r in RINGS[1::2]], radii=THIN, colors=[(120, 120, 120)],
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)
         for name, unit in (("steering", "road wheel angle"), ("speed", "speed"),
                            ("lateral_acceleration", "v_x r")):
@@ -61,8 +63,8 @@ class Scene:
 
     def error(self, end_ns: int, model: str, longitudinal: float, lateral: float) -> None:
         """The horizon means [m] of one forecast, drawn at the end of its horizon, when they became known."""
-        if model not in self._named:
-            self._named.add(model)
+        if model not in self._scored:
+            self._scored.add(model)
             for quantity in ("lateral", "longitudinal"):
                 self._series(f"plots/{quantity}/{model}", model, colour_of(model))
         self._at(end_ns)
@@ -87,6 +89,7 @@ class Scene:
         self._lines(f"{root}/car", [place(*car_outline(pose, self._car))], [(20, 20, 20)], THICK, order=5.0)
         ghosts, ghost_colours, misses, miss_colours = [], [], [], []
         for model in history.models:
+            self._name(model)
             self._prediction(root, place, model, history)
             for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(place(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
@@ -98,15 +101,18 @@ class Scene:
         self._lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)
         self._lines(f"{root}/misses", misses, miss_colours, THICK, order=4.5)
 
+    def _name(self, model: str) -> None:
+        """Its colour and name in the lower left corner: models that agree would cover each other's names."""
+        if model not in self._named:
+            corner = (-ASIDE + 5.0, BEHIND - 3.5 - 4.5 * len(self._named))
+            self._named.append(model)
+            self._rr.log(f"ahead/names/{model}", rr.Points2D(
+                [corner], colors=[rgb(colour_of(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
+                show_labels=True), static=True)
+
     def _prediction(self, root: str, place: Place, model: str, history: History) -> None:
-        path, colour = history.newest(model), rgb(colour_of(model))
-        points = place(path.x, path.y)
-        self._lines(f"{root}/paths/{model}", [points], [colour], MEDIUM, order=3.0)
-        if root == "ahead":
-            at = label_index(model, path.step, len(points))
-            self._rr.log(f"{root}/names/{model}", rr.Points2D(
-                [points[at]], colors=[colour], radii=rr.Radius.ui_points(3.0), labels=[model], show_labels=True,
-                draw_order=4.0))
+        path = history.newest(model)
+        self._lines(f"{root}/paths/{model}", [place(path.x, path.y)], [rgb(colour_of(model))], MEDIUM, order=3.0)
 
     def _lines(self, entity: str, strips: list[np.ndarray], colours: list, width: object, order: float) -> None:
         self._rr.log(entity, rr.LineStrips2D(strips, colors=colours, radii=width, draw_order=order))

@@ -11,11 +11,8 @@ class Row(Protocol):
     model: str
     mode: str
     n_starts: int
-    longitudinal_mean: float
-    longitudinal_max: float
     longitudinal_rmse: float
     lateral_mean: float
-    lateral_max: float
     lateral_rmse: float
 
 
@@ -24,13 +21,12 @@ LEVELS = ("ok", "warning", "**error**", "stale")
 
 def page(rows: Sequence[Row], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
     """rows: statistics so far. ticks: one line. health: (level, name, message) of everything that was heard."""
-    lines = ["| model | inputs | starts | long. mean / max / RMSE, m | lat. mean / max / RMSE, m |",
-             "|---|---|--:|--:|--:|"]
+    lines = ["| model | inputs | starts | long. RMSE, m | lat. mean, m | lat. RMSE, m |", "|---|---|--:|--:|--:|--:|"]
     for mode, meaning in (("forecast", "held"), ("hindsight", "measured")):
         for row in (r for r in rows if r.mode == mode and r.n_starts):
-            lines.append(f"| {row.model} | {meaning} | {row.n_starts} "
-                         f"| {_triple(row.longitudinal_mean, row.longitudinal_max, row.longitudinal_rmse)} "
-                         f"| {_triple(row.lateral_mean, row.lateral_max, row.lateral_rmse)} |")
+            errors = (row.longitudinal_rmse, row.lateral_mean, row.lateral_rmse)
+            numbers = " | ".join("-" if math.isnan(e) else f"{e:.2f}" for e in errors)
+            lines.append(f"| {row.model} | {meaning} | {row.n_starts} | {numbers} |")
     if len(lines) == 2:
         lines = ["Waiting for the first complete horizon."]
     lines += ["", ticks, ""]
@@ -40,6 +36,3 @@ def page(rows: Sequence[Row], ticks: str, health: Sequence[tuple[int, str, str]]
         lines.append("All nodes well.")
     return "\n".join(lines)
 
-
-def _triple(*values: float) -> str:
-    return " / ".join("-" if math.isnan(v) else f"{v:.2f}" for v in values)

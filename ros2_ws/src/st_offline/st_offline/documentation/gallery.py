@@ -1,0 +1,92 @@
+"""docs/gallery.md and its pictures: a drive of the virtual Leaf through the verbs, each picture beside its command."""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from st_core.vehicle import VehicleParameters
+
+from ..paths import config
+from .animation import animate
+
+ST = (sys.executable, "-m", "st_offline.cli")
+LEAF = (sys.executable, "-m", "st_sim.run")
+ANIMATED = (24.0, 38.0)  # s of the drive
+
+
+class GalleryError(RuntimeError):
+    """A command of the gallery failed; the text holds its last words."""
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """command: as a user types it, {} for the folder of the gallery. picture: where it leaves the picture shown."""
+
+    title: str
+    command: str
+    picture: str
+    words: str
+
+
+PREPARATION = (
+    "./st shell -- virtual_leaf --scenario S6 --duration 62 --vehicle config/vehicle/leaf.yaml --to-files {}/raw",
+    "./st import {}/raw --offset 0 --output {}/bag",
+)
+EXHIBITS = (
+    Exhibit("A drive through the live nodes", "./st replay {}/bag --fast --output {}/run", "run/paths.png",
+            "Measured track, predictions from six starts, and the errors of every start. Hindsight simulates with the "
+            "inputs then measured; forecast holds them."),
+    Exhibit("Two clocks brought together", "./st align {}/raw/run.ncom {}/raw/run.log --output {}/align",
+            "align/alignment.png", "The same signals from INS and CAN, before and after; what remains is the tolerance "
+            "of the offset."),
+    Exhibit("A drive evaluated at the desk", "./st evaluate {}/run/bag --output {}/evaluate", "evaluate/*/means.png",
+            "The error of every start over the drive, as in the paper; the folder also holds the page evaluation.html "
+            "with sortable tables."),
+)
+
+
+def make(folder: Path, console: Console) -> None:
+    """Write gallery.md and images/gallery_*.png into `folder`. Raises GalleryError."""
+    images = folder / "images"
+    images.mkdir(exist_ok=True)
+    commands = (f"$ {_shown(command)}" for command in PREPARATION)
+    lines = ["# Gallery", "",
+             "Made by `./st docs --gallery`: one drive of the virtual Leaf (S6, U-turns), as each command shows it.",
+             "", "```console", *commands, "```"]
+    with tempfile.TemporaryDirectory(prefix="st-gallery-") as name:
+        for command in PREPARATION:
+            _run(command, name, console)
+        for number, exhibit in enumerate(EXHIBITS, 1):
+            _run(exhibit.command, name, console)
+            found = sorted(Path(name).glob(exhibit.picture))
+            if not found:
+                raise GalleryError(f"{exhibit.command} left no {exhibit.picture}")
+            shutil.copyfile(found[0], images / f"gallery_{number}.png")
+            lines += ["", f"## {exhibit.title}", "", "```console", f"$ {_shown(exhibit.command)}", "```", "",
+                      exhibit.words, "", f"![{exhibit.title}](images/gallery_{number}.png)"]
+        leaf = config("vehicle/leaf.yaml")
+        car = VehicleParameters.from_yaml(leaf.read_text(encoding="utf-8"), str(leaf))
+        animate(Path(name, "run"), car, images / "gallery_drive.webp", *ANIMATED)
+    lines += ["", "## The same drive as it was seen live", "",
+              "From the driver's seat: what the models predict now, what they predicted one to five seconds ago, and "
+              "what happened.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
+    (folder / "gallery.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    console.print(f"{folder / 'gallery.md'}", highlight=False, soft_wrap=True)
+
+
+def _shown(command: str) -> str:
+    return command.replace("{}", "runs/gallery")
+
+
+def _run(command: str, folder: str, console: Console) -> None:
+    console.print(f"$ {_shown(command)}", highlight=False, soft_wrap=True)
+    words = command.replace("{}", folder).split()
+    program = LEAF if words[1] == "shell" else ST
+    rest = words[4:] if words[1] == "shell" else words[1:]
+    done = subprocess.run([*program, *rest], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise GalleryError(f"{command}: status {done.returncode}: {(done.stderr or done.stdout).strip()[-500:]}")
