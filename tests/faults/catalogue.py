@@ -107,17 +107,13 @@ def second_unit(rig: Rig) -> Undo:
 
 
 def full_disk(rig: Rig) -> Undo:
-    """The limit of the file size stands for the disk."""
+    """The limit of the file size stands for the disk: a new file has room again."""
     pid = rig.pid("recorder")
     newest = max(rig.folder.glob("bag*/*.mcap"), key=lambda path: path.stat().st_mtime_ns)
     limit = newest.stat().st_size + 100_000
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
 
-    def undo() -> None:
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-        os.kill(pid, signal.SIGTERM)  # what a person does: room is made, the recorder is started again
-
-    return undo
+    return lambda: resource.prlimit(pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 
 
 def changed_vehicle(rig: Rig) -> Undo:
@@ -219,8 +215,8 @@ MACHINE = (
           "records again by itself; what came meanwhile is lost", predictions=ANY),
     Fault("slow subscriber (stopped for 5 s)", 5.0, slow_subscriber, "nobody else waits for it"),
     Fault("vehicle file broken under running nodes", 3.0, changed_vehicle, "nothing changes: files are read at start"),
-    Fault("disk full", 6.0, full_disk, "told; bag closed whole; a restart records into bag_2", RECORDING,
-          "recording stopped", short=True, restarts="recorder"),
+    Fault("disk full", 6.0, full_disk, "told; bag closed whole; goes on in bag_2 when there is room", RECORDING,
+          "recording stopped", ANY, short=True),
 )
 LONG = (Fault("INS silent 120 s", 120.0, on_ins(changes.silent), "as 1 s", STREAM, "no packet", STOP),)
 FAULTS = (*INS, *CAN, *KILLED, *HANGING, *MACHINE)

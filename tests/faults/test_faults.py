@@ -10,10 +10,11 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
+from support import ROOT
+
 from faults.catalogue import FAULTS
 from faults.measure import Recorded, Row, row, run
 from faults.rig import running
-from support import ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 SHORT = tuple(fault for fault in FAULTS if fault.short)
@@ -44,7 +45,8 @@ def test_a_fault_is_told_and_survived(done: Run, name: str) -> None:
 
 def test_all_end_well_afterwards(done: Run) -> None:
     assert done.statuses.keys() == {"oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder"}
-    assert not any(done.statuses.values())
+    # The recording was not whole: the disk was full once.
+    assert {name for name, status in done.statuses.items() if status} == {"recorder"}
 
 
 def test_policies_allow_what_the_nodes_do_and_no_more(done: Run) -> None:

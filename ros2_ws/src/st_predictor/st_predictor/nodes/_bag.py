@@ -33,8 +33,11 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
         raise ConfigurationError(f"{values.where}output_directory: {name}{error.strerror or error}") from None
 
 
-def recording_check(bag: BagWriter) -> Check:
+def recording_check(bag: BagWriter, stopped: str = "") -> Check:
+    """stopped: why an earlier bag of the same run ended."""
     values = {"messages": bag.message_count, "lost": bag.lost, "directory": bag.directory}
+    if stopped:
+        values["before"] = stopped
     if bag.error:
         return Check("recording", diagnostics.ERROR, bag.error, values)
     return Check("recording", diagnostics.OK, f"{bag.message_count} messages", values)

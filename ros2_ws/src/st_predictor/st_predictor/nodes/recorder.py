@@ -1,8 +1,10 @@
 """Node recorder: writes topics, as their bytes arrive, into a rosbag2 directory (MCAP)."""
 
+import contextlib
 import hashlib
 import importlib
 import json
+import shutil
 import time
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -20,11 +22,14 @@ from st_ros.polling import PolledSubscription
 
 from .. import convert, params
 from ..definitions import UnknownTypeError
+from ..mcap import Qos
 from ._bag import open_bag, recording_check
 
 # The queues are emptied this often; each message carries the time it arrived.
 WORK_PERIOD = 0.05
 LOOK_PERIOD = 0.25
+# After a full disk: how often to look for room, and how much is worth a new bag [s, bytes].
+RESUME_PERIOD, RESUME_ROOM = 5.0, 200_000_000
 # Waiting messages per topic: four seconds at 250 Hz, should the disk be slow.
 QUEUE_DEPTH = 1000
 
@@ -36,8 +41,12 @@ class RecorderNode(Node):
         if not values.output_directory:
             raise ConfigurationError(f"{values.where}output_directory: not given; name a new directory for the bag")
         self._patterns = [self._absolute(topic) for topic in values.topics]
-        self._bag = open_bag(values, metadata_records(values))
+        self._values, self._records = values, metadata_records(values)
+        self._bag = open_bag(values, self._records)
+        self._stopped = ""  # why an earlier bag of this run ended
+        self._resume_at = float("inf")
         self._recorded: dict[str, tuple[PolledSubscription, int]] = {}
+        self._announced: dict[str, tuple[str, list[Qos]]] = {}
         self._refused: dict[str, str] = {}
         self._simulated_time = self.get_parameter("use_sim_time").value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -66,12 +75,14 @@ class RecorderNode(Node):
             return
         try:
             message_type = message_class(types[0])
-            number = self._bag.add_topic(topic, types[0], [convert.recorded_qos(p.qos_profile) for p in publishers])
+            announced = types[0], [convert.recorded_qos(p.qos_profile) for p in publishers]
+            number = self._bag.add_topic(topic, *announced)
         except UnknownTypeError as error:
             self._refused[topic] = str(error)
             return
         subscription = PolledSubscription(self, message_type, topic, matching_qos(publishers), raw=True)
         self._recorded[topic] = (subscription, number)
+        self._announced[topic] = announced
 
     def _work(self) -> None:
         write = self._bag.write
@@ -80,6 +91,24 @@ class RecorderNode(Node):
                 log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
                 write(number, data, log_ns, sent_ns or log_ns)
         self._bag.flush_when_due()
+        if self._bag.error and self._values.number_when_taken:
+            self._resume()
+
+    def _resume(self) -> None:
+        """After a full disk: on in a bag beside the one that ended, as soon as there is room again."""
+        now = time.monotonic()
+        self._resume_at = min(self._resume_at, now + RESUME_PERIOD)
+        if now < self._resume_at:
+            return
+        self._resume_at = float("inf")
+        with contextlib.suppress(OSError, ConfigurationError):
+            if shutil.disk_usage(self._bag.directory).free < RESUME_ROOM:
+                return
+            bag = open_bag(self._values, self._records)
+            self._stopped, self._bag = self._bag.error, bag
+            for topic, (subscription, _) in self._recorded.items():
+                self._recorded[topic] = subscription, bag.add_topic(topic, *self._announced[topic])
+            self.get_logger().warning(f"{self._stopped}; recording goes on in {bag.directory}")
 
     def _checks(self) -> list[Check]:
         level, text = diagnostics.OK, f"{len(self._recorded)} recorded"
@@ -88,12 +117,13 @@ class RecorderNode(Node):
             text = "not recorded: " + "; ".join(f"{topic}: {why}" for topic, why in self._refused.items())
         elif not self._recorded:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
-        return [recording_check(self._bag), Check("topics", level, text, {"topics": len(self._recorded)})]
+        topics = Check("topics", level, text, {"topics": len(self._recorded)})
+        return [recording_check(self._bag, self._stopped), topics]
 
     @property
     def exit_status(self) -> int:
         """1 when the recording is not whole."""
-        return int(bool(self._bag.error))
+        return int(bool(self._bag.error or self._stopped))
 
     def close(self) -> None:
         self._work()
