@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--no-judge", action="store_true", help="leave out oracle, baselines and suggested drives")
     parser.add_argument("--output", type=Path, help="write the scores (results.json) to this folder")
     parser.add_argument("--page", type=Path,
-                        help="put the scores between the marks of this Markdown page, the figure into images/ beside it")
+                        help="put the scores between the marks of this page, the figure into images/ beside it")
     chosen = parser.parse_args(arguments)
     counts = {kind: min(ALL[kind], chosen.first + chosen.cases) if chosen.cases else ALL[kind]
               for kind in chosen.kind or ALL}
@@ -55,4 +55,5 @@ def _say(case, record: Record) -> None:
     visible = f"D {record['detectability']:.2f}" if "detectability" in record else ""
     print(f"{case.kind} {case.index}: {record['hidden']}{'' if case.with_vy else ' (no v_y)'} "
           f"[{', '.join(case.truth)}] -> {record['outcome']}: {names} {visible} {record.get('error', '')} "
-          f"{record.get('cpu_s', 0):.1f} s", flush=True)
+          f"{record.get('cpu_s', 0):.1f} s; tried "
+          + ", ".join(f"{name} {gain:.2f} (p {p:.3f})" for name, gain, p in record.get("candidates", [])), flush=True)

@@ -50,6 +50,7 @@ def run_case(case: Case, judged: bool = True) -> Record:
 def answer(found: Discovery) -> Record:
     """outcome, and for each effect its name followed by its alternatives."""
     return {"outcome": found.outcome, "p": round(found.p, 4),
+            "candidates": [[c.name, round(c.gain, 3), round(c.p, 4)] for c in found.candidates[:4]],
             "names": [[e.name, *e.alternatives] for e in found.effects],
             "values": [{n: [p.value, *p.interval] for n, p in e.parameters.items()} for e in found.effects]}
 
