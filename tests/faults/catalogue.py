@@ -212,7 +212,7 @@ MACHINE = (
     Fault("recorder gets no processor time others want, 10 s", 10.0, idle("recorder"), "queues hold it: nothing lost",
           predictions=ANY, short=True),
     Fault("recorder stands still for 3 s", 3.0, signalled("recorder", signal.SIGSTOP, signal.SIGCONT),
-          "records again by itself; what came meanwhile is lost", predictions=ANY),
+          "catches up: nothing lost", predictions=ANY),
     Fault("slow subscriber (stopped for 5 s)", 5.0, slow_subscriber, "nobody else waits for it"),
     Fault("vehicle file broken under running nodes", 3.0, changed_vehicle, "nothing changes: files are read at start"),
     Fault("disk full", 6.0, full_disk, "told; bag closed whole; goes on in bag_2 when there is room", RECORDING,

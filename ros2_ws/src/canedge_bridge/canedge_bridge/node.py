@@ -26,7 +26,8 @@ from .steering import SteeringCalibration
 from .table_reader import TableError
 from .transport import check_channel, id_filters, open_bus
 
-QOS = QoSProfile(depth=50, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+# Four seconds at 250 Hz: what a reader that was held up (a busy machine, a laptop that slept) can still be sent again.
+QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 FRAMES_PERIOD = 0.02
 
 PARAMETERS = (

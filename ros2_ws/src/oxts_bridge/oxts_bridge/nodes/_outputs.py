@@ -21,7 +21,8 @@ from ..motion import Accuracy, Motion
 from ..status import StatusTracker
 from ..stream import Received
 
-QOS = QoSProfile(depth=50, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+# Four seconds at 250 Hz: what a reader that was held up (a busy machine, a laptop that slept) can still be sent again.
+QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 TF_QOS = QoSProfile(depth=100, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(
     depth=1,
