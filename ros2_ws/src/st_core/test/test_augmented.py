@@ -104,7 +104,7 @@ def test_all_effects_at_once_are_neutral_at_null(car, base):
     np.testing.assert_array_equal(predict(model, car, STATE, HELD).states, predict(base, car, STATE, HELD).states)
 
 
-@pytest.mark.parametrize("base", MODELS)
+@pytest.mark.parametrize("base", [pytest.param(m, marks=[] if m == "kinematic" else pytest.mark.slow) for m in MODELS])
 def test_one_set_of_functions_serves_every_choice_of_effects(leaf, base):
     everything = universal(base)
     plain = predict(base, leaf, STATE, HELD)

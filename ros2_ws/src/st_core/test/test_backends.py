@@ -73,10 +73,11 @@ def assert_same(ours, reference):
     np.testing.assert_array_less(np.abs(ours - reference) / np.maximum(1.0, np.abs(reference)), 1e-12)
 
 
+@pytest.mark.parametrize("count", [30, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", MODELS)
-def test_a_thousand_random_predictions_agree(leaf, name):
+def test_random_predictions_agree(leaf, name, count):
     model = MODELS[name]
-    p, drawn = model.parameters(leaf), cases(1000)
+    p, drawn = model.parameters(leaf), cases(count)
     reference = on_floats(model, p, *drawn)
     for backend in [b for b in backends.NAMES if b == "numpy" or backends.has_numba()]:
         assert_same(run(backend, model, p, *drawn)[0], reference)

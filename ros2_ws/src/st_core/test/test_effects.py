@@ -137,13 +137,17 @@ def test_mirrored_in_gives_mirrored_out(leaf, base, name, share):
 
 @EVERY
 @pytest.mark.parametrize("share", [1.0, 2.0])
-@pytest.mark.parametrize("speed", [-1.0, 0.0, 1e-9, 0.1, 0.5, 1.0, 2.0, 2.9, 3.1])
-def test_down_to_standstill_finite_and_small(car, base, name, share, speed):
+def test_down_to_standstill_finite_and_small(car, base, name, share):
     model = augment(base, {name: values_of(name, share)})
-    path = predict(model, car, VehicleState(0.0, 0.0, speed, 0.2, 0.0, 0.3), ControlInput(0.4, 0.0))
-    assert np.isfinite(path.states).all()
-    assert np.abs(path.states[:, :2]).max() < 30.0
-    assert np.abs(path.yaw_rate).max() < 2.5 and np.abs(path.velocity_y).max() < 4.0
+    speeds = np.array([-1.0, 0.0, 1e-9, 0.1, 0.5, 1.0, 2.0, 2.9, 3.1])
+    starts = np.column_stack([np.broadcast_to(v, speeds.shape) for v in (0.0, 0.0, speeds, 0.2, 0.0, 0.3)])
+    paths = [*predict_batch(model, car, starts, np.full(9, 0.4), np.zeros(9))]
+    # On floats too, where a division by zero would raise.
+    paths += [predict(model, car, VehicleState(*starts[k].tolist()), ControlInput(0.4, 0.0)).states for k in (1, 2)]
+    for x, y, _, velocity_y, _, yaw_rate in (path.T[:6] for path in paths):
+        assert max(np.abs(x).max(), np.abs(y).max()) < 30.0
+        assert np.abs(yaw_rate).max() < 2.5 and np.abs(velocity_y).max() < 4.0
+    assert all(np.isfinite(path).all() for path in paths)
     # Braking through standstill.
     path = predict(model, car, VehicleState(0.0, 0.0, 4.0, 0.1, 0.0, 0.2), ControlInput(0.3, -1.5))
     assert np.isfinite(path.states).all()
