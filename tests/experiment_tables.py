@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 SCALE_NOISE, SCALE_ERROR, SCALE_STEP = 0.8, 0.5, 0.5  # kg: from weighing to weighing, of a scale, of its display
 PITCH_NOISE, RADIUS_NOISE = np.radians(0.05), 0.003  # rad, m
 HAND_STEP, TABLE_NOISE = np.radians(0.1), np.radians(0.1)  # rad: logged angle, reading of a turntable
-FORCE_NOISE, LOAD_NOISE = 25.0, 10.0  # N
+FORCE_NOISE, LOAD_NOISE = 20.0, 10.0  # N; half a percent of the largest force
 RADII = (0.302, 0.299)  # m, loaded wheels front and rear
 TYRE_STIFFNESS = 20000.0  # kg/m, of one tyre
 

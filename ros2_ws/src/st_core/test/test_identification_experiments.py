@@ -184,6 +184,7 @@ def test_exchanged_wheels_are_a_warning(leaf):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)  # 20 s each on a machine that does nothing else
 @pytest.mark.parametrize("tyre", ["tyre_front", "tyre_rear"])
 def test_flat_plank_finds_forces_and_parameters(leaf, tyre):
     """Forces within 1 % of D at every load and slip angle of the table; each parameter inside its interval."""

@@ -129,7 +129,7 @@ def test_profile_interval_of_a_straight_line_is_students():
     x = np.linspace(0.0, 10.0, 12)
     y = 1.0 + 0.5 * x + random.normal(0.0, 0.3, len(x))
     residuals = line(x, y)
-    fit = fit_curve(residuals, [0.0, 0.0], [-10.0, -10.0], [10.0, 10.0])
+    fit = fit_curve(residuals, [[0.0, 0.0]], [-10.0, -10.0], [10.0, 10.0])
     slope, cov = np.polyfit(x, y, 1, cov=True)
     assert fit.values[1] == pytest.approx(slope[0], rel=1e-6)
     assert fit.deviations[1] == pytest.approx(math.sqrt(cov[0, 0]), rel=1e-4)
@@ -143,7 +143,7 @@ def test_profile_interval_of_a_straight_line_is_students():
 def test_a_bound_opens_the_interval_and_takes_the_parameter_out_of_the_covariance():
     x = np.linspace(0.0, 10.0, 12)
     y = 1.0 + 0.5 * x + np.random.default_rng(3).normal(0.0, 0.3, len(x))
-    fit = fit_curve(line(x, y), [0.0, 0.1], [-10.0, -10.0], [10.0, 0.45])
+    fit = fit_curve(line(x, y), [[0.0, 0.1]], [-10.0, -10.0], [10.0, 0.45])
     assert fit.at_bound(1) and fit.deviations[1] == 0.0
     interval = profile_interval(line(x, y), fit, 1)
     assert interval.upper_open and interval.high == 0.45

@@ -60,12 +60,13 @@ class Interval:
     upper_open: bool
 
 
-def fit_curve(residuals: Residuals, start: Sequence[float], lower: Sequence[float], upper: Sequence[float]) -> CurveFit:
-    """The least sum of squares from `start`, every parameter within its bounds."""
+def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Sequence[float],
+              upper: Sequence[float]) -> CurveFit:
+    """The least sum of squares from the best of several starts, every parameter within its bounds."""
     low, high = np.asarray(lower, float), np.asarray(upper, float)
-    inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-    found = least_squares(residuals, inside, _jacobian(residuals, high), (low, high), x_scale="jac", xtol=1e-10,
-                          ftol=1e-12, gtol=1e-12, max_nfev=400)
+    rough = [_solve(residuals, start, low, high, 1e-3, 40) for start in starts] if len(starts) > 1 else []
+    begin = min(rough, key=lambda one: one.cost).x if rough else starts[0]
+    found = _solve(residuals, begin, low, high, 1e-10, 200)
     n, k = found.jac.shape
     freedom = n - k
     scatter = math.sqrt(2.0 * found.cost / freedom) if freedom > 0 else math.nan
@@ -76,6 +77,12 @@ def fit_curve(residuals: Residuals, start: Sequence[float], lower: Sequence[floa
         jacobian = found.jac[:, free]
         covariance[np.ix_(free, free)] = scatter**2 * np.linalg.pinv(jacobian.T @ jacobian)
     return CurveFit(found.x, covariance, found.fun, scatter, freedom, low, high)
+
+
+def _solve(residuals: Residuals, start: Sequence[float], low: np.ndarray, high: np.ndarray, exact: float, most: int):
+    inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+    return least_squares(residuals, inside, _jacobian(residuals, high), (low, high), x_scale="jac", xtol=0.1 * exact,
+                         ftol=exact, gtol=1e-12, max_nfev=most)
 
 
 def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interval:
@@ -130,12 +137,10 @@ def _held(residuals: Residuals, fit: CurveFit, index: int, value: float, start: 
     """The other parameters fitted with one held, and the sum of squares then."""
     others = np.arange(len(fit.values)) != index
     low, high = fit.lower[others], fit.upper[others]
-    inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
 
     def rest(free: np.ndarray) -> np.ndarray:
         return residuals(np.insert(free, index, value, axis=-1))
 
     # The rise looked for is a twentieth of the sum; a ten-thousandth is exact enough.
-    found = least_squares(rest, inside, _jacobian(rest, high), (low, high), x_scale="jac", xtol=1e-5, ftol=1e-4,
-                          gtol=1e-9, max_nfev=60)
+    found = _solve(rest, start, low, high, 1e-4, 60)
     return found.x, 2.0 * found.cost

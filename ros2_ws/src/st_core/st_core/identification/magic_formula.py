@@ -90,7 +90,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
         names = (*(name for name in ALL if name in (*NOMINAL, "p_ky1", *free)), SHIFT)
     # Shape and curvature trade against each other, and what the stages settle on may be a side valley.
     others = [staged._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
-    fit = min((_fit(data, begin, names) for begin in (staged, *others)), key=_cost)
+    fit = _fit(data, (staged, *others), names)
     return TyreFit(_plain(_with(staged, names, fit.values)), names, fit, staged, levels, level, flipped)
 
 
@@ -149,12 +149,9 @@ def _nominal(data: FlatPlank, base: MagicFormula) -> MagicFormula:
     start_stiffness = slope / abs(float(magic_formula_stiffness(level, at_one)))
     friction = float(np.abs(data.force).max()) / level
     names = (*NOMINAL, "p_ky1", SHIFT)
-    fits = []
-    for shape, curvature in STARTS:
-        start = base._replace(p_cy1=shape, p_dy1=friction, p_ey1=curvature, p_ky1=start_stiffness)
-        fits.append(_fit(data, start, names))
-    best = min(fits, key=_cost)
-    return _plain(_with(base, names, best.values))
+    starts = [base._replace(p_cy1=shape, p_dy1=friction, p_ey1=curvature, p_ky1=start_stiffness)
+              for shape, curvature in STARTS]
+    return _plain(_with(base, names, _fit(data, starts, names).values))
 
 
 def _load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
@@ -172,17 +169,13 @@ def _load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) 
     def residuals(values: np.ndarray) -> np.ndarray:
         return force(data.load, data.slip, tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
 
-    return _plain(tyre(fit_curve(residuals, [start[k] for k in free], low, high).values))
+    return _plain(tyre(fit_curve(residuals, [[start[k] for k in free]], low, high).values))
 
 
-def _fit(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> CurveFit:
+def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) -> CurveFit:
     low, high = _bounds(names)
-    first = [0.0 if name == SHIFT else getattr(start, name) for name in names]
-    return fit_curve(_residuals(data, start, names), first, low, high)
-
-
-def _cost(fit: CurveFit) -> float:
-    return float(fit.residuals @ fit.residuals)
+    first = [[0.0 if name == SHIFT else getattr(start, name) for name in names] for start in starts]
+    return fit_curve(_residuals(data, starts[0], names), first, low, high)
 
 
 def _residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]):
