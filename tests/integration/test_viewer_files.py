@@ -17,6 +17,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 import rclpy
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_processes import Processes
+from st_offline.documentation.topics import MODELS, TOPICS
 from st_predictor.palette import MODEL_COLOUR, rgb
 from support import ROOT
 
@@ -44,7 +45,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tu
                        f"canedge_bridge:channel:=239.74.163.{1 + port % 250}", arguments=arguments)
         for name in ("predictor", "evaluator", "markers"):
             processes.node("st_predictor", name, arguments=arguments)
-        wanted = {"/ins/odometry", "/vehicle/steering", "/predictor/status", "/evaluator/summary", "/view/markers"}
+        wanted = table_of_topics().keys()
         end = time.monotonic() + 60
         while not wanted <= {t for t, _ in node.get_topic_names_and_types() if node.count_publishers(t)}:
             assert time.monotonic() < end, node.get_topic_names_and_types()
@@ -62,6 +63,13 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tu
         processes.close()
 
 
+def table_of_topics() -> dict[str, str]:
+    """Type by name, with the settings of config/nodes.yaml: no raw frames, markers also for a fourth model."""
+    table = {t.replace("<model>", model): kind for t, kind, *_ in TOPICS for model in MODELS}
+    return {t: kind for t, kind in table.items() if t != "/can/frames"} | {
+        "/view/augmented/error": table["/view/linear/error"]}
+
+
 def existing(topic: str) -> str:
     """augmented is published only with a model file, exactly as the others."""
     return topic.replace("/augmented/", "/linear/")
@@ -76,6 +84,12 @@ def is_number(type_name: str, path: list[str]) -> bool:
             return False
         type_name = fields[name]
     return type_name in NUMBERS
+
+
+def test_the_table_of_topics_in_the_reference_is_what_the_nodes_publish(published) -> None:
+    ours = {t: kind for t, (kind, _) in published.items()
+            if not t.startswith(("/rosout", "/parameter_events")) and not t.endswith("/transition_event")}
+    assert ours == table_of_topics()
 
 
 def test_rviz_draws_topics_that_are_there_with_a_quality_they_offer(published) -> None:

@@ -25,7 +25,17 @@ def view(heard: Heard, elapsed: float, duration: float | None, title: str) -> Re
         )
     else:
         line.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
-    return Group(line, error_table(heard), ticks(heard), health(heard))
+    return Group(line, motion(heard), error_table(heard), ticks(heard), health(heard))
+
+
+def motion(heard: Heard) -> Text:
+    """What the car does, as the newest prediction found it."""
+    p = heard.prediction
+    if p is None or not len(p.velocity_x):
+        return Text("no prediction yet", style="dim")
+    side = "left" if p.road_wheel_angle > 0 else "right"
+    return Text(f"{p.velocity_x[0]:.1f} m/s, wheels {abs(math.degrees(p.road_wheel_angle)):.1f} deg {side}, "
+                f"v_x r {p.velocity_x[0] * p.yaw_rate[0]:+.1f} m/s², {p.model} took {p.compute_time * 1e3:.1f} ms")
 
 
 def error_table(heard: Heard) -> RenderableType:

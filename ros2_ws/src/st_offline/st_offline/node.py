@@ -4,14 +4,19 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from st_msgs.msg import ErrorSummary, PredictorStatus
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from st_msgs.msg import ErrorSummary, Prediction, PredictorStatus
+from st_ros.polling import PolledSubscription
 
+from .style import MODEL_COLOUR
+
+LOOK_PERIOD = 0.25  # s between looks for a newest prediction
 FORGET_AFTER = 5.0  # s without hearing of a diagnostic before it is shown as silent
 STALE = 3
 
@@ -34,6 +39,7 @@ class Heard:
     summary: ErrorSummary | None = None
     ticks: PredictorStatus | None = None
     health: dict[str, Status] = field(default_factory=dict)
+    prediction: Prediction | None = None  # a newest one, of any model
 
 
 class Monitor:
@@ -50,6 +56,12 @@ class Monitor:
         self._node.create_subscription(ErrorSummary, "evaluator/summary", self._on_summary, 10)
         self._node.create_subscription(PredictorStatus, "predictor/status", self._on_ticks, 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._predictions = [
+            PolledSubscription(self._node, Prediction, f"predictor/{model}/prediction", newest)
+            for model in MODEL_COLOUR
+        ]
+        self._node.create_timer(LOOK_PERIOD, self._look)
         self._health = self._node.create_publisher(DiagnosticArray, "/diagnostics_agg", 10)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -115,11 +127,17 @@ class Monitor:
 
     def _on_summary(self, message: ErrorSummary) -> None:
         with self._taking:
-            self.heard = Heard(message, self.heard.ticks, self.heard.health)
+            self.heard = replace(self.heard, summary=message)
 
     def _on_ticks(self, message: PredictorStatus) -> None:
         with self._taking:
-            self.heard = Heard(self.heard.summary, message, self.heard.health)
+            self.heard = replace(self.heard, ticks=message)
+
+    def _look(self) -> None:
+        for subscription in self._predictions:
+            for message, _, _ in subscription.take():
+                with self._taking:
+                    self.heard = replace(self.heard, prediction=message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
@@ -127,4 +145,4 @@ class Monitor:
 
     def _take(self, news: dict[str, Status]) -> None:
         with self._taking:  # from its own thread and from the caller's
-            self.heard = Heard(self.heard.summary, self.heard.ticks, {**self.heard.health, **news})
+            self.heard = replace(self.heard, health={**self.heard.health, **news})

@@ -1,5 +1,6 @@
 """What st demo and st live refuse before anything starts, and how their terminal view reads."""
 
+import math
 import socket
 import time
 from pathlib import Path
@@ -12,7 +13,7 @@ from typer.testing import CliRunner
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rich.console import Console
-from st_msgs.msg import ErrorStatistics, ErrorSummary, PredictorStatus
+from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
 from st_offline import live_view
 from st_offline.node import Heard, Status
 from st_offline.suite import SuiteError, chosen_domain_id, claimed_domain, merge
@@ -115,7 +116,7 @@ def test_a_parameter_file_that_contradicts_itself_is_refused(tmp_path: Path, tex
 
 def test_every_node_has_one_section_in_the_parameter_file() -> None:
     assert merge(ROOT / "config" / "nodes.yaml", {}).keys() == {
-        "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder", "markers"}
+        "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder", "markers", "identifier"}
 
 
 def lines_of(heard: Heard) -> list[str]:
@@ -145,5 +146,14 @@ def test_what_is_wrong_stands_under_the_table_worst_first() -> None:
               Status("c: three", 0, "fine", now)]
     lines = lines_of(Heard(ErrorSummary(statistics=[ErrorStatistics(model="linear", mode="forecast")]), None,
                            {s.name: s for s in health}))
-    assert lines[1:5] == ["waiting for the first complete horizon", "predictor: not heard yet", "error: b: two: [bad]",
-                          "warning: a: one: not so good"]
+    assert lines[1:6] == ["no prediction yet", "waiting for the first complete horizon", "predictor: not heard yet",
+                          "error: b: two: [bad]", "warning: a: one: not so good"]
+
+
+def test_the_motion_line_says_which_way_the_wheels_point() -> None:
+    turning = Prediction(model="linear", velocity_x=[10.0, 9.0], yaw_rate=[0.2, 0.1],
+                         road_wheel_angle=math.radians(3.0), compute_time=0.002)
+    line = "10.0 m/s, wheels 3.0 deg left, v_x r +2.0 m/s², linear took 2.0 ms"
+    assert lines_of(Heard(prediction=turning))[1] == line
+    turning.road_wheel_angle, turning.yaw_rate = -0.1, [-0.2, 0.0]
+    assert "5.7 deg right, v_x r -2.0 m/s²" in lines_of(Heard(prediction=turning))[1]

@@ -43,9 +43,9 @@ EXHIBITS = (
     Exhibit("Two clocks brought together", "./st align {}/raw/run.ncom {}/raw/run.log --output {}/align",
             "align/alignment.png", "The same signals from INS and CAN, before and after; what remains is the tolerance "
             "of the offset."),
-    Exhibit("A drive evaluated at the desk", "./st evaluate {}/run/bag --output {}/evaluate", "evaluate/*/means.png",
-            "The error of every start over the drive, as in the paper; the folder also holds the page evaluation.html "
-            "with sortable tables."),
+    Exhibit("A drive evaluated at the desk", "./st evaluate {}/run/bag --output {}/evaluate",
+            "evaluate/**/horizon_means.png", "The error of every start over the drive, as in the paper; the folder "
+            "also holds the page evaluation.html with sortable tables."),
 )
 
 

@@ -21,7 +21,7 @@ from ._messages import message_class
 
 # What a viewer draws. Raw packets and frames stay on this machine.
 TOPICS = ("/ins/odometry", "/ins/status", "/vehicle/*", "/predictor/*", "/evaluator/*", "/view/*", "/tf",
-          "/tf_static", "/diagnostics", "/health")
+          "/tf_static", "/diagnostics", "/diagnostics_agg")
 DEPTH = 100
 PERIOD = 0.02  # s between emptying the queues
 LOOK_PERIOD = 0.5  # s between looking for new topics

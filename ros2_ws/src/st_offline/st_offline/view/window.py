@@ -120,6 +120,11 @@ class Window:
         except KeyboardInterrupt:
             console.print()
 
+    @property
+    def pids(self) -> list[int]:
+        """Of its processes, those they started not counted."""
+        return [child.process.pid for child in self._processes.children] if self._processes else []
+
     def close(self) -> None:
         if self._processes is not None:
             self._processes.stop(timeout=STOP_TIMEOUT)

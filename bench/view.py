@@ -1,0 +1,108 @@
+"""Ticks and latency of the predictor with no view, with a view, and with a view that hangs (SIGSTOP), in turns."""
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import rclpy
+from _suite import running_suite
+from latency import MODELS, Listener, _evaluate
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rich.console import Console
+from st_offline.paths import config
+from st_offline.suite import Suite
+from st_offline.view.window import Window
+
+PHASES = ("no view", "view", "view that hangs")
+ROUNDS = 3
+SETTLE = 3.0  # s after a change, not counted
+SHARE = 0.1  # of the packets and predictions of a phase that must have been heard
+
+
+def run() -> dict:
+    """By phase: intervals between ticks and latency in ms; ST_BENCH_SECONDS of each phase in all, no browser."""
+    seconds = float(os.environ.get("ST_BENCH_SECONDS", "60"))
+    heard: dict[str, list[Listener]] = {phase: [] for phase in PHASES}
+    with running_suite(ROUNDS * len(PHASES) * (seconds / ROUNDS + SETTLE + 8.0) + 20.0) as suite:
+        rclpy.init()
+        for _ in range(ROUNDS):
+            for phase in PHASES:
+                with _view(suite, phase):
+                    time.sleep(SETTLE)
+                    heard[phase].append(_listen(seconds / ROUNDS))
+        rclpy.try_shutdown()
+    return {phase: _numbers(listeners, seconds) for phase, listeners in heard.items()}
+
+
+@contextlib.contextmanager
+def _view(suite: Suite, phase: str):
+    if phase == "no view":
+        yield
+        return
+    window = Window(page=True)
+    folder = Path(suite.folder, f"view-{time.monotonic_ns()}")
+    window.open(folder, int(os.environ["ROS_DOMAIN_ID"]), str(config("vehicle/leaf.yaml")), "map", "bench",
+                Console(quiet=True))
+    try:
+        time.sleep(SETTLE)
+        if phase == "view that hangs":
+            for process in _family(window.pids):
+                process.send_signal(signal.SIGSTOP)
+        yield
+    finally:
+        for process in _family(window.pids):
+            process.send_signal(signal.SIGCONT)
+        window.close()
+
+
+def _family(pids: list[int]) -> list[psutil.Process]:
+    found = [psutil.Process(pid) for pid in pids]
+    return found + [child for process in found for child in process.children(recursive=True)]
+
+
+def _listen(seconds: float) -> Listener:
+    node = Listener()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def spin() -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            executor.spin()
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    time.sleep(seconds)
+    executor.shutdown()
+    thread.join()
+    node.destroy_node()
+    return node
+
+
+def _numbers(listeners: list[Listener], seconds: float) -> dict:
+    intervals, published, packets, ticks = [], [], 0, 0
+    for node in listeners:
+        result = _evaluate(node)
+        packets, ticks = packets + result["packets_heard"], ticks + result["ticks_with_three_predictions"]
+        first = sorted({measured: out for measured, model, out, _ in node.predictions if model == MODELS[0]}.values())
+        intervals += list(np.diff(first) * 1e-6)
+        published.append(result["datagram_to_third_prediction_published_ms"])
+    if ticks < SHARE * 10.0 * seconds:
+        raise RuntimeError(f"only {ticks} ticks heard")
+    return {
+        "ticks": ticks, "packets": packets,
+        "interval_std_ms": float(np.std(intervals)),
+        "interval_p01_ms": float(np.percentile(intervals, 1)), "interval_p99_ms": float(np.percentile(intervals, 99)),
+        "latency_p50_ms": float(np.median([p["p50"] for p in published])),
+        "latency_p50_by_round_ms": " ".join(f"{p['p50']:.1f}" for p in published),
+        "latency_p99_ms": float(np.median([p["p99"] for p in published])),
+        "latency_p99_by_round_ms": " ".join(f"{p['p99']:.1f}" for p in published),
+    }
+
+
+if __name__ == "__main__":
+    print(run())
