@@ -1,6 +1,7 @@
 """Is there something, and which names are not worse than the best."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,8 +10,9 @@ from .quadratic import Quadratic
 from .space import Space
 from .study import Fit, Study
 
-TRIALS = 300
+TRIALS = 200
 STRUCTURE = 2.0  # gains of a healthy car on other roads than the reference, over those on resampled reference blocks
+TAIL = 2.0  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
 RELATIVE = 0.02  # of the gain, for what the library's equations are not the car's
 WORSE = 2.0  # standard deviations over blocks
@@ -25,42 +27,50 @@ def precision(spread: np.ndarray, free: np.ndarray) -> np.ndarray:
     return result
 
 
-def null_gains(q: Quadratic, floor: Floor, space: Space, names: Sequence[str], blocks: int,
-               rng: np.random.Generator) -> np.ndarray:
-    """(TRIALS,) the largest gain of any effect on `blocks` blocks of healthy driving, drawn again and again, by a car
-    that is off the floor as healthy cars are."""
-    weights = [precision(floor.spread, np.array([], int))]
-    weights += [precision(floor.spread, space.indices(n)) for n in names]
-    weights = np.stack(weights)
-    gradient = (q.gradient - q.gradient.mean(axis=0)) / floor.inflation
-    hessian = q.hessian / floor.inflation
-    root = np.linalg.cholesky(floor.spread + 1e-12 * np.eye(len(space)))
-    result = np.empty(TRIALS)
-    for k in range(TRIALS):
-        drawn = rng.integers(0, len(gradient), blocks)
-        h = hessian[drawn].sum(axis=0)
-        g = gradient[drawn].sum(axis=0) + h @ (root @ rng.standard_normal(len(space)))
+@dataclass(frozen=True)
+class Null:
+    """What healthy data gain: half of them more than `middle`; above it the share falls off as exp(-gain / fall)."""
+
+    middle: float
+    fall: float = STRUCTURE * TAIL
+
+    def probability(self, gain: float) -> float:
+        """That healthy data gain as much."""
+        return float(0.5 * np.exp(min(-(gain - self.middle) / self.fall, np.log(2.0))))
+
+    def threshold(self, false_alarm: float) -> float:
+        """The gain at which `probability` is false_alarm."""
+        return self.middle + self.fall * float(np.log(0.5 / false_alarm))
+
+
+def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, names: Sequence[str], blocks: int,
+            rng: np.random.Generator) -> Null:
+    """The largest gain of any effect on healthy drives.
+
+    From `blocks` blocks of them drawn again and again, and by a car that is off the floor as healthy cars are; and from
+    each whole run held against the rest: n runs that differ among each other by a variance t differ from their mean by
+    t (1 - 1/n), a new one by t (1 + 1/n).
+    """
+    weights = np.stack([precision(floor.spread, space.indices(*group)) for group in ((), *((n,) for n in names))])
+    scale = floor.inflation
+
+    def gain(g: np.ndarray, h: np.ndarray) -> float:
         explained = np.linalg.solve(h + weights, np.broadcast_to(g, (len(weights), len(g)))[..., None])[..., 0] @ g
-        result[k] = (explained[1:] - explained[0]).max()
-    return result
+        return float((explained[1:] - explained[0]).max())
 
-
-def probability(gain: float, null: np.ndarray) -> float:
-    """That healthy data gain as much: counted where there are counts, an exponential tail beyond."""
-    scaled = np.sort(STRUCTURE * null)
-    if gain < scaled[-len(scaled) // 20]:
-        return float((1 + (scaled >= gain).sum()) / (len(scaled) + 1))
-    edge = scaled[-len(scaled) // 20]
-    beyond = float(np.mean(scaled[scaled >= edge] - edge)) + 1e-9
-    return float(0.05 * np.exp(-(gain - edge) / beyond))
-
-
-def threshold(null: np.ndarray, false_alarm: float) -> float:
-    """The gain at which `probability` is false_alarm."""
-    scaled = np.sort(STRUCTURE * null)
-    edge = scaled[-len(scaled) // 20]
-    beyond = float(np.mean(scaled[scaled >= edge] - edge)) + 1e-9
-    return float(edge + beyond * max(np.log(0.05 / false_alarm), 0.0))
+    gradient, hessian = (q.gradient - q.gradient.mean(axis=0)) / scale, q.hessian / scale
+    root = np.linalg.cholesky(floor.spread + 1e-12 * np.eye(len(space)))
+    drawn = []
+    for _ in range(TRIALS):
+        some = rng.integers(0, len(gradient), blocks)
+        h = hessian[some].sum(axis=0)
+        drawn.append(gain(gradient[some].sum(axis=0) + h @ (root @ rng.standard_normal(len(space))), h))
+    middle = STRUCTURE * float(np.median(drawn))
+    runs = np.unique(run) if run is not None else np.array([], int)
+    if len(runs) > 1:
+        apart = [gain(gradient[run == r].sum(axis=0), hessian[run == r].sum(axis=0)) for r in runs]
+        middle = max(middle, float(np.median(apart)) * (len(runs) + 1) / (len(runs) - 1))
+    return Null(middle)
 
 
 def behind(fit: Fit, best: Fit, study: Study) -> tuple[float, float]:

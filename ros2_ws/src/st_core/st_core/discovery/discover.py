@@ -10,7 +10,7 @@ from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
 from . import choice, gap, manoeuvres, several, testable
-from .floor import Floor, assumed, learn
+from .floor import ROUNDS, Floor, assumed, learn, suspicions
 from .result import Candidate, Discovery, FittedParameter, FoundEffect, Separability, WhereStatement
 from .settings import DiscoverySettings
 from .space import Space
@@ -40,7 +40,28 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
     settings that do not fit the base. Checked by: test_discovery*.py.
     """
     settings = settings or DiscoverySettings()
-    return _Work(list(runs), vehicle, base, list(reference), settings, progress).result()
+    reference = list(reference)
+    found = _Work(list(runs), vehicle, base, reference, settings, progress).result()
+    if found.outcome != "unknown" or not reference:
+        return found
+    return _in_part(found, list(runs), vehicle, base, reference, settings, progress) or found
+
+
+def _in_part(found: Discovery, runs, vehicle, base, reference, settings, progress) -> Discovery | None:
+    """What the later or the earlier halves of the runs say alone, where the whole is explained by nothing: an effect
+    may have come or gone on the way."""
+    least = 1_000_000_000 * (2.0 * settings.horizon + 4.0)
+    if any(run.end_ns - run.start_ns < 2 * least for run in runs):
+        return None
+    for words, begin, end in (("later", 0.55, 1.0), ("earlier", 0.0, 0.35)):
+        parts = [run.slice(*(run.start_ns + round(share * (run.end_ns - run.start_ns)) for share in (begin, end)))
+                 for run in runs]
+        part = _Work(parts, vehicle, base, reference, replace(settings, where=False), progress).result()
+        if part.outcome in ("named", "ambiguous"):
+            said = (f"{part.effects[0].name} is there in the {words} part of the runs only; values and gap are those of "
+                    f"{begin:.0%} to {end:.0%} of each run")
+            return replace(part, where=found.where, warnings=(*part.warnings, said), p=found.p)
+    return None
 
 
 class _Work:
@@ -61,33 +82,45 @@ class _Work:
         self.floor = floor
         parts = gap.split(self.runs, self.settings)
         windows = Windows(parts.used, self.vehicle, settings)
+        if not len(windows):
+            raise StCoreError("no stretch of the runs is fast enough to be predicted")
         study = self.study = Study(windows, space, floor, gap.folds(windows), tick=self._tick("hypotheses", len(space)))
+        known = float(np.isfinite(study.rows).all(axis=1).mean())
+        if known < 0.5:
+            raise StCoreError(f"the base model gives no finite prediction for {1.0 - known:.0%} of the windows; it "
+                              "diverges or inputs are missing: check base and vehicle file")
         blocks = int(windows.block.max()) + 1
         if blocks < LEAST_BLOCKS:
             self.warnings.append(f"only {blocks} blocks of {settings.block:g} s: little can be said")
-        null = null_of(blocks, study)
-        limit = choice.threshold(null, settings.false_alarm)
+        null = self.null = null_of(blocks, study)
+        limit = null.threshold(settings.false_alarm)
         untestable = testable.not_testable(study)
         names = space.hypotheses
-        linear = {n: study.base.cost - study.linear((n,))[1] for n in names}
+        about = study.linear(())[1]
+        linear = {n: about - study.linear((n,))[1] for n in names}
         tried = sorted(names, key=linear.get, reverse=True)[:TRIED]
-        fits = {}
+        fits = self.fits = {}
         for i, name in enumerate(tried):
             fits[name] = study.fit((name,))
             self._say("fits", i + 1, len(tried))
+            if i >= 2 and linear[name] < 0.1 * (study.base.cost - min(f.cost for f in fits.values())):
+                break
         best = min(fits.values(), key=lambda fit: fit.cost)
         gain = study.base.cost - best.cost
-        p = choice.probability(gain, null)
+        p = null.probability(gain)
+        study.rate(fits.values())
         found: list[Fit] = []
         unknown, signature = False, ()
         if gain > limit:
             found, level = several.search(study, fits, limit, settings.maximum_effects)
-            unknown = several.unexplained(study, found[0], level)
+            unknown = several.unexplained(study, found[0], level) or not study.credible(found[0])
         elif several.excess(study, study.base) > several.UNKNOWN_ALONE:
             unknown = True
         answer = found[0] if found else study.base
         rivals = several.rivals(study, answer, fits, gain) if found and not unknown else {}
         outcome = self._outcome(answer, rivals, unknown, untestable, names)
+        stated = {*answer.names, *(n for others in rivals.values() for _, n in others)} if not unknown else set()
+        untestable = tuple(n for n in untestable if n.name not in stated)
         model, vector = None, floor.vector
         if answer.names and not unknown:
             vector = several.alone(study, answer)
@@ -135,22 +168,28 @@ class _Work:
                                  "car may differ from it widens every answer")
             windows = Windows(self.runs, self.vehicle, settings)
             floor = assumed(windows, space, tick=self._tick("floor", len(space)))
-            return floor, lambda blocks, study: choice.null_gains(study.quadratic, floor, space, space.hypotheses,
-                                                                  blocks, self.rng)
-        key = (tuple(id(r) for r in self.reference), self.vehicle.hash, space.key, settings)
+            return floor, lambda blocks, study: choice.null_of(study.quadratic, None, floor, space, space.hypotheses,
+                                                               blocks, self.rng)
+        told = replace(settings, seed=0, effects=None, where=True, maximum_effects=1, false_alarm=0.01,
+                       confidence=0.95, resamples=1000)
+        key = (tuple(id(r) for r in self.reference), self.vehicle.hash, space.key, str(told))
         if key not in _floors:
             windows = Windows(self.reference, self.vehicle, settings)
-            floor = learn(windows, space, settings.drift, tick=self._tick("floor", 5 * len(space)))
+            if not len(windows):
+                raise StCoreError("no reference drive has a stretch that is fast enough to be predicted")
+            floor = learn(windows, space, settings.drift, tick=self._tick("floor", ROUNDS * len(space)))
             while len(_floors) >= KEPT:
                 _floors.pop(next(iter(_floors)))
             _floors[key] = (tuple(self.reference), floor, {})
         _, floor, kept = _floors[key]
+        self.warnings += suspicions(floor, space)
 
         def null_of(blocks, study):
-            if blocks not in kept:
-                kept[blocks] = choice.null_gains(floor.quadratic, floor, space, space.hypotheses, blocks,
-                                                 np.random.default_rng(settings.seed))
-            return kept[blocks]
+            case = blocks, space.hypotheses
+            if case not in kept:
+                kept[case] = choice.null_of(floor.quadratic, floor.run, floor, space, space.hypotheses, blocks,
+                                            np.random.default_rng(settings.seed))
+            return kept[case]
         return floor, null_of
 
     # What is said
@@ -200,7 +239,7 @@ class _Work:
                        else "not testable" if name in blind else "explains less" if answer.names
                        else "no more than on healthy drives")
             share = gain / max(study.base.cost, 1e-9)
-            rows.append(Candidate(name, values, float(share), choice.probability(gain, null), verdict))
+            rows.append(Candidate(name, values, float(share), null.probability(gain), verdict))
         return tuple(rows)
 
     def _where(self, floor: Floor) -> tuple[WhereStatement, ...]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .quadratic import Quadratic, Whitening, by_condition, costs, jacobian, quadratic, row_errors, whitened, whitening
-from .space import LIFTED, Space
+from .space import ALWAYS, LIFTED, Space
 from .windows import CHANNEL_OF, Windows
 
 # What the errors of a car nobody measured may be: at once and per second of horizon. SI.
@@ -17,14 +17,16 @@ LEAST = {"velocity_y": 0.003, "yaw_rate": 0.0008, "acceleration_y": 0.02, "yaw":
 HARDNESS = np.array([1.0, 1.0, 1.5, 2.5, 4.0, 1.5, 1.5, 2.0, 3.0, 5.0])  # how much larger in each kind of driving
 HEALTHY = 1.0  # usual sizes of each effect a car may have before anything is wrong with it, with a reference to say so
 UNKNOWN = 0.35  # the same without a reference
-ROUNDS = 5
+SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.1}  # usual sizes: 1.5 m/s of wind, 2 mrad
+DOUBTFUL = 4.0  # usual sizes
+ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Floor:
     """vector: values of the healthy base. spread: (p, p) covariance of what healthy suspect drives may deviate from
     it, in usual sizes. inflation: cost per independent piece of data; windows overlap and errors last. quadratic: of
-    the reference drives, None without one. level: cost per window of their blocks. size: by channel at the end of the
+    the reference drives, and run of each of its blocks; None without one. level: cost per window of their blocks. size: by channel at the end of the
     horizon [SI]."""
 
     vector: np.ndarray
@@ -32,6 +34,7 @@ class Floor:
     spread: np.ndarray
     inflation: float
     quadratic: Quadratic | None
+    run: np.ndarray | None
     level: np.ndarray
     size: Mapping[str, float]
 
@@ -56,7 +59,16 @@ def prior(space: Space, spread: float) -> np.ndarray:
     """(p,) standard deviations of a healthy car about the vehicle file, in usual sizes."""
     result = np.full(len(space), spread)
     result[space.indices(*LIFTED)] = 1e-6
+    result[space.indices(*ALWAYS)] = 0.1 * spread
     result[-1] = 1.0
+    return result
+
+
+def drifts(space: Space, drift: float) -> np.ndarray:
+    """(p,) what a healthy car and its surroundings change from one day to the next, in usual sizes."""
+    result = np.full(len(space), drift)
+    for name, share in SURROUNDINGS.items():
+        result[space.indices(name)] = np.maximum(drift, share)
     return result
 
 
@@ -105,8 +117,9 @@ def learn(windows: Windows, space: Space, drift: float, tick=None) -> Floor:
     q = quadratic(rows, slopes, windows, how)
     inflation = max(float(np.median(inflation_of(q))), 1.0)
     posterior = np.linalg.inv(q.hessian.sum(0) / inflation + np.diag(1.0 / deviation**2))
-    spread = posterior + np.diag(np.full(len(space), drift**2))
-    return Floor(x, how, spread, inflation, q, q.cost / np.maximum(q.windows, 1), _sizes(windows, rows))
+    spread = posterior + np.diag(drifts(space, drift)**2)
+    run = windows.run[np.unique(windows.block, return_index=True)[1]]
+    return Floor(x, how, spread, inflation, q, run, q.cost / np.maximum(q.windows, 1), _sizes(windows, rows))
 
 
 def assumed(windows: Windows, space: Space, tick=None) -> Floor:
@@ -126,8 +139,15 @@ def assumed(windows: Windows, space: Space, tick=None) -> Floor:
     how = whitening(rows, windows.condition, usual(windows) * 0.3, windows.scored)
     q = quadratic(rows, jacobian(windows, space, x, rows, tick=tick), windows, how)
     inflation = max(float(np.median(inflation_of(q))), 2.0)
-    return Floor(start, how, np.diag(deviation**2), inflation, None, q.cost / np.maximum(q.windows, 1),
+    return Floor(start, how, np.diag(deviation**2), inflation, None, None, q.cost / np.maximum(q.windows, 1),
                  _sizes(windows, rows))
+
+
+def suspicions(floor: Floor, space: Space) -> list[str]:
+    """What makes one doubt that the reference is that of a healthy car."""
+    away = (floor.vector - space.healthy)[:-1] / space.scale[:-1]
+    return [f"reference: {f.effect} {f.parameter} {v:.4g} {f.unit} is far from that of the vehicle file; is it healthy?"
+            for f, v, d in zip(space.free, floor.vector[:-1], away, strict=True) if abs(d) > DOUBTFUL]
 
 
 def _search(windows, space, x, step, rows, how, inflation, start, deviation):

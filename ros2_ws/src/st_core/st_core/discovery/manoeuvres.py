@@ -10,13 +10,14 @@ import numpy as np
 from ..augmented import AugmentedModel
 from ..log import DriveLog
 from ..prediction import predict
+from ..readings import corrected_steering, readings
 from ..types import InputSequence, VehicleState
 from ..vehicle import VehicleParameters
 from .choice import precision
 from .quadratic import jacobian, quadratic, row_errors
 from .result import FoundEffect, NextManoeuvre
 from .study import Fit, Study
-from .windows import STEP, Windows
+from .windows import STEP, MotionOnly, Windows, added_acceleration
 
 PERIOD = STEP / 2  # s, of the simulated log
 MOST_LATERAL = 9.0  # m/s^2
@@ -72,22 +73,22 @@ CATALOGUE = (
 
 
 def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
-    """What faultless sensors at the CG of the vehicle file would record if the car were the model."""
+    """What sensors without noise would record if the car were the model."""
     steps = round(manoeuvre.duration / PERIOD)
     times = 0.5 * PERIOD * np.arange(2 * steps + 1)
     angle = np.array([manoeuvre.steering(t) for t in times])
     forward = np.array([manoeuvre.forward(t) for t in times])
     start = VehicleState(0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0)
-    path = predict(model, vehicle, start, InputSequence(angle, forward), steps * PERIOD, PERIOD)
-    car = model.effective_vehicle(vehicle)
-    dx, dy = car.cg_to_ins_x, car.cg_to_ins_y
-    cosine, sine = np.cos(path.yaw), np.sin(path.yaw)
-    time_ns = np.round(path.time * 1e9).astype(np.int64)
-    velocity_y = path.velocity_y + path.yaw_rate * dx
-    a_y = np.gradient(velocity_y, PERIOD) + path.velocity_x * path.yaw_rate
-    return DriveLog(manoeuvre.name, time_ns, path.x + cosine * dx - sine * dy, path.y + sine * dx + cosine * dy,
-                    path.yaw, path.velocity_x - path.yaw_rate * dy, velocity_y, path.yaw_rate, time_ns, angle[::2].copy(),
-                    acceleration_x=0.0 * a_y, acceleration_y=a_y)
+    times_ns = np.round(times * 1e9).astype(np.int64)
+    wheels = np.interp(times_ns, *corrected_steering(model, times_ns, angle, 0.1))
+    path = predict(model, vehicle, start, InputSequence(wheels, forward), steps * PERIOD, PERIOD)
+    true = readings(MotionOnly(model), vehicle, tuple(path.states.T))
+    a_y = np.gradient(true.velocity_y, PERIOD) + true.velocity_x * true.yaw_rate
+    felt = added_acceleration(model, vehicle, tuple(path.states.T), wheels[::2], forward[::2])
+    seen = model.observe(true._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + felt))
+    return DriveLog(manoeuvre.name, times_ns[::2].copy(), seen.x, seen.y, seen.yaw, seen.velocity_x, seen.velocity_y,
+                    seen.yaw_rate, times_ns[::2].copy(), angle[::2].copy(), acceleration_x=seen.acceleration_x,
+                    acceleration_y=seen.acceleration_y)
 
 
 def following(study: Study, effects: Sequence[FoundEffect], fits: Mapping[str, Fit]) -> NextManoeuvre | None:

@@ -17,20 +17,23 @@ EXPLAINED = 0.8  # share of the excess an explanation takes away in any case
 
 
 def excess(study: Study, fit: Fit) -> float:
-    """Cost of a typical block over that of a typical block of healthy driving [1]."""
+    """Cost of a typical window over that of a typical window of healthy driving [1]; what it costs to move a healthy
+    car's values so far is shared out."""
     q = fit.quadratic
-    return float(np.median(q.cost / np.maximum(q.windows, 1)) / np.median(study.floor.level))
+    moved = max(fit.cost * study.floor.inflation - float(q.cost.sum()), 0.0) / max(int(q.windows.sum()), 1)
+    return float((np.median(q.cost / np.maximum(q.windows, 1)) + moved) / np.median(study.floor.level))
 
 
 def search(study: Study, fits: Mapping[str, Fit], limit: float, most: int) -> tuple[list[Fit], float]:
     """([the answer, the fits it beat ...], excess it leaves). limit: the gain another effect must bring."""
     base = study.base.cost
-    answer = min(fits.values(), key=lambda fit: fit.cost)
+    credible = [fit for fit in fits.values() if study.credible(fit)]
+    answer = min(credible or fits.values(), key=lambda fit: fit.cost)
     while len(answer.names) < most:
         gain = base - answer.cost
         need = max(limit, SHARE * gain)
         better = _joined(study, answer, fits, need)
-        if better is None or answer.cost - better.cost < need:
+        if better is None or answer.cost - better.cost < need or not study.credible(better):
             break
         answer = _without_idle(study, better, need)
         if len(answer.names) == 1:
@@ -71,7 +74,7 @@ def rivals(study: Study, answer: Fit, fits: Mapping[str, Fit], gain: float) -> d
     result = {}
     for name in answer.names:
         rest = tuple(n for n in answer.names if n != name)
-        alone = {n: f for n, f in fits.items() if n != name}
+        alone = {n: f for n, f in fits.items() if n != name and study.credible(f)}
         swapped = _swapped(study, answer, name, rest, fits) if rest else alone
         names = choice.not_worse(swapped, answer, gain, study)
         result[name] = [(choice.behind(swapped[n], answer, study)[0], n) for n in names]

@@ -48,7 +48,7 @@ class Space:
             if name in takes_part and name not in values:
                 values[name] = given
         self.model = everything.with_values(values)
-        self.free = tuple(Free(e, p.name, p.unit, p.null, abs(p.initial - p.null), p.bounds,
+        self.free = tuple(Free(e, p.name, p.unit, p.null, usual_size(e, p.unit), p.bounds,
                                1.0 if p.initial > p.null else -1.0) for e, p in self.model.free)
         self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
         self.scale = np.array([f.usual for f in self.free] + [GAIN_SPREAD])
@@ -61,7 +61,7 @@ class Space:
     @property
     def key(self) -> tuple:
         """The same for two spaces of the same numbers."""
-        return self.model.base.name, self.effect_of.tobytes(), self.start.tobytes(), self.hypotheses
+        return self.model.base.name, tuple(self.effect_of), self.start.tobytes()
 
     def __len__(self) -> int:
         return len(self.scale)
@@ -76,6 +76,11 @@ class Space:
     def indices(self, *names: str) -> np.ndarray:
         """Where the parameters of effects are in the vector."""
         return np.flatnonzero(np.isin(self.effect_of, names))
+
+
+def usual_size(effect: str, unit: str) -> float:
+    """The largest |initial - null| of the effect's parameters of a unit: wind comes from any side."""
+    return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
 def _chosen(takes_part: Sequence[str], wanted: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:

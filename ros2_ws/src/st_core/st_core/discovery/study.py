@@ -12,6 +12,7 @@ from .space import Space
 from .windows import Windows
 
 ITERATIONS = 3
+ALONE = 0.5  # share of a gain that must not need a healthy car's values to move as well
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,7 @@ class Study:
     def __init__(self, windows: Windows, space: Space, floor: Floor, folds: np.ndarray, tick=None):
         self.windows, self.space, self.floor, self.folds, self._tick = windows, space, floor, folds, tick
         self.settings = windows.settings
+        self._alone: dict[tuple[str, ...], float] = {}
         self.rows = row_errors(windows, space, floor.vector)
         self.slopes = jacobian(windows, space, floor.vector, self.rows, tick=tick)
         self.quadratic = quadratic(self.rows, self.slopes, windows, floor.how)
@@ -58,6 +60,20 @@ class Study:
         weight = self.precision(self.space.indices(*names))
         d = self.solve(self.quadratic, weight, np.zeros(len(self.space)))
         return d, float(self.quadratic.at(d).sum() / self.floor.inflation + d @ weight @ d)
+
+    def rate(self, fits: Iterable[Fit]) -> None:
+        """Remember how much of what a fit gains its effects gain alone, all else as in the healthy car."""
+        for fit in fits:
+            if fit.names not in self._alone:
+                rows = row_errors(self.windows, self.space, self.only(fit, self.space.indices(*fit.names)))
+                each, _ = costs(whitened(rows, self.windows.condition, self.floor.how), self.windows)
+                gained = float(self.quadratic.cost.sum() - fit.quadratic.cost.sum())
+                self._alone[fit.names] = float(self.quadratic.cost.sum() - each.sum()) / max(gained, 1e-9)
+
+    def credible(self, fit: Fit) -> bool:
+        """Whether the effects of a fit do most of the work themselves."""
+        self.rate([fit])
+        return self._alone[fit.names] >= ALONE
 
     @cached_property
     def base(self) -> Fit:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..effects import get_effect
+from .quadratic import Quadratic
 from .result import NotTestable
 from .study import Fit, Study
 
@@ -17,33 +18,50 @@ ALREADY_GIVEN = {
 }
 
 
-def deviations(study: Study, fit: Fit) -> np.ndarray:
-    """(p,) standard deviations of all parameters in usual sizes; gradients that scatter more than the inflation says
-    count as much as they do."""
-    scale = study.floor.inflation
-    free = study.space.indices(*fit.names)
+def change_of(spread: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(f, p) and (f,): what a deviation says of the change of each freed parameter, and the variance that is left.
+
+    A healthy car is off the floor by e, spread S; the suspect one by e + change. Of e in the freed parameters the rest
+    tells S_fr S_rr^-1 times its deviation: change = d_f - S_fr S_rr^-1 d_r.
+    """
+    rest = np.setdiff1d(np.arange(len(spread)), free)
+    told = np.linalg.solve(spread[np.ix_(rest, rest)], spread[np.ix_(rest, free)]).T
+    row = np.zeros((len(free), len(spread)))
+    row[np.arange(len(free)), free] = 1.0
+    row[:, rest] = -told
+    return row, np.diag(spread[np.ix_(free, free)] - told @ spread[np.ix_(rest, free)])
+
+
+def deviations(study: Study, quadratic: Quadratic, names: tuple[str, ...], scattered: bool = True) -> np.ndarray:
+    """Standard deviations of the changes of the freed parameters, in usual sizes and in the order of their indices.
+
+    scattered: gradients that scatter more from block to block than the inflation says count as much as they do.
+    """
+    free = study.space.indices(*names)
     weight = study.precision(free)
-    h = fit.quadratic.hessian.sum(0) / scale
-    inverse = np.linalg.inv(h + weight)
-    g = (fit.quadratic.gradient - fit.quadratic.gradient.mean(0)) / scale
-    scattered = inverse @ (g.T @ g + weight) @ inverse
-    return np.sqrt(np.maximum(np.diag(scattered), np.diag(inverse)))
+    inverse = np.linalg.inv(quadratic.hessian.sum(0) / study.floor.inflation + weight)
+    row, left = change_of(study.floor.spread, free)
+    variance = np.einsum("fi,ij,fj->f", row, inverse, row)
+    if scattered:
+        g = (quadratic.gradient - quadratic.gradient.mean(0)) / study.floor.inflation
+        spread = row @ inverse
+        variance = np.maximum(variance, np.einsum("fi,ij,fj->f", spread, g.T @ g + weight, spread))
+    return np.sqrt(variance + np.maximum(left, 0.0))
 
 
 def deviation(study: Study, fit: Fit, index: int, change: float) -> float:
     """Standard deviation of one parameter [SI], structure bias included."""
-    statistical = deviations(study, fit)[index] * study.space.scale[index]
+    free = study.space.indices(*fit.names)
+    of_all = deviations(study, fit.quadratic, fit.names)
+    statistical = of_all[int(np.flatnonzero(free == index)[0])] * study.space.scale[index]
     return float(np.hypot(statistical, BIAS * change))
 
 
 def not_testable(study: Study) -> tuple[NotTestable, ...]:
     """Effects whose usual size these data would not show, and those no data of this kind show."""
     result = []
-    base = study.quadratic.hessian.sum(0) / study.floor.inflation
     for name in study.space.hypotheses:
-        free = study.space.indices(name)
-        inverse = np.linalg.inv(base + study.precision(free))
-        strength = max(1.0 / np.sqrt(inverse[i, i]) for i in free)
+        strength = float((1.0 / deviations(study, study.quadratic, (name,), scattered=False)).max())
         if strength < VISIBLE:
             effect = get_effect(name)
             result.append(NotTestable(name, f"a usual size of it would stand out by {strength:.1f} standard deviations "

@@ -189,8 +189,8 @@ class Windows:
         states = self._batch.predict(model, self.vehicle).states
         before, here, after = (states[:, i] for i in self._around)
         with np.errstate(all="ignore"):
-            true = readings(_MotionOnly(model), self.vehicle, tuple(np.moveaxis(here, -1, 0)))
-            ends = [readings(_MotionOnly(model), self.vehicle, tuple(np.moveaxis(s, -1, 0))) for s in (before, after)]
+            true = readings(MotionOnly(model), self.vehicle, tuple(np.moveaxis(here, -1, 0)))
+            ends = [readings(MotionOnly(model), self.vehicle, tuple(np.moveaxis(s, -1, 0))) for s in (before, after)]
             turning = [e.velocity_x * e.yaw_rate for e in (ends[0], true, ends[1])]
             a_y = (ends[1].velocity_y - ends[0].velocity_y) / (2 * STEP) + (
                 turning[0] + 4.0 * turning[1] + turning[2]) / 6.0
@@ -203,10 +203,20 @@ class Windows:
         if not any(e.felt for e in active(model)):
             return 0.0
         signals = self._batch.signals.of(corrected_log(model, self._batch.signals.log))
-        p = model.parameters(self.vehicle)
-        w = model.inputs(signals.road_wheel_angle_at(self._times), *signals.ins_at(self._times, "velocity_x_dot"), p)
-        extra = [np.zeros(self._times.shape)] * len(model.extra_states)
-        return compose(model.base, model.effects).felt((*np.moveaxis(states, -1, 0), *extra), w, p)[1]
+        acceleration, = signals.ins_at(self._times, "velocity_x_dot")
+        return added_acceleration(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)),
+                                  signals.road_wheel_angle_at(self._times), acceleration)
+
+
+def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
+                       acceleration: np.ndarray):
+    """a_y an accelerometer at the CG shows on top of the motion [m/s^2]; states: the six, arrays as the inputs."""
+    added = compose(model.base, model.effects).felt
+    if added is None or not any(e.felt for e in active(model)):
+        return 0.0
+    p = model.parameters(vehicle)
+    extra = [np.zeros(np.shape(angle))] * len(model.extra_states)
+    return added((*states, *extra), model.inputs(angle, acceleration, p), p)[1]
 
 
 def active(model: AugmentedModel) -> list:
@@ -214,7 +224,7 @@ def active(model: AugmentedModel) -> list:
     return [e for e in model.effects if any(p.fit and model.values[e.name][p.name] != p.null for p in e.parameters)]
 
 
-class _MotionOnly:
+class MotionOnly:
     """A model as `readings` sees it, with the sensors left out: they are applied last."""
 
     def __init__(self, model: AugmentedModel):

@@ -1,0 +1,135 @@
+"""Discovery on drives that the models drive themselves, noise added: the arithmetic, not the difficulty of real cars.
+
+A plant of its own, the sealed cases and raw files are in bench/discovery and st_offline/test.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from st_core.augmented import augment
+from st_core.discovery import DiscoverySettings, discover
+from st_core.discovery.manoeuvres import CATALOGUE, drive
+from st_core.errors import ConfigurationError, StCoreError
+from st_core.log import DriveLog
+
+HEALTHY = {"steered_drive_force": {"share": 1.0}, "steering_lag": {"time_constant": 0.03},
+           "tyre_relaxation": {"length": 0.3}}
+DRIVEN = ("sweep", "brake_in_turn", "step")
+NOISE = {"x": 0.003, "y": 0.003, "yaw": 0.0003, "velocity_x": 0.003, "velocity_y": 0.005, "yaw_rate": 0.002,
+         "acceleration_y": 0.06}
+
+
+def recorded(leaf, effects, seed: int, names=DRIVEN, base: str = "nonlinear") -> list[DriveLog]:
+    """Drives of a car that is the model with these effects, as sensors with noise record them."""
+    rng = np.random.default_rng(seed)
+    model = augment(base, effects)
+    logs = []
+    for name in names:
+        log = drive(next(m for m in CATALOGUE if m.name == name), model, leaf)
+        noisy = {key: getattr(log, key) + size * rng.standard_normal(len(log.x)) for key, size in NOISE.items()}
+        logs.append(replace(log, **noisy))
+    return logs
+
+
+@cache
+def reference(leaf) -> tuple[DriveLog, ...]:
+    return tuple(recorded(leaf, HEALTHY, 1))
+
+
+def settings(**others) -> DiscoverySettings:
+    return DiscoverySettings(where=False, **others)
+
+
+@pytest.mark.slow
+def test_healthy_car_gives_none(leaf):
+    found = discover(recorded(leaf, HEALTHY, 2), leaf, reference=reference(leaf), settings=settings())
+    assert found.outcome == "none"
+    assert found.effects == ()
+    assert found.model is None
+    assert found.p > 0.01
+    assert {"drag", "grade"} <= {n.name for n in found.not_testable}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "parameter", "change"), [
+    ("steering_lag", "time_constant", 0.05),
+    ("rear_stiffness", "factor", -0.12),
+    ("road_bank", "angle", 0.015),
+])
+def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, change):
+    null = {"steering_lag": 0.0, "rear_stiffness": 1.0, "road_bank": 0.0}[name]
+    before = HEALTHY.get(name, {}).get(parameter, null)
+    runs = recorded(leaf, {**HEALTHY, name: {parameter: before + change}}, 3)
+    found = discover(runs, leaf, reference=reference(leaf), settings=settings())
+    assert found.outcome == "named"
+    assert [e.name for e in found.effects] == [name]
+    value = found.effects[0].parameters[parameter]
+    assert value.interval[0] <= null + change <= value.interval[1]
+    assert abs(value.value - null - change) < 0.2 * abs(change)
+    gap = found.gap["yaw_rate"]
+    assert gap.augmented < 0.8 * gap.base
+    assert found.document()["effects"][0]["parameters"][parameter]["value"] == value.value
+
+
+@pytest.mark.slow
+def test_without_sideslip_nothing_of_it_is_used(leaf):
+    effects = {**HEALTHY, "steering_ratio": {"factor": 1.06}}
+    blind = [replace(log, velocity_y=0.0 * log.velocity_y) for log in recorded(leaf, effects, 4)]
+    healthy = tuple(replace(log, velocity_y=0.0 * log.velocity_y) for log in reference(leaf))
+    channels = ("yaw_rate", "acceleration_y", "yaw", "position")
+    found = discover(blind, leaf, reference=healthy, settings=settings(channels=channels))
+    assert "steering_ratio" in {n for e in found.effects for n in (e.name, *e.alternatives)}
+    assert "sensor_lever_arm" not in {e.name for e in found.effects}
+
+
+@pytest.mark.slow
+def test_two_effects_are_both_found(leaf):
+    effects = {**HEALTHY, "steering_offset": {"angle": 0.006}, "yaw_inertia": {"factor": 1.25}}
+    found = discover(recorded(leaf, effects, 5), leaf, reference=reference(leaf), settings=settings())
+    assert found.outcome == "several"
+    assert {e.name for e in found.effects} == {"steering_offset", "yaw_inertia"}
+
+
+@pytest.mark.slow
+def test_kinematic_base_lacks_tyre_slip(leaf):
+    runs = recorded(leaf, {"steered_drive_force": {"share": 1.0}}, 6, ("circle", "step"))
+    found = discover(runs, leaf, "kinematic", settings=settings())
+    assert [e.name for e in found.effects][:1] == ["tyre_slip"]
+    assert any("no reference" in text for text in found.warnings)
+
+
+@pytest.mark.slow
+def test_gentle_driving_cannot_show_friction(leaf):
+    runs = [log.slice(0, 20_000_000_000) for log in recorded(leaf, HEALTHY, 7, ("lane_change", "lane_change"))]
+    runs = [replace(log, name=f"{log.name} {i}") for i, log in enumerate(runs)]
+    found = discover(runs, leaf, reference=reference(leaf), settings=settings())
+    assert not found.effects
+    assert {"friction", "combined_slip"} <= {n.name for n in found.not_testable}
+
+
+def test_runs_too_short_are_refused_in_words(leaf):
+    short = [log.slice(0, 2_000_000_000) for log in recorded(leaf, HEALTHY, 8, ("step",))]
+    with pytest.raises(StCoreError, match="no run is long enough"):
+        discover(short, leaf, settings=settings())
+
+
+def test_car_that_stands_is_refused_in_words(leaf):
+    log = recorded(leaf, HEALTHY, 9, ("step",))[0]
+    standing = replace(log, velocity_x=0.0 * log.velocity_x)
+    with pytest.raises(StCoreError, match="fast enough"):
+        discover([standing], leaf, settings=settings())
+
+
+def test_unknown_effect_name_is_refused():
+    with pytest.raises(ConfigurationError, match="steering_lag"):
+        from st_core.discovery.space import Space
+        Space("nonlinear", settings(effects=("steering_lagg",)))
+
+
+@pytest.mark.parametrize(("key", "value"), [("channels", ("sideslip",)), ("channels", ("yaw",)), ("horizon", 0.1),
+                                            ("confidence", 1.0), ("maximum_effects", 0), ("resamples", 3)])
+def test_settings_out_of_range_name_the_key(key, value):
+    with pytest.raises(ConfigurationError, match=key):
+        DiscoverySettings(**{key: value})
