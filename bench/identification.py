@@ -5,15 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from _identification import (
-    LEAF_FILE,
-    SLOW_RUNS,
-    STIFFNESS_RUNS,
-    STRAIGHT_RUNS,
-    TRANSIENT_RUNS,
-    measure,
-    simulate_all,
-)
+from _identification import LEVER_ERROR, MISALIGNMENT, leaf, record_all
 from _identification_chain import chain
 from _identification_genesis import genesis
 from st_core.augmented import augment
@@ -27,22 +19,17 @@ from st_core.identification.steering_offset import identify_steering_offset
 from st_core.identification.stiffness_prediction import NUISANCE, STIFFNESSES, predict_stiffness
 from st_core.identification.yaw_inertia import identify_yaw_inertia
 from st_core.vehicle import VehicleParameters
+from st_sim.settings import REALISTIC
 
 SEEDS = 50
-DRIVERS = (1, 2)
-LEVER_ERROR, MISALIGNMENT = 0.06, 0.008  # m, rad: the INS of the slow drives is not where the file says
+SILENT = ("ins_noise=0", "steering_sensor_noise=0")
 KNOWN = {"steered_drive_force": {"share": 1.0}}  # front-wheel drive, and nothing else of the plant
 
 
 def run() -> dict:
-    """All parts, about a quarter of an hour."""
-    drives = simulated("ideal")
-    return {"seeds": seeds(drives), "noise-free": noise_free(drives), "realistic car": realistic(),
-            "speed": speed(drives), "genesis": genesis(), "chain": chain()}
-
-
-def leaf() -> VehicleParameters:
-    return VehicleParameters.from_yaml(LEAF_FILE.read_text(), str(LEAF_FILE))
+    """All parts, some ten minutes."""
+    return {"seeds": seeds(), "noise-free": noise_free(), "realistic car": realistic(), "speed": speed(),
+            "genesis": genesis(), "chain": chain()}
 
 
 def wrong(car: VehicleParameters) -> VehicleParameters:
@@ -51,18 +38,9 @@ def wrong(car: VehicleParameters) -> VehicleParameters:
     return with_stiffness(other, 0.8 * car.cornering_stiffness_front, 1.25 * car.cornering_stiffness_rear)
 
 
-def simulated(plant: str, drivers=DRIVERS) -> dict:
-    lever = (f"ins_lever_error={LEVER_ERROR}", f"ins_misalignment={MISALIGNMENT}")
-    return {"bends": simulate_all(STIFFNESS_RUNS, plant, driver_seeds=drivers),
-            "straight": simulate_all(STRAIGHT_RUNS, plant, driver_seeds=drivers),
-            "slow": simulate_all(SLOW_RUNS, plant, lever, driver_seeds=drivers),
-            "transient": simulate_all(TRANSIENT_RUNS, plant, driver_seeds=drivers)}
-
-
-def one_seed(drives: dict, seed: int, car: VehicleParameters) -> dict[str, tuple[Identification, dict[str, float]]]:
+def one_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identification, dict[str, float]]]:
     """{method: (outcome, truth)} of one measurement of all drives."""
-    driver = seed % len(drives["bends"])
-    logs = {kind: [measure(drive, seed) for drive in sets[driver]] for kind, sets in drives.items()}
+    logs = record_all("ideal", seed)
     start = wrong(car)
     offset = identify_steering_offset(logs["straight"], start, seed=seed)
     # The offset found goes into what follows, as on a real car.
@@ -78,7 +56,6 @@ def one_seed(drives: dict, seed: int, car: VehicleParameters) -> dict[str, tuple
         "paper": (identify_stiffness(logs["bends"], mass_right, seed=seed), stiffness),
         "prediction": (predict_stiffness(logs["bends"], mass_right, seed=seed), stiffness),
         "prediction, drive force": (predict_stiffness(logs["bends"], mass_right, known, seed=seed), stiffness),
-        "prediction, linear": (predict_stiffness(logs["bends"], mass_right, "linear", seed=seed), stiffness),
         "steering": (identify_steering(logs["bends"], replace(mass_right, steering_ratio=19.0), known, seed=seed),
                      steering),
         "ins": (identify_ins_mounting(logs["slow"], start, seed=seed),
@@ -88,12 +65,12 @@ def one_seed(drives: dict, seed: int, car: VehicleParameters) -> dict[str, tuple
     }
 
 
-def seeds(drives: dict, count: int = SEEDS) -> dict:
+def seeds(count: int = SEEDS) -> dict:
     """Share of seeds whose 95 % interval holds the truth, errors, and the uncertainty stated on average."""
     car = leaf()
     found: dict[tuple[str, str], list] = {}
     for seed in range(count):
-        for method, (outcome, truth) in one_seed(drives, seed, car).items():
+        for method, (outcome, truth) in one_seed(seed, car).items():
             for name, value in truth.items():
                 found.setdefault((method, name), []).append((outcome[name], value))
     return {f"{method}: {name}": _summary(rows) for (method, name), rows in found.items()}
@@ -112,16 +89,10 @@ def _summary(rows: list) -> dict:
             f"spread, {unit}": float(errors.std() * factor), f"stated, {unit}": float(stated * factor)}
 
 
-def still(drive):
-    """The drive without any noise of the sensors, but for the rounding of the steering angle."""
-    return replace(drive, settings={**drive.settings, "ins_noise": 0.0, "steering_sensor_noise": 0.0})
-
-
-def noise_free(drives: dict) -> dict:
+def noise_free() -> dict:
     """What the single-track car makes of the double-track plant, without noise: error of each stiffness [%]."""
     car = leaf()
-    logs = [measure(still(drive), 0) for drive in drives["bends"][0]]
-    return _stiffness_errors(logs, car, car)
+    return _stiffness_errors(record_all("ideal", 0, SILENT)["bends"], car, car)
 
 
 def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParameters) -> dict:
@@ -145,11 +116,9 @@ def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParamete
 def realistic() -> dict:
     """The same on the realistic car, against the small-slip stiffness of its tyres at static load [%], and inertia."""
     car = leaf()
-    drives = simulated("realistic", drivers=(1,))
-    logs = {kind: [measure(drive, 0) for drive in sets[0]] for kind, sets in drives.items()}
-    # front_stiffness_factor of the realistic plant: 1.35.
-    true = with_stiffness(car, drives["bends"][0][0].settings["front_stiffness_factor"]
-                          * car.cornering_stiffness_front, car.cornering_stiffness_rear)
+    logs = record_all("realistic", 0)
+    true = with_stiffness(car, REALISTIC["front_stiffness_factor"] * car.cornering_stiffness_front,
+                          REALISTIC["rear_stiffness_factor"] * car.cornering_stiffness_rear)
     offset = identify_steering_offset(logs["straight"], car)
     inertia = identify_yaw_inertia(logs["transient"], car)
     ins = identify_ins_mounting(logs["slow"], car)
@@ -165,10 +134,10 @@ def _row(estimate) -> str:
     return f"{estimate.value:.5g} +/- {estimate.standard_uncertainty:.2g} {estimate.unit} ({estimate.status})"
 
 
-def speed(drives: dict) -> dict:
+def speed() -> dict:
     """CPU seconds, warm: stiffness from 10 runs of 60 s, and 200 complete fits to resampled runs."""
     car = leaf()
-    logs = [measure(drive, 1) for drive in drives["bends"][0]]
+    logs = record_all("ideal", 1)["bends"]
     start = replace(wrong(car), steering_wheel_offset=car.steering_wheel_offset, cg_to_ins_x=car.cg_to_ins_x)
     result = {}
     for name, call in (("regression (paper), with bootstrap of 200", lambda: identify_stiffness(logs, start)),

@@ -25,7 +25,7 @@ from ..models import Model
 from ..stability import StepTooLongWarning
 from ..vehicle import VehicleParameters
 from . import resampling
-from .free_parameters import FREE, Applied, start_value
+from .free_parameters import DELAY, FREE, Applied, start_value
 from .result import IdentificationError
 
 APART = 1.0
@@ -104,7 +104,8 @@ class PredictionError:
         self.settings = settings or PredictionErrorSettings()
         self.vehicle, self.names, self.base = vehicle, tuple(names), base
         self._apply = Applied(vehicle, base, names)
-        self._drives = drives = _Drives(logs, self.settings)
+        delays = FREE[DELAY].bounds if DELAY in names else (0.0, 0.0)
+        self._drives = drives = _Drives(logs, self.settings, delays)
         self.starts = dict(zip(drives.names, drives.used.tolist(), strict=True))
         self.considered = dict(zip(drives.names, drives.considered.tolist(), strict=True))
         total = sum(self.starts.values())
@@ -179,19 +180,20 @@ class _Drives:
     from one into the next. names, considered, used: of each drive, with its starts. run_of, time: of each start used.
 
     Predicted is from a regular grid of starts, which a batch does fastest, and what is of no use is left out after.
+    delays: the steering must be known that much earlier and later [s], so that every fit has the same residuals.
     """
 
-    def __init__(self, logs: Sequence[DriveLog], settings: PredictionErrorSettings):
+    def __init__(self, logs: Sequence[DriveLog], settings: PredictionErrorSettings, delays: tuple[float, float]):
         self.names = tuple(log.name for log in logs)
         interval = round(settings.interval / NANOSECOND)
         apart, begins = _apart(logs, interval)
         signals = LogSignals(apart, settings.maximum_gap, 5.0, "zero_phase")
         starts = np.arange(0, apart.end_ns, interval, dtype=np.int64)
         horizon = settings.points[-1]
-        grid = np.round(np.arange(0.0, horizon + 0.5 * settings.step, settings.step) / NANOSECOND).astype(np.int64)
+        grid = _grid(0.0, horizon, settings.step)
         speed, yaw_rate, derivative = signals.ins_at(starts[:, None] + grid, "velocity_x", "yaw_rate", "velocity_x_dot")
-        angle = signals.road_wheel_angle_at(starts[:, None] + grid)
-        known = (np.isfinite(speed) & np.isfinite(angle) & np.isfinite(derivative)).all(axis=1)
+        angle = signals.road_wheel_angle_at(starts[:, None] + _grid(-delays[1], horizon - delays[0], settings.step))
+        known = np.isfinite(angle).all(axis=1) & (np.isfinite(speed) & np.isfinite(derivative)).all(axis=1)
         with np.errstate(invalid="ignore"):
             self._good = known & ((speed >= settings.minimum_speed) & (
                 np.abs(speed * yaw_rate) <= settings.maximum_acceleration)).all(axis=1)
@@ -233,6 +235,10 @@ def _apart(logs: Sequence[DriveLog], grid_ns: int) -> tuple[DriveLog, np.ndarray
              for name in ("ins_time_ns", "steering_time_ns")}
     return (DriveLog("all drives", **times, **{n: together(n) for n in (*INS_SIGNALS, "road_wheel_angle")}),
             np.array(begins, np.int64))
+
+
+def _grid(begin: float, end: float, step: float) -> np.ndarray:
+    return np.round(np.arange(begin, end + 0.5 * step, step) / NANOSECOND).astype(np.int64)
 
 
 def _size(residuals: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from .run_samples import prepared, run_samples
 
 NAMES = ("yaw_inertia", "cornering_stiffness_front", "cornering_stiffness_rear", DELAY, "steering_wheel_offset",
          MISALIGNMENT)
-YAW_ACCELERATION_EDGES = np.array([-10.0, -1.5, -0.7, -0.3, 0.3, 0.7, 1.5, 10.0])  # rad/s^2, left +
+YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 SETTINGS = PredictionErrorSettings(points=(0.1, 0.2, 0.3, 0.4, 0.6, 0.8), interval=0.3)
 RADIUS_OF_GYRATION = (0.35, 0.65)
 """Share of the wheelbase between which cars lie; outside, the value is doubted."""
@@ -35,15 +35,16 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
                          seed: int = 0) -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported beside.
 
-    Raises IdentificationError for implausible driving, and without transients: |r_dot| above 0.3 rad/s^2 to both sides.
+    Raises IdentificationError for implausible driving, and without transients: half a
+    second of r_dot above 0.3 rad/s^2 to either side.
     """
     logs, noticed = prepared(logs, vehicle)
-    runs = [run_samples(log, vehicle) for log in logs]
+    runs = [run_samples(log, vehicle, cutoff=5.0) for log in logs]
     interval = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
     covered = (*driving_coverage(logs, vehicle, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)},
                                  settings.minimum_speed),
-               coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, interval, 1.0, 5))
+               coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, interval, 0.5, 5))
     require(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
     problem = PredictionError(logs, vehicle, NAMES, base, settings)
     method = f"multi-step prediction of transients, {described(base)}"

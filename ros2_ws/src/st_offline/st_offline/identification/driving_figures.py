@@ -52,7 +52,7 @@ def mounting(found: Identification, place: Place) -> Drawn:
         ends = np.array([data["curvature"].min(), data["curvature"].max()])
         left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
         left.set_xlabel("yaw rate / forward velocity, 1/m (left +)")
-        left.set_ylabel("lateral / forward velocity at the INS, slip removed, 1")
+        left.set_ylabel("lateral / forward velocity, slip removed")
         if len(data["names"]) <= 8:
             left.legend(markerscale=3, fontsize=7)
         right.plot(data["speed"][thin], data["residual"][thin] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
@@ -130,10 +130,11 @@ def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[I
         slip, force = cloud.figure[f"slip_{axle}"], cloud.figure[f"force_{axle}"]
         thin = _thin(len(slip))
         axes.plot(slip[thin] * DEG, force[thin] * 1e-3, ".", color=MEASURED_COLOUR, ms=2)
-        ends = np.array([-1.0, 1.0]) * np.abs(slip).max()
+        # Through the middle of the cloud: an offset of steering or INS moves it away from the origin.
+        middle, ends = slip.mean(), np.array([slip.min(), slip.max()])
         for one, colour, label in zip(lines, (PAPER, BETTER), ("regression (paper)", "prediction"), strict=False):
             estimate = one[f"cornering_stiffness_{axle}"]
-            axes.plot(ends * DEG, -estimate.value * ends * 1e-3, color=colour,
+            axes.plot(ends * DEG, (force.mean() - estimate.value * (ends - middle)) * 1e-3, color=colour,
                       label=f"{label}: {estimate.value * 1e-3:.1f} kN/rad")
         axes.set_xlabel(f"{axle} slip angle, deg (+ slides left)")
         axes.set_ylabel(f"{axle} axle force, kN (left +)")

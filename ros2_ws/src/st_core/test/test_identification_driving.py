@@ -1,0 +1,131 @@
+"""Parameters from driving: known truth recovered, from a start where nothing is right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from driven import SILENT, Sensors, drive, steps, straight, weave
+from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.free_parameters import MISALIGNMENT, with_stiffness
+from st_core.identification.ins_mounting import identify_ins_mounting
+from st_core.identification.steering_driving import identify_steering
+from st_core.identification.steering_offset import DIRECT, PAPER, identify_steering_offset
+from st_core.identification.stiffness_prediction import STIFFNESSES, predict_stiffness
+from st_core.identification.yaw_inertia import identify_yaw_inertia
+
+SPEEDS = {6.0: 0.10, 9.0: 0.07, 12.0: 0.045, 15.0: 0.035}
+
+
+@pytest.fixture(scope="module")
+def weaving(leaf):
+    return [drive(leaf, speed, weave(angle), 40.0, seed=1) for speed, angle in SPEEDS.items()]
+
+
+@pytest.fixture(scope="module")
+def silent(leaf):
+    return [drive(leaf, speed, weave(angle), 40.0, sensors=SILENT) for speed, angle in SPEEDS.items()]
+
+
+@pytest.fixture
+def unknown(leaf):
+    """The Leaf with wrong stiffnesses and offset."""
+    return with_stiffness(replace(leaf, steering_wheel_offset=0.0), 56_000.0, 130_000.0)
+
+
+def truth(leaf):
+    return [getattr(leaf, name) for name in STIFFNESSES]
+
+
+def test_regression_gives_a_linear_car_back(leaf, silent):
+    found = identify_stiffness(silent, with_stiffness(leaf, 50_000.0, 50_000.0))
+    assert [found[name].value for name in STIFFNESSES] == pytest.approx(truth(leaf), rel=0.005)
+    assert found["cornering_stiffness_front"].status == "identified"
+    assert len(found.figure["slip_front"]) == len(found.figure["force_front"]) > 5000
+
+
+@pytest.mark.slow
+def test_regression_averages_over_a_tyre_that_saturates(leaf):
+    """The rear tyre of the table gives 12 % less at 2 deg than its slope at zero; the prediction knows its curve."""
+    logs = [drive(leaf, speed, weave(angle), 25.0, model="nonlinear", sensors=SILENT)
+            for speed, angle in ((9.0, 0.15), (12.0, 0.105), (15.0, 0.08))]
+    paper, better = identify_stiffness(logs, leaf), predict_stiffness(logs, leaf)
+    assert paper["cornering_stiffness_rear"].value < 0.97 * leaf.cornering_stiffness_rear
+    assert [better[name].value for name in STIFFNESSES] == pytest.approx(truth(leaf), rel=0.003)
+
+
+def test_prediction_finds_stiffness_from_a_wrong_start(leaf, weaving, unknown):
+    found = predict_stiffness(weaving, unknown, "linear")
+    for name, value in zip(STIFFNESSES, truth(leaf), strict=True):
+        estimate = found[name]
+        assert estimate.value == pytest.approx(value, rel=0.02)
+        low, high = estimate.interval95
+        assert low < value < high and 0 < estimate.standard_uncertainty < 0.02 * value
+    assert found.correlation.shape == (2, 2) and found.correlation[0, 0] == 1.0
+    assert "resampling" in found["cornering_stiffness_front"].verdict
+
+
+def test_prediction_takes_offset_misalignment_and_gyro_bias_for_what_they_are(leaf, unknown):
+    sensors = Sensors(misalignment=0.01, yaw_rate_bias=0.004)
+    logs = [drive(leaf, speed, weave(angle), 40.0, sensors=sensors, seed=3) for speed, angle in SPEEDS.items()]
+    found = predict_stiffness(logs, unknown, "linear", also=("steering_wheel_offset", MISALIGNMENT))
+    assert found["steering_wheel_offset"].value == pytest.approx(leaf.steering_wheel_offset, abs=np.deg2rad(0.1))
+    assert found[MISALIGNMENT].value == pytest.approx(0.01, abs=0.0005)
+    assert [found[name].value for name in STIFFNESSES] == pytest.approx(truth(leaf), rel=0.02)
+    assert any("yaw rate drifts" in warning and "+0.004" in warning for warning in found.warnings)
+
+
+def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, unknown):
+    start = replace(unknown, steering_ratio=19.5)
+    found = identify_steering(weaving, start, "linear")
+    ratio = found["steering_ratio"]
+    assert ratio.value == pytest.approx(leaf.steering_ratio, rel=0.005)
+    assert ratio.interval95[0] < leaf.steering_ratio < ratio.interval95[1]
+    assert found.estimates[0].parameter == "steering_ratio" and found.correlation.shape == (4, 4)
+
+
+def test_steering_offset_both_ways(leaf, unknown):
+    logs = [drive(leaf, speed, straight, 40.0, seed=2) for speed in (8.0, 12.0)]
+    found = identify_steering_offset(logs, unknown)
+    for name in (PAPER, DIRECT):
+        assert found[name].value == pytest.approx(leaf.steering_wheel_offset, abs=np.deg2rad(0.1))
+    assert not found.warnings and found[PAPER].status == "identified"
+
+
+def test_steering_offset_that_depends_on_how_it_is_found_is_doubtful(leaf, unknown):
+    """A heading that turns while the car goes straight: the gyro follows it, the path does not."""
+    log = drive(leaf, 10.0, straight, 60.0, seed=2)
+    turning = replace(log, yaw=log.yaw + 0.01 * np.abs((log.ins_time_ns - log.start_ns) * 1e-9 - 30.0))
+    found = identify_steering_offset([turning], unknown)
+    assert found[DIRECT].standard_uncertainty > 10 * identify_steering_offset([log], unknown)[
+        DIRECT].standard_uncertainty
+
+
+def test_ins_mounting_from_slow_driving(leaf):
+    sensors = Sensors(misalignment=-0.007, lever=(0.12, -0.08))
+    logs = [drive(leaf, speed, weave(angle, 14.0), 60.0, sensors=sensors, seed=4)
+            for speed, angle in ((3.0, 0.30), (4.0, 0.28), (5.5, 0.18), (7.0, 0.10))]
+    found = identify_ins_mounting(logs, leaf)
+    assert found["cg_to_ins_x"].value == pytest.approx(leaf.cg_to_ins_x + 0.12, abs=0.02)
+    assert found["cg_to_ins_y"].value == pytest.approx(-0.08, abs=0.03)
+    assert found[MISALIGNMENT].value == pytest.approx(-0.007, abs=0.0003)
+    low, high = found["cg_to_ins_x"].interval95
+    assert low < leaf.cg_to_ins_x + 0.12 < high
+
+
+def test_ins_off_the_centreline_needs_tight_bends(leaf):
+    logs = [drive(leaf, speed, weave(0.04, 14.0), 60.0, seed=5) for speed in (4.0, 7.0)]
+    found = identify_ins_mounting(logs, leaf)
+    assert [e.parameter for e in found.estimates] == ["cg_to_ins_x", MISALIGNMENT]
+    assert any("cg_to_ins_y is not given" in warning for warning in found.warnings)
+
+
+def test_yaw_inertia_and_dead_time_from_steps(leaf, unknown):
+    logs = [drive(leaf, speed, steps(angle), 30.0, sensors=Sensors(delay=0.03), seed=6)
+            for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
+    start = replace(unknown, yaw_inertia=2300.0, steering_wheel_offset=leaf.steering_wheel_offset)
+    found = identify_yaw_inertia(logs, start, "linear")
+    inertia = found["yaw_inertia"]
+    assert inertia.value == pytest.approx(leaf.yaw_inertia, rel=0.03)
+    assert inertia.interval95[0] < leaf.yaw_inertia < inertia.interval95[1]
+    assert found["steering_delay"].value == pytest.approx(0.03, abs=0.003)
+    assert any("contradicts 2300" in warning for warning in found.warnings)
