@@ -59,6 +59,8 @@ def run(job: Job, console: Console) -> int:
 
 def identified(job: Job) -> tuple[Identification, ...]:
     """Outcome of the experiment; what is wrong with the data is said with the file they are from."""
+    if job.experiment.files_needed and not job.files:
+        raise IdentificationError(f"no files were given; it wants {job.experiment.files}")
     try:
         return job.experiment.identify(job.files, job.setup)
     except IdentificationError as error:

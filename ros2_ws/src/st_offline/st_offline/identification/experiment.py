@@ -39,3 +39,4 @@ class Experiment:
     files: str
     identify: Callable[[Sequence[Path], Setup], tuple[Identification, ...]]
     draw: Callable[[Identification, Place], Drawn] | None = None
+    files_needed: bool = True

@@ -113,4 +113,5 @@ def draw_lambda(found: Identification, place: Place) -> Drawn:
 TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tables",
                   "CSV: tyre (front or rear), load_n, slip_angle_deg, lateral_force_n", identify, draw)
 LAMBDA = Experiment("lambda", "stiffness scale of the Magic Formula from the axle's stiffness",
-                    "none, or the flat-plank tables for the uncertainty of the tyre", identify_lambda, draw_lambda)
+                    "none, or the flat-plank tables for the uncertainty of the tyre", identify_lambda, draw_lambda,
+                    files_needed=False)
