@@ -26,7 +26,7 @@ PIECE = 40.0
 """s."""
 SLOWEST, STRAIGHTEST = 5.0, 0.05
 """m/s (mean) and rad/s (root mean square): pieces below these show nothing."""
-RUNS, HELD_OUT = 3, 2
+RUNS, HELD_OUT, REFERENCE = 3, 2, 6
 SHARE_HEALTHY = 4
 """Every so many-th case has nothing in it."""
 
@@ -144,8 +144,8 @@ def _shared_out(set_: str, number: int, folder: Path) -> tuple[tuple[DriveLog, .
     """Reference pieces, and all the others."""
     pieces = _pieces(folder)
     order = np.random.default_rng(seed_of(set_, "real", "reference", number)).permutation(len(pieces))
-    reference = tuple(replace(pieces[i], name=f"reference_{k + 1}") for k, i in enumerate(order[:RUNS]))
-    return reference, tuple(pieces[i] for i in order[RUNS:])
+    reference = tuple(replace(pieces[i], name=f"reference_{k + 1}") for k, i in enumerate(order[:REFERENCE]))
+    return reference, tuple(pieces[i] for i in order[REFERENCE:])
 
 
 @cache
