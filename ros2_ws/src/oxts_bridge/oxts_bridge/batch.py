@@ -281,7 +281,9 @@ def _mask(columns: Columns) -> None:
             angle[no_navigation] = np.nan
     with np.errstate(invalid="ignore"):
         nowhere = ~(np.abs(columns.latitude) <= np.pi / 2)
-    nowhere |= no_navigation | ~np.isfinite(columns.longitude) | ~np.isfinite(columns.altitude)
+    with np.errstate(invalid="ignore"):
+        nowhere |= ~(np.abs(columns.longitude) <= 2 * np.pi)
+    nowhere |= no_navigation | ~np.isfinite(columns.altitude)
     if nowhere.any():
         for value in (columns.latitude, columns.longitude, columns.altitude):
             value[nowhere] = np.nan

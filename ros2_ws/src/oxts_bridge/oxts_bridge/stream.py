@@ -202,5 +202,5 @@ def _mask(packet: Packet, rule: Rule, kind: str) -> None:
         packet.latitude = packet.longitude = packet.altitude = NAN
         packet.velocity_ned = _NO_VECTOR
         packet.heading = packet.pitch = packet.roll = NAN
-    elif not (abs(packet.latitude) <= pi / 2 and isfinite(packet.longitude) and isfinite(packet.altitude)):
+    elif not (abs(packet.latitude) <= pi / 2 and abs(packet.longitude) <= 2 * pi and isfinite(packet.altitude)):
         packet.latitude = packet.longitude = packet.altitude = NAN
