@@ -42,7 +42,6 @@ def draw(found: Identification, place: Place) -> Drawn:
                   label=f"hand wheel / {estimate.value:.2f}")
         left.set_xlabel("hand-wheel angle, deg (left +)")
         left.set_ylabel("wheel angle, deg (left +)")
-        left.legend(fontsize=8)
         for k, name in enumerate(dict.fromkeys(data["sweeps"])):
             row = sweeps == name
             right.plot(hand[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5, mfc="none",
@@ -54,7 +53,8 @@ def draw(found: Identification, place: Place) -> Drawn:
         right.axhline(0.0, color=MODEL_COLOUR["augmented"])
         right.set_xlabel("hand-wheel angle, deg (left +)")
         right.set_ylabel("mean wheel angle minus line, deg")
-        right.legend(title="sweep", fontsize=8)
+        handles = [pair for axes in (left, right) for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
+        figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
         title = f"Steering ratio {estimate.value:.2f}, 95 % interval {estimate.interval95[0]:.2f} to " \
                 f"{estimate.interval95[1]:.2f}"
         return finish(figure, place, "steering-ratio", title,
