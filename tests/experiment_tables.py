@@ -74,7 +74,7 @@ def flat_plank(car: VehicleParameters, tyre: str, seed: int) -> FlatPlank:
     return FlatPlank(tyre, load, slip, true + random.normal(0.0, FORCE_NOISE, len(slip)), tyre)
 
 
-def write_tables(car: VehicleParameters, folder: Path, seed: int = 1) -> dict[str, Path]:
+def write_tables(car: VehicleParameters, folder: Path, seed: int = 2) -> dict[str, Path]:
     """The four tables as CSV files, in the form `st identify` reads."""
     folder.mkdir(parents=True, exist_ok=True)
     w, lift, table = weighings(car, seed), axle_lift(car, seed), turntable(car, seed)
