@@ -1,6 +1,6 @@
 """Half blind: recorded drives of a real car, with a known effect put into one of the recorded channels.
 
-The Genesis drives are cut into pieces of 40 s. A case takes some as reference and others as suspect; an effect is put
+The laps of one track among the Genesis drives (four drives) are cut into pieces of 40 s. A case takes some as reference and others as suspect; an effect is put
 into the suspect ones by changing what was recorded, the inverse of how the library reads it. Ten cases in a row share
 the reference.
 """
@@ -153,7 +153,7 @@ def _pieces(folder: Path) -> tuple[DriveLog, ...]:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: the recorded drives are not there")
     pieces = []
-    for file in sorted(folder.glob("*.csv")):
+    for file in sorted(folder.glob("cpg_lap_*.csv")):
         log, _ = read_drive(file)
         length = round(PIECE * 1e9)
         for start in range(log.start_ns, log.end_ns - length, length):
