@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +42,7 @@ def test_a_view_that_hangs_and_one_that_is_killed_disturb_no_prediction(tmp_path
     """Viewer and server stopped, then killed: every process ends well, predictions go on and are scored."""
     pytest.importorskip("rerun", reason="not beside a sourced ROS")
     run = tmp_path / "run"
-    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", "24", "--output", str(run)]
+    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", "22", "--output", str(run)]
     demo = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                             start_new_session=True)
     try:
@@ -53,11 +52,12 @@ def test_a_view_that_hangs_and_one_that_is_killed_disturb_no_prediction(tmp_path
         assert servers and pages
         # Nothing of the view is open to another machine.
         assert set().union(*map(listening, [*servers, *pages])) == {"127.0.0.1"}
-        time.sleep(8.0)
+        time.sleep(7.0)
+        everybody = psutil.Process(demo.pid).children(recursive=True)
         for process in (viewer, *servers):
             process.send_signal(signal.SIGSTOP)
         stopped_ns = time.time_ns()
-        time.sleep(6.0)
+        time.sleep(5.0)
         for process in (viewer, *servers, *pages):
             if process.is_running():
                 process.kill()
@@ -73,12 +73,12 @@ def test_a_view_that_hangs_and_one_that_is_killed_disturb_no_prediction(tmp_path
     issued = np.array([nanoseconds(m.issued_at) for m in read_messages(run / "bag")["/predictor/linear/prediction"]])
     after = issued[issued > stopped_ns]
     assert len(after) >= 0.9 * 10.0 * (issued[-1] - stopped_ns) * 1e-9 > 80
-    assert not [p for p in psutil.process_iter() if p.info and str(run) in " ".join(p.cmdline())]
+    assert not [p for p in everybody if p.is_running() and p.status() != psutil.STATUS_ZOMBIE]
 
 
 @pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, dict]]:
-    """(start of the circle [ns], messages) of a circle with the node markers."""
+def circle(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, Path]:
+    """(start of the circle [ns], bag) of a circle with the node markers."""
     folder = tmp_path_factory.mktemp("markers")
     processes = Processes(folder)
     try:
@@ -96,7 +96,27 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, dict]
         assert [processes.stop(node) for node in nodes] == [0] * len(nodes)
     finally:
         processes.close()
-    return int(processes.log("feeder").split()[1]), read_messages(folder / "bag")
+    return int(processes.log("feeder").split()[1]), folder / "bag"
+
+
+@pytest.fixture(scope="module")
+def drawn(circle) -> tuple[int, dict]:
+    return circle[0], read_messages(circle[1])
+
+
+def test_a_recording_is_drawn_as_it_was_seen_live(circle, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="not beside a sourced ROS")
+    file = tmp_path / "view.rrd"
+    command = [str(ROOT / "st"), "view", str(circle[1]), "--vehicle", str(VEHICLE), "--save", str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert int(re.search(r"(\d+) pictures", done.stdout).group(1)) > 5 * DURATION
+    shown = subprocess.run(["rerun", "rrd", "print", str(file)], capture_output=True, text=True, check=True).stdout
+    wanted = {f"/{root}/{what}" for root in ("map", "ahead") for what in ("car", "track", "ghosts", "misses")}
+    wanted |= {f"/{what}/{m}" for m in MODELS for what in ("map/paths", "ahead/paths", "ahead/names", "plots/lateral")}
+    wanted |= {"/words", "/plots/steering/measured", "/plots/speed/measured", "/plots/lateral_acceleration/measured"}
+    assert not {entity for entity in wanted if entity not in shown}
+    again = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert again.returncode == 2 and "exists already" in again.stderr
 
 
 def test_markers_show_the_car_where_it_is_and_each_model_s_name(drawn) -> None:

@@ -105,10 +105,10 @@ def test_names_of_models_that_predict_the_same_do_not_cover_each_other() -> None
 
 
 def test_the_table_on_the_page_has_a_row_per_model_and_mode_and_names_what_is_wrong() -> None:
-    rows = [ErrorStatistics(model=m, mode=k, n_starts=7, lateral_mean=-1.234, lateral_rmse=float("nan"))
+    rows = [ErrorStatistics(model=m, mode=k, n_starts=7, longitudinal_rmse=1.234, lateral_rmse=float("nan"))
             for m in ("kinematic", "linear") for k in ("forecast", "hindsight")]
     text = words.page(rows, "Ticks 9", [(0, "a", "fine"), (1, "b", "late"), (2, "c", "silent")])
-    assert text.count("| 7 | 0.00 | -1.23 | - |") == 4
+    assert text.count("| 7 | 1.23 | - |") == 4
     assert text.index("**error**: c: silent") < text.index("warning: b: late") and "fine" not in text
     assert "Waiting" in words.page([], "", []) and "All nodes well." in words.page([], "", [(0, "a", "fine")])
 

@@ -45,18 +45,28 @@ EXHIBITS = (
             "of the offset."),
     Exhibit("A drive evaluated at the desk", "./st evaluate {}/run/bag --output {}/evaluate",
             "evaluate/**/horizon_means.png", "The error of every start over the drive, as in the paper; the folder "
-            "also holds the page evaluation.html with sortable tables."),
+            "also holds the page report.html with sortable tables."),
 )
 
 
-def make(folder: Path, console: Console) -> None:
-    """Write gallery.md and images/gallery_*.png into `folder`. Raises GalleryError."""
-    images = folder / "images"
-    images.mkdir(exist_ok=True)
-    commands = (f"$ {_shown(command)}" for command in PREPARATION)
+def page() -> str:
+    """The text of gallery.md."""
     lines = ["# Gallery", "",
              "Made by `./st docs --gallery`: one drive of the virtual Leaf (S6, U-turns), as each command shows it.",
-             "", "```console", *commands, "```"]
+             "", "## Seen live", "",
+             "From the driver's seat: what the models predict now, what they predicted one to five seconds ago, and "
+             "what happened.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
+    for number, exhibit in enumerate(EXHIBITS, 1):
+        before = PREPARATION if number == 1 else ()
+        commands = (f"$ {_shown(command)}" for command in (*before, exhibit.command))
+        lines += ["", f"## {exhibit.title}", "", "```console", *commands, "```", "", exhibit.words, "",
+                  f"![{exhibit.title}](images/gallery_{number}.png)"]
+    return "\n".join(lines) + "\n"
+
+
+def draw(folder: Path, console: Console) -> None:
+    """Drive, run the commands, and write their pictures and the animation into `folder`. Raises GalleryError."""
+    folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="st-gallery-") as name:
         for command in PREPARATION:
             _run(command, name, console)
@@ -65,17 +75,10 @@ def make(folder: Path, console: Console) -> None:
             found = sorted(Path(name).glob(exhibit.picture))
             if not found:
                 raise GalleryError(f"{exhibit.command} left no {exhibit.picture}")
-            shutil.copyfile(found[0], images / f"gallery_{number}.png")
-            lines += ["", f"## {exhibit.title}", "", "```console", f"$ {_shown(exhibit.command)}", "```", "",
-                      exhibit.words, "", f"![{exhibit.title}](images/gallery_{number}.png)"]
+            shutil.copyfile(found[0], folder / f"gallery_{number}.png")
         leaf = config("vehicle/leaf.yaml")
         car = VehicleParameters.from_yaml(leaf.read_text(encoding="utf-8"), str(leaf))
-        animate(Path(name, "run"), car, images / "gallery_drive.webp", *ANIMATED)
-    lines += ["", "## The same drive as it was seen live", "",
-              "From the driver's seat: what the models predict now, what they predicted one to five seconds ago, and "
-              "what happened.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
-    (folder / "gallery.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    console.print(f"{folder / 'gallery.md'}", highlight=False, soft_wrap=True)
+        animate(Path(name, "run"), car, folder / "gallery_drive.webp", *ANIMATED)
 
 
 def _shown(command: str) -> str:

@@ -14,7 +14,7 @@ TOPICS = (
     ("/ins/ncom", "st_msgs/msg/Ncom", "oxts_bridge", "every NCOM packet as received"),
     ("/vehicle/steering", "st_msgs/msg/Steering", "canedge_bridge", "steering wheel and road wheel angle, left +"),
     ("/vehicle/wheel_speeds", "st_msgs/msg/WheelSpeeds", "canedge_bridge", "four wheels, m/s"),
-    ("/vehicle/ins_on_can", "st_msgs/msg/InsOnCan", "canedge_bridge", "what the INS itself sends on CAN, to align clocks"),
+    ("/vehicle/ins_on_can", "st_msgs/msg/InsOnCan", "canedge_bridge", "what the INS sends on CAN, to align clocks"),
     ("/can/frames", "st_msgs/msg/CanFrames", "canedge_bridge", "raw frames, with publish_frames"),
     ("/predictor/<model>/path", "nav_msgs/msg/Path", "predictor", "predicted path of the INS point; 10 Hz"),
     ("/predictor/<model>/prediction", "st_msgs/msg/Prediction", "predictor", "the whole trajectory, state at the CG"),

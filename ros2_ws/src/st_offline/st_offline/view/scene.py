@@ -18,7 +18,9 @@ FAINT = (228, 228, 228)
 GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
 GHOST_STRIDE, TRACK_STRIDE = 5, 2  # of their points, one in so many is drawn
 # Half the width of a line, in points of the screen: the same at every zoom.
-THIN, MEDIUM, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.4, 1.8, 4.0))
+THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
+# One after the other on top and narrower: where models agree, all of them are seen.
+MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
 Place = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
 
 
@@ -88,9 +90,11 @@ class Scene:
         self._lines(f"{root}/track", [place(track[:, 0], track[:, 1])], [rgb(MEASURED_COLOUR, 0.6)], TRACK, order=0.0)
         self._lines(f"{root}/car", [place(*car_outline(pose, self._car))], [(20, 20, 20)], THICK, order=5.0)
         ghosts, ghost_colours, misses, miss_colours = [], [], [], []
-        for model in history.models:
+        for number, model in enumerate(history.models):
             self._name(model)
-            self._prediction(root, place, model, history)
+            path = history.newest(model)
+            self._lines(f"{root}/paths/{model}", [place(path.x, path.y)], [rgb(colour_of(model))],
+                        MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
             for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(place(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
@@ -104,15 +108,11 @@ class Scene:
     def _name(self, model: str) -> None:
         """Its colour and name in the lower left corner: models that agree would cover each other's names."""
         if model not in self._named:
-            corner = (-ASIDE + 5.0, BEHIND - 3.5 - 4.5 * len(self._named))
+            corner = (-ASIDE + 6.0, BEHIND - 7.0 - 5.0 * len(self._named))
             self._named.append(model)
             self._rr.log(f"ahead/names/{model}", rr.Points2D(
                 [corner], colors=[rgb(colour_of(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
                 show_labels=True), static=True)
-
-    def _prediction(self, root: str, place: Place, model: str, history: History) -> None:
-        path = history.newest(model)
-        self._lines(f"{root}/paths/{model}", [place(path.x, path.y)], [rgb(colour_of(model))], MEDIUM, order=3.0)
 
     def _lines(self, entity: str, strips: list[np.ndarray], colours: list, width: object, order: float) -> None:
         self._rr.log(entity, rr.LineStrips2D(strips, colors=colours, radii=width, draw_order=order))

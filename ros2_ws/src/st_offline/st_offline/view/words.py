@@ -12,7 +12,6 @@ class Row(Protocol):
     mode: str
     n_starts: int
     longitudinal_rmse: float
-    lateral_mean: float
     lateral_rmse: float
 
 
@@ -21,10 +20,10 @@ LEVELS = ("ok", "warning", "**error**", "stale")
 
 def page(rows: Sequence[Row], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
     """rows: statistics so far. ticks: one line. health: (level, name, message) of everything that was heard."""
-    lines = ["| model | inputs | starts | long. RMSE, m | lat. mean, m | lat. RMSE, m |", "|---|---|--:|--:|--:|--:|"]
+    lines = ["| model | inputs | starts | RMSE long., m | lat., m |", "|---|---|--:|--:|--:|"]
     for mode, meaning in (("forecast", "held"), ("hindsight", "measured")):
         for row in (r for r in rows if r.mode == mode and r.n_starts):
-            errors = (row.longitudinal_rmse, row.lateral_mean, row.lateral_rmse)
+            errors = (row.longitudinal_rmse, row.lateral_rmse)
             numbers = " | ".join("-" if math.isnan(e) else f"{e:.2f}" for e in errors)
             lines.append(f"| {row.model} | {meaning} | {row.n_starts} | {numbers} |")
     if len(lines) == 2:
