@@ -11,7 +11,7 @@ from .space import Space
 from .study import Fit, Study
 
 TRIALS = 200
-STRUCTURE = 2.0  # gains of a healthy car on other roads than the reference, over those on resampled reference blocks
+STRUCTURE = 1.5  # gains of a healthy car on other roads than the reference, over those on resampled reference blocks
 TAIL = 2.0  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
 RELATIVE = 0.02  # of the gain, for what the library's equations are not the car's

@@ -113,7 +113,7 @@ class _Work:
         unknown, signature = False, ()
         if gain > limit:
             found, level = several.search(study, fits, limit, settings.maximum_effects)
-            unknown = several.unexplained(study, found[0], level) or not study.credible(found[0])
+            unknown = several.unexplained(study, found[0], level, fits) or not study.credible(found[0])
         elif several.excess(study, study.base) > several.UNKNOWN_ALONE:
             unknown = True
         answer = found[0] if found else study.base

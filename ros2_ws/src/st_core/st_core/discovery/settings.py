@@ -33,7 +33,7 @@ class DiscoverySettings:
     effects: tuple[str, ...] | None = None
     noise: Mapping[str, float] | None = None
     resamples: int = 1000
-    drift: float = 0.05
+    drift: float = 0.03
     where: bool = True
 
     def __post_init__(self):

@@ -11,9 +11,10 @@ from .study import Fit, Study
 
 SHARE = 0.05  # of the whole gain another effect must bring
 PARTNERS = 8  # pairs fitted to the end
-UNKNOWN_ALONE = 3.0  # excess of a base no effect improves
+UNKNOWN_ALONE = 2.0  # excess of a base no effect improves
 UNKNOWN_LEFT = 2.0  # excess an explanation may leave
-EXPLAINED = 0.8  # share of the excess an explanation takes away in any case
+LEAST, MOST = 0.2, 0.8  # shares of the excess an explanation takes away
+NEARLY = 0.7  # share of the best gain at which another name does nearly as well
 
 
 def excess(study: Study, fit: Fit) -> float:
@@ -88,12 +89,17 @@ def _swapped(study: Study, answer: Fit, name: str, rest: tuple[str, ...], fits: 
     return {n: study.fit((*rest, n), study.start_of((*rest, n), fits, answer)) for n in near}
 
 
-def unexplained(study: Study, answer: Fit, left: float) -> bool:
-    """Whether so much is left that the truth must be outside the library."""
+def unexplained(study: Study, answer: Fit, left: float, fits: Mapping[str, Fit]) -> bool:
+    """Whether so much is left that the truth must be outside the library: next to nothing is explained, or not
+    most of it and another effect does nearly as well."""
     before = excess(study, study.base)
     if left < UNKNOWN_LEFT:
         return False
-    return (before - left) / max(before - 1.0, 1e-9) < EXPLAINED
+    explained = (before - left) / max(before - 1.0, 1e-9)
+    base = study.base.cost
+    gains = sorted(base - fit.cost for name, fit in fits.items() if name not in answer.names)
+    near = bool(gains) and gains[-1] > NEARLY * (base - answer.cost)
+    return explained < LEAST or (explained < MOST and near)
 
 
 def alone(study: Study, answer: Fit) -> np.ndarray:
