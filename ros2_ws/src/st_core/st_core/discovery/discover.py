@@ -58,8 +58,8 @@ def _in_part(found: Discovery, runs, vehicle, base, reference, settings, progres
                  for run in runs]
         part = _Work(parts, vehicle, base, reference, replace(settings, where=False), progress).result()
         if part.outcome in ("named", "ambiguous"):
-            said = (f"{part.effects[0].name} is there in the {words} part of the runs only; values and gap are those of "
-                    f"{begin:.0%} to {end:.0%} of each run")
+            said = (f"{part.effects[0].name} is there in the {words} part of the runs only; values and gap are those "
+                    f"of {begin:.0%} to {end:.0%} of each run")
             return replace(part, where=found.where, warnings=(*part.warnings, said), p=found.p)
     return None
 

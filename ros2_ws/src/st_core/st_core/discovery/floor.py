@@ -26,8 +26,8 @@ ROUNDS = 4
 class Floor:
     """vector: values of the healthy base. spread: (p, p) covariance of what healthy suspect drives may deviate from
     it, in usual sizes. inflation: cost per independent piece of data; windows overlap and errors last. quadratic: of
-    the reference drives, and run of each of its blocks; None without one. level: cost per window of their blocks. size: by channel at the end of the
-    horizon [SI]."""
+    the reference drives, and run of each of its blocks; None without one. level: cost per window of their blocks.
+    size: by channel at the end of the horizon [SI]."""
 
     vector: np.ndarray
     how: Whitening

@@ -9,7 +9,8 @@ import numpy as np
 from . import choice
 from .study import Fit, Study
 
-SHARE = 0.05  # of the whole gain another effect must bring
+SHARE, SHARE_OF_LITTLE = 0.05, 0.2  # of the whole gain another effect must bring; where little is left to explain
+ORDINARY = 1.2  # excess that healthy drives have as well
 PARTNERS = 8  # pairs fitted to the end
 UNKNOWN_ALONE = 2.0  # excess of a base no effect improves
 UNKNOWN_LEFT = 2.0  # excess an explanation may leave
@@ -32,7 +33,7 @@ def search(study: Study, fits: Mapping[str, Fit], limit: float, most: int) -> tu
     answer = min(credible or fits.values(), key=lambda fit: fit.cost)
     while len(answer.names) < most:
         gain = base - answer.cost
-        need = max(limit, SHARE * gain)
+        need = max(limit, (SHARE if excess(study, answer) > ORDINARY else SHARE_OF_LITTLE) * gain)
         better = _joined(study, answer, fits, need)
         if better is None or answer.cost - better.cost < need or not study.credible(better):
             break
