@@ -25,7 +25,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="index of the first case of each kind")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "st_bench_discovery",
                         help="folder for what was computed already")
-    parser.add_argument("--minutes", type=float, help="begin no case after this time")
+    parser.add_argument("--minutes", type=float, help="begin no case after this time; 0: score what is there")
+    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("K", "N"),
+                        help="the share of process K = 0 ... N-1; score all with --minutes 0 in the end")
     parser.add_argument("--no-judge", action="store_true", help="leave out oracle, baselines and suggested drives")
     parser.add_argument("--output", type=Path, help="write the scores (results.json) to this folder")
     parser.add_argument("--page", type=Path,
@@ -33,10 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     counts = {kind: min(ALL[kind], chosen.first + chosen.cases) if chosen.cases else ALL[kind]
               for kind in chosen.kind or ALL}
-    until = time.time() + 60 * chosen.minutes if chosen.minutes else None
-    cases = (case for case in in_fair_order(chosen.set, counts) if case.index >= chosen.first)
-    records = run_all(cases, chosen.cache / f"{chosen.set}{'_unjudged' if chosen.no_judge else ''}.jsonl", until, _say,
-                      not chosen.no_judge)
+    until = None if chosen.minutes is None else time.time() + 60 * chosen.minutes
+    cases = (case for case in in_fair_order(chosen.set, counts, chosen.part) if case.index >= chosen.first)
+    folder = chosen.cache / f"{chosen.set}{'_unjudged' if chosen.no_judge else ''}"
+    records = run_all(cases, folder / f"{chosen.part[0]}.jsonl", until, _say, not chosen.no_judge)
     document = score.scores(records)
     print(score.as_text(document))
     if chosen.output:

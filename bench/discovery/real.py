@@ -1,8 +1,8 @@
 """Half blind: recorded drives of a real car, with a known effect put into one of the recorded channels.
 
-The laps of one track among the Genesis drives (four drives) are cut into pieces of 40 s. A case takes some as reference and others as suspect; an effect is put
-into the suspect ones by changing what was recorded, the inverse of how the library reads it. Ten cases in a row share
-the reference.
+The laps of one track among the Genesis drives (four drives) are cut into pieces of 40 s. A case takes some as
+reference and others as suspect; an effect is put into the suspect ones by changing what was recorded, the inverse of
+how the library reads it. Ten cases in a row share the reference.
 """
 
 from collections.abc import Callable

@@ -79,33 +79,36 @@ def judged_by(case: Case, drives: Drives, found: Discovery) -> Record:
     return record
 
 
-def in_fair_order(set_: str, counts: dict[str, int]) -> Iterator[Case]:
-    """All kinds side by side, car by car: wherever it is stopped, each kind is about equally far."""
+def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Case]:
+    """All kinds side by side, car by car: wherever it is stopped, each kind is about equally far.
+
+    part: (k, n), every n-th car from the k-th on, for one of n processes.
+    """
     blocks = []
     for kind, count in counts.items():
         cases = real.cases_of(set_, count) if kind == "real" else cases_of(set_, kind, count)
         parts = [cases[i:i + PER_CAR] for i in range(0, len(cases), PER_CAR)]
         blocks += [((i + 0.5) / len(parts), kind, part) for i, part in enumerate(parts)]
-    for _, _, part in sorted(blocks, key=lambda block: block[:2]):
-        yield from part
+    first, step = part
+    for _, _, cases in sorted(blocks, key=lambda block: block[:2])[first::step]:
+        yield from cases
 
 
 def run_all(cases: Iterable[Case], cache: Path, until: float | None, say: Callable[[Case, Record], None],
             judged: bool = True) -> list[Record]:
-    """Records of all cases; those in the cache file (JSON lines) are not computed again. until: stop before a case
-    that would begin after this Unix time."""
-    done = {}
-    if cache.exists():
-        for line in cache.read_text().splitlines():
+    """Records of all cases; those in files (JSON lines) of the cache's folder are not computed again. until: no case
+    begins after this Unix time."""
+    done, records = {}, []
+    cache.parent.mkdir(parents=True, exist_ok=True)
+    for file in sorted(cache.parent.glob("*.jsonl")):
+        for line in file.read_text().splitlines():
             record = json.loads(line)
             done[record["set"], record["kind"], record["index"]] = record
-    records = []
-    cache.parent.mkdir(parents=True, exist_ok=True)
     for case in cases:
         key = case.set_, case.kind, case.index
         if key not in done:
             if until is not None and time.time() >= until:
-                break
+                continue
             done[key] = _guarded(case, judged)
             with cache.open("a") as file:
                 file.write(json.dumps(done[key]) + "\n")
