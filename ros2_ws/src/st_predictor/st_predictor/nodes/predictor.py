@@ -40,8 +40,8 @@ class PredictorNode(Node):
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
-        # Not more: after a reader was held up, Fast DDS sends all of it again; with 50 of them, half a megabyte per topic,
-        # a recorder that had stood still for 3 s got no prediction for a minute and a half, with 10 for 3 s.
+        # Not more: after a reader was held up, Fast DDS sends all of it again. With 50, half a megabyte per topic, a
+        # recorder that had stood still for 3 s got no prediction for a minute and a half; with 10 it did after 3 s.
         qos = QoSProfile(depth=10)
         self._outputs: dict[str, tuple[Publisher, Publisher]] = {
             model: (self.create_publisher(PathMessage, f"predictor/{model}/path", qos),
