@@ -52,7 +52,8 @@ def run() -> dict:
     return _evaluate(node)
 
 
-def _evaluate(node: Listener) -> dict:
+def latencies(node: Listener) -> tuple[list[float], list[float]]:
+    """Of each tick with three predictions [ms]: newest datagram used -> last one published, and -> last one heard."""
     times = np.array(sorted(node.received))
     issued: dict[int, list[int]] = {}
     heard: dict[int, list[int]] = {}
@@ -68,6 +69,12 @@ def _evaluate(node: Listener) -> dict:
         if k < len(times):
             to_published.append((max(out) - times[k]) * 1e-6)
             to_heard.append((max(heard[measured]) - times[k]) * 1e-6)
+    return to_published, to_heard
+
+
+def _evaluate(node: Listener) -> dict:
+    to_published, to_heard = latencies(node)
+    times = np.array(sorted(node.received))
     gaps = np.diff(times) * 1e-6
     return {
         "packets_heard": len(times),

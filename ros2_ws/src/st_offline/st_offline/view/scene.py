@@ -16,6 +16,7 @@ from .layout import AROUND, ASIDE, BEHIND, GRID, TIMELINE, blueprint
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 FAINT = (228, 228, 228)
 GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
+OLD = 1.0  # s; a prediction older than this is not the current one
 GHOST_STRIDE, TRACK_STRIDE = 5, 2  # of their points, one in so many is drawn
 # Half the width of a line, in points of the screen: the same at every zoom.
 THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
@@ -93,7 +94,8 @@ class Scene:
         for number, model in enumerate(history.models):
             self._name(model)
             path = history.newest(model)
-            self._lines(f"{root}/paths/{model}", [place(path.x, path.y)], [rgb(colour_of(model))],
+            fresh = now_ns - path.start_ns < OLD * 1e9
+            self._lines(f"{root}/paths/{model}", [place(path.x, path.y)] if fresh else [], [rgb(colour_of(model))],
                         MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
             for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(place(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
