@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import StCoreError
+from ..errors import ConfigurationError, StCoreError
 from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
@@ -127,10 +127,14 @@ class _Work:
             model = space.at(vector)
         effects = tuple(self._effect(n, answer, vector, rivals, fits) for n in answer.names) if model else ()
         gaps = gap.measure(parts, self.vehicle, study, answer if model else study.base, vector, floor)
+        if model and not gap.shrinks(gaps, bool(self.reference)):
+            self.warnings.append(f"{', '.join(answer.names)} fits best, but errors do not shrink with it")
+            outcome, model, effects, rivals = "unknown", None, (), {}
+            gaps = gap.measure(parts, self.vehicle, study, study.base, floor.vector, floor)
         separable = tuple(self._separability(rivals, fits)) if model else ()
         following = manoeuvres.following(study, effects, fits) if separable else None
         where = self._where(floor)
-        if unknown:
+        if outcome == "unknown":
             signature = tuple(f"{w.channel}: {w.condition}" for w in where[:6])
         return Discovery(
             outcome=outcome, effects=effects, where=where, gap=gaps, not_testable=untestable, next_manoeuvre=following,
@@ -153,6 +157,12 @@ class _Work:
         return good
 
     def _channels(self) -> DiscoverySettings:
+        if self.space.model.base.name == "kinematic":
+            # Its v_y and yaw rate are carried along as measured: only where it drives to says something of it.
+            left = tuple(c for c in self.settings.channels if c in ("yaw", "position"))
+            if not left:
+                raise ConfigurationError("channels: of a kinematic base only yaw and position can be judged")
+            return replace(self.settings, channels=left)
         everything = [*self.runs, *self.reference]
         if "acceleration_y" in self.settings.channels and any(r.acceleration_y is None for r in everything):
             self.warnings.append("acceleration_y is not in all runs and is not used")

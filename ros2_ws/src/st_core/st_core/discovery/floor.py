@@ -17,7 +17,8 @@ LEAST = {"velocity_y": 0.003, "yaw_rate": 0.0008, "acceleration_y": 0.02, "yaw":
 HARDNESS = np.array([1.0, 1.0, 1.5, 2.5, 4.0, 1.5, 1.5, 2.0, 3.0, 5.0])  # how much larger in each kind of driving
 HEALTHY = 1.0  # usual sizes of each effect a car may have before anything is wrong with it, with a reference to say so
 UNKNOWN = 0.35  # the same without a reference
-SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.1}  # usual sizes: 1.5 m/s of wind, 2 mrad
+# Usual sizes: 1.5 m/s of wind, 2 mrad of bank, 0.5 mrad the heading of an INS wanders.
+SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.1, "heading_misalignment": 0.1}
 DOUBTFUL = 4.0  # usual sizes
 ROUNDS = 4
 
@@ -131,11 +132,13 @@ def assumed(windows: Windows, space: Space, tick=None) -> Floor:
     start, how, inflation = space.start.copy(), default_whitening(windows), 4.0
     deviation = prior(space, UNKNOWN)
     x, rows = start.copy(), row_errors(windows, space, start)
+    loose = prior(space, 1.0)
+    loose[space.indices(*LIFTED)] = 1.0
     for _ in range(2):
         q = quadratic(rows, jacobian(windows, space, x, rows, tick=tick), windows, how)
-        step = solve_map(q.hessian.sum(0) / inflation, q.gradient.sum(0) / inflation, prior(space, 1.0),
+        step = solve_map(q.hessian.sum(0) / inflation, q.gradient.sum(0) / inflation, loose,
                          (x - start) / space.scale, (space.low - x) / space.scale, (space.high - x) / space.scale)
-        x, rows = _search(windows, space, x, step, rows, how, inflation, start, prior(space, 1.0))
+        x, rows = _search(windows, space, x, step, rows, how, inflation, start, loose)
     how = whitening(rows, windows.condition, usual(windows) * 0.3, windows.scored)
     q = quadratic(rows, jacobian(windows, space, x, rows, tick=tick), windows, how)
     inflation = max(float(np.median(inflation_of(q))), 2.0)

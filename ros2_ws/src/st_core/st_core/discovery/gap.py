@@ -1,6 +1,6 @@
 """Which drives serve what, and the error before and after on those that served nothing else."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,6 +68,14 @@ def measure(parts: Parts, vehicle, study: Study, fit: Fit, vector: np.ndarray, f
             size = None if long else floor.size.get(channel)
             result[name] = _gap(squares, run, block, study, parts, UNITS[name], size if floor.quadratic else None)
     return result
+
+
+def shrinks(gaps: Mapping[str, Gap], compared: bool) -> bool:
+    """Whether errors go down with what was found: over all channels, in half widths of their intervals. Without healthy
+    drives to compare with, one of them must do so for sure."""
+    surely = any(g.interval[0] > 0.0 for g in gaps.values())
+    together = sum((g.base - g.augmented) / max(0.5 * (g.interval[1] - g.interval[0]), 1e-12) for g in gaps.values())
+    return surely or (compared and together > 0.0)
 
 
 def _errors(parts: Parts, vehicle, study: Study, fit: Fit, vector: np.ndarray, settings, long: bool):

@@ -40,8 +40,8 @@ class DiscoverySettings:
         for channel in (*self.channels, *(self.noise or {})):
             if channel not in CHANNELS:
                 raise ConfigurationError(f"channels: {channel!r} is none of {', '.join(CHANNELS)}")
-        if not set(self.channels) & set(CHANNELS[:3]):
-            raise ConfigurationError(f"channels: at least one of {', '.join(CHANNELS[:3])} is needed")
+        if not self.channels:
+            raise ConfigurationError(f"channels: at least one of {', '.join(CHANNELS)} is needed")
         for key, low, high in (("maximum_effects", 1, 8), ("horizon", 0.5, 10.0), ("interval", 0.1, 5.0),
                                ("block", 1.0, 60.0), ("confidence", 0.5, 0.999), ("false_alarm", 1e-4, 0.5),
                                ("resamples", 100, 100_000), ("drift", 0.0, 1.0)):

@@ -10,6 +10,7 @@ from . import choice
 from .study import Fit, Study
 
 SHARE, SHARE_OF_LITTLE = 0.05, 0.2  # of the whole gain another effect must bring; where little is left to explain
+ENOUGH = 0.8  # share of the best gain at which an effect that does its work alone is preferred
 ORDINARY = 1.2  # excess that healthy drives have as well
 PARTNERS = 8  # pairs fitted to the end
 UNKNOWN_ALONE = 2.0  # excess of a base no effect improves
@@ -29,11 +30,13 @@ def excess(study: Study, fit: Fit) -> float:
 def search(study: Study, fits: Mapping[str, Fit], limit: float, most: int) -> tuple[list[Fit], float]:
     """([the answer, the fits it beat ...], excess it leaves). limit: the gain another effect must bring."""
     base = study.base.cost
-    credible = [fit for fit in fits.values() if study.credible(fit)]
-    answer = min(credible or fits.values(), key=lambda fit: fit.cost)
+    best = min(fits.values(), key=lambda fit: fit.cost)
+    near = [fit for fit in fits.values() if study.credible(fit) and base - fit.cost > ENOUGH * (base - best.cost)]
+    answer = min(near or [best], key=lambda fit: fit.cost)
     while len(answer.names) < most:
         gain = base - answer.cost
         need = max(limit, (SHARE if excess(study, answer) > ORDINARY else SHARE_OF_LITTLE) * gain)
+        need = need if study.credible(answer) else limit
         better = _joined(study, answer, fits, need)
         if better is None or answer.cost - better.cost < need or not study.credible(better):
             break
