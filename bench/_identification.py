@@ -62,9 +62,15 @@ def sweep(speed: float, angle: float) -> Callable[[Builder], None]:
 
 
 Runs = Sequence[tuple[str, float, Callable[[Builder], None]]]
-BENDS: Runs = tuple((f"bends {v:g} m/s, {a:g} m/s^2", v, bends(v, a)) for v, a in (
-    (6.0, 1.5), (7.0, 2.5), (8.0, 3.3), (9.0, 2.0), (10.0, 3.5), (11.0, 1.5), (12.0, 3.0), (13.0, 2.2), (14.5, 3.5),
-    (16.0, 2.5)))
+def _bends(pairs) -> Runs:
+    return tuple((f"bends {v:g} m/s, {a:g} m/s^2", v, bends(v, a)) for v, a in pairs)
+
+
+BENDS = _bends(((9.0, 2.0), (10.0, 2.2), (11.0, 2.5), (12.0, 1.5), (12.0, 3.0), (13.0, 3.3), (14.0, 2.0), (14.5, 3.2),
+                (15.0, 3.5), (16.0, 2.5)))
+"""Radii of 40 to 100 m."""
+TIGHT_BENDS = _bends(((6.0, 1.5), (6.5, 2.2), (7.0, 2.5), (7.5, 3.0), (8.0, 3.3), (8.5, 3.5)))
+"""Radii of 20 to 24 m."""
 STRAIGHTS: Runs = tuple((f"straight {v:g} m/s", v, straight(v)) for v in (7.0, 9.0, 11.0, 13.0))
 SLOW: Runs = tuple((f"slow {v:g} m/s", v, bends(v, a)) for v, a in (
     (2.5, 0.6), (3.5, 1.2), (4.5, 1.0), (5.5, 1.8), (6.5, 1.5), (8.0, 2.0)))
@@ -90,10 +96,10 @@ def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), secon
     return logs
 
 
-def record_all(plant: str, seed: int, sensors: Sequence[str] = SENSORS) -> Mapping[str, list[DriveLog]]:
+def record_all(plant: str, seed: int, sensors: Sequence[str] = SENSORS,
+               seconds: float = SECONDS) -> Mapping[str, list[DriveLog]]:
     """All drives an identification wants."""
     turned = (f"ins_lever_error={LEVER_ERROR}", f"ins_misalignment={MISALIGNMENT}")
-    return {"bends": record(BENDS, plant, seed, sensors=sensors), "straight": record(STRAIGHTS, plant, seed,
-                                                                                    sensors=sensors),
-            "slow": record(SLOW, plant, seed, turned, sensors=sensors),
-            "transient": record(TRANSIENTS, plant, seed, sensors=sensors)}
+    kinds: Mapping[str, tuple[Runs, tuple[str, ...]]] = {
+        "bends": (BENDS, ()), "straight": (STRAIGHTS, ()), "slow": (SLOW, turned), "transient": (TRANSIENTS, ())}
+    return {kind: record(runs, plant, seed, effects, seconds, sensors) for kind, (runs, effects) in kinds.items()}

@@ -1,19 +1,29 @@
 """The paper's chain on virtual S1 to S7: offset, stiffnesses by regression, then the evaluation with what was found."""
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from _virtual import leaf, read_runs, write_scenarios
+from _identification import LEAF_FILE, leaf
+from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.free_parameters import identified_vehicle, with_stiffness
 from st_core.identification.result import Identification
 from st_core.identification.steering_offset import identify_steering_offset
 from st_core.identification.stiffness_prediction import predict_stiffness
-from st_core.log_evaluation import evaluate_log
+from st_core.log import DriveLog
+from st_core.log_evaluation import regular_starts, usable_starts
+from st_core.log_signals import LogSignals
 from st_core.vehicle import VehicleParameters
+from st_sim.car import read_car
+from st_sim.scenarios import load
+from st_sim.sensors import Ins, SteeringSensor
+from st_sim.settings import resolve
+from st_sim.simulation import SimulatedCar
 
+# Seconds of each; the figure eight and the circles are alike throughout, the others have straights in them.
+SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 45, "S7": 45}
+START_NS, INTERVAL_MS = 1_756_900_800_000_000_000, 10
+RESOLUTION = np.deg2rad(0.1)
 MODELS = ("kinematic", "linear", "nonlinear")
 
 
@@ -22,9 +32,7 @@ def chain() -> dict:
     car = leaf()
     unknown = with_stiffness(replace(car, steering_wheel_offset=0.0), 0.8 * car.cornering_stiffness_front,
                              0.8 * car.cornering_stiffness_rear)
-    with tempfile.TemporaryDirectory(prefix="st-bench-") as folder:
-        runs = read_runs(write_scenarios(Path(folder)), car)
-    logs = list(runs.values())
+    logs = [recorded(name, seconds, car) for name, seconds in SECONDS.items()]
     offset = identify_steering_offset(logs, unknown)
     offset_known = replace(unknown, steering_wheel_offset=offset["steering_wheel_offset"].value)
     paper = identify_stiffness(logs, offset_known)
@@ -36,21 +44,44 @@ def chain() -> dict:
     return {"found": found, "errors": {name: errors(logs, file) for name, file in files.items()}}
 
 
+def recorded(scenario: str, seconds: float, vehicle: VehicleParameters) -> DriveLog:
+    """A scenario as the sensors of the realistic virtual Leaf record it; the steering angle in steps of its CAN bus."""
+    settings, car = resolve("realistic"), read_car(LEAF_FILE)
+    simulated = SimulatedCar(car, settings, load(scenario), seed=1)
+    ins, sensor = Ins(car, settings, INTERVAL_MS / 1000, 1), SteeringSensor(car, settings, 1)
+    rows = []
+    for k in range(round(seconds * 1000 / INTERVAL_MS)):
+        simulated.advance(k * INTERVAL_MS / 1000)
+        truth = simulated.truth()
+        r = ins.read(truth)
+        hand = round(sensor.read(truth) / RESOLUTION) * RESOLUTION
+        rows.append((r.x, r.y, r.yaw, r.velocity_x, r.velocity_y, r.rates[2], hand))
+    *columns, hand = np.array(rows).T
+    columns[2] = np.unwrap(columns[2])
+    time_ns = START_NS + np.arange(len(hand), dtype=np.int64) * INTERVAL_MS * 1_000_000
+    return DriveLog(scenario, time_ns, *columns, time_ns, vehicle.road_wheel_angle(hand), hand)
+
+
 def errors(logs: list, car: VehicleParameters) -> dict:
-    """{model: {scenario: longitudinal / lateral}} root mean square of the horizon means, hindsight [m]."""
+    """{model: {scenario: longitudinal / lateral}} root mean square of the horizon means, hindsight [m]: the protocol of
+    `st evaluate`.
+    """
     table: dict[str, dict[str, str]] = {model: {} for model in MODELS}
     total: dict[str, list] = {model: [] for model in MODELS}
     for log in logs:
-        evaluation = evaluate_log(MODELS, car, log.with_steering(car))
+        own = log.with_steering(car)
+        starts, _ = usable_starts(LogSignals(own, 0.1, 5.0), car, regular_starts(own, 0.1), 0.5)
+        batch = LogBatch(own, starts)
         for model in MODELS:
-            found = evaluation.errors[model, "hindsight"]
-            both = [found.statistics(axis)[2] for axis in ("longitudinal", "lateral")]
-            table[model][log.name] = " / ".join(f"{value:.2f}" for value in both)
-            total[model].append(found.mean[found.complete, :2])
-    for model in MODELS:
-        both = np.sqrt(np.square(np.concatenate(total[model])).mean(axis=0))
-        table[model]["all"] = f"{both[0]:.2f} / {both[1]:.2f}"
-    return table
+            mean = batch.errors(batch.predict(model, car))[:, :, :2].mean(axis=1)
+            mean = mean[np.isfinite(mean).all(axis=1)]
+            table[model][log.name] = _rms(mean)
+            total[model].append(mean)
+    return {model: {**table[model], "all": _rms(np.concatenate(total[model]))} for model in MODELS}
+
+
+def _rms(values: np.ndarray) -> str:
+    return " / ".join(f"{value:.2f}" for value in np.sqrt(np.square(values).mean(axis=0)))
 
 
 def _with(car: VehicleParameters, found: Identification) -> VehicleParameters:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from _identification import LEVER_ERROR, MISALIGNMENT, leaf, record_all
+from _identification import LEVER_ERROR, MISALIGNMENT, TIGHT_BENDS, leaf, record, record_all
 from _identification_chain import chain
 from _identification_genesis import genesis
 from st_core.augmented import augment
@@ -22,6 +22,7 @@ from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC
 
 SEEDS = 50
+SEED_SECONDS = 30.0  # of each of the 24 drives
 SILENT = ("ins_noise=0", "steering_sensor_noise=0")
 KNOWN = {"steered_drive_force": {"share": 1.0}}  # front-wheel drive, and nothing else of the plant
 
@@ -40,7 +41,7 @@ def wrong(car: VehicleParameters) -> VehicleParameters:
 
 def one_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identification, dict[str, float]]]:
     """{method: (outcome, truth)} of one measurement of all drives."""
-    logs = record_all("ideal", seed)
+    logs = record_all("ideal", seed, seconds=SEED_SECONDS)
     start = wrong(car)
     offset = identify_steering_offset(logs["straight"], start, seed=seed)
     # The offset found goes into what follows, as on a real car.
@@ -54,8 +55,7 @@ def one_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identificatio
         "offset": (offset, {"steering_wheel_offset": car.steering_wheel_offset,
                             "steering_wheel_offset_direct": car.steering_wheel_offset}),
         "paper": (identify_stiffness(logs["bends"], mass_right, seed=seed), stiffness),
-        "prediction": (predict_stiffness(logs["bends"], mass_right, seed=seed), stiffness),
-        "prediction, drive force": (predict_stiffness(logs["bends"], mass_right, known, seed=seed), stiffness),
+        "prediction": (predict_stiffness(logs["bends"], mass_right, known, seed=seed), stiffness),
         "steering": (identify_steering(logs["bends"], replace(mass_right, steering_ratio=19.0), known, seed=seed),
                      steering),
         "ins": (identify_ins_mounting(logs["slow"], start, seed=seed),
@@ -92,7 +92,8 @@ def _summary(rows: list) -> dict:
 def noise_free() -> dict:
     """What the single-track car makes of the double-track plant, without noise: error of each stiffness [%]."""
     car = leaf()
-    return _stiffness_errors(record_all("ideal", 0, SILENT)["bends"], car, car)
+    return {"radii 40 to 100 m": _stiffness_errors(record_all("ideal", 0, SILENT)["bends"], car, car),
+            "radii 20 to 24 m": _stiffness_errors(record(TIGHT_BENDS, "ideal", 0, sensors=SILENT), car, car)}
 
 
 def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParameters) -> dict:

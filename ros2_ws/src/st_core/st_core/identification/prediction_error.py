@@ -119,6 +119,11 @@ class PredictionError:
         self.start = np.array([start_value(n, vehicle) for n in names])
         self._scale = np.array([FREE[n].step(start_value(n, vehicle)) for n in names])
 
+    @property
+    def curvature_square(self) -> float:
+        """Mean of curvature^2 [1/m^2] over the residuals, weighted by lateral acceleration^2, as a stiffness is."""
+        return self._drives.curvature_square()
+
     def residuals(self, values: Sequence[float]) -> np.ndarray:
         """(m, 2): yaw rate [rad/s] and lateral velocity at the INS [m/s], predicted minus measured."""
         model, car, misalignment = self._apply(values)
@@ -206,6 +211,10 @@ class _Drives:
         points = np.round(np.asarray(settings.points) / NANOSECOND).astype(np.int64)
         self._yaw_rate, self._across, self._speed = signals.ins_at(
             starts[self._good, None] + points, "yaw_rate", "velocity_y", "velocity_x")
+
+    def curvature_square(self) -> float:
+        weights = np.square(self._speed * self._yaw_rate)
+        return float(np.average(np.square(self._yaw_rate / self._speed), weights=weights))
 
     def residuals(self, model, car, misalignment: float) -> np.ndarray:
         with warnings.catch_warnings():
