@@ -27,6 +27,7 @@ setup(
             'evaluator = st_predictor.nodes.evaluator:main',
             'recorder = st_predictor.nodes.recorder:main',
             'markers = st_predictor.nodes.markers:main',
+            'identifier = st_predictor.nodes.identifier:main',
         ],
     },
 )

@@ -42,6 +42,7 @@ def suite_node(package, executable, *overrides, **options):
 
 def generate_launch_description():
     drawn = {"condition": IfCondition(LaunchConfiguration("markers"))}
+    tracked = {"condition": IfCondition(LaunchConfiguration("identify"))}
     bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}
     return LaunchDescription([
         argument("config_dir", "folder with nodes.yaml, vehicle/ and can/ (config/ of the repository)"),
@@ -56,6 +57,7 @@ def generate_launch_description():
         argument("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
         argument("bridges", "false: odometry and steering come from elsewhere", "true"),
         argument("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
+        argument("identify", "true: track steering and stiffness while driving (published, never applied)", "false"),
         argument("respawn", "true: a node that ends is started again, and records into a folder beside", "true"),
         argument("use_sim_time", "true: follow /clock", "false"),
         suite_node(
@@ -72,6 +74,7 @@ def generate_launch_description():
         ),
         suite_node("st_predictor", "predictor", text("predictor", "vehicle_file", VEHICLE)),
         suite_node("st_predictor", "markers", text("markers", "vehicle_file", VEHICLE), **drawn),
+        suite_node("st_predictor", "identifier", text("identifier", "vehicle_file", VEHICLE), **tracked),
         suite_node(
             "oxts_bridge", "oxts_bridge",
             number("oxts_bridge", "udp_port", LaunchConfiguration("ncom_port")),

@@ -56,7 +56,8 @@ EVALUATOR = (
 )
 
 TOPICS = [
-    "ins/*", "vehicle/*", "can/*", "predictor/*", "evaluator/*", "/tf", "/tf_static", "/diagnostics", "/rosout",
+    "ins/*", "vehicle/*", "can/*", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics",
+    "/rosout",
 ]
 RECORDER = (
     Parameter("output_directory", "", "the bag, a new or empty directory; required"),
@@ -73,6 +74,8 @@ MARKERS = (
     Parameter("rate", 10.0, "pictures per second", "Hz", 0.1, 50.0),
     _MAP_FRAME,
 )
+
+IDENTIFIER = (_VEHICLE_FILE, _MAP_FRAME)
 
 
 def load_vehicle(values: SimpleNamespace) -> VehicleParameters:

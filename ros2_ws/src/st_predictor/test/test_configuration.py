@@ -32,6 +32,7 @@ def declared() -> dict[str, tuple[Parameter, ...]]:
         "evaluator": params.EVALUATOR,
         "recorder": params.RECORDER,
         "markers": params.MARKERS,
+        "identifier": params.IDENTIFIER,
         "oxts_bridge": importlib.import_module("oxts_bridge.settings").PARAMETERS,
         "canedge_bridge": importlib.import_module("canedge_bridge.node").PARAMETERS,
     }
@@ -150,7 +151,8 @@ def test_all_nodes_start_from_the_file(processes: Processes) -> None:
         processes.node("st_predictor", "recorder", f"recorder:output_directory:={processes.folder / 'bag'}",
                        arguments=arguments),
         processes.node("st_predictor", "markers", arguments=arguments),
+        processes.node("st_predictor", "identifier", arguments=arguments),
     ]
     for name in declared():
         wait_for(lambda name=name: f"[{name}]" in processes.log(name), what=f"{name} up: {processes.log(name)}")
-    assert [processes.stop(node) for node in nodes] == [0] * 6, [processes.log(name) for name in declared()]
+    assert [processes.stop(node) for node in nodes] == [0] * 7, [processes.log(name) for name in declared()]

@@ -18,7 +18,8 @@ from .recursive import Moment
 GRID_NS = 20_000_000
 POINTS = 5
 BLOCK = POINTS * GRID_NS * 1e-9  # s
-SPAN, MAXIMUM_GAP = 2.0, 0.1  # s
+# Samples are kept until both signals are known; a node that was held up takes ten seconds of them at once.
+SPAN, MAXIMUM_GAP = 12.0, 0.1  # s
 
 
 class Moments:

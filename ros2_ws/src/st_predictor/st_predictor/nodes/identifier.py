@@ -1,0 +1,131 @@
+"""Node identifier: steering offset, ratio and stiffness scale as the driving says; published, never applied."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from st_core.identification.moments import Moments
+from st_core.identification.recursive import NAMES, RecursiveIdentifier, Tracked
+from st_core.vehicle import VehicleParameters
+from st_msgs.msg import Steering, TrackedParameter, TrackedParameters
+from st_ros import diagnostics, parameters, spin
+from st_ros.diagnostics import Check, Diagnostics
+from st_ros.parameters import ConfigurationError
+from st_ros.polling import PolledSubscription
+from st_ros.stamps import to_nanoseconds
+
+from .. import convert, params
+
+DRAIN_PERIOD = 0.1  # s
+PUBLISH_PERIOD = 1.0  # s
+QUEUE_DEPTH = 1000
+STATUS = {"unestimated": TrackedParameter.UNESTIMATED, "estimated": TrackedParameter.ESTIMATED,
+          "invalid": TrackedParameter.INVALID}
+LEVELS = {"unestimated": diagnostics.OK, "estimated": diagnostics.OK, "invalid": diagnostics.WARN}
+FAR_OFF = 3.0  # standard deviations from the vehicle file's value, beyond which an estimate is a warning
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A vehicle file as it was read; text to notice a change."""
+
+    text: str
+    vehicle: VehicleParameters
+
+
+class IdentifierNode(Node):
+    def __init__(self) -> None:
+        super().__init__("identifier")
+        self._values = parameters.declare(self, params.IDENTIFIER)
+        self._file = Path(self._values.vehicle_file)
+        vehicle = params.load_vehicle(self._values)
+        self._source = _Source(self._file.read_text(), vehicle)
+        self._problem = ""
+        self._moments, self._core = Moments(vehicle), RecursiveIdentifier(vehicle)
+        self._resets = 0
+        self._received = {"INS": 0, "steering": 0}
+        qos = QoSProfile(depth=QUEUE_DEPTH)
+        self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
+        self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._publisher = self.create_publisher(TrackedParameters, "identifier/parameters", latched)
+        self.create_timer(DRAIN_PERIOD, self._drain, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(PUBLISH_PERIOD, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._diagnostics = Diagnostics(self, vehicle.name, self._checks)
+        self.get_logger().info(f"tracks {', '.join(NAMES)} of {vehicle.name}; nothing is applied")
+
+    def _drain(self) -> None:
+        for message, _, _ in self._odometry.take(QUEUE_DEPTH):
+            sample = convert.ins_sample(message, self._values.map_frame)
+            self._received["INS"] += not isinstance(sample, str) and self._moments.add_ins(sample)
+        for message, _, _ in self._steering.take(QUEUE_DEPTH):
+            usable = message.valid and math.isfinite(message.steering_wheel_angle)
+            self._received["steering"] += usable and self._moments.add_steering(
+                to_nanoseconds(message.header.stamp), message.steering_wheel_angle)
+        for moment in self._moments.take():
+            self._core.add(moment)
+
+    def _publish(self) -> None:
+        self._look_at_the_file()
+        vehicle, seconds = self._source.vehicle, self._core.seconds
+        message = TrackedParameters(vehicle=vehicle.name, vehicle_hash=vehicle.hash, resets=self._resets,
+                                    seconds_used=seconds.used, seconds_rejected=float(sum(seconds.rejected.values())))
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.parameters = [TrackedParameter(
+            parameter=one.parameter, unit=one.unit, value=one.value, standard_deviation=one.spread,
+            vehicle_file_value=self._known(one), status=STATUS[one.status], reason=one.reason)
+            for one in self._core.tracked()]
+        self._publisher.publish(message)
+
+    def _look_at_the_file(self) -> None:
+        """Begin anew when the values of the vehicle file have changed; a file that cannot be read changes nothing."""
+        try:
+            text = self._file.read_text()
+            if text == self._source.text:
+                self._problem = ""
+                return
+            vehicle = params.load_vehicle(self._values)
+        except (OSError, UnicodeDecodeError, ConfigurationError) as error:
+            self._problem = " ".join(str(error).split())
+            return
+        changed = vehicle.hash != self._source.vehicle.hash
+        self._source, self._problem = _Source(text, vehicle), ""
+        if changed:
+            self._moments.vehicle = vehicle
+            self._core.reset(vehicle)
+            self._resets += 1
+            self.get_logger().info(f"{self._file} has changed: everything tracked so far is forgotten")
+
+    def _known(self, one: Tracked) -> float:
+        return float(getattr(self._source.vehicle, one.parameter, 1.0))
+
+    def _checks(self) -> list[Check]:
+        seconds = self._core.seconds
+        used = {"used [s]": round(seconds.used, 1), **{f"left out, {why} [s]": round(time, 1)
+                                                      for why, time in seconds.rejected.items()}, **self._received}
+        checks = [Check("driving", diagnostics.OK, f"{seconds.used:.0f} s of driving used", used)]
+        for one in self._core.tracked():
+            known, level = self._known(one), LEVELS[one.status]
+            text = f"{one.value:.4g} +/- {one.spread:.2g} {one.unit}, vehicle file {known:.4g}"
+            words = {"unestimated": f"not estimated yet: {one.reason}", "estimated": text,
+                     "invalid": f"invalid: {one.reason}"}[one.status]
+            if one.status == "estimated" and abs(one.value - known) > FAR_OFF * one.spread:
+                level, words = diagnostics.WARN, f"{text}: the file does not fit the driving"
+            checks.append(Check(one.parameter, level, words, {
+                "value": one.value, "standard deviation": one.spread, "vehicle file": known, "status": one.status}))
+        file = Check("vehicle file", diagnostics.WARN, f"{self._problem}; the values read before stay", {})
+        return [*checks, file if self._problem else Check("vehicle file", diagnostics.OK, "as at the start", {
+            "resets": self._resets})]
+
+    def close(self) -> None:
+        self._drain()
+        self._publish()
+        spin.settle(self._publisher)
+
+
+def main() -> int:
+    return spin.run(IdentifierNode)

@@ -1,0 +1,91 @@
+"""The node identifier over DDS: what it tracks, that it says what it does not know, and what resets it."""
+
+import math
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+
+from bags import health, read_messages
+from ros_processes import Processes, wait_for
+from st_core.vehicle import VehicleParameters
+from support import ROOT
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+TRUTH = {"steering_wheel_offset": math.radians(-4.0), "steering_ratio": 16.6, "stiffness_scale": 0.85}
+UNESTIMATED, ESTIMATED = 0, 1
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory):
+    """A winding road of 80 s, then the same vehicle file with another ratio."""
+    folder = tmp_path_factory.mktemp("identifier")
+    vehicle = folder / "car.yaml"
+    vehicle.write_text(LEAF.read_text())
+    processes = Processes(folder)
+    try:
+        nodes = [processes.node("st_predictor", "identifier", f"vehicle_file:={vehicle}"),
+                 processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}")]
+        wait_for(lambda: "tracks" in processes.log("identifier") and "[recorder]" in processes.log("recorder"),
+                 what="nodes up")
+        feeder = processes.start([sys.executable, str(ROOT / "tests" / "winding_feeder.py"), "--vehicle", str(vehicle)],
+                                 "feeder")
+        assert feeder.wait(120) == 0, processes.log("feeder")
+        # A comment changes no value; then a broken file, then another ratio.
+        vehicle.write_text(LEAF.read_text() + "# noted\n")
+        vehicle.write_text(LEAF.read_text().replace("17.3", "170.3"))
+        wait_for(lambda: "170.3 is outside" in processes.log("identifier"), what="broken file noticed")
+        vehicle.write_text(LEAF.read_text().replace("17.3", "16.6"))
+        wait_for(lambda: "everything tracked so far is forgotten" in processes.log("identifier"), what="reset")
+        assert [processes.stop(node) for node in nodes] == [0, 0], processes.log("identifier")
+    finally:
+        processes.close()
+    return folder, read_messages(folder / "bag")
+
+
+def estimates(message) -> dict:
+    return {one.parameter: one for one in message.parameters}
+
+
+def test_the_last_word_before_the_change_is_the_truth(run):
+    messages = [m for m in run[1]["/identifier/parameters"] if not m.resets]
+    last = estimates(messages[-1])
+    assert messages[-1].seconds_used > 75.0
+    for name, truth in TRUTH.items():
+        assert last[name].status == ESTIMATED, last[name].reason
+        assert abs(last[name].value - truth) < 3.0 * last[name].standard_deviation, name
+    assert last["steering_ratio"].vehicle_file_value == 17.3 and last["stiffness_scale"].vehicle_file_value == 1.0
+    assert messages[-1].vehicle_hash == VehicleParameters.from_yaml(LEAF.read_text()).hash
+
+
+def test_the_first_word_is_that_nothing_is_known(run):
+    first = estimates(run[1]["/identifier/parameters"][0])
+    assert {one.status for one in first.values()} == {UNESTIMATED}
+    assert all(one.reason for one in first.values())
+
+
+def test_a_changed_file_starts_anew_and_a_broken_one_does_not(run):
+    messages = run[1]["/identifier/parameters"]
+    assert sorted({m.resets for m in messages}) == [0, 1]
+    last = messages[-1]
+    assert last.seconds_used == 0.0 and {one.status for one in last.parameters} == {UNESTIMATED}
+    assert estimates(last)["steering_ratio"].vehicle_file_value == 16.6
+
+
+def test_health_names_the_file_that_does_not_fit(run):
+    said = {name: {(level, text) for _, level, text in lines} for name, lines in health(run[1]).items()}
+    assert any(level == 1 and "the file does not fit the driving" in text
+               for level, text in said["identifier: steering_ratio"])
+    assert any(level == 1 and "170.3" in text for level, text in said["identifier: vehicle file"])
+
+
+def test_nobody_else_listens_to_it(run):
+    """Published, never applied: predictor and bridges have no subscription to what it says."""
+    sources = [path for path in (ROOT / "ros2_ws" / "src").rglob("*.py") if "test" not in path.parts]
+    users = {path.relative_to(ROOT / "ros2_ws" / "src").as_posix() for path in sources
+             if "TrackedParameters" in path.read_text() or "identifier/parameters" in path.read_text()}
+    assert users == {"st_predictor/st_predictor/nodes/identifier.py"}
+    assert isinstance(run[0], Path)
