@@ -3,7 +3,6 @@
 import contextlib
 import os
 import signal
-import threading
 import time
 from pathlib import Path
 
@@ -11,8 +10,7 @@ import numpy as np
 import psutil
 import rclpy
 from _suite import running_suite
-from latency import MODELS, Listener, latencies
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from latency import MODELS, PERIOD, Listener, latencies
 from rich.console import Console
 from st_offline.paths import config
 from st_offline.suite import Suite
@@ -68,18 +66,10 @@ def _family(pids: list[int]) -> list[psutil.Process]:
 
 def _listen(seconds: float) -> Listener:
     node = Listener()
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-
-    def spin() -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    time.sleep(seconds)
-    executor.shutdown()
-    thread.join()
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        node.take()
+        time.sleep(PERIOD)
     node.destroy_node()
     return node
 

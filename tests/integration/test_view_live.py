@@ -68,11 +68,14 @@ def test_a_view_that_hangs_and_one_that_is_killed_disturb_no_prediction(tmp_path
             demo.communicate(timeout=60)
     assert demo.returncode == 0, text
     assert "the view ended before the run did" in text
-    ticks = json.loads((run / "summary.json").read_text())["ticks"]
-    assert ticks["predicted"] >= 0.95 * ticks["due"]
     issued = np.array([nanoseconds(m.issued_at) for m in read_messages(run / "bag")["/predictor/linear/prediction"]])
-    after = issued[issued > stopped_ns]
-    assert len(after) >= 0.9 * 10.0 * (issued[-1] - stopped_ns) * 1e-9 > 80
+    before, after = issued[issued < stopped_ns], issued[issued > stopped_ns]
+    rates = [(len(part) - 1) / ((part[-1] - part[0]) * 1e-9) for part in (before, after)]
+    # As many predictions as before, to the end of the drive, whatever else the machine has to do.
+    assert rates[1] > 0.9 * rates[0] and len(after) > 80, rates
+    assert issued[-1] - stopped_ns > 9.0e9
+    scored = json.loads((run / "summary.json").read_text())["models"]["linear"]["hindsight"]["n_starts"]
+    assert scored > 0.5 * len(issued)
     assert not [p for p in everybody if p.is_running() and p.status() != psutil.STATUS_ZOMBIE]
 
 
