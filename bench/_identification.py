@@ -1,9 +1,10 @@
 """Drives of the virtual Leaf for identification: the compiled car, a hand that never is still, the sensors' noise."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
-from discovery.compiled import drive
+from discovery.compiled import Recording, drive
 from discovery.manoeuvres import DT, Builder
 from discovery.sensing import log_of
 from st_core.log import DriveLog
@@ -61,7 +62,8 @@ def sweep(speed: float, angle: float) -> Callable[[Builder], None]:
     return build
 
 
-Runs = Sequence[tuple[str, float, Callable[[Builder], None]]]
+Run = tuple[str, float, Callable[[Builder], None]]
+Runs = Sequence[Run]
 def _bends(pairs) -> Runs:
     return tuple((f"bends {v:g} m/s, {a:g} m/s^2", v, bends(v, a)) for v, a in pairs)
 
@@ -78,22 +80,30 @@ TRANSIENTS: Runs = (("steps 10 m/s", 10.0, steps(10.0, 0.05)), ("steps 14 m/s", 
                     ("sweep 12 m/s", 12.0, sweep(12.0, 0.03)), ("sweep 16 m/s", 16.0, sweep(16.0, 0.018)))
 
 
+DRIVERS = 5
+"""Different hands; what they drive is simulated once, and measured with other noise by every seed."""
+
+
 def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), seconds: float = SECONDS,
            sensors: Sequence[str] = SENSORS) -> list[DriveLog]:
-    """Every run once: tremor of the hand and noise of the sensors from the seed."""
+    """Every run once: tremor of the hand from seed modulo DRIVERS, noise of the sensors from the seed."""
     settings = resolve(plant, ("driver_tremor=0", *sensors, *effects))
     car, vehicle = read_car(LEAF_FILE), leaf()
-    logs = []
-    for number, (name, speed, manoeuvre) in enumerate(runs):
-        road = Builder(car, np.random.default_rng([seed, number]), speed)
-        count = 0
-        while count * DT < seconds:
-            manoeuvre(road)
-            count = sum(row.shape[1] for row in road.rows)
-        road.rows[-1] = road.rows[-1][:, :road.rows[-1].shape[1] - max(0, count - round(seconds / DT))]
-        recording = drive(car, settings, road.programme(), 1000 * seed + number)
-        logs.append(log_of(name, recording, car, vehicle, settings, 1000 * seed + number))
-    return logs
+    return [log_of(name, _driven(run, number, plant, seed % DRIVERS, seconds), car, vehicle, settings,
+                   1000 * seed + number) for number, run in enumerate(runs) for name in run[:1]]
+
+
+@lru_cache(maxsize=DRIVERS * 30)
+def _driven(run: Run, number: int, plant: str, driver: int, seconds: float) -> Recording:
+    _, speed, manoeuvre = run
+    car = read_car(LEAF_FILE)
+    road = Builder(car, np.random.default_rng([driver, number]), speed)
+    count = 0
+    while count * DT < seconds:
+        manoeuvre(road)
+        count = sum(row.shape[1] for row in road.rows)
+    road.rows[-1] = road.rows[-1][:, :road.rows[-1].shape[1] - max(0, count - round(seconds / DT))]
+    return drive(car, resolve(plant, ("driver_tremor=0",)), road.programme(), driver)
 
 
 def record_all(plant: str, seed: int, sensors: Sequence[str] = SENSORS,

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..filtering import filtered_derivative
 from ..handling import understeer_coefficient
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
@@ -28,6 +29,7 @@ WINDOW = 2.0  # s
 STRAIGHT = 500.0  # m, radius
 STEADY = np.deg2rad(3.0)  # at the hand wheel, standard deviation in a window
 FEWEST_WINDOWS = 10
+SMOOTHING = 1.0  # Hz, of the measured yaw rate
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters,
@@ -46,7 +48,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
         raise IdentificationError(
             f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {STRAIGHT:g} m, with a "
             f"steady hand and faster than {settings.minimum_speed:g} m/s; {FEWEST_WINDOWS} are needed")
-    problem = PredictionError(logs, vehicle, (PAPER,), "linear", settings)
+    problem = PredictionError([_smoothed(log) for log in logs], vehicle, (PAPER,), "linear", settings)
     fit = problem.fit(noise=np.array([1.0e-3, np.inf]))  # yaw rate alone, in its own unit of a thousandth
     drawn, pieces, words = fit.bootstrap(bootstrap, seed)
     covariance, _ = resampling.spread(drawn, pieces)
@@ -72,6 +74,14 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
               "residual_run": fit.run_of[::2], "residual_time": fit.time[::2], "names": tuple(r.name for r in runs)}
     return Identification("steering-offset", (paper, direct), tuple(n for n in used if used[n] or problem.starts[n]),
                           rejected, None, (), (*noticed, *([said] if said else [])), figure)
+
+
+def _smoothed(log: DriveLog) -> DriveLog:
+    """The drive with the yaw rate behind SMOOTHING, forward and backward: all its samples count, not those at the
+    points of the horizon alone, whose road noise would be 0.02 deg at the hand wheel after four minutes.
+    """
+    smooth, _ = filtered_derivative(log.ins_time_ns, log.yaw_rate, SMOOTHING, 0.1, "zero_phase")
+    return replace(log, yaw_rate=smooth)
 
 
 def _windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) -> np.ndarray:
