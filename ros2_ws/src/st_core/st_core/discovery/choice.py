@@ -58,7 +58,10 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
         explained = np.linalg.solve(h + weights, np.broadcast_to(g, (len(weights), len(g)))[..., None])[..., 0] @ g
         return float((explained[1:] - explained[0]).max())
 
-    gradient, hessian = (q.gradient - q.gradient.mean(axis=0)) / scale, q.hessian / scale
+    hessian = q.hessian / scale
+    # About the best point without prior and bounds: a block says nothing of what it does not show.
+    best = np.linalg.solve(hessian.sum(axis=0) + 1e-3 * np.eye(len(space)), q.gradient.sum(axis=0) / scale)
+    gradient = q.gradient / scale - hessian @ best
     root = np.linalg.cholesky(floor.spread + 1e-12 * np.eye(len(space)))
     drawn = []
     for _ in range(TRIALS):

@@ -81,9 +81,7 @@ class _Work:
         floor, null_of = self._floor()
         self.floor = floor
         parts = gap.split(self.runs, self.settings)
-        windows = Windows(parts.used, self.vehicle, settings)
-        if not len(windows):
-            raise StCoreError("no stretch of the runs is fast enough to be predicted")
+        windows = self._windows(parts.used, "run")
         study = self.study = Study(windows, space, floor, gap.folds(windows), tick=self._tick("hypotheses", len(space)))
         known = float(np.isfinite(study.rows).all(axis=1).mean())
         if known < 0.5:
@@ -170,13 +168,19 @@ class _Work:
             return replace(self.settings, channels=left)
         return self.settings
 
+    def _windows(self, runs, what: str) -> Windows:
+        windows = Windows(runs, self.vehicle, self.settings)
+        if not len(windows):
+            raise StCoreError(f"no {what} has a stretch that is fast enough to be predicted")
+        return windows
+
     def _floor(self):
         """The floor, and what gives the gains of healthy data for a number of blocks."""
         settings, space = self.settings, self.space
         if not self.reference:
             self.warnings.append("no reference drives: effects are counted from the vehicle file, and what a healthy "
                                  "car may differ from it widens every answer")
-            windows = Windows(self.runs, self.vehicle, settings)
+            windows = self._windows(self.runs, "run")
             floor = assumed(windows, space, tick=self._tick("floor", len(space)))
             return floor, lambda blocks, study: choice.null_of(study.quadratic, None, floor, space, space.hypotheses,
                                                                blocks, self.rng)
@@ -184,9 +188,7 @@ class _Work:
                        confidence=0.95, resamples=1000)
         key = (tuple(id(r) for r in self.reference), self.vehicle.hash, space.key, str(told))
         if key not in _floors:
-            windows = Windows(self.reference, self.vehicle, settings)
-            if not len(windows):
-                raise StCoreError("no reference drive has a stretch that is fast enough to be predicted")
+            windows = self._windows(self.reference, "reference drive")
             floor = learn(windows, space, settings.drift, tick=self._tick("floor", ROUNDS * len(space)))
             while len(_floors) >= KEPT:
                 _floors.pop(next(iter(_floors)))
