@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import signal
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,7 +22,11 @@ def write_drives(folder: Path, effects: Mapping[str, float], seed: int,
                  str(seed + number), "--to-files", str(folder / Path(scenario).stem)]
         words += [word for name, value in effects.items() for word in ("--effect", f"{name}={value}")]
         said, wrong = io.StringIO(), io.StringIO()
+        # The command takes Ctrl-C for itself, and would keep it.
+        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(wrong):
             status = main(words)
+        for number, handler in before.items():
+            signal.signal(number, handler)
         assert status == 0, wrong.getvalue()
     return folder
