@@ -23,10 +23,10 @@ def write_drives(folder: Path, effects: Mapping[str, float], seed: int,
         words += [word for name, value in effects.items() for word in ("--effect", f"{name}={value}")]
         said, wrong = io.StringIO(), io.StringIO()
         # The command takes Ctrl-C for itself, and would keep it.
-        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(wrong):
             status = main(words)
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
         assert status == 0, wrong.getvalue()
     return folder

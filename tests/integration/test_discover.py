@@ -1,4 +1,4 @@
-"""st discover from raw files, .ncom and CAN logs of the virtual Leaf, to discovery.json: hidden effects, healthy drives.
+"""st discover from raw files, .ncom and CAN logs of the virtual Leaf, to discovery.json: hidden effects, healthy ones.
 
 The plant of the virtual car has its own equations; what is hidden is a setting of it, and the answer must be the effect
 of the models that means the same, with its size. The healthy car is the realistic one: its lag, compliance, roll steer
