@@ -26,7 +26,7 @@ def run() -> dict:
     """By phase: intervals between ticks and latency in ms; ST_BENCH_SECONDS of each phase in all, no browser."""
     seconds = float(os.environ.get("ST_BENCH_SECONDS", "60"))
     heard: dict[str, list[Listener]] = {phase: [] for phase in PHASES}
-    duration = ROUNDS * len(PHASES) * (seconds / ROUNDS + SETTLE + 8.0) + 20.0
+    duration = ROUNDS * len(PHASES) * (seconds / ROUNDS + SETTLE + 25.0) + 20.0
     with running_suite(duration, ncom_rate=100, can_rate="realistic") as suite:
         rclpy.init()
         for _ in range(ROUNDS):

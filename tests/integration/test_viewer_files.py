@@ -43,7 +43,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tu
         processes.node("oxts_bridge", "oxts_bridge", f"oxts_bridge:udp_port:={port}", arguments=arguments)
         processes.node("canedge_bridge", "canedge_bridge", "canedge_bridge:interface:=udp_multicast",
                        f"canedge_bridge:channel:=239.74.163.{1 + port % 250}", arguments=arguments)
-        for name in ("predictor", "evaluator", "markers"):
+        for name in ("predictor", "evaluator", "identifier", "markers"):
             processes.node("st_predictor", name, arguments=arguments)
         wanted = table_of_topics().keys()
         end = time.monotonic() + 60

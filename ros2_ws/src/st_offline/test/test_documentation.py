@@ -3,6 +3,7 @@
 import re
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
@@ -30,6 +31,10 @@ def test_the_reference_holds_every_parameter_and_every_field() -> None:
         fields = [line for line in file.read_text().splitlines() if line.strip() and not line.startswith("#")]
         assert section.count("\n| `") == len(fields), file.name
     assert "| `longitudinal` | float64[] | m, NaN where not scored |" in page
+
+
+def test_every_node_of_the_parameter_file_is_in_the_reference() -> None:
+    assert reference.NODES.keys() == yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text()).keys()
 
 
 def test_a_cell_keeps_its_bars_and_a_line_that_is_no_field_is_refused(tmp_path) -> None:

@@ -21,6 +21,8 @@ TOPICS = (
     ("/predictor/status", "st_msgs/msg/PredictorStatus", "predictor", "tick counts and why one was skipped; latched"),
     ("/evaluator/errors", "st_msgs/msg/PredictionError", "evaluator", "scores, forecast and hindsight"),
     ("/evaluator/summary", "st_msgs/msg/ErrorSummary", "evaluator", "running statistics; latched"),
+    ("/identifier/parameters", "st_msgs/msg/TrackedParameters", "identifier",
+     "steering and stiffness tracked while driving; latched, never applied"),
     ("/view/markers", "visualization_msgs/msg/MarkerArray", "markers", "car, track, ghosts, errors, names; 10 Hz"),
     ("/view/<model>/error", "geometry_msgs/msg/Vector3Stamped", "markers",
      "mean error of a forecast: x longitudinal, y lateral [m], z yaw [rad]"),
