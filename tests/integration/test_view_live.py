@@ -42,7 +42,7 @@ def test_a_view_that_hangs_and_one_that_is_killed_disturb_no_prediction(tmp_path
     """Viewer and server stopped, then killed: every process ends well, predictions go on and are scored."""
     pytest.importorskip("rerun", reason="not beside a sourced ROS")
     run = tmp_path / "run"
-    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", "22", "--output", str(run)]
+    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", "26", "--output", str(run)]
     demo = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                             start_new_session=True)
     try:
@@ -72,8 +72,8 @@ def test_a_view_that_hangs_and_one_that_is_killed_disturb_no_prediction(tmp_path
     before, after = issued[issued < stopped_ns], issued[issued > stopped_ns]
     rates = [(len(part) - 1) / ((part[-1] - part[0]) * 1e-9) for part in (before, after)]
     # As many predictions as before, to the end of the drive, whatever else the machine has to do.
-    assert rates[1] > 0.9 * rates[0] and len(after) > 80, rates
-    assert issued[-1] - stopped_ns > 9.0e9
+    assert rates[1] > 0.9 * rates[0] and len(after) > 40, rates
+    assert issued[-1] - stopped_ns > 4.5e9
     scored = json.loads((run / "summary.json").read_text())["models"]["linear"]["hindsight"]["n_starts"]
     assert scored > 0.5 * len(issued)
     assert not [p for p in everybody if p.is_running() and p.status() != psutil.STATUS_ZOMBIE]
