@@ -138,3 +138,9 @@ def test_results_are_never_overwritten(drive, tmp_path):
     (tmp_path / "o" / "precious.txt").write_text("x")
     result = discover(drive, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "is not empty" in result.output
+
+
+def test_a_run_too_short_says_what_is_needed(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    result = discover(write_drive(tmp_path / "short.csv", weave(3.0)), "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "no run is long enough: a run needs 4 s" in result.output
