@@ -28,6 +28,7 @@ from .mcap_contents import MAGIC, Contents, DamagedError, read_records
 
 FOOTER_LENGTH = 29
 DATA_END_LENGTH = 13
+_DATA_END_HEAD = struct.Struct("<BQ")
 
 
 class RecoveryError(ValueError):
@@ -165,6 +166,9 @@ def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileRepor
     summary_start = found.kept_bytes + DATA_END_LENGTH
     tail_start = size - FOOTER_LENGTH - len(MAGIC)
     if summary_start >= tail_start:
+        return False
+    stream.seek(found.kept_bytes)
+    if stream.read(_DATA_END_HEAD.size) != _DATA_END_HEAD.pack(Opcode.DATA_END, DATA_END_LENGTH - _DATA_END_HEAD.size):
         return False
     stream.seek(summary_start)
     end = stream.read()
