@@ -77,7 +77,7 @@ def test_three_paths_bend_to_the_left_and_move_and_nobody_else_is_asked(tmp_path
         ahead = np.concatenate([pixels(picture, MODEL_COLOUR[m]) for m in MODELS])
         middle = 0.5 * (SEAT[1].stop - SEAT[1].start)
         # Of what is coloured above the car and not in the corner of names: a left circle lies to the left.
-        path = ahead[ahead[:, 0] < 0.6 * (SEAT[0].stop - SEAT[0].start)]
+        path = ahead[ahead[:, 0] < 0.68 * (SEAT[0].stop - SEAT[0].start)]
         assert len(path) > 30 and np.mean(path[:, 1] < middle) > 0.9
     images = [np.asarray(Image.open(p).convert("L"), int) for p in pictures]
     assert all(np.abs(a - b).max() > 50 for a, b in pairwise(images))
