@@ -101,6 +101,14 @@ def test_kinematic_base_lacks_tyre_slip(leaf):
 
 
 @pytest.mark.slow
+def test_linear_base_at_the_limit_lacks_saturation(leaf):
+    car = {"steered_drive_force": {"share": 1.0}, "friction": {"factor": 0.85}}
+    found = discover(recorded(leaf, car, 6, ("circle", "ramp_to_limit")), leaf, "linear", settings=settings())
+    assert [e.name for e in found.effects] == ["tyre_saturation"]
+    assert found.gap["position"].augmented < 0.6 * found.gap["position"].base
+
+
+@pytest.mark.slow
 def test_gentle_driving_cannot_show_friction(leaf):
     runs = [log.slice(0, 20_000_000_000) for log in recorded(leaf, HEALTHY, 7, ("lane_change", "lane_change"))]
     runs = [replace(log, name=f"{log.name} {i}") for i, log in enumerate(runs)]

@@ -15,7 +15,6 @@ STRUCTURE = 1.5  # gains of a healthy car on other roads than the reference, ove
 TAIL = 2.0  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
 RELATIVE = 0.02  # of the gain, for what the library's equations are not the car's
-WORSE = 2.0  # standard deviations over blocks
 
 
 def precision(spread: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -89,6 +88,6 @@ def not_worse(fits: Mapping[str, Fit], best: Fit, gain: float, study: Study) -> 
     result = []
     for name, fit in fits.items():
         more, deviations = behind(fit, best, study)
-        if more <= max(CLOSE, RELATIVE * gain) or deviations < WORSE:
+        if more <= max(CLOSE, RELATIVE * gain) or deviations < study.settings.deviations:
             result.append((more, name))
     return [name for _, name in sorted(result)]

@@ -223,7 +223,7 @@ class _Work:
         for i in space.indices(name):
             free = space.free[i]
             change = float(vector[i] - self.floor.vector[i])
-            half = 1.96 * testable.deviation(study, answer, i, change)
+            half = self.settings.deviations * testable.deviation(study, answer, i, change)
             value = free.null + change
             parameters[free.parameter] = FittedParameter(value, free.unit, (value - half, value + half))
         likely = np.exp(-0.5 * np.array([0.0] + [more for more, _ in others]) / choice.CLOSE)

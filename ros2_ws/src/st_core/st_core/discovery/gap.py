@@ -113,7 +113,8 @@ def _gap(squares, run, block, study: Study, parts: Parts, unit: str, floor: floa
     drawn = rng.choice(used, (RESAMPLES, len(used)))
     number = count[drawn].sum(axis=1)
     difference = [np.sqrt(s[drawn].sum(axis=1) / number) for s in sums]
-    low, high = np.quantile(difference[0] - difference[1], (0.025, 0.975))
+    tail = 0.5 * (1.0 - study.settings.confidence)
+    low, high = np.quantile(difference[0] - difference[1], (tail, 1.0 - tail))
     names = [r.name for r in (parts.held_out or parts.used)]
     by_run = {i: [float(np.sqrt(s[run == i].mean())) for s in squares] for i in np.unique(run)}
     worst = max(by_run, key=lambda i: by_run[i][1])

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import NormalDist
 
 from ..errors import ConfigurationError
 
@@ -35,6 +36,11 @@ class DiscoverySettings:
     resamples: int = 1000
     drift: float = 0.03
     where: bool = True
+
+    @property
+    def deviations(self) -> float:
+        """Standard deviations of a normal distribution that hold the confidence on both sides."""
+        return NormalDist().inv_cdf(0.5 + 0.5 * self.confidence)
 
     def __post_init__(self):
         for channel in (*self.channels, *(self.noise or {})):

@@ -13,6 +13,7 @@ from .windows import Windows
 
 ITERATIONS = 3
 ALONE = 0.5  # share of a gain that must not need a healthy car's values to move as well
+ALONE_UNREFERENCED = 0.25  # the same without a reference, where a healthy car may be further from its file
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +74,7 @@ class Study:
     def credible(self, fit: Fit) -> bool:
         """Whether the effects of a fit do most of the work themselves."""
         self.rate([fit])
-        return self._alone[fit.names] >= ALONE
+        return self._alone[fit.names] >= (ALONE if self.floor.quadratic else ALONE_UNREFERENCED)
 
     @cached_property
     def base(self) -> Fit:
