@@ -3,6 +3,7 @@
 A plant of its own, the sealed cases and raw files are in bench/discovery and st_offline/test.
 """
 
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -11,6 +12,7 @@ import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, discover
 from st_core.discovery.manoeuvres import CATALOGUE, drive
+from st_core.effects import EFFECTS, load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
 
@@ -141,3 +143,48 @@ def test_unknown_effect_name_is_refused():
 def test_settings_out_of_range_name_the_key(key, value):
     with pytest.raises(ConfigurationError, match=key):
         DiscoverySettings(**{key: value})
+
+
+FLYWHEEL = '''"""A flywheel that stabilises the car: r_dot = r_dot - gain r v_y^2."""
+
+from st_core.effects import Effect, Parameter, register
+
+
+@register
+class Flywheel(Effect):
+    name = "flywheel"
+    physics = "r_dot = r_dot - gain r v_y^2"
+    excited_by = "turning with sideslip"
+    parameters = (
+        Parameter("gain", "s/m^2", null=0.0, initial=1.5, bounds=(-10.0, 10.0), meaning="damps", source="a guess"),
+    )
+
+    @staticmethod
+    def acceleration(at, given, theta):
+        zero = 0.0 * at.yaw_rate
+        return zero, zero, -theta.gain * at.yaw_rate * at.velocity_y * at.velocity_y
+'''
+
+
+@pytest.fixture
+def flywheel(tmp_path):
+    before, modules = dict(EFFECTS), set(sys.modules)
+    (tmp_path / "flywheel.py").write_text(FLYWHEEL)
+    load_folder(tmp_path)
+    yield
+    EFFECTS.clear()
+    EFFECTS.update(before)
+    for name in [m for m in sys.modules if m.startswith("st_effects_") and m not in modules]:
+        del sys.modules[name]
+
+
+@pytest.mark.slow
+def test_own_effect_of_a_folder_is_found(leaf, flywheel):
+    theirs = {"steered_drive_force": {"share": 1.0}}
+    known = recorded(leaf, theirs, 9)
+    runs = recorded(leaf, {**theirs, "flywheel": {"gain": 5.0}}, 10)
+    found = discover(runs, leaf, reference=known, settings=settings())
+    assert found.outcome == "named"
+    assert [e.name for e in found.effects] == ["flywheel"]
+    gain = found.effects[0].parameters["gain"]
+    assert gain.interval[0] <= 5.0 <= gain.interval[1]
