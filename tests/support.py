@@ -13,5 +13,6 @@ def shared(relative: str) -> Path:
     base = Path(os.environ.get("ST_SHARED", ROOT.parent / "shared"))
     path = base / relative
     if not path.exists():
-        pytest.skip(f"reference data not found: {path} (set ST_SHARED to the folder that holds {relative.split('/')[0]}/)")
+        folder = relative.partition("/")[0]
+        pytest.skip(f"reference data not found: {path} (set ST_SHARED to the folder that holds {folder}/)")
     return path
