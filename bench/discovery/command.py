@@ -7,8 +7,6 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from st_offline.paths import source_version
-
 from . import figures, score, tables
 from .run import ALL, Record, in_fair_order, run_all
 
@@ -43,7 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(score.as_text(document))
     if chosen.output:
         chosen.output.mkdir(parents=True, exist_ok=True)
-        version = {"set": chosen.set, "version": source_version(), "date": time.strftime("%Y-%m-%d", time.gmtime())}
+        version = {"set": chosen.set, "version": sorted({r["version"] for r in records}),
+                   "date": time.strftime("%Y-%m-%d", time.gmtime())}
         (chosen.output / "results.json").write_text(json.dumps(
             {**version, **document, "cases": [score.short(r) for r in records]}, separators=(",", ":")) + "\n")
     if chosen.page:

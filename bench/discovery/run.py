@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from st_core.discovery import Discovery, DiscoverySettings, discover
+from st_offline.paths import source_version
 
 from . import baselines, real
 from .cases import COUNTS, PER_CAR, Case, Drives, cases_of, drives_of, named
@@ -109,7 +110,7 @@ def run_all(cases: Iterable[Case], cache: Path, until: float | None, say: Callab
         if key not in done:
             if until is not None and time.time() >= until:
                 continue
-            done[key] = _guarded(case, judged)
+            done[key] = {"version": source_version(), **_guarded(case, judged)}
             with cache.open("a") as file:
                 file.write(json.dumps(done[key]) + "\n")
             say(case, done[key])

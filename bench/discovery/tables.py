@@ -8,15 +8,16 @@ from .score import is_exact, is_exact_pair, is_found, is_untestable, shown
 
 Record = dict[str, Any]
 BEGIN, END = "<!-- scores: written by st bench discovery -->", "<!-- end of scores -->"
-FAILURES = 40
+FAILURES = 60
 
 
 def as_markdown(document: Record, records: Sequence[Record]) -> str:
     counts = ", ".join(f"{n} {kind}" for kind, n in sorted(document["counts"].items()) if n)
     strata, wrong = document["strata"], _failures(records)
+    versions = ", ".join(sorted({r["version"] for r in records}))
+    levels = ", ".join(f"{strata.get(name, 0)} {name}" for name in ("strong", "medium", "weak", "invisible"))
     parts = [
-        f"Cases run: {counts}. Single effects by stratum: "
-        + ", ".join(f"{strata.get(name, 0)} {name}" for name in ("strong", "medium", "weak", "invisible")) + ".",
+        f"Version {versions}. Cases run: {counts}. Single effects by stratum: {levels}.",
         _table(("score", "measured (95 % interval)", "floor", "goal"),
                [(r["name"], shown(r), r["floor"], r["goal"]) for r in document["scores"]]),
         "The same cases, other methods (single effects with D > 0.1; healthy cases for alarms):",
