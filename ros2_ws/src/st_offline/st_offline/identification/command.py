@@ -76,7 +76,9 @@ def _compared(found: Identification, vehicle: VehicleParameters) -> Identificati
 def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str], console: Console) -> None:
     """Table and verdicts in the terminal."""
     for one in found:
-        table = Table(*HEADS, title=one.what, title_justify="left", box=None, padding=(0, 2))
+        table = Table(title=one.what, title_justify="left", box=None, padding=(0, 1))
+        for head in HEADS:
+            table.add_column(head, overflow="fold", no_wrap=head in ("parameter", "status"))
         for estimate, cells in zip(one.estimates, rows(one, vehicle), strict=True):
             *values, status = map(escape, cells)
             table.add_row(*values, f"[{STATUS_STYLE[estimate.status]}]{status}[/]")
