@@ -151,5 +151,5 @@ def test_lag_is_missed_where_the_steering_moves(leaf):
     healthy, suspect = weave(leaf, plain, "healthy", 1), weave(leaf, lagging, "suspect", 2)
     statements = survey([suspect], plain, leaf, settings, [healthy]).statements
     told = [s for s in statements if s.channel == "yaw_rate" and s.condition.startswith("steering rate")]
-    assert told and told[0].interval[0] > 2.0 and told[0].condition == "steering rate 0.1 to 0.2 rad/s, both directions"
+    assert told and told[0].interval[0] > 2.0 and told[0].condition.startswith("steering rate 0.1 to 0.2 rad/s")
     assert not survey([weave(leaf, plain, "another", 3)], plain, leaf, settings, [healthy]).statements
