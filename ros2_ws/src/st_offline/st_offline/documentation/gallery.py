@@ -33,7 +33,8 @@ class Exhibit:
 
 
 PREPARATION = (
-    "./st shell -- virtual_leaf --scenario S6 --duration 62 --vehicle config/vehicle/leaf.yaml --to-files {}/raw",
+    "./st shell -- python -m st_sim.run --scenario S6 --duration 62 --vehicle config/vehicle/leaf.yaml "
+    "--to-files {}/raw",
     "./st import {}/raw --offset 0 --output {}/bag",
 )
 EXHIBITS = (
@@ -89,7 +90,7 @@ def _run(command: str, folder: str, console: Console) -> None:
     console.print(f"$ {_shown(command)}", highlight=False, soft_wrap=True)
     words = command.replace("{}", folder).split()
     program = LEAF if words[1] == "shell" else ST
-    rest = words[4:] if words[1] == "shell" else words[1:]
+    rest = words[6:] if words[1] == "shell" else words[1:]
     done = subprocess.run([*program, *rest], capture_output=True, text=True, check=False)
     if done.returncode:
         raise GalleryError(f"{command}: status {done.returncode}: {(done.stderr or done.stdout).strip()[-500:]}")
