@@ -17,6 +17,7 @@ import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.errors import NumbaError
+from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 from .. import ops
@@ -117,12 +118,16 @@ def _prepared(model: Model, shape, fields: int, states: int):
 
 @contextmanager
 def _interleaved() -> Iterator[None]:
-    # LLVM's own choice is one vector at a time. The option is global to the process, so it is taken back.
-    llvmlite.binding.set_option("st_core", f"-force-vector-interleave={INTERLEAVE}")
+    # LLVM's own choice is one vector at a time, and on Intel's server processors one of half the width, which costs
+    # 40 %. The options are global to the process, so they are taken back.
+    _, _, features = cpu_target.target_context.codegen().magic_tuple()
+    for option, value in (("interleave", INTERLEAVE), ("width", 8 if "+avx512f" in features else 0)):
+        llvmlite.binding.set_option("st_core", f"-force-vector-{option}={value}")
     try:
         yield
     finally:
-        llvmlite.binding.set_option("st_core", "-force-vector-interleave=0")
+        for option in ("interleave", "width"):
+            llvmlite.binding.set_option("st_core", f"-force-vector-{option}=0")
 
 
 _ROW, _INDICES = types.float64[::1], types.int64[::1]
