@@ -19,12 +19,18 @@ def wrap_angle(angle):
 
 def body_to_map(x, y, yaw):
     """Map components of a body vector: rotation by yaw counter-clockwise."""
-    return x * np.cos(yaw) - y * np.sin(yaw), x * np.sin(yaw) + y * np.cos(yaw)
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    return x * cosine - y * sine, x * sine + y * cosine
 
 
 def map_to_body(x, y, yaw):
     """Forward and left components of a map vector: rotation by -yaw."""
-    return x * np.cos(yaw) + y * np.sin(yaw), y * np.cos(yaw) - x * np.sin(yaw)
+    return map_to_axes(x, y, np.cos(yaw), np.sin(yaw))
+
+
+def map_to_axes(x, y, cosine, sine):
+    """`map_to_body` where cosine and sine of the yaw are known already."""
+    return x * cosine + y * sine, y * cosine - x * sine
 
 
 def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> VehicleState:

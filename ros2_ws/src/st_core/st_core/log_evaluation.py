@@ -26,7 +26,7 @@ from .vehicle import VehicleParameters
 
 MODES: tuple[Mode, ...] = ("hindsight", "forecast")
 AXES = ("longitudinal", "lateral", "yaw")
-BLOCK = 2048  # starts predicted together; each model and mode then holds 15 MB
+BLOCK = 1024  # starts predicted together; each model and mode then holds 7 MB
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
 
 Progress = Callable[[int, int], None]
@@ -211,10 +211,12 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
 def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
     step, steps = settings.prediction.step, settings.prediction.steps
     half_steps = np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
-    times = starts_ns[:, None] + half_steps
-    x, y, yaw, speed, yaw_rate, acceleration = signals.ins_at(
-        times, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
-    angle = signals.road_wheel_angle_at(times)
+    instants, place = _instants(starts_ns, half_steps)
+    times = instants[place].T
+    x, y, yaw, *others = signals.ins_at(instants, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
+    # Point after point in memory, as the backends lay trajectories out: twice as fast as start after start.
+    measured_there = [values[place[::2]].T for values in (x, y, yaw, np.cos(yaw), np.sin(yaw))]
+    speed, yaw_rate, acceleration, angle = (v[place].T for v in (*others, signals.road_wheel_angle_at(instants)))
     measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
     trajectories = {}
     for model in models:
@@ -222,8 +224,8 @@ def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
             measured.predict(model, vehicle).states if settings.inputs == "interpolate"
             else predict_held_per_step(model, vehicle, signals, starts_ns, times[:, ::2], step))
         trajectories[model.name, "forecast"] = held.predict(model, vehicle).states
-    errors = {(model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], x[:, ::2], y[:, ::2],
-                                                 yaw[:, ::2]) for model in models for mode in MODES}
+    errors = {(model.name, mode): _reading_errors(model, vehicle, trajectories[model.name, mode], *measured_there)
+              for model in models for mode in MODES}
     known = InputSequence(angle, acceleration).known_so_far
     for model in models:
         errors[model.name, "hindsight"][~known[:, ::2]] = np.nan
@@ -235,21 +237,34 @@ def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
         "speed": speed[:, ::2].mean(axis=1), "lateral_acceleration": (speed * yaw_rate)[:, ::2].mean(axis=1),
         "velocity_x_dot": acceleration[:, ::2].mean(axis=1),
         "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / (0.5 * step)).mean(axis=1)),
-        "heading_change": yaw[:, -1] - yaw[:, 0],
+        "heading_change": yaw[place[-1]] - yaw[place[0]],
     }
     conditions = {name: np.where(complete, values, np.nan) for name, values in conditions.items()}
     return Block(errors, trajectories, conditions, {name: int(b.sum()) for name, b in incomplete.items() if b.any()})
 
 
-def reading_errors(model: Model, vehicle: VehicleParameters, trajectories: np.ndarray, x, y, yaw) -> np.ndarray:
+def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(instants [ns], place): start i has its instant k at instants[place[k, i]]; shared where the windows overlap."""
+    half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
+    from_first = starts_ns - starts_ns[0]
+    if np.any(from_first % half) or span > half * len(starts_ns) * len(after_ns):
+        apart = starts_ns + after_ns[:, None]
+        return apart.ravel(), np.arange(apart.size).reshape(apart.shape)
+    return starts_ns[0] + half * np.arange(span // half + 1), np.arange(len(after_ns))[:, None] + from_first // half
+
+
+def _reading_errors(model: Model, vehicle: VehicleParameters, trajectories: np.ndarray, x, y, yaw, cosine,
+                    sine) -> np.ndarray:
     """(n, points, 3) errors of trajectories (n, points, 6): what the INS would show minus what it showed.
 
-    x, y [m], yaw [rad]: measured at the INS point, (n, points). Axes and signs as `evaluation.position_errors`.
+    x, y [m], yaw [rad] with its cosine and sine: measured at the INS point, (n, points). Axes and signs as
+    `evaluation.position_errors`.
     """
     with np.errstate(all="ignore"):
         seen = readings(model, vehicle, tuple(np.moveaxis(trajectories, -1, 0)))
-        longitudinal, lateral = frames.map_to_body(seen.x - x, seen.y - y, yaw)
-        return np.stack([longitudinal, lateral, frames.wrap_angle(seen.yaw - yaw)], axis=-1)
+        longitudinal, lateral = frames.map_to_axes(seen.x - x, seen.y - y, cosine, sine)
+        # Stacked as they lie in memory.
+        return np.stack([longitudinal.T, lateral.T, frames.wrap_angle(seen.yaw - yaw).T]).transpose(2, 1, 0)
 
 
 def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
@@ -282,9 +297,11 @@ class _Collector:
 
     def add(self, rows: slice, errors: np.ndarray) -> None:
         complete = np.isfinite(errors).all(axis=(1, 2))
-        here, errors = np.arange(rows.start, rows.stop)[complete], errors[complete]
+        here = np.arange(rows.start, rows.stop)[complete]
         if not len(here):
             return
+        if not complete.all():
+            errors = errors[complete]
         self._complete[here] = True
         square, size = np.square(errors), np.abs(errors)
         self._mean[here], self._square[here] = errors.mean(axis=1), square.mean(axis=1)
