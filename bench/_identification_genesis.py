@@ -97,9 +97,9 @@ def judged(logs: list[DriveLog], car: VehicleParameters, misalignment: float) ->
 
 
 def _rms(values, run_of, time) -> str:
-    piece, _ = resampling.pieces(run_of, time)
-    totals = resampling.sums(piece, np.stack([np.ones_like(values), values**2], axis=1))
-    weights = resampling.draws(500, len(totals), 0)
+    pieces = resampling.pieces(run_of, time)
+    totals = pieces.sums(np.stack([np.ones_like(values), values**2], axis=1))
+    weights = pieces.draws(500, 0)
     drawn = np.sqrt((weights @ totals[:, 1]) / (weights @ totals[:, 0]))
     low, high = np.percentile(drawn, (2.5, 97.5))
     return f"{np.sqrt(np.mean(values**2)):.2f} ({low:.2f} to {high:.2f})"

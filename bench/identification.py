@@ -152,7 +152,7 @@ def speed() -> dict:
         call()
         result[name] = {"cpu_s": time.process_time() - cpu, "wall_s": time.perf_counter() - wall}
     problem = PredictionError(logs, start, (*STIFFNESSES, *NUISANCE))
-    one_step = problem.fit().bootstrap(200, 0)[0].std(axis=0)
+    one_step = problem.fit().bootstrap(200, 0).values.std(axis=0)
     complete = complete_fits(logs, start, 200).std(axis=0)
     result["one step over complete, spread of C_f"] = float(one_step[0] / complete[0])
     result["one step over complete, spread of C_r"] = float(one_step[1] / complete[1])

@@ -70,10 +70,10 @@ def _timed(parts: dict[str, tuple[Any, str]]) -> dict[str, float]:
 
 
 def _reading() -> dict[str, tuple[Any, str]]:
-    from st_offline.runs import load
+    from st_offline.runs import raw
 
-    return {"read_ncom": (load, "read_ncom"), "read_mf4": (load, "read_can_logs"),
-            "decode_can": (load, "decode_signals"), "align": (load, "align_clocks")}
+    return {"read_ncom": (raw, "read_ncom"), "read_mf4": (raw, "read_can_logs"),
+            "decode_can": (raw, "decode_signals"), "align": (raw, "align_clocks")}
 
 
 def _spent(seconds: dict[str, float], wall: float) -> dict[str, float]:
@@ -105,9 +105,9 @@ def measure_evaluate(source: Path, output: Path) -> dict:
     from st_offline.evaluation import command, work
     from st_offline.runs import load
 
-    parts = {**_reading(), "read_bag": (load.bag, "read_bag"), "hash": (load, "hashes"),
-             "predict": (work, "evaluate_log"), "starts_csv": (work, "write_starts"), "draw": (work, "run_figures"),
-             "report": (command, "write_results")}
+    reading = {"read_bag": (load.bag, "read_bag")} if (source / "metadata.yaml").exists() else _reading()
+    parts = {**reading, "hash": (load, "hashes"), "predict": (work, "evaluate_log"),
+             "starts_csv": (work, "write_starts"), "draw": (work, "run_figures"), "report": (command, "write_results")}
     seconds = _timed(parts)
     status = cli.app(["evaluate", str(source), "--output", str(output)], standalone_mode=False)
     wall = time.time() - psutil.Process().create_time()

@@ -28,6 +28,7 @@ MODES: tuple[Mode, ...] = ("hindsight", "forecast")
 AXES = ("longitudinal", "lateral", "yaw")
 BLOCK = 1024  # starts predicted together; each model and mode then holds 7 MB
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
+ALL = slice(None)
 
 Progress = Callable[[int, int], None]
 
@@ -84,21 +85,20 @@ class ModelErrors:
         return int(self.complete.sum())
 
     def statistics(self, axis: str, over: Literal["means", "samples"] = "means",
-                   select: np.ndarray | None = None) -> tuple[float, float, float]:
+                   select: np.ndarray | slice = ALL) -> tuple[float, float, float]:
         """(mean, largest magnitude, root mean square) of one axis over the selected complete starts [m or rad].
 
         over: means = of the horizon means, as in the paper's table; samples = of all points of all horizons.
-        NaN without a start.
+        select: rows. NaN without a start.
         """
-        column = AXES.index(axis)
-        chosen = self.complete if select is None else self.complete & select
-        if not chosen.any():
+        column, complete = AXES.index(axis), self.complete[select]
+        if not complete.any():
             return np.nan, np.nan, np.nan
-        mean = self.mean[chosen, column]
+        mean = self.mean[select, column][complete]
         if over == "means":
             return float(mean.mean()), float(np.abs(mean).max()), float(np.sqrt(np.square(mean).mean()))
-        return (float(mean.mean()), float(self.largest[chosen, column].max()),
-                float(np.sqrt(self.mean_square[chosen, column].mean())))
+        return (float(mean.mean()), float(self.largest[select, column][complete].max()),
+                float(np.sqrt(self.mean_square[select, column][complete].mean())))
 
 
 @dataclass(frozen=True, eq=False)

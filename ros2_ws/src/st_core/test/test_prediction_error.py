@@ -59,17 +59,16 @@ def test_fit_finds_the_car(fit, leaf):
 
 
 def test_one_step_bootstrap_agrees_with_complete_fits(problem, fit):
-    drawn, count, words = fit.bootstrap(20, seed=7)
-    weights = resampling.draws(20, count, 7)
+    drawn = fit.bootstrap(20, seed=7)
+    weights = drawn.pieces.draws(20, 7)
     complete = np.array([problem.fit(fit.values, fit.noise, weights=row).values for row in weights[:6]])
-    spread = drawn.std(axis=0)
-    assert (np.abs(drawn[:6] - complete) < 0.1 * spread).all()
-    assert (count, words) == (9, "9 runs")
+    spread = drawn.values.std(axis=0)
+    assert (np.abs(drawn.values[:6] - complete) < 0.1 * spread).all()
+    assert drawn.words(0) == "9 runs" and (drawn.worth == 9.0).all()
 
 
 def test_profile_has_its_least_at_the_estimate_and_ends_like_the_bootstrap(problem, fit):
-    drawn, *_ = fit.bootstrap(200, seed=0)
-    uncertainty = float(drawn[:, 0].std())
+    uncertainty = float(fit.bootstrap(200, seed=0).values[:, 0].std())
     found = profile(problem, fit, STIFFNESSES[0], uncertainty)
     assert found.deviance.argmin() == 3 and found.deviance[3] == 0.0
     low, high = found.interval95
@@ -97,9 +96,9 @@ def test_applied_values_move_steering_and_car(leaf):
 
 def test_pieces_are_runs_or_blocks_of_few_runs():
     run_of, time = np.repeat(np.arange(9), 30), np.tile(np.arange(30.0), 9)
-    assert resampling.pieces(run_of, time)[1] == "9 runs"
-    piece, words = resampling.pieces(run_of[:60], time[:60])
-    assert words == "6 blocks of 10 s from 2 runs" and np.array_equal(np.bincount(piece), [10] * 6)
+    assert resampling.pieces(run_of, time).words == "9 runs"
+    pieces = resampling.pieces(run_of[:60], time[:60])
+    assert pieces.words == "6 blocks of 10 s from 2 runs" and np.array_equal(np.bincount(pieces.of), [10] * 6)
 
 
 def test_intervals_hold_a_mean_as_often_as_they_say():
@@ -108,10 +107,30 @@ def test_intervals_hold_a_mean_as_often_as_they_say():
     held = 0
     for number in range(400):
         values = np.repeat(generator.standard_normal(10), 20) + 0.3 * generator.standard_normal(200)
-        piece, _ = resampling.pieces(np.repeat(np.arange(10), 20), np.zeros(200))
-        totals = resampling.sums(piece, np.stack([np.ones(200), values], axis=1))
-        weights = resampling.draws(200, 10, number)
-        covariance, _ = resampling.spread(((weights @ totals[:, 1]) / (weights @ totals[:, 0]))[:, None], 10)
-        (low, high), = resampling.intervals([values.mean()], [covariance[0, 0] ** 0.5], 10)
+        low, high = _interval_of_mean(values, np.repeat(np.arange(10), 20), np.zeros(200), number)
         held += low < 0.0 < high
     assert 0.92 <= held / 400 <= 0.98
+
+
+@pytest.mark.parametrize(("wander", "seconds"), [(0.0, 60), (20.0, 30), (20.0, 60)])
+def test_an_error_that_outlasts_a_block_makes_intervals_wider(wander, seconds):
+    """95 % intervals of the mean of five runs whose error wanders over `wander` seconds, over 400 repetitions."""
+    generator = np.random.default_rng(1)
+    run_of, time = np.repeat(np.arange(5), seconds), np.tile(np.arange(float(seconds)), 5)
+    memory = np.exp(-1.0 / wander) if wander else 0.0
+    held = 0
+    for number in range(400):
+        draws = generator.standard_normal((5, seconds))
+        draws[:, 1:] *= np.sqrt(1.0 - memory**2)
+        for k in range(1, seconds):
+            draws[:, k] += memory * draws[:, k - 1]
+        low, high = _interval_of_mean(draws.ravel(), run_of, time, number)
+        held += low < 0.0 < high
+    assert 0.9 <= held / 400 <= 0.99
+
+
+def _interval_of_mean(values, run_of, time, seed):
+    pieces = resampling.pieces(run_of, time)
+    totals = pieces.sums(np.stack([np.ones_like(values), values], axis=1))
+    drawn = resampling.bootstrap(lambda weights: (weights @ totals[:, 1:]) / (weights @ totals[:, :1]), pieces, 200, seed)
+    return drawn.interval(0, values.mean(), drawn.covariance[0, 0] ** 0.5)

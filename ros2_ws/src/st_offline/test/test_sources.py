@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import pytest
+from canedge_bridge import log_decode
 from st_core.vehicle import VehicleParameters
-from st_offline.runs import RunSource, find_runs, read
+from st_offline.runs import RunSource, can_logs, find_runs, frames, read, sources
 from st_offline.runs.errors import RunError
 from support import ROOT
 
@@ -22,6 +23,10 @@ def touch(folder: Path, *names: str, content: str = "") -> list[Path]:
 def by_name(runs: list[RunSource]) -> dict[str, RunSource]:
     assert len({run.name for run in runs}) == len(runs)
     return {run.name: run for run in runs}
+
+
+def test_the_extensions_of_can_logs_are_those_that_can_be_read():
+    assert sources.CAN_EXTENSIONS == can_logs.EXTENSIONS and frames.EXTENDED == log_decode.EXTENDED
 
 
 def test_files_of_one_stem(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
 from . import choice, gap, manoeuvres, several, testable
-from .floor import ROUNDS, Floor, assumed, learn, suspicions
+from .floor import ROUNDS, Floor, assumed, learn, noisier, suspicions
 from .result import Candidate, Discovery, FittedParameter, FoundEffect, Separability, WhereStatement
 from .settings import DiscoverySettings
 from .space import Space
@@ -92,7 +92,7 @@ class _Work:
             self.warnings.append(f"only {blocks} blocks of {settings.block:g} s: little can be said")
         null = self.null = null_of(blocks, study)
         limit = null.threshold(settings.false_alarm)
-        untestable = testable.not_testable(study)
+        untestable = testable.not_testable(study, limit)
         names = space.hypotheses
         about = study.linear(())[1]
         linear = {n: about - study.linear((n,))[1] for n in names}
@@ -193,13 +193,15 @@ class _Work:
             while len(_floors) >= KEPT:
                 _floors.pop(next(iter(_floors)))
             _floors[key] = (tuple(self.reference), floor, {})
-        _, floor, kept = _floors[key]
-        self.warnings += suspicions(floor, space)
+        _, learnt, kept = _floors[key]
+        self.warnings += suspicions(learnt, space)
+        more = noisier(self.runs, self.reference)
+        floor = replace(learnt, inflation=more * learnt.inflation, level=more * learnt.level)
 
         def null_of(blocks, study):
             case = blocks, space.hypotheses
             if case not in kept:
-                kept[case] = choice.null_of(floor.quadratic, floor.run, floor, space, space.hypotheses, blocks,
+                kept[case] = choice.null_of(learnt.quadratic, learnt.run, learnt, space, space.hypotheses, blocks,
                                             np.random.default_rng(settings.seed))
             return kept[case]
         return floor, null_of

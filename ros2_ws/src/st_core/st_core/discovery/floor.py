@@ -1,10 +1,11 @@
 """What a healthy car teaches: the base's own values, how large its errors are and how they go together."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..log import DriveLog
 from .quadratic import Quadratic, Whitening, by_condition, costs, jacobian, quadratic, row_errors, whitened, whitening
 from .space import ALWAYS, LIFTED, Space
 from .windows import CHANNEL_OF, Windows
@@ -17,10 +18,15 @@ LEAST = {"velocity_y": 0.003, "yaw_rate": 0.0008, "acceleration_y": 0.02, "yaw":
 HARDNESS = np.array([1.0, 1.0, 1.5, 2.5, 4.0, 1.5, 1.5, 2.0, 3.0, 5.0])  # how much larger in each kind of driving
 HEALTHY = 1.0  # usual sizes of each effect a car may have before anything is wrong with it, with a reference to say so
 UNKNOWN = 0.35  # the same without a reference
-# Usual sizes: 1.5 m/s of wind, 2 mrad of bank, 0.5 mrad the heading of an INS wanders.
-SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.1, "heading_misalignment": 0.1}
+# Usual sizes: 1.5 m/s of wind, 2 mrad of bank, 0.5 mrad the heading of an INS wanders and 10 mm/s^2 its accelerometer;
+# 2 % of friction, a passenger or some fuel, and the roll they cause.
+SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.1, "heading_misalignment": 0.1, "lateral_acceleration_bias": 0.1,
+                "friction": 0.1, "mass": 0.2, "lateral_load_transfer": 0.1}
+# What healthy drives do not tell from a softer axle: left to them it goes to zero, and all twins go wrong with it.
+HELD, HOLD = ("steering_compliance",), 0.1
 DOUBTFUL = 4.0  # usual sizes
 ROUNDS = 4
+NOISIEST = 4.0  # ratio of variances
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +107,7 @@ def learn(windows: Windows, space: Space, drift: float, tick=None) -> Floor:
     start = space.healthy.copy()
     x = start.copy()
     deviation, how, inflation = prior(space, HEALTHY), default_whitening(windows), 4.0
+    deviation[space.indices(*HELD)] = HOLD
     rows = row_errors(windows, space, x)
     q = None
     for turn in range(ROUNDS):
@@ -144,6 +151,20 @@ def assumed(windows: Windows, space: Space, tick=None) -> Floor:
     inflation = max(float(np.median(inflation_of(q))), 2.0)
     return Floor(start, how, np.diag(deviation**2), inflation, None, None, q.cost / np.maximum(q.windows, 1),
                  _sizes(windows, rows))
+
+
+def noisier(runs: Sequence[DriveLog], reference: Sequence[DriveLog]) -> float:
+    """How much more the INS of the runs trembles than that of the reference: middle of the ratios of variances of the
+    third differences, 1 to NOISIEST. What a car does is slow against the samples and falls out of these."""
+    names = ["yaw_rate", "velocity_x", "velocity_y"]
+    if all(log.acceleration_y is not None for log in (*runs, *reference)):
+        names.append("acceleration_y")
+
+    def tremble(log: DriveLog, name: str) -> float:
+        return float(np.median(np.abs(np.diff(getattr(log, name), 3))))
+    ratios = [np.median([tremble(r, n) for r in runs]) / max(np.median([tremble(r, n) for r in reference]), 1e-9)
+              for n in names if any(np.any(r.velocity_y) for r in reference) or n != "velocity_y"]
+    return float(np.clip(np.median(ratios)**2, 1.0, NOISIEST))
 
 
 def suspicions(floor: Floor, space: Space) -> list[str]:

@@ -13,6 +13,7 @@ from .windows import Windows
 
 ITERATIONS = 3
 ALONE = 0.5  # share of a gain that must not need a healthy car's values to move as well
+ANYWAY = 0.4  # share of a gain that counts at the least, however much of it the base has by such values
 ALONE_UNREFERENCED = 0.25  # the same without a reference, where a healthy car may be further from its file
 
 
@@ -69,7 +70,9 @@ class Study:
                 rows = row_errors(self.windows, self.space, self.only(fit, self.space.indices(*fit.names)))
                 each, _ = costs(whitened(rows, self.windows.condition, self.floor.how), self.windows)
                 gained = float(self.quadratic.cost.sum() - fit.quadratic.cost.sum())
-                self._alone[fit.names] = float(self.quadratic.cost.sum() - each.sum()) / max(gained, 1e-9)
+                anyway = float(self.quadratic.cost.sum() - self.base.quadratic.cost.sum())  # by what a healthy car may be
+                gained = max(gained - anyway, ANYWAY * gained, 1e-9)
+                self._alone[fit.names] = float(self.quadratic.cost.sum() - each.sum()) / gained
 
     def credible(self, fit: Fit) -> bool:
         """Whether the effects of a fit do most of the work themselves."""

@@ -57,18 +57,20 @@ def deviation(study: Study, fit: Fit, index: int, change: float) -> float:
     return float(np.hypot(statistical, BIAS * change))
 
 
-def not_testable(study: Study) -> tuple[NotTestable, ...]:
-    """Effects whose usual size these data would not show, and those no data of this kind show."""
+def not_testable(study: Study, limit: float) -> tuple[NotTestable, ...]:
+    """Effects whose usual size these data would not show, and those no data of this kind show. limit: the gain below
+    which nothing is said; that of an effect is the square of the standard deviations it stands out by."""
+    needed = max(VISIBLE, limit**0.5)
     result = []
     for name in study.space.hypotheses:
         strength = float((1.0 / deviations(study, study.quadratic, (name,), scattered=False)).max())
-        if strength < VISIBLE:
+        if strength < needed:
             effect = get_effect(name)
-            result.append(NotTestable(name, f"a usual size of it would stand out by {strength:.1f} standard deviations "
-                                            f"only; it shows in {effect.excited_by}"))
+            result.append(NotTestable(name, f"a usual size of it would stand out by {strength:.1f} standard deviations, "
+                                            f"{needed:.1f} are needed; it shows in {effect.excited_by}"))
     for name in study.space.without_signal:
-        needed = ", ".join(get_effect(name).signals)
-        result.append(NotTestable(name, f"it needs the signal {needed}, which is not there"))
+        signals = ", ".join(get_effect(name).signals)
+        result.append(NotTestable(name, f"it needs the signal {signals}, which is not there"))
     return (*result, *(NotTestable(name, reason) for name, reason in ALREADY_GIVEN.items()))
 
 

@@ -86,18 +86,19 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, set
     covered = _coverage(runs, masks)
     require(covered, "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 across.")
     axles = [_axle(runs, masks, vehicle, index, settings) for index in range(2)]
-    slopes, uncertainty, pieces, words, correlation = _regress(axles, settings, bootstrap, seed)
-    spans = resampling.intervals(slopes, uncertainty, pieces)
+    slopes, drawn = _regress(axles, settings, bootstrap, seed)
+    uncertainty = np.sqrt(np.diag(drawn.covariance))
     estimates = tuple(
-        Estimate(f"cornering_stiffness_{axle}", float(slope), "N/rad", float(u), interval, METHOD,
-                 tuple(run.name for run in runs), _verdict(axle, slope, u, len(samples.slip), words),
-                 _status(slope, u))
-        for axle, slope, u, interval, samples in zip(AXLES, slopes, uncertainty, spans, axles, strict=True))
+        Estimate(f"cornering_stiffness_{axle}", float(slopes[i]), "N/rad", float(uncertainty[i]),
+                 drawn.interval(i, slopes[i], uncertainty[i]), METHOD, tuple(run.name for run in runs),
+                 _verdict(axle, slopes[i], uncertainty[i], len(axles[i].slip), drawn.words(i)),
+                 _status(slopes[i], uncertainty[i])) for i, axle in enumerate(AXLES))
     figure = {f"{name}_{axle}": getattr(samples, name)
               for axle, samples in zip(AXLES, axles, strict=True) for name in ("slip", "force", "run_of")}
     return Identification(
         "stiffness", estimates, tuple(run.name for run in runs), tuple(r for rows in rejected for r in rows),
-        correlation, covered, (*noticed, *strong_correlations([e.parameter for e in estimates], correlation)), figure)
+        drawn.correlation, covered,
+        (*noticed, *strong_correlations([e.parameter for e in estimates], drawn.correlation)), figure)
 
 
 def _gate(run: RunSamples, settings: StiffnessSettings) -> tuple[np.ndarray, list[tuple[str, str]]]:
@@ -134,20 +135,20 @@ def _axle(runs, masks, vehicle, index: int, settings: StiffnessSettings) -> Axle
 
 
 def _regress(axles, settings, count, seed):
-    """Slopes (2,), uncertainties (2,), number of pieces, what they are, correlation; both axles drawn together."""
+    """Slopes (2,) and their bootstrap; both axles drawn together."""
     both = np.concatenate([a.run_of for a in axles]), np.concatenate([a.time for a in axles])
-    piece, words = resampling.pieces(*both)
-    sides = np.split(piece, [len(axles[0].slip)])
-    number = int(piece.max()) + 1
+    pieces = resampling.pieces(*both)
+    sides = np.split(pieces.of, [len(axles[0].slip)])
     totals = []
     for axle, own in zip(axles, sides, strict=True):
         moments = np.stack([np.ones_like(axle.slip), axle.slip, axle.force, axle.slip**2, axle.slip * axle.force], 1)
-        totals.append(np.stack([np.bincount(own, column, number) for column in moments.T], axis=1))
+        totals.append(np.stack([np.bincount(own, column, len(pieces)) for column in moments.T], axis=1))
     slopes = np.array([_slope(t.sum(axis=0), settings.through_origin) for t in totals])
-    weights = resampling.draws(count, number, seed)
-    drawn = np.stack([_slope((weights @ t).T, settings.through_origin) for t in totals], axis=1)
-    covariance, correlation = resampling.spread(drawn, number)
-    return slopes, np.sqrt(np.diag(covariance)), number, words, correlation
+
+    def estimate(weights):
+        return np.stack([_slope((weights @ t).T, settings.through_origin) for t in totals], axis=1)
+
+    return slopes, resampling.bootstrap(estimate, pieces, count, seed)
 
 
 def _slope(moments: np.ndarray, through_origin: bool) -> np.ndarray:

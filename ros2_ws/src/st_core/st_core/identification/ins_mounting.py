@@ -49,22 +49,21 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters, 
     columns = [_columns(run, mask, vehicle) for run, mask in zip(runs, masks, strict=True)]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, across, rate, angle = np.concatenate(columns).T
-    piece, words = resampling.pieces(run_of, time)
+    pieces = resampling.pieces(run_of, time)
     used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
     regressors = np.stack([speed, rate, speed**2 * rate], axis=1)
-    theta, covariance, left = _solve(piece, regressors, across, bootstrap, seed)
-    pieces = int(piece.max()) + 1
-    basis = f"{len(time)} samples, resampling {words}"
-    estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, covariance[1, 1], "m", pieces, used,
-                           f"{theta[1]:.3f} m ahead of the rear axle", basis, 0.1),
-                 _estimate(MISALIGNMENT, -theta[0], covariance[0, 0], "rad", pieces, used,
-                           f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", basis, 0.005)]
+    theta, drawn, left = _solve(pieces, regressors, across, bootstrap, seed)
+    covariance = drawn.covariance
+    estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, drawn, 1, 1.0, "m", used,
+                           f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
+                 _estimate(MISALIGNMENT, -theta[0], drawn, 0, 1.0, "rad", used,
+                           f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", 0.005)]
     correlation = resampling.correlation_of(covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
     together = resampling.correlation_of(covariance)[1:, 1:]
     warnings = [*noticed, *strong_correlations(["lever arm", "rear slip"], together),
                 _stiffness_words(theta[2], covariance[2, 2], vehicle)]
-    across_estimate = _across(time, speed, rate, angle, piece, vehicle, pieces, used, basis, bootstrap, seed)
+    across_estimate = _across(time, speed, rate, angle, pieces, vehicle, used, bootstrap, seed)
     if isinstance(across_estimate, str):
         warnings.append(across_estimate)
     else:
@@ -103,20 +102,21 @@ def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> n
                      run.velocity_y[where] + rate * vehicle.cg_to_ins_x, rate, run.road_wheel_angle[where]], axis=1)
 
 
-def _solve(piece: np.ndarray, regressors: np.ndarray, wanted: np.ndarray, count: int, seed: int):
-    """Least squares (p,), its bootstrap covariance over pieces (p, p), and what is left over (n,)."""
-    squares = resampling.sums(piece, regressors[:, :, None] * regressors[:, None, :])
-    pulls = resampling.sums(piece, regressors * wanted[:, None])
+def _solve(pieces: resampling.Pieces, regressors: np.ndarray, wanted: np.ndarray, count: int, seed: int):
+    """Least squares (p,), its bootstrap over pieces, and what is left over (n,)."""
+    squares = pieces.sums(regressors[:, :, None] * regressors[:, None, :])
+    pulls = pieces.sums(regressors * wanted[:, None])
     theta = np.linalg.solve(squares.sum(axis=0), pulls.sum(axis=0))
-    weights = resampling.draws(count, len(squares), seed)
-    # A draw may hold no bend at all; a millionth of the whole keeps it solvable and counts for nothing otherwise.
-    drawn = np.linalg.solve(np.tensordot(weights, squares, 1) + 1e-6 * squares.sum(axis=0),
-                            (weights @ pulls + 1e-6 * pulls.sum(axis=0))[:, :, None])[:, :, 0]
-    covariance, _ = resampling.spread(drawn, len(squares))
-    return theta, covariance, wanted - regressors @ theta
+
+    def estimate(weights):
+        # A draw may hold no bend at all; a millionth of the whole keeps it solvable and counts for nothing otherwise.
+        return np.linalg.solve(np.tensordot(weights, squares, 1) + 1e-6 * squares.sum(axis=0),
+                               (weights @ pulls + 1e-6 * pulls.sum(axis=0))[:, :, None])[:, :, 0]
+
+    return theta, resampling.bootstrap(estimate, pieces, count, seed), wanted - regressors @ theta
 
 
-def _across(time, speed, rate, angle, piece, vehicle, pieces, used, basis, count, seed) -> Estimate | str:
+def _across(time, speed, rate, angle, pieces, vehicle, used, count, seed) -> Estimate | str:
     curvature = rate / speed
     seconds = [float(np.count_nonzero(side * curvature > TIGHT)) * EVERY for side in (1.0, -1.0)]
     if min(seconds) < TIGHT_SECONDS:
@@ -129,21 +129,22 @@ def _across(time, speed, rate, angle, piece, vehicle, pieces, used, basis, count
         slope = -vehicle.wheelbase * rate**2 / (forward**2 + (vehicle.wheelbase * rate) ** 2)
         # delta_file = f (kinematic + slope (d_y' - d_y) + K v r) + o
         regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed), kinematic**3], axis=1)
-        theta, covariance, _ = _solve(piece, regressors, angle, count, seed)
+        theta, drawn, _ = _solve(pieces, regressors, angle, count, seed)
         d_y += float(theta[1] / theta[0])
-    return _estimate("cg_to_ins_y", d_y, covariance[1, 1] / theta[0] ** 2, "m", pieces, used,
-                     "left of the CG, from bends to both sides", basis, 0.1)
+    return _estimate("cg_to_ins_y", d_y, drawn, 1, float(1.0 / theta[0]), "m", used,
+                     "left of the CG, from bends to both sides", 0.1)
 
 
-def _estimate(name, value, variance, unit, pieces, used, words, basis, acceptable) -> Estimate:
-    uncertainty = float(np.sqrt(variance))
-    interval, = resampling.intervals([value], [uncertainty], pieces)
+def _estimate(name, value, drawn: resampling.Drawn, index, factor, unit, used, words, acceptable) -> Estimate:
+    uncertainty = float(abs(factor) * np.sqrt(drawn.covariance[index, index]))
     found: Status = "identified" if uncertainty < acceptable else (
         "doubtful" if uncertainty < 5.0 * acceptable else "unidentifiable")
     head = {"identified": "", "doubtful": "Poorly fixed: ", "unidentifiable": "The data cannot tell it: "}[found]
-    return Estimate(name, float(value), unit, uncertainty, interval, "lateral velocity of slow driving"
+    return Estimate(name, float(value), unit, uncertainty,
+                    drawn.interval(index, value, uncertainty), "lateral velocity of slow driving"
                     if name != "cg_to_ins_y" else "steering against curvature in tight bends", used,
-                    f"{head}{words}, +/- {uncertainty:.2g} {unit}, from {basis}.", found)
+                    f"{head}{words}, +/- {uncertainty:.2g} {unit}, from {len(drawn.pieces.of)} samples, "
+                    f"resampling {drawn.words(index)}.", found)
 
 
 def _stiffness_words(slip: float, variance: float, vehicle: VehicleParameters) -> str:

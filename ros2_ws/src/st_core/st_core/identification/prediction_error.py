@@ -70,26 +70,27 @@ class Fit:
     evaluations: int
     at_bound: tuple[str, ...] = field(default=())
 
-    def bootstrap(self, count: int, seed: int) -> tuple[np.ndarray, int, str]:
-        """(values of bootstrap samples (count, p), number of pieces, what they are).
-
-        One Gauss-Newton step from the estimate to that of the drawn pieces:
+    def bootstrap(self, count: int, seed: int) -> resampling.Drawn:
+        """One Gauss-Newton step from the estimate to that of the drawn pieces:
 
             theta* = theta - (sum w_c J_c^T J_c)^-1 sum w_c J_c^T e_c
 
         Good as long as the predictions are nearly linear in the parameters over their spread; complete fits to the
         same draws agree (test_prediction_error.py). Raises IdentificationError when the pieces do not fix them.
         """
-        piece, words = resampling.pieces(self.run_of, self.time)
-        squares = resampling.sums(piece, self.jacobian[:, :, None] * self.jacobian[:, None, :])
-        pulls = resampling.sums(piece, self.jacobian * self.residuals[:, None])
-        weights = resampling.draws(count, len(squares), seed)
-        try:
+        pieces = resampling.pieces(self.run_of, self.time)
+        squares = pieces.sums(self.jacobian[:, :, None] * self.jacobian[:, None, :])
+        pulls = pieces.sums(self.jacobian * self.residuals[:, None])
+
+        def estimate(weights):
             steps = np.linalg.solve(np.tensordot(weights, squares, 1), np.tensordot(weights, pulls, 1)[:, :, None])
+            return self.values - steps[:, :, 0]
+
+        try:
+            return resampling.bootstrap(estimate, pieces, count, seed)
         except np.linalg.LinAlgError:
             raise IdentificationError(f"{', '.join(self.names)}: not fixed by the data; drive with more variety of "
                                       "speed and bends, or free fewer parameters") from None
-        return self.values - steps[:, :, 0], len(squares), words
 
 
 class PredictionError:

@@ -21,8 +21,8 @@ LARGEST_RELATIVE = 0.1
 def identification(what: str, problem: PredictionError, fit: Fit, method: str, reported: Sequence[str],
                    covered: Sequence[Coverage], bootstrap: int, seed: int) -> Identification:
     """Result of a fit. reported: parameters to give as estimates, the others only help; correlation over `reported`."""
-    drawn, count, words = fit.bootstrap(bootstrap, seed)
-    covariance, _ = resampling.spread(drawn, count)
+    drawn = fit.bootstrap(bootstrap, seed)
+    covariance = drawn.covariance.copy()
     # Independent of the data drawn, so added to the variances alone.
     share = single_track_share(problem)
     covariance += np.diag([(share * v) ** 2 if n.startswith("cornering_stiffness") else 0.0
@@ -32,10 +32,11 @@ def identification(what: str, problem: PredictionError, fit: Fit, method: str, r
     correlation_all = resampling.correlation_of(covariance)
     uncertainty = np.sqrt(np.diag(covariance))
     runs = tuple(name for name, starts in problem.starts.items() if starts)
-    spans = resampling.intervals(fit.values, uncertainty, count)
     estimates = tuple(
-        Estimate(fit.names[i], float(fit.values[i]), FREE[fit.names[i]].unit, float(uncertainty[i]), spans[i], method,
-                 runs, verdict(fit, i, uncertainty[i], f"{len(fit.residuals) // 2} residuals, resampling {words}"),
+        Estimate(fit.names[i], float(fit.values[i]), FREE[fit.names[i]].unit, float(uncertainty[i]),
+                 drawn.interval(i, fit.values[i], uncertainty[i]), method,
+                 runs, verdict(fit, i, uncertainty[i], f"{len(fit.residuals) // 2} residuals, resampling "
+                               f"{drawn.words(i)}"),
                  status(fit, i, uncertainty[i])) for i in chosen)
     rejected = [(name, f"{problem.considered[name] - used} of {problem.considered[name]} starts slower than "
                  f"{problem.settings.minimum_speed:g} m/s, beyond {problem.settings.maximum_acceleration:g} m/s^2 or "
@@ -44,7 +45,7 @@ def identification(what: str, problem: PredictionError, fit: Fit, method: str, r
               for i, n in enumerate(fit.names) if n not in reported]
     warnings = [*strong_correlations(fit.names, correlation_all), *others]
     figure = {"residuals": fit.residuals.reshape(-1, 2) * fit.noise, "residual_run": fit.run_of[::2],
-              "residual_time": fit.time[::2], "names": fit.names, "bootstrap": drawn, "noise": fit.noise}
+              "residual_time": fit.time[::2], "names": fit.names, "bootstrap": drawn.values, "noise": fit.noise}
     return Identification(what, estimates, runs, tuple(rejected), resampling.correlation_of(covariance_chosen),
                           tuple(covered), tuple(warnings), figure)
 

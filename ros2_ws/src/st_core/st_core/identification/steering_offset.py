@@ -50,21 +50,19 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
             f"steady hand and faster than {settings.minimum_speed:g} m/s; {FEWEST_WINDOWS} are needed")
     problem = PredictionError([_smoothed(log) for log in logs], vehicle, (PAPER,), "linear", settings)
     fit = problem.fit(noise=np.array([1.0e-3, np.inf]))  # yaw rate alone, in its own unit of a thousandth
-    drawn, pieces, words = fit.bootstrap(bootstrap, seed)
-    covariance, _ = resampling.spread(drawn, pieces)
-    paper = _estimate(PAPER, fit.values[0], covariance[0, 0], pieces, "simulated against measured yaw rate (paper)",
-                      problem.starts, f"{sum(problem.starts.values())} predictions on straights, resampling {words}")
+    paper = _estimate(PAPER, fit.values[0], fit.bootstrap(bootstrap, seed),
+                      "simulated against measured yaw rate (paper)", problem.starts,
+                      f"{sum(problem.starts.values())} predictions on straights")
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
-    piece, words = resampling.pieces(run_of, times)
-    totals = resampling.sums(piece, np.stack([np.ones_like(values), values], axis=1))
-    weights = resampling.draws(bootstrap, len(totals), seed + 1)
-    means = (weights @ totals[:, 1]) / np.maximum(weights @ totals[:, 0], 1.0)
-    covariance, _ = resampling.spread(means[:, None], len(totals))
+    pieces = resampling.pieces(run_of, times)
+    totals = pieces.sums(np.stack([np.ones_like(values), values], axis=1))
+    drawn = resampling.bootstrap(lambda weights: (weights @ totals[:, 1:]) / (weights @ totals[:, :1]), pieces,
+                                 bootstrap, seed + 1)
     used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
-    direct = _estimate(DIRECT, float(values.mean()), covariance[0, 0], len(totals), "mean reading on steady straights",
-                       used, f"{len(values)} windows of {WINDOW:g} s, resampling {words}")
+    direct = _estimate(DIRECT, float(values.mean()), drawn, "mean reading on steady straights", used,
+                       f"{len(values)} windows of {WINDOW:g} s")
     said = contradiction(paper, direct.value, direct.standard_uncertainty, "the mean reading on steady straights")
     if said:
         paper = replace(paper, status="doubtful", verdict=f"{paper.verdict} {said}")
@@ -102,10 +100,11 @@ def _windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) 
     return np.array(rows).reshape(-1, 2)
 
 
-def _estimate(name, value, variance, pieces, method, used, basis) -> Estimate:
-    uncertainty = float(np.sqrt(variance))
-    interval, = resampling.intervals([value], [uncertainty], pieces)
+def _estimate(name, value, drawn: resampling.Drawn, method, used, basis) -> Estimate:
+    uncertainty = float(np.sqrt(drawn.covariance[0, 0]))
     degrees, spread = np.rad2deg(value), np.rad2deg(uncertainty)
-    return Estimate(name, float(value), "rad", uncertainty, interval, method, tuple(n for n, c in used.items() if c),
-                    f"The hand wheel reads {degrees:.2f} +/- {spread:.2f} deg when driving straight, from {basis}.",
+    return Estimate(name, float(value), "rad", uncertainty, drawn.interval(0, value, uncertainty),
+                    method, tuple(n for n, c in used.items() if c),
+                    f"The hand wheel reads {degrees:.2f} +/- {spread:.2f} deg when driving straight, from {basis}, "
+                    f"resampling {drawn.words(0)}.",
                     "identified" if spread < 0.5 else "doubtful")

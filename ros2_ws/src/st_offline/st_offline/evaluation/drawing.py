@@ -13,6 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 from ..style import MEASURED_COLOUR, MODEL_COLOUR, RC
@@ -62,14 +63,26 @@ def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> 
     """Save the figure and close it. Files carry the title; on the page it stands beside the figure."""
     lines = textwrap.wrap(title, TITLE_LETTERS)
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
-    # Laid out once: that takes longer than the drawing.
+    # Laid out once: that takes longer than the drawing. An engine "none" would still be asked before each file, and one
+    # taken off comes back as the settings have it.
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")
-    if where.folder is not None and where.formats:
-        where.folder.mkdir(parents=True, exist_ok=True)
-        for form in where.formats:
-            date = {"CreationDate": None} if form == "pdf" else None
-            figure.savefig(where.folder / f"{key}.{form}", metadata=date)
+    with plt.rc_context({"figure.constrained_layout.use": False}):
+        figure.set_layout_engine(None)
+        _save(figure, where, key)
+        svg = _svg_below(figure, heading)
+    plt.close(figure)
+    return Drawn(key, title, caption, page_svg(svg, f"{where.prefix}{key}-"))
+
+
+def _save(figure: Figure, where: Place, key: str) -> None:
+    if where.folder is None or not where.formats:
+        return
+    where.folder.mkdir(parents=True, exist_ok=True)
+    for form in where.formats:
+        figure.savefig(where.folder / f"{key}.{form}", metadata={"CreationDate": None} if form == "pdf" else None)
+
+
+def _svg_below(figure: Figure, heading: Text) -> str:
     width, height = figure.get_size_inches()
     # Half a tick label stands out above the highest axes.
     below = heading.get_window_extent().y0 / figure.dpi + TICK_ROOM
@@ -77,8 +90,7 @@ def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> 
     svg = io.StringIO()
     figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
                    bbox_inches=Bbox([[0.0, 0.0], [width, min(below, height)]]))
-    plt.close(figure)
-    return Drawn(key, title, caption, page_svg(svg.getvalue(), f"{where.prefix}{key}-"))
+    return svg.getvalue()
 
 
 def page_svg(svg: str, prefix: str) -> str:

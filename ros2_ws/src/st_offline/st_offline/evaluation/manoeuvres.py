@@ -50,9 +50,9 @@ def manoeuvres(log: DriveLog, labels: Sequence[Label] = ()) -> list[Manoeuvre]:
     return parts
 
 
-def assign(parts: Sequence[Manoeuvre], middles: np.ndarray) -> list[np.ndarray]:
-    """For each part, which of the horizons with these middles [s] belong to it, as rows of booleans."""
-    return [(middles >= part.start) & (middles < part.end) for part in parts]
+def assign(parts: Sequence[Manoeuvre], middles: np.ndarray) -> list[slice]:
+    """For each part, which of the horizons with these rising middles [s] belong to it."""
+    return [slice(*np.searchsorted(middles, (part.start, part.end)).tolist()) for part in parts]
 
 
 def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from st_core.binning import bins
-from st_core.log_evaluation import AXES, MODES, LogEvaluation, ModelErrors
+from st_core.log_evaluation import ALL, AXES, MODES, LogEvaluation, ModelErrors
 
 from .manoeuvres import Manoeuvre, assign
 
@@ -15,20 +15,19 @@ KINDS = ("mean", "max", "rmse")
 Entry = dict[str, Any]
 
 
-def entry(errors: ModelErrors, select: np.ndarray | None = None) -> Entry:
+def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
     """Statistics over horizon means, and under `samples` over all points of all horizons; None where nothing counts."""
-    chosen = errors.complete if select is None else errors.complete & select
-    count = int(chosen.sum())
+    complete = errors.complete[select]
+    count = int(complete.sum())
     return {
-        "n_starts": count,
-        "n_incomplete": int((~errors.complete if select is None else ~errors.complete & select).sum()),
-        **{axis: _kinds(*errors.statistics(axis, "means", chosen)) for axis in AXES},
-        "samples": {"n_starts": count, **{axis: _kinds(*errors.statistics(axis, "samples", chosen)) for axis in AXES}},
+        "n_starts": count, "n_incomplete": len(complete) - count,
+        **{axis: _kinds(*errors.statistics(axis, "means", select)) for axis in AXES},
+        "samples": {"n_starts": count, **{axis: _kinds(*errors.statistics(axis, "samples", select)) for axis in AXES}},
     }
 
 
-def by_model(evaluation: LogEvaluation, select: np.ndarray | None = None) -> dict[str, dict[str, Entry]]:
-    """{model: {mode: entry}}."""
+def by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL) -> dict[str, dict[str, Entry]]:
+    """{model: {mode: entry}} over the selected starts (rows)."""
     return {model: {mode: entry(evaluation.errors[model, mode], select) for mode in MODES}
             for model in evaluation.models}
 

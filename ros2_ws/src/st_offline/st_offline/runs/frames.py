@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from canedge_bridge.log_decode import EXTENDED
 
+EXTENDED = 0x8000_0000  # in an id, as in canedge_bridge.log_decode and in Linux
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 
 

@@ -11,8 +11,9 @@ from .can_logs import EXTENSIONS, CanLog, read_can_logs
 from .can_signals import CanSignals, decode_signals, load_signal_table
 from .clocks import align_clocks
 from .errors import RunError
-from .load import ReadSettings, clock_settings, latency_in_words, signal_files
+from .load import ReadSettings, signal_files
 from .ncom import Motion, read_ncom
+from .raw import clock_settings, latency_in_words
 from .sources import RunSource, find_runs
 
 

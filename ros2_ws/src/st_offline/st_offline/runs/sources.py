@@ -8,10 +8,12 @@ from typing import Any
 from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
-from . import bag, can_logs, csv, ncom
+from . import bag, csv, ncom
 from .errors import RunError
 from .mf4 import session_of
 
+# Those of can_logs, whose libraries take a second to load (tested to be the same).
+CAN_EXTENSIONS = frozenset((".asc", ".blf", ".candump", ".log", ".trc", ".mf4", ".mdf", ".mfc", ".mfe", ".mfm"))
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
 NO_NAME = ("run", "bag")  # says nothing (run.ncom with run.mf4, bag/ of st live): the folder's name is the run's
@@ -103,21 +105,21 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
     """Runs out of loose files. given: the user named each of them, so one that is no recording is a problem."""
     runs: list[RunSource] = []
     ins = [f for f in files if f.suffix.lower() in ncom.EXTENSIONS]
-    logs = [f for f in files if f.suffix.lower() in can_logs.EXTENSIONS]
+    logs = [f for f in files if f.suffix.lower() in CAN_EXTENSIONS]
     for file in files:
         if file.suffix.lower() == ".csv":
             if given or csv.has_drive_columns(file):
                 runs.append(RunSource(file.stem, "csv", (file,)))
         elif given and file not in ins and file not in logs:
-            known = ", ".join(sorted({*ncom.EXTENSIONS, *can_logs.EXTENSIONS, *bag.EXTENSIONS, ".csv"}))
+            known = ", ".join(sorted({*ncom.EXTENSIONS, *CAN_EXTENSIONS, *bag.EXTENSIONS, ".csv"}))
             what = f"the extension {file.suffix or '(none)'} is not one of a recording"
             runs.append(_failed(file, RunError(file, what, f"known are {known}, folders of bags, and run.yaml")))
     rest = []
     for file in ins:
         same = [f for f in logs if f.stem == file.stem and f.parent == file.parent]
-        if given and not same and not any(f.suffix.lower() in can_logs.EXTENSIONS for f in files):
+        if given and not same and not any(f.suffix.lower() in CAN_EXTENSIONS for f in files):
             same = [f for f in sorted(file.parent.iterdir())
-                    if f.stem == file.stem and f.suffix.lower() in can_logs.EXTENSIONS]
+                    if f.stem == file.stem and f.suffix.lower() in CAN_EXTENSIONS]
         if same:
             runs.append(RunSource(file.stem, "ncom", (file,), tuple(same)))
             logs = [f for f in logs if f not in same]
@@ -161,7 +163,7 @@ def _parsed(path: Path) -> RunSource:
     for text in _listed(path, "can", content.get("can", [])):
         found = sorted(path.parent.glob(text)) if any(c in text for c in "*?[") else [_existing(path, "can", text)]
         logs += [f for entry in found for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
-                 if f.is_file() and f.suffix.lower() in can_logs.EXTENSIONS]
+                 if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS]
     if kinds[0] == "ins" and not logs:
         raise RunError(path, "key can names no CAN log", "list the logs, a folder of them, or a pattern")
     offset = content.get("offset")

@@ -16,17 +16,8 @@ from .bag import definitions
 from .cdr import typestore
 from .covariance import Covariances
 from .errors import RunError
-from .load import (
-    RawRun,
-    ReadSettings,
-    about_alignment,
-    alignment_warnings,
-    check_common_time,
-    hashes,
-    latency_in_words,
-    read_raw,
-    steering_times,
-)
+from .load import ReadSettings, check_common_time, hashes
+from .raw import RawRun, about_alignment, alignment_warnings, latency_in_words, read_raw, steering_times
 from .rows import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, Messages, Serialiser, in_time_order
 from .sources import RunSource
 

@@ -36,8 +36,9 @@ def align(
     from ..alignment_figure import alignment_figure
     from ..output import OutputError, new_folder
     from ..runs.errors import RunError
-    from ..runs.load import ReadSettings, about_alignment
+    from ..runs.load import ReadSettings
     from ..runs.pairs import read_pair
+    from ..runs.raw import about_alignment
 
     console = Console()
     try:
