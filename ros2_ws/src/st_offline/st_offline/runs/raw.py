@@ -1,0 +1,126 @@
+"""INS recording and CAN logs as the instruments wrote them: decoded, and their two clocks aligned."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from st_core.clock_types import Alignment, SharedSignal, Verdict
+from st_core.errors import StCoreError
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+from .can_logs import CanLog, read_can_logs
+from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, steering_of
+from .clocks import INS_ON_CAN, align_clocks
+from .errors import RunError, check_readable
+from .frames import empty
+from .load import LoadedRun, ReadSettings, signal_files
+from .ncom import InsLog, read_ncom
+from .sources import RunSource
+
+
+@dataclass(frozen=True)
+class RawRun:
+    """INS and CAN files decoded and aligned, with everything that was in them: what `st import` writes down."""
+
+    ins: InsLog
+    can: CanLog
+    signals: CanSignals
+    steering: Signal
+    alignment: Alignment
+    shared: list[SharedSignal]
+    warnings: tuple[str, ...]
+
+
+def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True) -> RawRun:
+    """INS recording and CAN logs of a run of kind "ncom".
+
+    keep_frames: False leaves the raw frames out as soon as they are decoded; they are most of what is in memory.
+    Raises RunError; a refused alignment is returned as such.
+    """
+    if source.problem is not None:
+        raise source.problem
+    check_readable(source.where)
+    can = read_can_logs(source.can)
+    table = load_signal_table(*signal_files(source, settings))
+    signals = decode_signals(can.frames, table)
+    steering = steering_of(signals, can.files[0], table)
+    if not keep_frames:
+        can = replace(can, frames=empty())
+    ins = read_ncom(source.where)
+    alignment, shared = align_clocks(ins.motion, signals, **clock_settings(source, settings))
+    faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
+    return RawRun(ins, can, signals, steering, alignment, shared, (*ins.warnings, *can.warnings, *faults))
+
+
+def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
+    """See `load.read`."""
+    if vehicle is None:
+        raise RunError(source.where, "the steering of a CAN log needs the steering ratio and offset of the car",
+                       "give its vehicle file")
+    run = read_raw(source, settings, keep_frames=False)
+    warnings = [*run.warnings, *alignment_warnings(source, run.alignment, settings)]
+    steering_ns = steering_times(run, settings)
+    good = run.steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
+    wheel = settings.steering_sign * run.steering.values[good]
+    ins = run.ins
+    try:
+        log = DriveLog(
+            source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,
+            velocity_x=ins.velocity[0], velocity_y=ins.velocity[1], yaw_rate=ins.rate[2],
+            acceleration_x=_known(ins.acceleration[0]), acceleration_y=_known(ins.acceleration[1]),
+            steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
+            road_wheel_angle=(wheel - vehicle.steering_wheel_offset) / vehicle.steering_ratio,
+        )
+    except StCoreError as error:
+        raise RunError(source.where, str(error)) from None
+    about = {"reader": "ncom and CAN log", "origin": list(ins.origin), "alignment": about_alignment(run.alignment),
+             "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
+                          "ins_can_latency": latency_in_words(source, settings)}}
+    return LoadedRun(log, about, source.labels, tuple(warnings), run.alignment)
+
+
+def alignment_warnings(source: RunSource, alignment: Alignment, settings: ReadSettings) -> list[str]:
+    """Raises RunError for an alignment that must not be used; else what is to be said about it."""
+    reasons = "; ".join(alignment.reasons)
+    if alignment.verdict is Verdict.REFUSED or (alignment.verdict is Verdict.DOUBTFUL and not settings.doubtful):
+        raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}",
+                       "look at it with `st align`, and give the offset by hand if you know it (--offset)")
+    return [f"{source.where}: alignment of the clocks is {alignment.verdict}: {reasons}"] if reasons else []
+
+
+def steering_times(run: RawRun, settings: ReadSettings) -> np.ndarray:
+    """When the wheel stood as the frames say, on the INS clock [ns]."""
+    return run.alignment.to_reference_ns(run.steering.time_ns) - round(settings.steering_latency * 1e9)
+
+
+def about_alignment(alignment: Alignment) -> dict[str, Any]:
+    """Plain values for reports and metadata."""
+    return {
+        "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
+        "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
+        "offset_deviation_s": _finite(alignment.offset_deviation),
+        "drift_deviation_ppm": _finite(alignment.drift_deviation), "common_time_s": alignment.overlap,
+    }
+
+
+def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
+    """What `align_clocks` is told: by the settings, else by the run's run.yaml, else nothing."""
+    offset = settings.offset if settings.offset is not None else source.settings.get("offset")
+    latency = settings.ins_can_latency or source.settings.get("ins_can_latency") or INS_ON_CAN
+    return {"offset": offset, "search": settings.search, "latency": latency}
+
+
+def latency_in_words(source: RunSource, settings: ReadSettings) -> str:
+    """The latency of INS frames on the bus that the alignment rests on, and where it comes from."""
+    latency, deviation = clock_settings(source, settings)["latency"]
+    given = settings.ins_can_latency or source.settings.get("ins_can_latency")
+    return f"{latency * 1e3:g} ± {deviation * 1e3:g} ms, {'given' if given else 'assumed'}"
+
+
+def _known(values: np.ndarray) -> np.ndarray | None:
+    return values if np.isfinite(values).all() else None
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
