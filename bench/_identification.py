@@ -80,20 +80,16 @@ TRANSIENTS: Runs = (("steps 10 m/s", 10.0, steps(10.0, 0.05)), ("steps 14 m/s", 
                     ("sweep 12 m/s", 12.0, sweep(12.0, 0.03)), ("sweep 16 m/s", 16.0, sweep(16.0, 0.018)))
 
 
-DRIVERS = 5
-"""Different hands; what they drive is simulated once, and measured with other noise by every seed."""
-
-
 def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), seconds: float = SECONDS,
            sensors: Sequence[str] = SENSORS) -> list[DriveLog]:
-    """Every run once: tremor of the hand from seed modulo DRIVERS, noise of the sensors from the seed."""
+    """Every run once: tremor of the hand and noise of the sensors from the seed."""
     settings = resolve(plant, ("driver_tremor=0", *sensors, *effects))
     car, vehicle = read_car(LEAF_FILE), leaf()
-    return [log_of(name, _driven(run, number, plant, seed % DRIVERS, seconds), car, vehicle, settings,
+    return [log_of(name, _driven(run, number, plant, seed, seconds), car, vehicle, settings,
                    1000 * seed + number) for number, run in enumerate(runs) for name in run[:1]]
 
 
-@lru_cache(maxsize=DRIVERS * 30)
+@lru_cache(maxsize=60)
 def _driven(run: Run, number: int, plant: str, driver: int, seconds: float) -> Recording:
     _, speed, manoeuvre = run
     car = read_car(LEAF_FILE)

@@ -132,5 +132,6 @@ def test_an_error_that_outlasts_a_block_makes_intervals_wider(wander, seconds):
 def _interval_of_mean(values, run_of, time, seed):
     pieces = resampling.pieces(run_of, time)
     totals = pieces.sums(np.stack([np.ones_like(values), values], axis=1))
-    drawn = resampling.bootstrap(lambda weights: (weights @ totals[:, 1:]) / (weights @ totals[:, :1]), pieces, 200, seed)
+    drawn = resampling.bootstrap(lambda weights: (weights @ totals[:, 1:]) / (weights @ totals[:, :1]), pieces, 200,
+                                 seed)
     return drawn.interval(0, values.mean(), drawn.covariance[0, 0] ** 0.5)

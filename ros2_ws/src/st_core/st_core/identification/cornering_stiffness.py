@@ -6,7 +6,7 @@ from the force and moment balance of the single-track car, a_y at the CG; slip a
 Samples that are slow, near-straight or beyond |a_y| = 4 m/s^2 are left out, and those with |alpha| > 2 deg in the
 regression of their axle. The slope is an average over that range: a tyre that begins to saturate within it gives less
 than its stiffness at small slip, and noise of the slip angle draws the slope towards zero as well.
-Source: paper, section on parameter identification. Checked by: test_cornering_stiffness.py.
+Source: paper, section on parameter identification. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Sequence

@@ -12,7 +12,7 @@ its forward speed in bends to one side against the other:
 
 which needs tight bends to both sides. Ratio, offset and understeer of the steering are fitted beside it, and c, what
 the axle's mean angle differs from the formula in tight bends: driven more often to one side that would pass for d_y.
-Checked by: test_ins_mounting.py.
+Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Sequence

@@ -4,7 +4,7 @@
 
 Slow bends show the ratio, fast ones add the understeer, straights the offset; so the stiffnesses are fitted beside. The
 ratio comes out relative to the wheelbase: 1 % more of the one is 1 % less of the other. Checked by:
-test_stiffness_prediction.py.
+test_identification_driving.py.
 """
 
 from collections.abc import Sequence

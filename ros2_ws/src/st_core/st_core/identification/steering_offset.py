@@ -6,7 +6,7 @@ reading while the car goes straight, corrected by what little it turns,
     o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / way
 
 in windows with a steady hand. The first rests on the gyro, the second on the heading; a crowned road, side wind or
-worn tyres turn the steering wheel in both. Checked by: test_steering_offset.py.
+worn tyres turn the steering wheel in both. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Sequence

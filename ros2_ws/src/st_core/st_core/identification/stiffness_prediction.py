@@ -3,7 +3,7 @@
 Beside the two stiffnesses the offset of the steering and the misalignment of the INS are fitted, which would otherwise
 pass for tyres. With the nonlinear model the stiffness is the slope at small slip at the static load, and the tyre's
 curve is that of the vehicle file; with the linear one it is the slope that predicts best over the slips driven.
-Checked by: test_stiffness_prediction.py.
+Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Sequence

@@ -4,20 +4,23 @@
 
 In steady bends r_dot is zero and any inertia fits. Steering dynamics, a time stamp that is off, and the relaxation of
 the tyres delay the response as inertia does; the dead time of the steering is therefore fitted beside it, and a strong
-correlation of the two is said. Checked by: test_yaw_inertia.py.
+correlation of the two is said. An angle may be as old as a sampling interval T when it is stamped, and how old changes
+from drive to drive, which one dead time for N drives cannot follow: T / sqrt(12 N) of dead time is added to the
+uncertainty, times what a second of it changes. Checked by: test_identification_driving.py.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from ..filtering import NANOSECOND
 from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
 from .coverage import coverage, require
 from .free_parameters import DELAY, MISALIGNMENT
-from .prediction_error import PredictionError, PredictionErrorSettings
+from .prediction_error import Fit, PredictionError, PredictionErrorSettings
 from .prediction_estimates import described, driving_coverage, identification
 from .result import Estimate, Identification, contradiction
 from .run_samples import prepared, run_samples
@@ -48,7 +51,9 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
     require(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
     problem = PredictionError(logs, vehicle, NAMES, base, settings)
     method = f"multi-step prediction of transients, {described(base)}"
-    result = identification("yaw-inertia", problem, problem.fit(), method, NAMES[:4], covered, bootstrap, seed)
+    fit = problem.fit()
+    result = identification("yaw-inertia", problem, fit, method, NAMES[:4], covered, bootstrap, seed,
+                            _timing(fit, logs, problem.starts))
     inertia = result["yaw_inertia"]
     warnings = [*noticed, *result.warnings]
     share = float(np.sqrt(inertia.value / vehicle.mass) / vehicle.wheelbase)
@@ -59,3 +64,15 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
     said = contradiction(inertia, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia, "the vehicle file (as +/- 10 %)")
     estimates: tuple[Estimate, ...] = (inertia, *result.estimates[1:])
     return replace(result, estimates=estimates, warnings=(*warnings, said) if said else tuple(warnings))
+
+
+def _timing(fit: Fit, logs: Sequence[DriveLog], starts: Mapping[str, int]) -> dict[str, float]:
+    """Standard uncertainty of the dead time [s] and, through it, of the inertia; see the module."""
+    interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
+    time = interval / np.sqrt(12.0 * sum(count > 0 for count in starts.values()))
+    squares = fit.jacobian.T @ fit.jacobian
+    delay = fit.names.index(DELAY)
+    others = [i for i in range(len(fit.names)) if i != delay]
+    change = dict(zip([fit.names[i] for i in others],
+                      np.linalg.solve(squares[np.ix_(others, others)], squares[others, delay]), strict=True))
+    return {DELAY: time, "yaw_inertia": abs(change["yaw_inertia"]) * time}
