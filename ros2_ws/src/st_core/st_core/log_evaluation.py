@@ -86,19 +86,24 @@ class ModelErrors:
 
     def statistics(self, axis: str, over: Literal["means", "samples"] = "means",
                    select: np.ndarray | slice = ALL) -> tuple[float, float, float]:
-        """(mean, largest magnitude, root mean square) of one axis over the selected complete starts [m or rad].
+        """(mean, largest magnitude, root mean square) of one axis; see `by_axis`."""
+        return self.by_axis(over, select)[axis]
+
+    def by_axis(self, over: Literal["means", "samples"] = "means",
+                select: np.ndarray | slice = ALL) -> dict[str, tuple[float, float, float]]:
+        """{axis: (mean, largest magnitude, root mean square)} over the selected complete starts [m or rad].
 
         over: means = of the horizon means, as in the paper's table; samples = of all points of all horizons.
         select: rows. NaN without a start.
         """
-        column, complete = AXES.index(axis), self.complete[select]
+        complete = self.complete[select]
         if not complete.any():
-            return np.nan, np.nan, np.nan
-        mean = self.mean[select, column][complete]
-        if over == "means":
-            return float(mean.mean()), float(np.abs(mean).max()), float(np.sqrt(np.square(mean).mean()))
-        return (float(mean.mean()), float(self.largest[select, column][complete].max()),
-                float(np.sqrt(self.mean_square[select, column][complete].mean())))
+            return dict.fromkeys(AXES, (np.nan, np.nan, np.nan))
+        mean = self.mean[select][complete]
+        largest, square = ((np.abs(mean), np.square(mean)) if over == "means" else
+                           (self.largest[select][complete], self.mean_square[select][complete]))
+        columns = mean.mean(axis=0), largest.max(axis=0), np.sqrt(square.mean(axis=0))
+        return dict(zip(AXES, zip(*(c.tolist() for c in columns), strict=True), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,18 +137,21 @@ class LogEvaluation:
         return (self.starts_ns - self.start_ns) * NANOSECOND
 
 
-def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
+def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog | LogSignals,
                  settings: EvaluationSettings | None = None, starts_ns: np.ndarray | None = None,
                  progress: Progress | None = None) -> LogEvaluation:
     """Predict with every model from every start and score it.
 
+    log: its signals are made with the settings, unless they are given.
     starts_ns: increasing; default every `interval` of the drive from its first INS sample on. A start where INS or
     steering is not known, or slower than minimum_speed, is skipped and counted. progress(done, total): after each
     block. Source: paper, section on the comparison. Checked by: test_log_evaluation.py, against the live classes.
     """
     settings = settings or EvaluationSettings()
     models = [get_model(model) for model in models]
-    signals = LogSignals(log, settings.prediction.maximum_gap, settings.prediction.filter_cutoff, settings.acceleration)
+    signals = log if isinstance(log, LogSignals) else LogSignals(
+        log, settings.prediction.maximum_gap, settings.prediction.filter_cutoff, settings.acceleration)
+    log = signals.log
     origin = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     wanted = regular_starts(log, settings.interval) if starts_ns is None else np.asarray(starts_ns, np.int64)
     starts, skipped = usable_starts(signals, vehicle, wanted, settings.prediction.minimum_speed)

@@ -93,7 +93,7 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     good = [r for r in reports if not r.problem]
     content = document(reports, choices)
     files = {"json": folder / "evaluation.json", "page": folder / "report.html", "latex": folder / "table.tex"}
-    files["json"].write_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    files["json"].write_text(_readable(content))
     rows = {"table": tables.table_rows, "seconds": tables.second_rows, "bins": tables.bin_rows,
             "manoeuvres": tables.manoeuvre_rows}
     for name, make in rows.items():
@@ -105,3 +105,13 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     drawn = overview(good, choices.over, Place(folder, choices.task.formats))
     write_page(files["page"], title, reports, content, words, drawn, choices.over)
     return files
+
+
+def _readable(content: dict[str, Any]) -> str:
+    # A line for each key and for each entry of its lists: an indent would make the json module ten times slower.
+    def line(value: Any) -> str:
+        return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+    lines = (f"{line(key)}: " + (f"[\n  {joined}\n ]" if isinstance(value, list) and (joined := ",\n  ".join(
+        map(line, value))) else line(value)) for key, value in content.items())
+    return "{\n " + ",\n ".join(lines) + "\n}\n"

@@ -71,17 +71,19 @@ def _states(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
 
 def _stretches(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
     """(first, last) of equal states; in `states`, a stretch too short for itself joins its longer neighbour."""
-    while True:
-        edges = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]
-        spans = list(itertools.pairwise(edges))
-        short = [(b - a, i) for i, (a, b) in enumerate(spans) if b - a < shortest]
-        if not short or len(spans) == 1:
-            # The last point of a stretch is the first of the next, so that heading changes add up.
-            return [(a, min(b, len(states) - 1)) for a, b in spans]
-        _, i = min(short)
+    spans = list(itertools.pairwise([0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]))
+    while len(spans) > 1:
+        size, i = min((b - a, i) for i, (a, b) in enumerate(spans))
+        if size >= shortest:
+            break
         neighbours = [j for j in (i - 1, i + 1) if 0 <= j < len(spans)]
         longest = max(neighbours, key=lambda j: spans[j][1] - spans[j][0])
         states[slice(*spans[i])] = states[spans[longest][0]]
+        around = spans[max(i - 1, 0):i + 2]
+        edges = [around[0][0], *(a for a, _ in around[1:] if states[a - 1] != states[a]), around[-1][1]]
+        spans[max(i - 1, 0):i + 2] = itertools.pairwise(edges)
+    # The last point of a stretch is the first of the next, so that heading changes add up.
+    return [(a, min(b, len(states) - 1)) for a, b in spans]
 
 
 def _name(state: int, turned: float, acceleration: float) -> str:

@@ -127,8 +127,9 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
     half = 0.5 * max(np.ptp(x), np.ptp(y)) * 1.15 + 2.0
     middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
     near = (np.abs(log.x - middle[0]) < half) & (np.abs(log.y - middle[1]) < half)
-    every = max(1, int(near.sum()) // 400)
-    axes.plot(*(np.where(near, v, np.nan)[::every] for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
+    shown = np.flatnonzero(near)[:: max(1, int(near.sum()) // 400)]
+    passes = np.flatnonzero(np.diff(np.cumsum(~near)[shown])) + 1  # it was elsewhere in between
+    axes.plot(*(np.insert(v[shown], passes, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
     every = max(1, len(log.x[around]) // 200)
     axes.plot(log.x[around][::every], log.y[around][::every], color=MEASURED_COLOUR, lw=1.2)
     every = max(1, len(x) // 100)

@@ -21,8 +21,8 @@ def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
     count = int(complete.sum())
     return {
         "n_starts": count, "n_incomplete": len(complete) - count,
-        **{axis: _kinds(*errors.statistics(axis, "means", select)) for axis in AXES},
-        "samples": {"n_starts": count, **{axis: _kinds(*errors.statistics(axis, "samples", select)) for axis in AXES}},
+        **{axis: _kinds(*values) for axis, values in errors.by_axis("means", select).items()},
+        "samples": {"n_starts": count, **{axis: _kinds(*v) for axis, v in errors.by_axis("samples", select).items()}},
     }
 
 

@@ -81,7 +81,9 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
     models = load_models(task)
-    evaluation = evaluate_log(models, task.vehicle, run.log, task.settings, progress=progress)
+    prediction = task.settings.prediction
+    signals = LogSignals(run.log, prediction.maximum_gap, prediction.filter_cutoff, task.settings.acceleration)
+    evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress)
     marks.append(time.perf_counter())
     parts = manoeuvres(run.log, run.labels)
     if not any(errors.n_starts for errors in evaluation.errors.values()):
@@ -90,7 +92,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     if folder:
         folder.mkdir(parents=True, exist_ok=True)
         write_starts(folder / "starts.csv", evaluation)
-    figures = run_figures(_drawing(task, evaluation, models, run.log, folder))
+    place = Place(folder, task.formats, f"{slug(source.name)}-")
+    figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts, place))
     marks.append(time.perf_counter())
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
@@ -121,13 +124,6 @@ def load_models(task: Task) -> list[Model]:
         if names.count(name) > 1:
             raise ConfigurationError(f"two models are named {name}: one model file at a time, and each name once")
     return models
-
-
-def _drawing(task: Task, evaluation: LogEvaluation, models: list[Model], log, folder: Path | None) -> Drawing:
-    prediction = task.settings.prediction
-    signals = LogSignals(log, prediction.maximum_gap, prediction.filter_cutoff, task.settings.acceleration)
-    place = Place(folder, task.formats, f"{slug(evaluation.name)}-")
-    return Drawing(evaluation, models, task.vehicle, signals, task.starts, place)
 
 
 def _why_nothing(evaluation: LogEvaluation, overlap: float) -> str:

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -63,23 +64,29 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     settings = settings or ReadSettings()
     if source.problem is not None:
         raise source.problem
-    if source.kind == "ncom":
-        from .raw import read_raw_run  # scipy.signal and the CAN libraries: two seconds that bags need not wait for
-
-        loaded = read_raw_run(source, vehicle, settings)
-    elif source.kind == "bag":
-        drive = bag.read_bag(source.where, source.name)
-        recorded = {name: dict(record) for name, record in drive.records.items()}
-        about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
-        loaded = LoadedRun(drive.log, about, source.labels or _recorded_labels(drive.records), drive.warnings)
-    else:
-        log, warnings = csv.read_drive(source.where)
-        loaded = LoadedRun(replace(log, name=source.name), {"reader": "csv"}, source.labels, warnings)
+    # Hashing does not hold the interpreter; it is done when the rest is.
+    with ThreadPoolExecutor(1) as beside:
+        digests = beside.submit(hashes, source)
+        loaded = _loaded(source, vehicle, settings)
     log = loaded.log
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
     check_common_time(source, log.ins_time_ns, log.steering_time_ns)
-    return replace(loaded, log=log, provenance={**loaded.provenance, "files": hashes(source)})
+    return replace(loaded, log=log, provenance={**loaded.provenance, "files": digests.result()})
+
+
+def _loaded(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
+    if source.kind == "ncom":
+        from .raw import read_raw_run  # scipy.signal and the CAN libraries: two seconds that bags need not wait for
+
+        return read_raw_run(source, vehicle, settings)
+    if source.kind == "bag":
+        drive = bag.read_bag(source.where, source.name)
+        recorded = {name: dict(record) for name, record in drive.records.items()}
+        about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
+        return LoadedRun(drive.log, about, source.labels or _recorded_labels(drive.records), drive.warnings)
+    log, warnings = csv.read_drive(source.where)
+    return LoadedRun(replace(log, name=source.name), {"reader": "csv"}, source.labels, warnings)
 
 
 def _recorded_labels(records: Mapping[str, Mapping[str, str]]) -> tuple[Label, ...]:
