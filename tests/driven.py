@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from st_core import integrate
 from st_core.log import DriveLog
-from st_core.models import get_model
+from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
 
 T0 = 1_700_000_000_000_000_000
@@ -33,20 +33,20 @@ SILENT = Sensors(velocity=0.0, yaw_rate=0.0, yaw=0.0, steering_wheel=0.0)
 
 
 def drive(vehicle: VehicleParameters, speed: float, steer: Callable[[np.ndarray], np.ndarray], seconds: float = 60.0,
-          *, model: str = "linear", sensors: Sensors = Sensors(), seed: int = 0, name: str = "") -> DriveLog:
+          *, model: str | Model = "linear", sensors: Sensors = Sensors(), seed: int = 0, name: str = "") -> DriveLog:
     """At one speed [m/s]; steer(time) -> road-wheel angle [rad]. INS and steering at 100 Hz."""
     time = np.arange(0.0, seconds, STEP)
-    equations = get_model(model)
+    equations = get_model(model) if isinstance(model, str) else model
     p = equations.parameters(vehicle)
     angle = np.asarray(steer(time - sensors.delay), float)
     middle = np.asarray(steer(time + 0.5 * STEP - sensors.delay), float)
-    state = (0.0, 0.0, speed, 0.0, 0.3, 0.0)
+    state = (0.0, 0.0, speed, 0.0, 0.3, 0.0, *[0.0] * len(equations.extra_states))
     rows = [state]
     for before, between, after in zip(angle[:-1].tolist(), middle[:-1].tolist(), angle[1:].tolist(), strict=True):
         w = [equations.inputs(value, 0.0, p) for value in (before, between, after)]
         state = integrate.rk4_step(equations.rhs, state, *w, p, STEP)
         rows.append(state)
-    x, y, forward, across, yaw, rate = np.array(rows).T
+    x, y, forward, across, yaw, rate = np.array(rows).T[:6]
     d_x, d_y = vehicle.cg_to_ins_x + sensors.lever[0], vehicle.cg_to_ins_y + sensors.lever[1]
     cosine, sine = np.cos(yaw), np.sin(yaw)
     forward, across = forward - rate * d_y, across + rate * d_x

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven import SILENT, Sensors, drive, steps, straight, weave
+from st_core.augmented import augment
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.free_parameters import MISALIGNMENT, with_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
@@ -129,3 +130,15 @@ def test_yaw_inertia_and_dead_time_from_steps(leaf, unknown):
     assert inertia.interval95[0] < leaf.yaw_inertia < inertia.interval95[1]
     assert found["steering_delay"].value == pytest.approx(0.03, abs=0.003)
     assert any("contradicts 2300" in warning for warning in found.warnings)
+
+
+def test_tyres_that_relax_do_not_pass_for_inertia(leaf):
+    relaxing = augment("linear", {"tyre_relaxation": {"length": 0.4}})
+    logs = [drive(leaf, speed, steps(angle), 30.0, model=relaxing, seed=8)
+            for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
+    found = identify_yaw_inertia(logs, leaf, "linear")
+    inertia = found["yaw_inertia"]
+    assert inertia.value == pytest.approx(leaf.yaw_inertia, rel=0.03)
+    assert inertia.interval95[0] < leaf.yaw_inertia < inertia.interval95[1]
+    assert inertia.standard_uncertainty > 0.005 * leaf.yaw_inertia
+    assert any(warning.startswith("tyre_relaxation = 0.") for warning in found.warnings)

@@ -9,7 +9,7 @@ from ..tyres import stiffness_scale
 from ..vehicle import VehicleParameters
 from .result import IdentificationError
 
-MISALIGNMENT, DELAY = "ins_misalignment", "steering_delay"
+MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", "steering_delay", "tyre_relaxation"
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ FREE: Mapping[str, FreeParameter] = {
     MISALIGNMENT: FreeParameter("rad", 0.005, (-0.1, 0.1)),
     # The wheels after the measured angle, as the effect steering_delay.
     DELAY: FreeParameter("s", 0.02, (-0.2, 0.4)),
+    # Way rolled until 63 % of a slip step is force, as the effect of that name.
+    RELAXATION: FreeParameter("m", 0.1, (0.0, 1.5)),
 }
 
 
@@ -82,6 +84,8 @@ class Applied:
         effects = {"steering_ratio": {"factor": 1.0}, "steering_offset": {"angle": 0.0}}
         if DELAY in names:
             effects["steering_delay"] = {"time": 0.0}
+        if RELAXATION in names:
+            effects["tyre_relaxation"] = {"length": 0.0}
         self._model = augment(base, effects)
 
     def __call__(self, values: Sequence[float]) -> tuple[AugmentedModel, VehicleParameters, float]:
@@ -96,6 +100,8 @@ class Applied:
                    "steering_offset": {"angle": (file.steering_wheel_offset - offset) / ratio}}
         if DELAY in given:
             effects["steering_delay"] = {"time": given[DELAY]}
+        if RELAXATION in given:
+            effects["tyre_relaxation"] = {"length": given[RELAXATION]}
         return self._model.with_values(effects), car, given.get(MISALIGNMENT, 0.0)
 
 

@@ -33,6 +33,9 @@ APART = 1.0
 TUMBLED = 100.0
 """rad/s and m/s, residual of a prediction that is no longer finite."""
 
+MOST_ROUNDS, SETTLED = 6, 0.02
+"""Fits with the noise left over by the one before, and the relative change of it at which they end."""
+
 DIFFERENCE = 1e-3
 """Step of the derivatives, in usual changes of a parameter (`FreeParameter.scale`)."""
 
@@ -132,7 +135,8 @@ class PredictionError:
 
     def fit(self, start: Sequence[float] | None = None, noise: np.ndarray | None = None,
             fixed: Sequence[int] = (), weights: Sequence[float] | None = None) -> Fit:
-        """Least squares, twice: with the residuals at the start's parameters as noise, then with those left over.
+        """Least squares, again and again: with the residuals at the start's parameters as noise, then with those left
+        over, until these stay as they are, so that the start does not decide how yaw rate counts against velocity.
 
         start: values to begin at. noise: root mean squares to keep. fixed: positions in `names` that stay where they
         start. weights: how often each drive counts; once if not given.
@@ -140,12 +144,15 @@ class PredictionError:
         values = np.array(self.start if start is None else start, float)
         free = np.array([i for i in range(len(self.names)) if i not in fixed], int)
         counted = np.sqrt(np.ones(len(self.starts)) if weights is None else np.asarray(weights, float))[self.run_of]
-        evaluations, rounds = 0, 1 if noise is not None else 2
+        evaluations, rounds = 0, 1 if noise is not None else MOST_ROUNDS
         noise = _size(self.residuals(values)) if noise is None else noise
         solution = None
         for _ in range(rounds):
             if solution is not None:
-                noise = _size(solution.fun.reshape(-1, 2) * noise)
+                before, noise = noise, _size(solution.fun.reshape(-1, 2) * noise)
+                if np.abs(noise / before - 1.0).max() < SETTLED:
+                    noise = before
+                    break
             solution = self._solve(values, free, noise, counted)
             values[free] = solution.x * self._scale[free]
             evaluations += solution.nfev + len(free) * solution.njev
