@@ -119,12 +119,17 @@ def ordinary(b: Builder, lateral: float, duration: float = 6.0) -> None:
     b.add(b.angle_for(lateral) * noise * np.minimum(time, 1.0), speeds, closed=True)
 
 
-def circle(b: Builder, lateral: float, duration: float = 8.0) -> None:
+def circle(b: Builder, lateral: float, duration: float = 8.0, ramp: float = 2.0) -> None:
     """Slowly into a circle and out of it."""
     side = b.generator.choice([-1, 1])
     time = _time(duration)
-    share = np.clip(np.minimum(time, duration - time) / 2.0, 0.0, 1.0)
+    share = np.clip(np.minimum(time, duration - time) / ramp, 0.0, 1.0)
     b.add(side * b.angle_for(lateral) * share)
+
+
+def slow_circle(b: Builder, lateral: float) -> None:
+    """As slowly that the yaw rate hardly changes."""
+    circle(b, lateral, 18.0, 8.0)
 
 
 @dataclass(frozen=True)
@@ -144,6 +149,7 @@ LIMIT = Part(ramp_to_limit, (9.0, 12.0), (10.0, 14.0))
 BRAKING = Part(brake_in_turn, (10.0, 12.0), (3.5, 4.5))
 ORDINARY = Part(ordinary, (8.0, 14.0), (1.2, 2.0))
 CIRCLE = Part(circle, (8.0, 12.0), (2.5, 3.5))
+SLOW_CIRCLE = Part(slow_circle, (8.0, 10.0), (1.5, 2.5))
 
 FULL = (SWEEP, LIMIT, BRAKING, ORDINARY)
 EXTRA = (STEPS, SLALOM, WEAVE)

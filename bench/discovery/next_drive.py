@@ -19,10 +19,13 @@ TIMES = 3
 
 
 def driven_again(case: Case, drives: Drives, found: Discovery, settings: DiscoverySettings) -> dict[str, Any]:
-    """What comes out with the suggested drive added; empty where none was suggested for a single hidden effect."""
+    """What comes out with the suggested drive added; no_drive: it said that none would settle it;
+    empty for answers that are not ambiguous."""
     suggested = found.next_manoeuvre
-    if suggested is None or case.kind != "single" or found.outcome != "ambiguous":
+    if case.kind != "single" or found.outcome != "ambiguous":
         return {}
+    if suggested is None:
+        return {"no_drive": True}
     part = _PARTS.get(suggested.scenario)
     if part is None:
         return {"suggested": suggested.scenario, "settled": False, "again": ["not driven: no such manoeuvre"]}

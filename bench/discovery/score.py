@@ -111,6 +111,8 @@ def scores(records: Sequence[Record]) -> Record:
     add("one name stated and wrong", ("≤ 3 %", "≤ 1 %"), _share(visible, is_wrong_name))
     add("suggested drive, once driven, settles it", ("≥ 60 %", "≥ 85 %"),
         _share([r for r in visible if "settled" in r], lambda r: r["settled"]))
+    add("  ambiguous, and said that no drive would settle it", ("", ""),
+        _share([r for r in visible if r["outcome"] == "ambiguous"], lambda r: r.get("no_drive", False)))
     gap = [r for r in kinds["unknown"] if r.get("base", 0.0) > 1.0 / 0.9]
     add("unknown effect flagged", ("≥ 50 %", "≥ 75 %"), _share(gap, lambda r: r["outcome"] == "unknown"))
     add("  of these, no effect equals it", ("", ""),
@@ -192,5 +194,5 @@ def as_text(document: Record) -> str:
 def short(r: Record) -> Record:
     """What is kept of a case in the results."""
     keys = ("kind", "index", "truth", "hidden", "with_vy", "shifted", "outcome", "names", "base", "found", "oracle",
-            "detectability", "tyres", "settled", "suggested", "cpu_s", "error")
+            "detectability", "tyres", "settled", "suggested", "no_drive", "cpu_s", "error")
     return {k: r[k] for k in keys if k in r}

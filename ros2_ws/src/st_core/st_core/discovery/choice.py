@@ -5,16 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..effects import get_effect
 from .floor import Floor
 from .quadratic import Quadratic
 from .space import Space
 from .study import Fit, Study
 
 TRIALS = 200
-STRUCTURE = 1.5  # gains of a healthy car on other roads than the reference, over those on resampled reference blocks
+STRUCTURE = 1.2  # gains of a healthy car on other roads than the reference, over those on resampled reference blocks
 TAIL = 2.0  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
 RELATIVE = 0.02  # of the gain, for what the library's equations are not the car's
+RELATIVE_TWINS = 0.08  # the same for effects that the registry calls twins
 
 
 def precision(spread: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -31,7 +33,7 @@ class Null:
     """What healthy data gain: half of them more than `middle`; above it the share falls off as exp(-gain / fall)."""
 
     middle: float
-    fall: float = STRUCTURE * TAIL
+    fall: float
 
     def probability(self, gain: float) -> float:
         """That healthy data gain as much."""
@@ -67,12 +69,13 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
         some = rng.integers(0, len(gradient), blocks)
         h = hessian[some].sum(axis=0)
         drawn.append(gain(gradient[some].sum(axis=0) + h @ (root @ rng.standard_normal(len(space))), h))
-    middle = STRUCTURE * float(np.median(drawn))
+    middle, fall = STRUCTURE * float(np.median(drawn)), STRUCTURE * TAIL
     runs = np.unique(run) if run is not None else np.array([], int)
     if len(runs) > 1:
         apart = [gain(gradient[run == r].sum(axis=0), hessian[run == r].sum(axis=0)) for r in runs]
-        middle = max(middle, float(np.median(apart)) * (len(runs) + 1) / (len(runs) - 1))
-    return Null(middle)
+        more = max(1.0, float(np.median(apart)) * (len(runs) + 1) / (len(runs) - 1) / max(middle, 1e-9))
+        middle, fall = more * middle, more * fall
+    return Null(middle, fall)
 
 
 def behind(fit: Fit, best: Fit, study: Study) -> tuple[float, float]:
@@ -83,11 +86,17 @@ def behind(fit: Fit, best: Fit, study: Study) -> tuple[float, float]:
     return more, more / max(deviation, 1e-9)
 
 
-def not_worse(fits: Mapping[str, Fit], best: Fit, gain: float, study: Study) -> list[str]:
-    """Names of the fits the data cannot tell from the best, best first."""
+def unsure(first: str, second: str) -> float:
+    """Share of a gain by which two effects must differ to be told apart, however sure the data are."""
+    twins = second in get_effect(first).twins or first in get_effect(second).twins
+    return RELATIVE_TWINS if twins else RELATIVE
+
+
+def not_worse(fits: Mapping[str, Fit], best: Fit, instead: str, gain: float, study: Study) -> list[str]:
+    """Names of the fits the data cannot tell from the best, best first. instead: the effect of it they replace."""
     result = []
     for name, fit in fits.items():
         more, deviations = behind(fit, best, study)
-        if more <= max(CLOSE, RELATIVE * gain) or deviations < study.settings.deviations:
+        if more <= max(CLOSE, unsure(name, instead) * gain) or deviations < study.settings.deviations:
             result.append((more, name))
     return [name for _, name in sorted(result)]

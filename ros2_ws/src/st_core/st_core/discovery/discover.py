@@ -131,6 +131,9 @@ class _Work:
             gaps = gap.measure(parts, self.vehicle, study, study.base, floor.vector, floor)
         separable = tuple(self._separability(rivals, fits)) if model else ()
         following = manoeuvres.following(study, effects, fits) if separable else None
+        if separable and following is None:
+            self.warnings.append("no drive of the catalogue would tell the names apart: "
+                                 + "; ".join(f"{s.first} and {s.second}" for s in separable))
         where = self._where(floor)
         if outcome == "unknown":
             signature = tuple(f"{w.channel}: {w.condition}" for w in where[:6])

@@ -18,15 +18,14 @@ LEAST = {"velocity_y": 0.003, "yaw_rate": 0.0008, "acceleration_y": 0.02, "yaw":
 HARDNESS = np.array([1.0, 1.0, 1.5, 2.5, 4.0, 1.5, 1.5, 2.0, 3.0, 5.0])  # how much larger in each kind of driving
 HEALTHY = 1.0  # usual sizes of each effect a car may have before anything is wrong with it, with a reference to say so
 UNKNOWN = 0.35  # the same without a reference
-# Usual sizes: 1.5 m/s of wind, 2 mrad of bank, 0.5 mrad the heading of an INS wanders and 10 mm/s^2 its accelerometer;
-# 2 % of friction, a passenger or some fuel, and the roll they cause.
-SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.1, "heading_misalignment": 0.1, "lateral_acceleration_bias": 0.1,
-                "friction": 0.1, "mass": 0.2, "lateral_load_transfer": 0.1}
-# What healthy drives do not tell from a softer axle: left to them it goes to zero, and all twins go wrong with it.
-HELD, HOLD = ("steering_compliance",), 0.1
+# Usual sizes: 1.5 m/s of wind, 2 mrad of bank, 0.5 mrad the heading of an INS wanders and 6 mm/s^2 its accelerometer;
+# a passenger or some fuel, 2 % of the mass.
+SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.1, "heading_misalignment": 0.1, "lateral_acceleration_bias": 0.06,
+                "mass": 0.2}
+GUESSED = ("lateral_load_transfer",)  # what a guessed sideslip looks like near the limit
 DOUBTFUL = 4.0  # usual sizes
 ROUNDS = 4
-NOISIEST = 4.0  # ratio of variances
+NOISIER, NOISIEST = 1.3, 4.0  # ratios of variances: from where on it counts, and how far
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +70,13 @@ def prior(space: Space, spread: float) -> np.ndarray:
     return result
 
 
-def drifts(space: Space, drift: float) -> np.ndarray:
+def drifts(space: Space, drift: float, with_vy: bool) -> np.ndarray:
     """(p,) what a healthy car and its surroundings change from one day to the next, in usual sizes."""
     result = np.full(len(space), drift)
     for name, share in SURROUNDINGS.items():
         result[space.indices(name)] = np.maximum(drift, share)
+    if not with_vy:
+        result[space.indices(*GUESSED)] = np.maximum(drift, 0.07)
     return result
 
 
@@ -107,7 +108,6 @@ def learn(windows: Windows, space: Space, drift: float, tick=None) -> Floor:
     start = space.healthy.copy()
     x = start.copy()
     deviation, how, inflation = prior(space, HEALTHY), default_whitening(windows), 4.0
-    deviation[space.indices(*HELD)] = HOLD
     rows = row_errors(windows, space, x)
     q = None
     for turn in range(ROUNDS):
@@ -125,7 +125,7 @@ def learn(windows: Windows, space: Space, drift: float, tick=None) -> Floor:
     q = quadratic(rows, slopes, windows, how)
     inflation = max(float(np.median(inflation_of(q))), 1.0)
     posterior = np.linalg.inv(q.hessian.sum(0) / inflation + np.diag(1.0 / deviation**2))
-    spread = posterior + np.diag(drifts(space, drift)**2)
+    spread = posterior + np.diag(drifts(space, drift, "velocity_y" in windows.columns)**2)
     run = windows.run[np.unique(windows.block, return_index=True)[1]]
     return Floor(x, how, spread, inflation, q, run, q.cost / np.maximum(q.windows, 1), _sizes(windows, rows))
 
@@ -155,7 +155,7 @@ def assumed(windows: Windows, space: Space, tick=None) -> Floor:
 
 def noisier(runs: Sequence[DriveLog], reference: Sequence[DriveLog]) -> float:
     """How much more the INS of the runs trembles than that of the reference: middle of the ratios of variances of the
-    third differences, 1 to NOISIEST. What a car does is slow against the samples and falls out of these."""
+    third differences. What a car does is slow against the samples and falls out of these."""
     names = ["yaw_rate", "velocity_x", "velocity_y"]
     if all(log.acceleration_y is not None for log in (*runs, *reference)):
         names.append("acceleration_y")
@@ -164,7 +164,8 @@ def noisier(runs: Sequence[DriveLog], reference: Sequence[DriveLog]) -> float:
         return float(np.median(np.abs(np.diff(getattr(log, name), 3))))
     ratios = [np.median([tremble(r, n) for r in runs]) / max(np.median([tremble(r, n) for r in reference]), 1e-9)
               for n in names if any(np.any(r.velocity_y) for r in reference) or n != "velocity_y"]
-    return float(np.clip(np.median(ratios)**2, 1.0, NOISIEST))
+    more = float(np.median(ratios))**2
+    return min(more, NOISIEST) if more > NOISIER else 1.0
 
 
 def suspicions(floor: Floor, space: Space) -> list[str]:

@@ -13,10 +13,11 @@ from ..prediction import predict
 from ..readings import corrected_steering, readings
 from ..types import InputSequence, VehicleState
 from ..vehicle import VehicleParameters
-from .choice import precision
+from .choice import precision, unsure
 from .quadratic import jacobian, quadratic, row_errors
 from .result import FoundEffect, NextManoeuvre
 from .study import Fit, Study
+from .testable import VISIBLE
 from .windows import STEP, MotionOnly, Windows, added_acceleration
 
 PERIOD = STEP / 2  # s, of the simulated log
@@ -92,7 +93,8 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
 
 
 def following(study: Study, effects: Sequence[FoundEffect], fits: Mapping[str, Fit]) -> NextManoeuvre | None:
-    """The manoeuvre with the largest smallest strength over all pairs of the ambiguous answer; None without a pair."""
+    """The manoeuvre with the largest smallest strength over all pairs of the ambiguous answer; None without a pair, or
+    where none reaches VISIBLE."""
     pairs = [pair for e in effects for pair in combinations((e.name, *e.alternatives), 2)
              if all(name in fits for name in pair)]
     if not pairs:
@@ -108,6 +110,8 @@ def following(study: Study, effects: Sequence[FoundEffect], fits: Mapping[str, F
         return None
     name = max(weakest, key=lambda n: weakest[n][0])
     strength, pair = weakest[name]
+    if strength < VISIBLE:
+        return None
     chosen = next(m for m in CATALOGUE if m.name == name)
     return NextManoeuvre(name, name, pair, strength, {n: s for n, (s, _) in weakest.items()}, chosen.duration,
                          chosen.speed, f"{pair[0]} and {pair[1]} differ most there of all manoeuvres of the catalogue")
@@ -140,6 +144,8 @@ def _strengths(study: Study, manoeuvre: Manoeuvre, pairs, names, fits: Mapping[s
             d[own] = ((fits[a].vector - floor.vector) / space.scale)[own]
             g = h @ d
             weight = precision(np.diag(np.full(len(space), study.settings.drift**2 + 1e-6)), space.indices(b))
-            left.append(d @ h @ d - g @ np.linalg.solve(h + weight, g))
+            rest = d @ h @ d - g @ np.linalg.solve(h + weight, g)
+            # What the equations of an effect are not those of a car counts there as it does in the choice.
+            left.append(rest if rest > unsure(a, b) * (d @ h @ d) else 0.0)
         result[first, second] = float(np.sqrt(max(min(left), 0.0)))
     return result

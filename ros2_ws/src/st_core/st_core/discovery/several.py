@@ -10,6 +10,7 @@ from . import choice
 from .study import Fit, Study
 
 SHARE, SHARE_OF_LITTLE = 0.05, 0.2  # of the whole gain another effect must bring; where little is left to explain
+FURTHER = 1.5  # times the gain the first effect needs: what that explains imperfectly looks like another
 ENOUGH = 0.8  # share of the best gain at which an effect that does its work alone is preferred
 ORDINARY = 1.2  # excess that healthy drives have as well
 PARTNERS = 8  # pairs fitted to the end
@@ -35,7 +36,7 @@ def search(study: Study, fits: Mapping[str, Fit], limit: float, most: int) -> tu
     answer = min(near or [best], key=lambda fit: fit.cost)
     while len(answer.names) < most:
         gain = base - answer.cost
-        need = max(limit, (SHARE if excess(study, answer) > ORDINARY else SHARE_OF_LITTLE) * gain)
+        need = max(FURTHER * limit, (SHARE if excess(study, answer) > ORDINARY else SHARE_OF_LITTLE) * gain)
         need = need if study.credible(answer) else limit
         better = _joined(study, answer, fits, need)
         if better is None or answer.cost - better.cost < need or not study.credible(better):
@@ -81,7 +82,7 @@ def rivals(study: Study, answer: Fit, fits: Mapping[str, Fit], gain: float) -> d
         rest = tuple(n for n in answer.names if n != name)
         alone = {n: f for n, f in fits.items() if n != name and study.credible(f)}
         swapped = _swapped(study, answer, name, rest, fits) if rest else alone
-        names = choice.not_worse(swapped, answer, gain, study)
+        names = choice.not_worse(swapped, answer, name, gain, study)
         result[name] = [(choice.behind(swapped[n], answer, study)[0], n) for n in names]
     return result
 

@@ -15,9 +15,7 @@ from .settings import DiscoverySettings
 GAIN = "acceleration_gain"
 GAIN_USUAL, GAIN_SPREAD, GAIN_BOUNDS = 0.05, 0.05, (-0.3, 0.5)  # body roll 2 to 8 mrad s^2/m, times g
 ALWAYS = {"steered_drive_force": {"share": 1.0}}  # of every car, missing in the models of the paper only
-# A real car has these; compliance: 0.1 deg/kN, in the middle of what rigs measure.
-THEORY = {"lateral_load_transfer": {"share": 1.0}, "combined_slip": {"share": 1.0},
-          "steering_compliance": {"compliance": 1.75e-6}}
+THEORY = {"lateral_load_transfer": {"share": 1.0}, "combined_slip": {"share": 1.0}}  # a real car has these
 LIFTED = ("tyre_slip", "tyre_saturation")  # what turns one base into the next is never a nuisance
 
 

@@ -13,7 +13,7 @@ from .windows import Windows
 
 ITERATIONS = 3
 ALONE = 0.5  # share of a gain that must not need a healthy car's values to move as well
-ANYWAY = 0.4  # share of a gain that counts at the least, however much of it the base has by such values
+ANYWAY = 0.4  # share of a gain that counts at the least, however much of it the base has as well
 ALONE_UNREFERENCED = 0.25  # the same without a reference, where a healthy car may be further from its file
 
 
@@ -64,14 +64,15 @@ class Study:
         return d, float(self.quadratic.at(d).sum() / self.floor.inflation + d @ weight @ d)
 
     def rate(self, fits: Iterable[Fit]) -> None:
-        """Remember how much of what a fit gains its effects gain alone, all else as in the healthy car."""
+        """Remember how much of what a fit gains its effects gain alone, all else as in the healthy car; of one effect,
+        of what it gains over the base."""
         for fit in fits:
             if fit.names not in self._alone:
                 rows = row_errors(self.windows, self.space, self.only(fit, self.space.indices(*fit.names)))
                 each, _ = costs(whitened(rows, self.windows.condition, self.floor.how), self.windows)
                 gained = float(self.quadratic.cost.sum() - fit.quadratic.cost.sum())
-                anyway = float(self.quadratic.cost.sum() - self.base.quadratic.cost.sum())  # by what a healthy car may be
-                gained = max(gained - anyway, ANYWAY * gained, 1e-9)
+                anyway = float(self.quadratic.cost.sum() - self.base.quadratic.cost.sum())
+                gained = max(gained - anyway * (len(fit.names) == 1), ANYWAY * gained, 1e-9)
                 self._alone[fit.names] = float(self.quadratic.cost.sum() - each.sum()) / gained
 
     def credible(self, fit: Fit) -> bool:

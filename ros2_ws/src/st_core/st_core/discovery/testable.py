@@ -66,8 +66,8 @@ def not_testable(study: Study, limit: float) -> tuple[NotTestable, ...]:
         strength = float((1.0 / deviations(study, study.quadratic, (name,), scattered=False)).max())
         if strength < needed:
             effect = get_effect(name)
-            result.append(NotTestable(name, f"a usual size of it would stand out by {strength:.1f} standard deviations, "
-                                            f"{needed:.1f} are needed; it shows in {effect.excited_by}"))
+            result.append(NotTestable(name, f"a usual size of it would stand out by {strength:.1f} standard deviations "
+                                            f"({needed:.1f} are needed); it shows in {effect.excited_by}"))
     for name in study.space.without_signal:
         signals = ", ".join(get_effect(name).signals)
         result.append(NotTestable(name, f"it needs the signal {signals}, which is not there"))
