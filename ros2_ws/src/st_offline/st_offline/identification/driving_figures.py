@@ -9,6 +9,7 @@ from st_core.identification.result import Estimate, Identification
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..style import MEASURED_COLOUR, MODEL_COLOUR
+from .shown import number
 
 MOST_POINTS = 4000
 """Dots of a cloud; more only make it darker."""
@@ -46,8 +47,8 @@ def mounting(found: Identification, place: Place) -> Drawn:
     with style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
         thin = _thin(len(data["curvature"]))
-        for number, name in enumerate(data["names"]):
-            here = thin[data["run"][thin] == number]
+        for index, name in enumerate(data["names"]):
+            here = thin[data["run"][thin] == index]
             left.plot(data["curvature"][here], data["slope"][here], ".", ms=2.5, label=name)
         ends = np.array([data["curvature"].min(), data["curvature"].max()])
         left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
@@ -103,26 +104,41 @@ def stiffness(found: Identification, place: Place) -> Drawn:
 
 
 def prediction(found: Identification, place: Place) -> Drawn:
-    """What a fit of predictions leaves, and how its parameters go together."""
-    data = found.figure
-    estimates = found.estimates
+    """What a fit of predictions leaves, run after run, and the first parameter with the one it goes together with."""
+    data, first = found.figure, found.estimates[0]
     with style():
-        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6), width_ratios=(1.4, 1))
+        figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
+                                            width_ratios=(1.5, 1))
         position = _in_line(data["residual_run"], data["residual_time"])
         thin = _thin(len(position))
-        for column, (label, factor, colour) in enumerate((("yaw rate, deg/s", DEG, MEASURED_COLOUR),
-                                                          ("lateral velocity, 0.1 m/s", 10.0, BETTER))):
-            left.plot(position[thin], data["residuals"][thin, column] * factor, ".", ms=2, color=colour, label=label)
-        left.set_xlabel("driving, s (runs one after the other)")
-        left.set_ylabel("predicted - measured")
-        left.legend(markerscale=4)
+        begins = position[np.unique(data["residual_run"], return_index=True)[1]]
+        for column, (key, label, factor) in enumerate((("rate", "yaw rate, deg/s", DEG),
+                                                       ("across", "lateral velocity, mm/s", 1e3))):
+            axes = panels[key]
+            for begin in begins[1:]:
+                axes.axvline(begin - 1.0, color=TEXT, lw=0.6, ls=":")
+            axes.plot(position[thin], data["residuals"][thin, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
+            axes.axhline(0.0, color=TEXT, lw=0.8)
+            axes.set_ylabel(label)
+        panels["rate"].tick_params(labelbottom=False)
+        panels["across"].set_xlabel("driving, s (runs one after the other)")
         names, drawn = data["names"], data["bootstrap"]
-        first, second = (names.index(e.parameter) for e in estimates[:2])
-        right.plot(*(drawn[:, i] * _unit(names[i])[0] for i in (first, second)), ".", color=BETTER, ms=3)
-        for axis, index in (("x", first), ("y", second)):
-            getattr(right, f"set_{axis}label")(f"{names[index].replace('_', ' ')}, {_unit(names[index])[1]}")
-        return finish(figure, place, found.what, "; ".join(f"{e.parameter} {_value(e)}" for e in estimates[:2]),
-                      "Left: residuals of all predictions. Right: bootstrap of the first two parameters.")
+        second = found.estimates[1]
+        if found.correlation is not None:
+            second = found.estimates[1 + int(np.argmax(np.abs(found.correlation[0, 1:])))]
+        pair = panels["pair"]
+        pair.plot(*(drawn[:, names.index(e.parameter)] * _unit(e.parameter)[0] for e in (first, second)), ".",
+                  color=BETTER, ms=3, label="bootstrap")
+        errors = [np.abs(np.array(e.interval95) - e.value)[:, None] * _unit(e.parameter)[0] for e in (first, second)]
+        pair.errorbar(*(e.value * _unit(e.parameter)[0] for e in (first, second)), xerr=errors[0], yerr=errors[1],
+                      fmt="o", ms=4, color=TEXT, label="95 % interval")
+        for axis, one in (("x", first), ("y", second)):
+            getattr(pair, f"set_{axis}label")(_axis(one.parameter))
+        pair.legend(loc="best", fontsize=8)
+        title = "; ".join(f"{_name(e.parameter)} {_value(e)}" for e in (first, second))
+        return finish(figure, place, found.what, title,
+                      "Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the "
+                      "one it is correlated with most. Intervals hold what the runs cannot show too.")
 
 
 def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[Identification]) -> None:
@@ -161,8 +177,8 @@ def _thin(count: int) -> np.ndarray:
 def _in_line(run: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Times of all runs one after the other."""
     result, end = np.zeros(len(time)), 0.0
-    for number in np.unique(run):
-        here = run == number
+    for index in np.unique(run):
+        here = run == index
         result[here] = end + time[here] - time[here].min()
         end = float(result[here].max()) + 2.0
     return result
@@ -173,9 +189,19 @@ def _unit(parameter: str) -> tuple[float, str]:
     return UNITS.get(unit, (1.0, unit))
 
 
+def _name(parameter: str) -> str:
+    return parameter.replace("_", " ")
+
+
+def _axis(parameter: str) -> str:
+    unit = _unit(parameter)[1]
+    return _name(parameter) + (f", {unit}" if unit != "1" else "")
+
+
 def _value(estimate: Estimate) -> str:
     factor, unit = UNITS.get(estimate.unit, (1.0, estimate.unit))
-    text = f"{estimate.value * factor:.4g} +/- {estimate.standard_uncertainty * factor:.2g}"
+    value, spread = estimate.value * factor, estimate.standard_uncertainty * factor
+    text = f"{number(value, spread)} +/- {number(spread, spread)}"
     return text if unit == "1" else f"{text} {unit}"
 
 
