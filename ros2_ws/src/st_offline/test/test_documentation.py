@@ -53,7 +53,7 @@ def test_every_picture_and_page_that_is_linked_is_there() -> None:
 def test_the_gallery_shows_each_command_with_its_picture() -> None:
     text = (DOCS / "gallery.md").read_text()
     assert text == gallery.page(), "run ./st docs"
-    for command in (*gallery.PREPARATION, *(e.command for e in gallery.EXHIBITS)):
+    for command in (c for e in gallery.EXHIBITS for c in (*e.before, e.command)):
         assert f"$ {command.replace('{}', 'runs/gallery')}" in text
 
 
