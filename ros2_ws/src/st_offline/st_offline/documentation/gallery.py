@@ -55,8 +55,8 @@ EXHIBITS = (
             "Turntable readings, the one ratio through all sweeps, and what a line leaves over."),
     Exhibit("A missing effect found", "./st discover {}/suspect --reference {}/healthy --output {}/discover",
             "discover/figures/candidates.png",
-            "A steering lag of 0.10 s beyond the healthy car's was hidden in four drives. The page report.html says where "
-            "the model misses, which effect it is, and what it is worth on a held-out drive.",
+            "A steering lag of 0.10 s beyond the healthy car's was hidden in four drives. The page report.html says "
+            "where the model misses, which effect it is, and what it is worth on a held-out drive.",
             tuple(SIMULATE + f"--scenario {scenario} --duration 26 {more}/{scenario}" for scenario in SCENARIOS
                   for more in ("--to-files {}/healthy", "--seed 21 --effect steering_lag=0.14 --to-files {}/suspect"))),
 )
