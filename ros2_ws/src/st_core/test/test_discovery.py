@@ -132,6 +132,40 @@ def test_car_that_stands_is_refused_in_words(leaf):
         discover([standing], leaf, settings=settings())
 
 
+@pytest.mark.slow
+def test_reference_that_is_itself_faulty_is_doubted(leaf):
+    faulty = {**HEALTHY, "steering_offset": {"angle": 0.025}}
+    found = discover(recorded(leaf, HEALTHY, 12), leaf, reference=recorded(leaf, faulty, 11), settings=settings())
+    assert any("steering_offset" in text and "is it healthy?" in text for text in found.warnings)
+    assert [e.name for e in found.effects] == ["steering_offset"]
+    assert found.effects[0].parameters["angle"].value == pytest.approx(-0.025, abs=0.002)
+
+
+def test_log_with_nan_is_refused_in_words(leaf):
+    log = recorded(leaf, HEALTHY, 9, ("step",))[0]
+    holes = log.velocity_y.copy()
+    holes[300:400] = np.nan
+    with pytest.raises(StCoreError, match="step: velocity_y holds values that are not finite"):
+        replace(log, velocity_y=holes)
+
+
+@pytest.mark.slow
+def test_base_that_diverges_is_said(leaf):
+    base = augment("linear", {"rear_stiffness": {"factor": 0.3}})
+    found = discover(recorded(leaf, HEALTHY, 14, ("step",)), leaf, base,
+                     settings=settings(effects=("steering_lag", "steering_offset")))
+    assert found.outcome == "unknown"
+    assert any("the base model is lost in" in text for text in found.warnings)
+
+
+def test_base_without_finite_predictions_is_refused_in_words(leaf, monkeypatch):
+    log = recorded(leaf, HEALTHY, 15, ("step",))
+    monkeypatch.setattr(sys.modules[discover.__module__], "row_errors",
+                        lambda windows, *_: np.full((len(windows), 3), np.nan))
+    with pytest.raises(StCoreError, match="no finite prediction for 100% of the windows"):
+        discover(log, leaf, settings=settings())
+
+
 def test_unknown_effect_name_is_refused():
     with pytest.raises(ConfigurationError, match="steering_lag"):
         from st_core.discovery.space import Space

@@ -97,6 +97,23 @@ def test_no_recording_and_a_broken_one(drive, tmp_path):
         assert result.exit_code == 2 and "no run can be used: " in result.output and said in result.output
 
 
+def test_rows_without_a_number_are_left_out_and_said(drive, tmp_path):
+    first, *rows = drive.read_text().splitlines()
+    column = first.split(",").index("yaw_rate")
+
+    def with_nan(some: slice) -> None:
+        cells = [row.split(",") for row in rows]
+        for row in cells[some]:
+            row[column] = "nan"
+        drive.write_text("\n".join([first, *(",".join(row) for row in cells)]) + "\n")
+    with_nan(slice(100, 150))
+    read = read_drive(find_runs([drive])[0], car(LEAF), ReadSettings(), None)
+    assert "50 rows hold no number somewhere; they were left out" in read.about["warnings"][0]
+    with_nan(slice(None))
+    result = discover(drive, "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "fewer than two usable rows" in result.output
+
+
 def test_a_drive_cannot_be_its_own_reference(drive, tmp_path):
     copy = tmp_path / "healthy" / "copy.csv"
     copy.parent.mkdir()

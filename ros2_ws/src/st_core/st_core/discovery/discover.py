@@ -10,7 +10,8 @@ from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
 from . import choice, gap, manoeuvres, several, testable
-from .floor import ROUNDS, Floor, assumed, learn, noisier, suspicions
+from .floor import ROUNDS, Floor, assumed, astray, learn, noisier, suspicions
+from .quadratic import row_errors
 from .result import Candidate, Discovery, FittedParameter, FoundEffect, Separability, WhereStatement
 from .settings import DiscoverySettings
 from .space import Space
@@ -20,6 +21,7 @@ from .windows import Windows
 
 Progress = Callable[[str, int, int], None]
 LEAST_BLOCKS = 4
+ASTRAY = 0.2  # share of the windows
 TRIED = 7  # hypotheses fitted to the end
 KEPT = 4  # floors of references, for who discovers again and again
 _floors: dict[tuple, tuple[tuple, Floor, dict]] = {}
@@ -83,10 +85,10 @@ class _Work:
         parts = gap.split(self.runs, self.settings)
         windows = self._windows(parts.used, "run")
         study = self.study = Study(windows, space, floor, gap.folds(windows), tick=self._tick("hypotheses", len(space)))
-        known = float(np.isfinite(study.rows).all(axis=1).mean())
-        if known < 0.5:
-            raise StCoreError(f"the base model gives no finite prediction for {1.0 - known:.0%} of the windows; it "
-                              "diverges or inputs are missing: check base and vehicle file")
+        lost = astray(windows, study.rows)
+        if lost > ASTRAY:
+            self.warnings.append(f"the base model is lost in {lost:.0%} of the windows: it diverges, is not of this "
+                                 "car, or something large is wrong; check base and vehicle file")
         blocks = int(windows.block.max()) + 1
         if blocks < LEAST_BLOCKS:
             self.warnings.append(f"only {blocks} blocks of {settings.block:g} s: little can be said")
@@ -175,6 +177,10 @@ class _Work:
         windows = Windows(runs, self.vehicle, self.settings)
         if not len(windows):
             raise StCoreError(f"no {what} has a stretch that is fast enough to be predicted")
+        known = float(np.isfinite(row_errors(windows, self.space, self.space.start)).all(axis=1).mean())
+        if known < 0.5:
+            raise StCoreError(f"the base model gives no finite prediction for {1.0 - known:.0%} of the windows; it "
+                              "diverges or inputs are missing: check base and vehicle file")
         return windows
 
     def _floor(self):

@@ -25,6 +25,7 @@ SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.1, "heading_misalignment": 0.1,
 GUESSED = ("lateral_load_transfer",)  # what a guessed sideslip looks like near the limit
 DOUBTFUL = 4.0  # usual sizes
 ROUNDS = 4
+LOST = 20.0
 NOISIER, NOISIEST = 1.3, 4.0  # ratios of variances: from where on it counts, and how far
 
 
@@ -54,6 +55,12 @@ def least(windows: Windows) -> np.ndarray:
     noise = windows.settings.noise or {}
     by = [max(LEAST[c], noise.get(CHANNEL_OF.get(c, c), 0.0)) for c in windows.columns]
     return np.tile(by, len(windows.time))
+
+
+def astray(windows: Windows, rows: np.ndarray) -> float:
+    """Share of the windows at whose end an error is LOST times as large as usual."""
+    last = slice(-len(windows.columns), None)
+    return float((np.abs(rows[:, last]) > LOST * usual(windows)[last]).any(axis=1).mean())
 
 
 def default_whitening(windows: Windows) -> Whitening:
