@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, discover
+from st_core.discovery.choice import unsure
+from st_core.discovery.floor import noisier
 from st_core.discovery.manoeuvres import CATALOGUE, drive
 from st_core.effects import EFFECTS, load_folder
 from st_core.errors import ConfigurationError, StCoreError
@@ -23,14 +25,14 @@ NOISE = {"x": 0.003, "y": 0.003, "yaw": 0.0003, "velocity_x": 0.003, "velocity_y
          "acceleration_y": 0.06}
 
 
-def recorded(leaf, effects, seed: int, names=DRIVEN, base: str = "nonlinear") -> list[DriveLog]:
+def recorded(leaf, effects, seed: int, names=DRIVEN, base: str = "nonlinear", noise: float = 1.0) -> list[DriveLog]:
     """Drives of a car that is the model with these effects, as sensors with noise record them."""
     rng = np.random.default_rng(seed)
     model = augment(base, effects)
     logs = []
     for name in names:
         log = drive(next(m for m in CATALOGUE if m.name == name), model, leaf)
-        noisy = {key: getattr(log, key) + size * rng.standard_normal(len(log.x)) for key, size in NOISE.items()}
+        noisy = {key: getattr(log, key) + noise * size * rng.standard_normal(len(log.x)) for key, size in NOISE.items()}
         logs.append(replace(log, **noisy))
     return logs
 
@@ -130,6 +132,19 @@ def test_car_that_stands_is_refused_in_words(leaf):
     standing = replace(log, velocity_x=0.0 * log.velocity_x)
     with pytest.raises(StCoreError, match="fast enough"):
         discover([standing], leaf, settings=settings())
+
+
+def test_noise_of_the_runs_is_seen_whatever_they_drive(leaf):
+    same = recorded(leaf, HEALTHY, 16, ("sweep", "lane_change"))
+    more = recorded(leaf, HEALTHY, 17, ("circle", "brake_in_turn"), noise=1.5)
+    assert noisier(same, reference(leaf)) == 1.0
+    assert noisier(more, reference(leaf)) == pytest.approx(1.5**2, rel=0.1)
+    assert noisier(recorded(leaf, HEALTHY, 18, ("step",), noise=9.0), reference(leaf)) == 4.0
+
+
+def test_twins_need_a_clearer_difference():
+    assert unsure("steering_compliance", "front_stiffness") == unsure("front_stiffness", "steering_compliance") > 0.05
+    assert unsure("crosswind", "combined_slip") == 0.02
 
 
 @pytest.mark.slow
