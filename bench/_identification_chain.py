@@ -20,8 +20,8 @@ from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve
 from st_sim.simulation import SimulatedCar
 
-# Seconds of each; the figure eight and the circles are alike throughout, the others have straights in them.
-SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 45, "S7": 45}
+# Seconds of each; the figure eight and the circles are alike throughout, only S6 and S7 have straights above 5 m/s.
+SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 90, "S7": 90}
 START_NS, INTERVAL_MS = 1_756_900_800_000_000_000, 10
 RESOLUTION = np.deg2rad(0.1)
 MODELS = ("kinematic", "linear", "nonlinear")

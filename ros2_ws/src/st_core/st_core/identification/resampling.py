@@ -7,7 +7,8 @@ the runs, the variance grows by
 
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run, k: all blocks
 
-and the blocks count as k / f pieces for Student's t.
+and the blocks count as k / f pieces for Student's t. The rho of k values about their own mean is too small by
+(1 + 3 rho) / k (Marriott and Pope, 1954), which is added.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,7 +59,8 @@ class Pieces:
         if not len(next_to):
             return np.ones(len(power))
         together = (own[next_to] * own[next_to + 1]).mean(axis=0)
-        rho = np.clip(np.divide(together, power, out=np.zeros_like(power), where=power > 0.0), 0.0, 0.9)
+        rho = np.divide(together, power, out=np.zeros_like(power), where=power > 0.0)
+        rho = np.clip(rho + (1.0 + 3.0 * rho) / len(self), 0.0, 0.9)
         apart = np.abs(self.block[:, None] - self.block)[self.run[:, None] == self.run]
         return np.power(rho[:, None], apart).sum(axis=1) / len(self)
 

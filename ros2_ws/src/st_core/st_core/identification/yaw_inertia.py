@@ -31,7 +31,7 @@ NAMES = ("yaw_inertia", "cornering_stiffness_front", "cornering_stiffness_rear",
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 SETTINGS = PredictionErrorSettings(points=(0.1, 0.2, 0.3, 0.4, 0.6, 0.8), interval=0.3)
 RADIUS_OF_GYRATION = (0.35, 0.65)
-"""Share of the wheelbase between which cars lie; outside, the value is doubted."""
+"""Share of the wheelbase between which cars lie; outside, the value is none."""
 
 
 def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
@@ -59,9 +59,10 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
     warnings = [*noticed, *result.warnings]
     share = float(np.sqrt(inertia.value / vehicle.mass) / vehicle.wheelbase)
     if not RADIUS_OF_GYRATION[0] <= share <= RADIUS_OF_GYRATION[1]:
-        warnings.append(f"A radius of gyration of {share:.2f} wheelbases is no car's: steering or tyre dynamics pass "
-                        "for inertia.")
-        inertia = replace(inertia, status="doubtful")
+        words = (f"A radius of gyration of {share:.2f} wheelbases is no car's: the transients are too weak, or "
+                 "steering or tyre dynamics pass for inertia.")
+        warnings.append(words)
+        inertia = replace(inertia, status="unidentifiable", verdict=f"{words} {inertia.verdict}")
     said = contradiction(inertia, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia, "the vehicle file (as +/- 10 %)")
     estimates: tuple[Estimate, ...] = (inertia, *result.estimates[1:])
     return replace(result, estimates=estimates, warnings=(*warnings, said) if said else tuple(warnings))
