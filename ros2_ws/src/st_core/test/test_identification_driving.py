@@ -142,3 +142,10 @@ def test_tyres_that_relax_do_not_pass_for_inertia(leaf):
     assert inertia.interval95[0] < leaf.yaw_inertia < inertia.interval95[1]
     assert inertia.standard_uncertainty > 0.005 * leaf.yaw_inertia
     assert any(warning.startswith("tyre_relaxation = 0.") for warning in found.warnings)
+
+
+def test_an_inertia_no_car_has_is_none(leaf):
+    wide = replace(leaf, yaw_inertia=9000.0)
+    logs = [drive(wide, speed, steps(angle), 30.0, seed=9) for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
+    inertia = identify_yaw_inertia(logs, wide, "linear")["yaw_inertia"]
+    assert inertia.status == "unidentifiable" and "wheelbases is no car's" in inertia.verdict
