@@ -198,5 +198,4 @@ class LogBatch:
             column[:block.count] = value
         offsets = block.offsets if len(block.offsets) > 1 else np.zeros(2 * self.steps * substeps + 1, np.int64)
         out = self._backend.advance(model, p, columns, w, offsets, self.step / substeps, self.points * substeps)
-        first, last = block.wanted[0], block.wanted[-1]
-        return out[:, :, first:last + 1] if last - first + 1 == len(block.wanted) else out[:, :, block.wanted]
+        return out[:, :, :block.count] if len(block.wanted) == block.count else out[:, :, block.wanted]

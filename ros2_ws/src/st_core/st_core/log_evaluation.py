@@ -255,7 +255,8 @@ def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, 
     """(instants [ns], place): start i has its instant k at instants[place[k, i]]; shared where the windows overlap."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]
-    if np.any(from_first % half) or span > half * len(starts_ns) * len(after_ns):
+    grid = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)
+    if not grid or span > half * len(starts_ns) * len(after_ns):
         apart = starts_ns + after_ns[:, None]
         return apart.ravel(), np.arange(apart.size).reshape(apart.shape)
     return starts_ns[0] + half * np.arange(span // half + 1), np.arange(len(after_ns))[:, None] + from_first // half

@@ -79,6 +79,14 @@ def test_same_errors_as_the_live_classes_start_by_start(leaf, gap):
         assert np.array_equal(result.errors[model, "hindsight"].complete, result.errors["linear", "hindsight"].complete)
 
 
+def test_a_step_that_is_no_whole_number_of_nanoseconds(leaf):
+    settings = EvaluationSettings(PredictionSettings(step=1.0 / 30.0))
+    one, three = (evaluate_log(["linear"], leaf, wavy_drive(), settings, T0 + 10**9 * (1 + np.arange(count)))
+                  for count in (1, 3))
+    for mode in MODES:
+        np.testing.assert_allclose(one.errors["linear", mode].mean, three.errors["linear", mode].mean[:1], atol=1e-9)
+
+
 def test_statistics_are_those_of_the_live_evaluator(leaf):
     log = wavy_drive()
     scores = play(log, leaf, SHORT)
