@@ -127,7 +127,20 @@ def test_settings_the_paper_leaves_open_change_the_result_and_are_printed(folder
 def test_wrong_options_say_so_in_one_line(folder, tmp_path, arguments, words):
     base, _ = folder
     result = evaluate(base / "data" / "weave.csv", "--output", tmp_path / "o", *arguments)
-    assert result.exit_code == 2 and words in result.output
+    assert result.exit_code == 2 and words in result.output and not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(("run", "words"), [
+    ("none.csv", "none.csv: there is no such file or folder"),
+    ("empty", "no recording is in this folder"),
+    ("data/notes.txt", "the extension .txt is not one of a recording"),
+])
+def test_nothing_to_evaluate_leaves_nothing(folder, tmp_path, run, words):
+    base, _ = folder
+    (base / "empty").mkdir(exist_ok=True)
+    result = evaluate(base / run, "--output", tmp_path / "o")
+    assert result.exit_code == 2 and words in result.output and result.output.count("\n") == 1
+    assert not (tmp_path / "o").exists()
 
 
 def test_results_are_never_overwritten(folder):

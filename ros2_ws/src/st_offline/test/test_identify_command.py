@@ -178,3 +178,6 @@ def test_other_wrong_arguments(tmp_path):
     (tmp_path / "full" / "mine.txt").write_text("x")
     result = st("identify", "scales", "x.csv", "--output", tmp_path / "full")
     assert result.exit_code == 2 and "is not empty" in result.output
+    table = ROOT / "docs/examples/identification/scales.csv"
+    result = st("identify", "scales", table, "--output", tmp_path / "full" / "mine.txt" / "out")
+    assert result.exit_code == 2 and "cannot be made" in result.output and result.output.count("\n") == 1

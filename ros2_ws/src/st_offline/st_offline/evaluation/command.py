@@ -2,12 +2,14 @@
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from ..output import new_folder
 from ..runs import RunSource, find_runs
 from . import batch
 from .document import Choices, settings_in_words, write_results
@@ -27,16 +29,17 @@ class CommandError(RuntimeError):
     """Nothing can be started; one line for the user."""
 
 
-def run_command(paths: Sequence[Path], task: Task, over: str, vehicle_file: str, workers: int,
+def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
                 scheduler: str | None, console: Console) -> int:
-    """Exit status: 0 when every run was evaluated, else 1. Raises CommandError."""
+    """Exit status: 0 when every run was evaluated, else 1. Raises CommandError, OutputError."""
     unknown = [form for form in task.formats if form not in FORMATS]
     if unknown:
         raise CommandError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
     began = time.perf_counter()
     sources = find_runs(paths)
-    if not sources:
-        raise CommandError("no recording found")
+    if all(source.problem for source in sources):
+        raise CommandError("no run can be used: " + "; ".join(str(source.problem) for source in sources))
+    task = replace(task, folder=new_folder(output, "evaluate"))
     choices = Choices(task, over, vehicle_file)
     found = evaluate_all(sources, task, workers, scheduler, console)
     good = [report for report in found if not report.problem]

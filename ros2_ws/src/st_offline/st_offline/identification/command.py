@@ -18,6 +18,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import Drawn, Place
 from ..evaluation.page import DARK
+from ..output import new_folder
 from ..results import versions
 from ..runs.load import file_hashes
 from ..style import MODEL_COLOUR
@@ -41,7 +42,9 @@ class Job:
 
 
 def run(job: Job, console: Console) -> int:
-    """Exit status: 0 when something was identified, else 1. Raises StCoreError, RunError: one line for the user."""
+    """Exit status: 0 when something was identified, else 1. Raises StCoreError, RunError, OutputError: one
+    line for the user.
+    """
     with console.status(f"identifying: {job.experiment.what}"):
         found = tuple(_compared(one, job.setup.vehicle) for one in identified(job))
     now = datetime.now(UTC)
@@ -107,7 +110,7 @@ def about(job: Job, now: datetime) -> dict[str, Any]:
 
 def write(job: Job, found: Sequence[Identification], car: VehicleParameters, facts: dict[str, Any]) -> dict[str, Path]:
     """All files of the folder, by name."""
-    place = Place(job.folder, FORMATS)
+    place = Place(new_folder(job.folder, ""), FORMATS)
     figures = [draw(one, place) if (draw := EXPERIMENTS[one.what].draw) else None for one in found]
     texts = {
         "identification.json": _json({key: entry for one in found for key, entry in one.document().items()}),
@@ -115,7 +118,6 @@ def write(job: Job, found: Sequence[Identification], car: VehicleParameters, fac
         "vehicle.yaml": car.to_yaml(),
         "report.html": page(found, figures, job.setup.vehicle, facts),
     }
-    job.folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (job.folder / name).write_text(text, encoding="utf-8")
     return {name: job.folder / name for name in texts}

@@ -53,8 +53,6 @@ def evaluate(
     could be started.
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
-    from dataclasses import replace
-
     from rich.console import Console
     from st_core.errors import StCoreError
     from st_core.log_evaluation import EvaluationSettings
@@ -63,7 +61,7 @@ def evaluate(
 
     from ..evaluation.command import CommandError, run_command
     from ..evaluation.work import Task, load_models
-    from ..output import OutputError, new_folder
+    from ..output import OutputError
     from ..runs import ReadSettings
 
     vehicle = vehicle or config("vehicle/leaf.yaml")
@@ -84,8 +82,7 @@ def evaluate(
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
         )
         load_models(task)
-        task = replace(task, folder=new_folder(output, "evaluate"))
-        status = run_command(runs, task, table, str(vehicle), workers, scheduler, Console())
+        status = run_command(runs, task, output, table, str(vehicle), workers, scheduler, Console())
     except (StCoreError, CommandError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st evaluate: {error}", err=True)
         raise typer.Exit(2) from None

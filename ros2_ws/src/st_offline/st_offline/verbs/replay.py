@@ -35,7 +35,7 @@ def replay(
         outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, shown)
     except (RunError, SuiteError, OutputError) as error:
         typer.echo(f"st replay: {error}", err=True)
-        raise typer.Exit(1) from None
+        raise typer.Exit(2) from None
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name}
     status = conclude(folder, outcome, about, console)
     finish(shown, console)
