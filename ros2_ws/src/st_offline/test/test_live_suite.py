@@ -14,7 +14,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rich.console import Console
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
-from st_offline import live_view
+from st_offline import live_view, session
 from st_offline.node import Heard, Status
 from st_offline.suite import SuiteError, chosen_domain_id, claimed_domain, merge
 from st_offline.verbs import demo, develop, live, ncom
@@ -70,6 +70,22 @@ def test_an_output_that_is_taken_or_impossible_is_refused(tmp_path: Path, verb) 
         result = run(verb, "--output", output)
         assert result.exit_code == 2 and str(output) in result.stderr and result.stderr.count("\n") == 1
     assert (tmp_path / "precious.txt").read_text() == "x"
+
+
+def test_the_steering_of_the_nodes_file_holds_unless_it_is_given(tmp_path: Path, monkeypatch) -> None:
+    nodes = tmp_path / "nodes.yaml"
+    nodes.write_text((ROOT / "config/nodes.yaml").read_text().replace("steering_latency: 0.0", "steering_latency: 0.05")
+                     .replace("steering_sign: 1", "steering_sign: -1"))
+    monkeypatch.setattr(session, "config", lambda _: nodes)
+    buses = []
+
+    def not_now(_folder, parameters, *_arguments, **_more):
+        buses.append(parameters["canedge_bridge"])
+        raise SuiteError("not now")
+    monkeypatch.setattr(session, "run", not_now)
+    for number, options in enumerate(([], ["--steering-latency", "0", "--steering-sign", "1"])):
+        assert run(live.live, "--output", tmp_path / str(number), *options).stderr == "st live: not now\n"
+    assert [(bus["steering_sign"], bus["steering_latency"]) for bus in buses] == [(-1, 0.05), (1, 0.0)]
 
 
 def test_a_recording_is_not_overwritten_by_its_own_csv(tmp_path: Path) -> None:

@@ -19,9 +19,12 @@ def live(
     signals: Path | None = typer.Option(
         None, help="Signal table; default config/can/leaf_ze0.yaml.", exists=True, dir_okay=False
     ),
-    steering_sign: int = typer.Option(1, help="+1: the decoded sensor is left positive; -1: right positive."),
-    steering_latency: float = typer.Option(
-        0.0, help="From the turn of the wheel to the frame on this host, s.", min=0.0, max=1.0
+    steering_sign: int | None = typer.Option(
+        None, help="+1: the decoded sensor is left positive; -1: right positive; default in config/nodes.yaml."
+    ),
+    steering_latency: float | None = typer.Option(
+        None, help="From the turn of the wheel to the frame on this host, s; default in config/nodes.yaml.", min=0.0,
+        max=1.0
     ),
     duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C.", min=1.0),
     model: Path | None = typer.Option(
@@ -46,12 +49,13 @@ def live(
     from ..wires import bridge_parameters, vehicle_file
 
     console = Console()
-    if steering_sign not in (1, -1):
+    if steering_sign not in (None, 1, -1):
         typer.echo(f"st live: --steering-sign: {steering_sign} is neither 1 nor -1", err=True)
         raise typer.Exit(2)
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
-    bus = {"interface": can_interface, "channel": can_channel, "steering_sign": steering_sign,
-           "steering_latency": steering_latency}
+    bus = {"interface": can_interface, "channel": can_channel}
+    steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
+    bus |= {name: value for name, value in steering.items() if value is not None}
     try:
         vehicle = vehicle_file(vehicle)
         fourth = fourth_model(model, effects, vehicle)
