@@ -93,8 +93,9 @@ def test_the_same_message_on_two_buses_counts_once(frames: Frames) -> None:
 def test_a_table_that_does_not_hold_together(tmp_path) -> None:
     broken = tmp_path / "table.yaml"
     broken.write_text("messages: [")
-    with pytest.raises(RunError, match=r"table\.yaml"):
+    with pytest.raises(RunError) as refused:
         load_signal_table(DBC, broken)
+    assert str(refused.value).count(str(broken)) == 1
 
 
 def test_time_in_columns_is_the_bridges() -> None:

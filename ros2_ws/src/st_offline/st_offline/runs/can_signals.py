@@ -97,7 +97,7 @@ def load_signal_table(dbc: Path, table: Path) -> SignalTable:
     try:
         return load_table(dbc, table)
     except ValueError as error:
-        raise RunError(table, str(error)) from None
+        raise RunError(table, str(error).removeprefix(f"{table}: ")) from None
 
 
 def _ours(spec: MessageSpec, columns: MessageColumns) -> dict[str, np.ndarray]:
