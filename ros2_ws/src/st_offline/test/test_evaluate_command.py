@@ -143,6 +143,13 @@ def test_nothing_to_evaluate_leaves_nothing(folder, tmp_path, run, words):
     assert not (tmp_path / "o").exists()
 
 
+def test_runs_of_which_none_can_be_evaluated_leave_no_report(folder, tmp_path):
+    base, _ = folder
+    result = evaluate(base / "data" / "short.csv", "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "no run can be used: " in result.output and "one horizon is 5 s" in result.output
+    assert not list((tmp_path / "o").iterdir())
+
+
 def test_results_are_never_overwritten(folder):
     base, _ = folder
     result = evaluate(base / "data" / "weave.csv", "--output", base / "out")

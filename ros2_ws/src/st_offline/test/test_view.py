@@ -120,7 +120,7 @@ def test_the_page_may_ask_nobody_but_this_machine() -> None:
 
 
 @pytest.mark.parametrize(("name", "words"), [
-    ("view.txt", "ends in .rrd"), ("there.rrd", "exists already"), ("no/where.rrd", "there is no folder"),
+    ("view.txt", "ends in .rrd"), ("there.rrd", "exists already"), ("no/where.rrd", "cannot be made"),
 ])
 def test_a_recording_that_cannot_be_written_is_refused(tmp_path: Path, name: str, words: str) -> None:
     pytest.importorskip("rerun", reason="not beside a sourced ROS")

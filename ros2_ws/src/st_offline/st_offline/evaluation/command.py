@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from ..output import new_folder
-from ..runs import RunSource, find_runs
+from ..runs import RunError, RunSource, find_runs
 from . import batch
 from .document import Choices, settings_in_words, write_results
 from .overview import finding
@@ -31,23 +31,22 @@ class CommandError(RuntimeError):
 
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
                 scheduler: str | None, console: Console) -> int:
-    """Exit status: 0 when every run was evaluated, else 1. Raises CommandError, OutputError."""
+    """Exit status: 0 when every run was evaluated, 1 when some were. Raises CommandError, OutputError."""
     unknown = [form for form in task.formats if form not in FORMATS]
     if unknown:
         raise CommandError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
     began = time.perf_counter()
     sources = find_runs(paths)
-    if all(source.problem for source in sources):
-        raise CommandError("no run can be used: " + "; ".join(str(source.problem) for source in sources))
+    _refuse_if_all([source.problem for source in sources])
     task = replace(task, folder=new_folder(output, "evaluate"))
     choices = Choices(task, over, vehicle_file)
     found = evaluate_all(sources, task, workers, scheduler, console)
+    _refuse_if_all([report.problem for report in found])
     good = [report for report in found if not report.problem]
-    title = finding(good, over) if good else "No run could be evaluated"
+    title = finding(good, over)
     with console.status("writing the report"):
         files = write_results(found, choices, title)
-    if good:
-        console.print(terminal_table(good, over, title, console.width))
+    console.print(terminal_table(good, over, title, console.width))
     for key, value in settings_in_words(choices).items():
         console.print(f"[dim]{key}: {escape(value)}[/dim]", highlight=False, soft_wrap=True)
     for key, what in WHAT_IS_WHAT.items():
@@ -57,6 +56,11 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         console.print(f"[red]{escape(report.name)}[/red]: {escape(report.problem)}", highlight=False, soft_wrap=True)
     console.print(_times(good, time.perf_counter() - began), highlight=False)
     return 1 if failed else 0
+
+
+def _refuse_if_all(problems: Sequence[RunError | str | None]) -> None:
+    if all(problems):
+        raise CommandError("no run can be used: " + "; ".join(map(str, problems)))
 
 
 def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,

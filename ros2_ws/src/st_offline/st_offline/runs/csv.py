@@ -85,7 +85,7 @@ def read_table(file: Path, needed: tuple[str, ...]) -> Table:
     if missing:
         wanted = ", ".join("/".join(COLUMNS[our]) for our in missing)
         raise RunError(file, f"the header has no column {wanted}; it has {', '.join(names)[:120]}",
-                       "name the columns as in the documentation of CSV runs")
+                       "name the columns as in docs/recordings.md")
     warnings: list[str] = []
     rows = _rows(file, body, ";" if ";" in header else ",", len(names), warnings)
     columns = {our: rows[:, place[0]] * place[1] for our, place in places.items() if place is not None}

@@ -49,8 +49,8 @@ def evaluate(
 ) -> None:
     """Predict every 100 ms of each run with each model, score it against the measurement, write tables and figures.
 
-    A run that cannot be used is named and the others go on. Exit status: 0 all runs evaluated, 1 some not, 2 nothing
-    could be started.
+    A run that cannot be used is named and the others go on. Exit status: 0 all runs evaluated, 1 some not, 2 none
+    could be.
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console

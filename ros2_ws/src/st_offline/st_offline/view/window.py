@@ -40,10 +40,14 @@ class Window:
             raise SuiteError(f"--view: {WITHOUT_RERUN}")
         if save is not None and save.suffix != ".rrd":
             raise SuiteError(f"--view-save {save}: a Rerun recording ends in .rrd")
-        if save is not None and save.exists():
-            raise SuiteError(f"--view-save {save}: exists already (nothing is ever overwritten)")
-        if save is not None and not save.absolute().parent.is_dir():
-            raise SuiteError(f"--view-save {save}: there is no folder {save.absolute().parent}")
+        if save is not None:
+            try:
+                save.touch(exist_ok=False)
+            except FileExistsError:
+                raise SuiteError(f"--view-save {save}: exists already (nothing is ever overwritten)") from None
+            except OSError as error:
+                raise SuiteError(f"--view-save {save}: cannot be made: {error.strerror}") from None
+            save.unlink()
         self._page, self._save = page, save and save.absolute()
         self._processes: Processes | None = None
         self._viewer: Child | None = None
