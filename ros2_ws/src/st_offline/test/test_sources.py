@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from canedge_bridge import log_decode
 from st_core.vehicle import VehicleParameters
-from st_offline.runs import RunSource, can_logs, find_runs, frames, read, sources
+from st_offline.runs import ReadSettings, RunSource, can_logs, find_runs, frames, raw, read, sources
 from st_offline.runs.errors import RunError
 from support import ROOT
 
@@ -27,6 +27,12 @@ def by_name(runs: list[RunSource]) -> dict[str, RunSource]:
 
 def test_the_extensions_of_can_logs_are_those_that_can_be_read():
     assert sources.CAN_EXTENSIONS == can_logs.EXTENSIONS and frames.EXTENDED == log_decode.EXTENDED
+
+
+def test_bounds_the_wrong_way_round_are_refused() -> None:
+    source = RunSource("x", "ncom", (Path("x.ncom"),))
+    with pytest.raises(RunError, match="--search: 5 is not below 1"):
+        raw.clock_settings(source, ReadSettings(search=(5.0, 1.0)))
 
 
 def test_files_of_one_stem(tmp_path: Path) -> None:

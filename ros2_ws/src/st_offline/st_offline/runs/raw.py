@@ -105,7 +105,9 @@ def about_alignment(alignment: Alignment) -> dict[str, Any]:
 
 
 def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
-    """What `align_clocks` is told: by the settings, else by the run's run.yaml, else nothing."""
+    """What `align_clocks` is told: by the settings, else by the run's run.yaml, else nothing. Raises RunError."""
+    if settings.search and settings.search[0] >= settings.search[1]:
+        raise RunError("--search", "{:g} is not below {:g}".format(*settings.search))
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")
     latency = settings.ins_can_latency or source.settings.get("ins_can_latency") or INS_ON_CAN
     return {"offset": offset, "search": settings.search, "latency": latency}
