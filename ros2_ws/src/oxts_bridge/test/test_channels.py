@@ -1,6 +1,7 @@
 """Status channels: 8 bytes to named values and back."""
 
 import math
+import struct
 
 import pytest
 from hypothesis import given
@@ -106,6 +107,8 @@ def test_values_by_hand():
     assert decode_channel(1, bytes([0x15, 0xEB, 0x14, 1, 1, 1, 1, 1]))["InnPosZ"] is None
     assert decode_channel(57, bytes([0xE8, 3, 0, 0, 0, 0, 0, 2]))["GAPx"] == pytest.approx(2.0)
     assert decode_channel(57, bytes([0xE8, 3, 0, 0, 0, 0, 0, 0xFF]))["GAPx"] == pytest.approx(1.0)
+    assert decode_channel(19, b"A~\x7f\x1f\0abc")["DevId"] == "A~\\x7f\\x1f"
+    assert decode_channel(63, struct.pack("<ff", -0.5, 0.25)) == {"AngAccFiltFreq": None, "AngAccFiltZeta": 0.25}
     assert decode_channel(200, b"\0" * 8) == {}
 
 

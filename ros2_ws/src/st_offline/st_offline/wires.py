@@ -70,7 +70,8 @@ class VirtualCar:
             raise SuiteError(str(error)) from None
 
     def bridge_parameters(self) -> dict[str, dict[str, Any]]:
-        bus = {"interface": "udp_multicast", "channel": self.channel}
+        # Whatever config/nodes.yaml says of a real car's sensor: this one is the table's.
+        bus = {"interface": "udp_multicast", "channel": self.channel, "steering_sign": 1, "steering_latency": 0.0}
         return bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, bus)
 
     def start(self, suite: Suite) -> float:
