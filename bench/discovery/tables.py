@@ -8,7 +8,7 @@ from .score import is_exact, is_exact_pair, is_found, is_untestable, shown
 
 Record = dict[str, Any]
 BEGIN, END = "<!-- scores: written by st bench discovery -->", "<!-- end of scores -->"
-FAILURES = 60
+FAILURES = 120
 
 
 def as_markdown(document: Record, records: Sequence[Record]) -> str:
