@@ -140,6 +140,9 @@ def test_noise_of_the_runs_is_seen_whatever_they_drive(leaf):
     assert noisier(same, reference(leaf)) == 1.0
     assert noisier(more, reference(leaf)) == pytest.approx(1.5**2, rel=0.1)
     assert noisier(recorded(leaf, HEALTHY, 18, ("step",), noise=9.0), reference(leaf)) == 4.0
+    half = [replace(log, acceleration_x=None, **{name: getattr(log, name)[::2] for name in ("ins_time_ns", *NOISE)})
+            for log in reference(leaf)]
+    assert noisier(same, half) == 1.0 and noisier(half, same) == 1.0  # the rate is no noise
 
 
 def test_twins_need_a_clearer_difference():

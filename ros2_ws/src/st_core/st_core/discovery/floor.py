@@ -162,13 +162,18 @@ def assumed(windows: Windows, space: Space, tick=None) -> Floor:
 
 def noisier(runs: Sequence[DriveLog], reference: Sequence[DriveLog]) -> float:
     """How much more the INS of the runs trembles than that of the reference: middle of the ratios of variances of the
-    third differences. What a car does is slow against the samples and falls out of these."""
+    third differences. What a car does is slow against the samples and falls out of these; so that it falls out alike,
+    all are taken at the rate of the slowest.
+    """
+    spacings = {id(log): float(np.median(np.diff(log.ins_time_ns))) for log in (*runs, *reference)}
+    slowest = max(spacings.values())
     names = ["yaw_rate", "velocity_x", "velocity_y"]
     if all(log.acceleration_y is not None for log in (*runs, *reference)):
         names.append("acceleration_y")
 
     def tremble(log: DriveLog, name: str) -> float:
-        return float(np.median(np.abs(np.diff(getattr(log, name), 3))))
+        every = max(1, round(slowest / spacings[id(log)]))
+        return float(np.median(np.abs(np.diff(getattr(log, name)[::every], 3))))
     ratios = [np.median([tremble(r, n) for r in runs]) / max(np.median([tremble(r, n) for r in reference]), 1e-9)
               for n in names if any(np.any(r.velocity_y) for r in reference) or n != "velocity_y"]
     more = float(np.median(ratios))**2
