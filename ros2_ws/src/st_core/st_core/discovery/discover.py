@@ -85,10 +85,6 @@ class _Work:
         parts = gap.split(self.runs, self.settings)
         windows = self._windows(parts.used, "run")
         study = self.study = Study(windows, space, floor, gap.folds(windows), tick=self._tick("hypotheses", len(space)))
-        lost = astray(windows, study.rows)
-        if lost > ASTRAY:
-            self.warnings.append(f"the base model is lost in {lost:.0%} of the windows: it diverges, is not of this "
-                                 "car, or something large is wrong; check base and vehicle file")
         blocks = int(windows.block.max()) + 1
         if blocks < LEAST_BLOCKS:
             self.warnings.append(f"only {blocks} blocks of {settings.block:g} s: little can be said")
@@ -131,6 +127,10 @@ class _Work:
             self.warnings.append(f"{', '.join(answer.names)} fits best, but errors do not shrink with it")
             outcome, model, effects, rivals = "unknown", None, (), {}
             gaps = gap.measure(parts, self.vehicle, study, study.base, floor.vector, floor)
+        lost = astray(windows, study.rows)
+        if lost > ASTRAY and model is None:
+            self.warnings.append(f"the base model is lost in {lost:.0%} of the windows: it diverges, is not of this "
+                                 "car, or something large is wrong; check base and vehicle file")
         separable = tuple(self._separability(rivals, fits)) if model else ()
         following = manoeuvres.following(study, effects, fits) if separable else None
         if separable and following is None:
