@@ -164,7 +164,8 @@ def candidates(scene: Scene) -> Drawn | None:
         axes.set_yticks(range(len(ranked)), [words.plain(c.name) for c in ranked])
         axes.set_ylim(len(ranked) - 0.5, -0.6)
         top = 100 * max(*(c.gain for c in ranked), 0.01)
-        axes.set_xlim(0.0, 1.5 * top)
+        axes.set_xlim(0.0, 1.5 * top)  # room for the words; there is no share above 100 %
+        axes.set_xticks([tick for tick in axes.get_xticks() if tick <= 100.0])
         axes.set_xlabel("share of the base model's squared error taken away on the selection data, %")
         best = " or ".join(words.plain(n) for n in [*chosen, *sorted(alternatives)][:3])
         title = f"Of {len(scene.found.candidates)} hypotheses simulated, {best} explains most" if chosen else \
