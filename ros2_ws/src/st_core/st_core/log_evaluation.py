@@ -55,6 +55,10 @@ class EvaluationSettings:
             if getattr(self, key) not in choices:
                 raise ConfigurationError(f"{key}: {getattr(self, key)!r} is neither of {', '.join(choices)}")
 
+    def signals(self, log: DriveLog) -> LogSignals:
+        """The drive's signals as these settings have them."""
+        return LogSignals(log, self.prediction.maximum_gap, self.prediction.filter_cutoff, self.acceleration)
+
     def as_dict(self) -> dict[str, float | str]:
         """All settings by name, for reports."""
         return {**asdict(self.prediction), "interval": self.interval, "acceleration": self.acceleration,
@@ -149,8 +153,7 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     """
     settings = settings or EvaluationSettings()
     models = [get_model(model) for model in models]
-    signals = log if isinstance(log, LogSignals) else LogSignals(
-        log, settings.prediction.maximum_gap, settings.prediction.filter_cutoff, settings.acceleration)
+    signals = log if isinstance(log, LogSignals) else settings.signals(log)
     log = signals.log
     origin = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     wanted = regular_starts(log, settings.interval) if starts_ns is None else np.asarray(starts_ns, np.int64)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log_evaluation import AXES, EvaluationSettings, LogEvaluation, evaluate_log
-from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
@@ -81,8 +80,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
     models = load_models(task)
-    prediction = task.settings.prediction
-    signals = LogSignals(run.log, prediction.maximum_gap, prediction.filter_cutoff, task.settings.acceleration)
+    signals = task.settings.signals(run.log)
     evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress)
     marks.append(time.perf_counter())
     parts = manoeuvres(run.log, run.labels)
