@@ -1,10 +1,10 @@
-"""Hostile bytes at every reader: inputs and findings; ST_FUZZ_SECONDS for each (60).
+"""Hostile bytes at every reader: inputs and findings; ST_FUZZ_SECONDS of processor time for each (60).
 
 `ncom_bulk` is the fastest: blocks of packets with changed bytes through the streaming parser, and every tenth block
 through the decoder of files, which has to find the same. `ncom_packets` puts single packets, most with right checksums,
 through all that the node does before its messages. ST_FUZZ_TARGETS=ncom_packets,dbc names targets, ST_FUZZ_SEED a
-seed; ST_FUZZ_KEEP=1 keeps
-findings, made smaller, in tests/fuzz/corpus. As a script its exit status is 1 if there were any.
+seed; ST_FUZZ_KEEP=1 keeps findings, made smaller, in tests/fuzz/corpus. As a script its exit status is 1 if there were
+any.
 """
 
 import json
@@ -17,7 +17,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import numpy as np
-from fuzz.harness import fuzz, save, smaller
+from fuzz.harness import fuzz, processor_seconds, save, smaller
 from fuzz.targets import TARGETS
 from fuzz.wires import Pipeline, packets, with_checksums
 from oxts_bridge.batch import decode_file
@@ -46,9 +46,9 @@ def ncom_block(seed: int) -> list[bytes]:
 
 def fuzz_packets(seed: int, seconds: float) -> dict:
     """The whole block is one finding; replay it with ncom_block(seed)."""
-    started, inputs, found = time.monotonic(), 0, {}
+    started, inputs, found = processor_seconds(), 0, {}
     base, accepted = packets(), 0
-    while time.monotonic() - started < seconds:
+    while processor_seconds() - started < seconds:
         block_seed = seed * 10**9 + inputs // BLOCK
         chance, pipeline = random.Random(block_seed), Pipeline()
         try:
@@ -59,7 +59,7 @@ def fuzz_packets(seed: int, seconds: float) -> dict:
             found.setdefault(f"{type(error).__name__}: {error}"[:60], block_seed)
         inputs += BLOCK
         accepted += pipeline.parser.counters.packets
-    elapsed = time.monotonic() - started
+    elapsed = processor_seconds() - started
     result = {"inputs": inputs, "accepted": accepted, "seconds": elapsed, "per_s": inputs / elapsed}
     return result | {"findings": len(found), **{f"finding {what}": f"seed {at}" for what, at in found.items()}}
 
@@ -84,8 +84,8 @@ def bulk_block(seed: int, base: np.ndarray) -> bytes:
 def fuzz_bulk(seed: int, seconds: float) -> dict:
     """The parser may say anything but has to account for every byte."""
     base = np.frombuffer(b"".join(packets()), np.uint8).reshape(-1, PACKET_SIZE)
-    started, blocks, accepted, found = time.monotonic(), 0, 0, {}
-    while time.monotonic() - started < seconds and blocks * BLOCK < MOST_BULK:
+    started, blocks, accepted, found = processor_seconds(), 0, 0, {}
+    while processor_seconds() - started < seconds and blocks * BLOCK < MOST_BULK:
         block_seed = seed * 10**9 + blocks
         data, parser = bulk_block(block_seed, base), NcomParser()
         try:
@@ -100,9 +100,8 @@ def fuzz_bulk(seed: int, seconds: float) -> dict:
         except Exception as error:
             found.setdefault(f"{type(error).__name__}: {error}"[:60], block_seed)
         blocks += 1
-    elapsed = time.monotonic() - started
-    result = {"inputs": blocks * BLOCK, "accepted": accepted, "seconds": elapsed, "cpu_seconds": time.process_time(),
-              "findings": len(found)}
+    elapsed = processor_seconds() - started
+    result = {"inputs": blocks * BLOCK, "accepted": accepted, "seconds": elapsed, "findings": len(found)}
     return result | {f"finding {what}": f"seed {at}" for what, at in found.items()}
 
 
