@@ -1,67 +1,217 @@
-"""The blocks of an MDF 4 file, as far as it takes to tell a cut file and to find the last whole frame in it.
+"""The blocks of an MDF 4 file: whether they make sense on the way to the frames, and where the last whole frame ends.
 
 Source: ASAM MDF 4.1; checked on a real CANedge2 file cut at every byte of a stretch.
 """
 
+import math
 import mmap
 import struct
+from typing import NamedTuple
 
 Buffer = bytes | mmap.mmap
 _HEADER = 24  # name, reserved, length, number of links
 _UNFINISHED = b"UnFinMF "
+_COUNTERS_OPEN, _LENGTH_OPEN, _LIST_OPEN = 1, 4, 16  # what an unfinalised file says it left undone
 _MOST_INFLATED = 1032  # deflate cannot pack tighter
+_MOST_WAYS = 5  # to pack records: three, each with the columns put together first or not (odd)
 _LONGEST_RECORD = 65536  # bytes; a CAN FD frame has some 90
 _MOST_CHANNELS = 10_000  # of a group; more are links in a circle
-# Blocks whose links lead to data. Comments, sources and conversions may be cut off: they are not needed.
-_LINKS_FOLLOWED = {b"##HD": (0,), b"##DG": (0, 1, 2), b"##CG": (0, 1), b"##CN": (0, 1), b"##DL": None, b"##HL": (0,)}
+_VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a channel group
+_VALUE_ELSEWHERE, _MASTER, _VIRTUAL = 1, 2, (3, 6)  # types of a channel
+_NUMBERS, _TEXTS_AND_BYTES = range(4), range(6, 13)  # data types: integers, and what may have a length of its own
+_INVALIDATION = 3  # flags of a channel: it looks at the invalidation bits of its record
+_LINEAR = (0, 1)  # conversions: none, offset and factor
+
+
+class _Damage(ValueError):
+    """What is wrong with a file, in words for its owner."""
+
+
+class _Block(NamedTuple):
+    at: int
+    name: bytes
+    links: tuple[int, ...]
+    content: int  # where it begins, behind the links
+    end: int
 
 
 def damage(data: Buffer) -> str:
-    """What is missing of the blocks that lead to the frames; empty where nothing is.
+    """What is missing or wrong in the blocks that lead to the frames; empty where nothing is.
 
+    asammdf believes these numbers, in C as well: a channel beside its record ends the process, a record of a gigabyte
+    is allocated, links in a circle are followed for ever. Names, comments and sources may be cut off: not needed.
     The data block of a file that was never finalised has no length, so its end is not looked at.
     """
-    size = len(data)
-    if size < 64 + 104:
-        return f"it ends after {size} bytes, inside its header"
-    unfinished = data[:8] == _UNFINISHED
-    waiting, seen = [64], set()
-    while waiting:
-        at = waiting.pop()
-        if not at or at in seen:
-            continue
-        seen.add(at)
-        if at + _HEADER > size:
-            return f"its index points to byte {at}, it has {size}"
-        name, length = bytes(data[at : at + 4]), struct.unpack_from("<Q", data, at + 8)[0]
-        if not name.startswith(b"##"):
-            return f"there is no block at byte {at}"
-        data_block = name in (b"##DT", b"##DZ", b"##SD", b"##DV")
-        if at + length > size and not (data_block and unfinished):
-            return f"the block at byte {at} ends at {at + length}, the file at {size}"
-        if excess := _EXCESS[name](data, at) if name in _EXCESS else "":
-            return excess
-        if name in _LINKS_FOLLOWED:
-            links, chosen = _links(data, at), _LINKS_FOLLOWED[name]
-            waiting += [links[k] for k in chosen if k < len(links)] if chosen is not None else list(links)
+    if len(data) < 64 + 104:
+        return f"it ends after {len(data)} bytes, inside its header"
+    if data[8:10] != b"4.":
+        return "it is not of version 4 of the format"
+    try:
+        _Walk(data).file()
+    except _Damage as found:
+        return str(found)
     return ""
 
 
-def _excess_of_group(data: Buffer, at: int) -> str:
-    """What a channel group claims and cannot have; memory would be taken for it."""
-    _, records, flags, _, _, size, invalid = _channel_group(data, at)
-    if not flags & 1 and records * (size + invalid) > _MOST_INFLATED * len(data):
-        return f"the block at byte {at} claims {records} records, the file has {len(data)} bytes"
-    return ""
+class _Walk:
+    """From the header to the records, every block once."""
 
+    def __init__(self, data: Buffer):
+        self._data, self._size = data, len(data)
+        self._unfinished = data[:8] == _UNFINISHED
+        # asammdf sets right what is open from version 4.10 on.
+        self._open = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
+        self._seen: set[int] = set()
 
-def _excess_of_channel(data: Buffer, at: int) -> str:
-    offset, bits = struct.unpack_from("<II", data, at + 24 + 8 * len(_links(data, at)) + 4)
-    reach = offset + bits // 8
-    return f"the channel at byte {at} lies {reach} bytes into a record" if reach > _LONGEST_RECORD else ""
+    def file(self) -> None:
+        header = self._block(64, (b"##HD",), links=6, content=32)
+        for link, name in ((1, b"##FH"), (3, b"##AT"), (4, b"##EV")):
+            self._chain(header.links[link], name)
+        at = header.links[0]
+        while at:
+            at = self._data_group(at)
 
+    def _block(self, at: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
+        """The block at a place, one of these, with at least so many links and bytes of content."""
+        if at + _HEADER > self._size:
+            raise _Damage(f"its index points to byte {at}, it has {self._size}")
+        if at in self._seen:
+            raise _Damage(f"its index leads to byte {at} twice")
+        self._seen.add(at)
+        name = bytes(self._data[at : at + 4])
+        if name not in names:
+            wanted = " or ".join(n[2:].decode() for n in names)
+            raise _Damage(f"there is no block at byte {at}, or another one than {wanted}")
+        length, count = struct.unpack_from("<QQ", self._data, at + 8)
+        end, content_at = at + length, at + _HEADER + 8 * count
+        if name == b"##DT" and self._unfinished and not _HEADER <= length <= self._size - at:
+            end = self._size
+        if end > self._size:
+            raise _Damage(f"the block at byte {at} ends at {end}, the file at {self._size}")
+        if count < links or content_at + content > end:
+            raise _Damage(f"the block at byte {at} is too short for what it holds")
+        return _Block(at, name, struct.unpack_from(f"<{count}Q", self._data, at + _HEADER), content_at, end)
 
-_EXCESS = {b"##CG": _excess_of_group, b"##CN": _excess_of_channel}
+    def _chain(self, at: int, name: bytes) -> None:
+        """Blocks that nothing depends on, except that they come to an end."""
+        while at and at + _HEADER + 8 <= self._size and self._data[at : at + 4] == name:
+            if at in self._seen:
+                raise _Damage(f"its index leads to byte {at} twice")
+            self._seen.add(at)
+            at = struct.unpack_from("<Q", self._data, at + _HEADER)[0]
+
+    def _data_group(self, at: int) -> int:
+        """Returns where the next one is."""
+        block = self._block(at, (b"##DG",), links=4, content=8)
+        id_size = self._data[block.content]
+        if id_size not in (0, 1, 2, 4, 8):
+            raise _Damage(f"the block at byte {at} has record identifiers of {id_size} bytes")
+        claimed, records, group = 0, set(), block.links[1]
+        while group:
+            group, record, size = self._group(group, id_size)
+            claimed += size
+            if record in records:
+                raise _Damage(f"two kinds of records of the block at byte {at} have the identifier {record}")
+            records.add(record)
+        held = self._records(block.links[2], b"DT")
+        if claimed > held and not self._open & _COUNTERS_OPEN:
+            raise _Damage(f"the block at byte {at} claims {claimed} bytes of records and has {held}")
+        return block.links[0]
+
+    def _group(self, at: int, id_size: int) -> tuple[int, int, int]:
+        """(where the next one is, identifier of its records, bytes they claim)."""
+        block = self._block(at, (b"##CG",), links=6, content=32)
+        record, count, flags, _, _, size, invalid = _channel_group(self._data, at)
+        if flags & _REMOTE_MASTER or len(block.links) != 6 or block.end != block.content + 32:
+            raise _Damage(f"the block at byte {at} describes records in a way that no CAN logger does")
+        if flags & _VARIABLE_LENGTH_GROUP:
+            if block.links[1]:
+                raise _Damage(f"the records of the block at byte {at} have channels and no fixed length")
+            return block.links[0], record, 0
+        if size + invalid > _LONGEST_RECORD:
+            raise _Damage(f"the block at byte {at} has records of {size + invalid} bytes")
+        self._channels(block.links[1], size, invalid, flags)
+        return block.links[0], record, count * (size + invalid + id_size)
+
+    def _channels(self, first: int, size: int, invalid: int, group_flags: int) -> None:
+        waiting = [first]
+        while waiting:
+            at = waiting.pop()
+            if not at:
+                continue
+            block = self._block(at, (b"##CN",), links=8, content=72)
+            if block.end != block.content + 72:
+                raise _Damage(f"the block at byte {at} is too long for what it holds")
+            self._channel(block, size, invalid)
+            waiting.append(block.links[0])
+            if part := block.links[1]:
+                if self._data[part : part + 4] == b"##CA" and not group_flags & _BUS_EVENT:
+                    continue
+                waiting.append(part)
+
+    def _channel(self, block: _Block, size: int, invalid: int) -> None:
+        content = struct.unpack_from("<BBBBIIII", self._data, block.content)
+        kind, _, data_type, bit, byte, bits, flags, invalid_bit = content
+        if kind in _VIRTUAL:
+            return
+        end = byte + (bit + bits + 7) // 8
+        if end > size:
+            raise _Damage(f"the channel at byte {block.at} ends at byte {end} of a record, the record at {size}")
+        if bit > 7 or (data_type in _NUMBERS and not 0 < bits <= 64):
+            raise _Damage(f"the channel at byte {block.at} has {bits} bits from bit {bit} of its byte on")
+        if flags & _INVALIDATION and invalid and invalid_bit >= 8 * invalid:
+            raise _Damage(f"the channel at byte {block.at} has its invalidation bit outside the record")
+        if kind == _VALUE_ELSEWHERE:
+            if bits != 64 or bit or data_type not in _TEXTS_AND_BYTES:
+                raise _Damage(f"the channel at byte {block.at} has its values elsewhere and does not say where")
+            if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # its group is in the chain of groups
+                self._records(block.links[5], b"SD")
+        if kind == _MASTER and block.links[4]:
+            self._conversion_of_time(block.links[4])
+
+    def _conversion_of_time(self, at: int) -> None:
+        """asammdf reads a broken one as none: microseconds would be seconds. Groups share them."""
+        self._seen.discard(at)
+        block = self._block(at, (b"##CC",), links=4, content=24)
+        kind, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
+        if kind not in _LINEAR or (kind and (values != 2 or block.content + 40 > block.end)):
+            raise _Damage(f"the block at byte {at} makes no times of its numbers")
+        if kind:
+            offset, factor = struct.unpack_from("<2d", self._data, block.content + 24)
+            if not math.isfinite(offset) or not 0 < factor < math.inf:
+                raise _Damage(f"the block at byte {at} makes no times of its numbers ({offset:g} + {factor:g} x)")
+
+    def _records(self, at: int, kind: bytes) -> int:
+        """Bytes of records at a link: a block of them, packed or not, or a list of such blocks."""
+        held, lists = 0, 0
+        waiting = [at]
+        while waiting:
+            at = waiting.pop()
+            if not at:
+                continue
+            block = self._block(at, (b"##" + kind, b"##DZ", b"##DL", b"##HL"))
+            if block.name == b"##DZ":
+                held += self._unpacked(block, kind)
+            elif block.name == b"##DL":
+                waiting += block.links
+                lists += 1
+            elif block.name == b"##HL":
+                waiting += block.links[:1]
+            else:
+                held += (self._size if self._open & _LENGTH_OPEN else block.end) - block.content
+        if lists > 1 and self._open & (_LIST_OPEN | _LENGTH_OPEN):  # asammdf would look for their end for ever
+            raise _Damage("it was never finalised, and its records are in more than one list")
+        return held
+
+    def _unpacked(self, block: _Block, kind: bytes) -> int:
+        if block.content + 24 > block.end:
+            raise _Damage(f"the block at byte {block.at} is too short for what it holds")
+        what, way, columns, unpacked, packed = struct.unpack_from("<2sBxIQQ", self._data, block.content)
+        if what != kind or way > _MOST_WAYS or (way % 2 and not columns):
+            raise _Damage(f"the block at byte {block.at} is not packed in a known way")
+        if block.content + 24 + packed > block.end or unpacked > _MOST_INFLATED * packed:
+            raise _Damage(f"the block at byte {block.at} cannot hold the {unpacked} bytes it claims")
+        return unpacked
 
 
 def end_of_last_frame(data: Buffer) -> int | None:

@@ -17,8 +17,11 @@ from .errors import RunError, check_readable
 from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, in_file_order, joined, set_back
 
 PIECE = 1 << 20  # records
+MOST_BYTES = 64  # of a frame
+LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum fits into 64 bits as ns
 MAKERS_CONTAINERS = (".mfc", ".mfe", ".mfm")
 _KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
+_VALUE_ELSEWHERE, _TIMES = 1, (2, 3)  # types of a channel
 _BUS = re.compile(r"CAN[ _]?(\d+)")
 _SPLIT = re.compile(r"^(\d{8})(-[0-9A-Fa-f]{8})?$")
 
@@ -70,6 +73,8 @@ def read_mf4(path: Path) -> Mf4:
     warnings: list[str] = []
     with _opened(path, warnings) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
+        if not 0 <= start_ns < LATEST_START * 10**9:
+            raise _Damage("the start of its session is no time")
         parts = []
         steps: list[float] = []
         for group in range(len(log.groups)):
@@ -89,6 +94,14 @@ def _head(path: Path) -> bytes:
         return stream.read(64)
 
 
+class _Damage(ValueError):
+    """What is wrong with the file, in words for its owner."""
+
+
+def _damaged(path: Path, what: str) -> RunError:
+    return RunError(path, f"the file is cut or damaged: {what}", "copy it from the logger's card again")
+
+
 @contextmanager
 def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
     """The file as an asammdf MDF. asammdf prints what it raises as well, so its output is held back meanwhile."""
@@ -102,6 +115,8 @@ def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
             yield log
     except RunError:
         raise
+    except _Damage as error:
+        raise _damaged(path, str(error)) from None
     except Exception as error:
         raise RunError(path, f"asammdf cannot read it ({' '.join(str(error).split())[:120]})",
                        "copy it from the logger's card again") from None
@@ -113,14 +128,16 @@ def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
 
 def _open_whole(path: Path, warnings: list[str]) -> Any:
     from asammdf import MDF
+    from asammdf.blocks.mdf_v4 import MDF4
 
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         damage = mdf_blocks.damage(data)
     if damage:
-        raise RunError(path, f"the file is cut or damaged: {damage}", "copy it from the logger's card again")
+        raise _Damage(damage)
+    MDF4._file = None  # or its __del__ complains on stderr where its __init__ gave up
     log = None
     try:
-        log = MDF(path)
+        log = MDF(path, process_bus_logging=False)
         if all(_is_whole(log, group) for group in range(len(log.groups))):
             return log
     except Exception:  # asammdf lets through whatever its parsing runs into; all of it means "cut or damaged".
@@ -130,10 +147,15 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
     data = path.read_bytes()
     end = mdf_blocks.end_of_last_frame(data)
     if end is None:
-        raise RunError(path, "the file is cut or damaged: no whole frame is in it",
-                       "copy it from the logger's card again")
+        raise _Damage("no whole frame is in it")
+    if damage := mdf_blocks.damage(data[:end]):
+        raise _Damage(damage)
     warnings.append(f"the file ends in the middle of a frame ({len(data) - end} bytes dropped)")
-    return MDF(io.BytesIO(data[:end]))
+    log = MDF(io.BytesIO(data[:end]), process_bus_logging=False)
+    if not all(_is_whole(log, group) for group in range(len(log.groups))):
+        log.close()
+        raise _Damage("payloads are not where its frames say")
+    return log
 
 
 def _frame_channel(log: Any, group: int) -> str | None:
@@ -142,14 +164,30 @@ def _frame_channel(log: Any, group: int) -> str | None:
 
 
 def _is_whole(log: Any, group: int) -> bool:
-    """Whether every frame of a group has its payload: in layout 1 the two are written one after the other."""
-    name = _frame_channel(log, group)
-    if name != "CAN_DataFrame" or not log.groups[group].channel_group.cycles_nr:
+    """Whether every frame of a group has its payload: in layout 1 the two are written one after the other.
+
+    asammdf looks for payloads wherever the frames point to and makes room for the longest it takes for one: terabytes,
+    for one wrong byte. So both are looked at before; there is no public way to get at them.
+    """
+    if _frame_channel(log, group) is None or not log.groups[group].channel_group.cycles_nr:
         return True
-    try:
-        log.get("CAN_DataFrame.DataBytes", group=group, raw=True)
-    except Exception:
-        return False
+    content, reader = log.groups[group], log._mdf
+    for index, channel in enumerate(content.channels):
+        if channel.channel_type != _VALUE_ELSEWHERE:
+            continue
+        at = reader._get_scalar(
+            channel=channel, group=content, group_index=group, channel_index=index, dependency_list=None, raster=None,
+            data=None, ignore_invalidation_bits=True, record_offset=0, record_count=None, master_is_required=False,
+            skip_vlsd=True)[0]
+        stored = np.frombuffer(reader._load_signal_data(content, index), np.uint8)
+        if not len(at) or (at[1:] < at[:-1]).any() or int(at[-1]) + 4 > len(stored):
+            return False
+        at = at.astype(np.int64)
+        length = stored[at].astype(np.int64)
+        if (length > MOST_BYTES).any() or (stored[at + 1] | stored[at + 2] | stored[at + 3]).any():
+            return False
+        if (at + 4 + length > len(stored)).any():
+            return False
     return True
 
 
@@ -158,37 +196,64 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
     name = _frame_channel(log, group)
     if name is None:
         return
-    bus = _bus_of(log, group)
-    for first in range(0, log.groups[group].channel_group.cycles_nr, PIECE):
+    content, bus = log.groups[group], _bus_of(log, group)
+    if not content.channel_group.samples_byte_nr:
+        raise _Damage("its frames have no bytes")
+    if not any(channel.channel_type in _TIMES for channel in content.channels):
+        raise _Damage("its frames have no time")
+    for first in range(0, content.channel_group.cycles_nr, PIECE):
         signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
                          record_count=PIECE)
         yield _frames(name, signal, bus, start_ns)
 
 
 def _frames(name: str, signal: Any, bus: int, start_ns: int) -> Frames:
+    """asammdf makes arrays of what the file describes, and any description is possible: every column is looked at."""
     rows, n = signal.samples, len(signal.samples)
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
+    needed = {"CAN_DataFrame": ("ID", "DataBytes"), "CAN_RemoteFrame": ("ID",)}.get(name, ())
+    if missing := [short for short in needed if short not in members]:
+        raise _Damage(f"its frames have no {missing[0]}")
 
     def member(short: str, default: int = 0) -> np.ndarray:
-        return rows[members[short]] if short in members else np.full(n, default, np.uint8)
+        if short not in members:
+            return np.full(n, default, np.uint8)
+        column = rows[members[short]]
+        if column.ndim != 1 or column.dtype.kind not in "bui":
+            raise _Damage(f"the {short} of its frames is no whole number")
+        return column
 
     identifier = member("ID").astype(np.uint32)
     extended = member("IDE").astype(bool) | (identifier > 0x7FF)
-    payload = member("DataBytes").reshape(n, -1) if "DataBytes" in members else np.zeros((n, 8), np.uint8)
-    payload = np.ascontiguousarray(payload, dtype=np.uint8)
-    if payload.shape[1] not in (8, 64):
-        width = 8 if payload.shape[1] < 8 else 64
-        payload = np.pad(payload[:, :width], ((0, 0), (0, max(width - payload.shape[1], 0))))
     length = member("DataLength") if "DataLength" in members else member("DLC", 8)
     flags = np.full(n, _KINDS[name], np.uint8)
     flags |= np.where(member("Dir").astype(bool), SENT, 0).astype(np.uint8)
     flags |= np.where(member("EDL").astype(bool), FD, 0).astype(np.uint8)
     return Frames(
-        time_ns=start_ns + np.round(signal.timestamps * 1e9).astype(np.int64),
+        time_ns=start_ns + _nanoseconds(signal.timestamps, n),
         id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(EXTENDED), np.uint32(0)),
-        payload=payload, length=length.astype(np.uint8),
-        bus=member("BusChannel", bus).astype(np.uint8), flags=flags,
+        payload=_payload(rows[members["DataBytes"]] if "DataBytes" in members else np.zeros((n, 8), np.uint8)),
+        length=length.astype(np.uint8), bus=member("BusChannel", bus).astype(np.uint8), flags=flags,
     )
+
+
+def _nanoseconds(seconds: np.ndarray, n: int) -> np.ndarray:
+    if seconds.shape != (n,) or seconds.dtype.kind != "f":
+        raise _Damage("its frames have no time each")
+    # NaN is not within, either.
+    if not (np.abs(seconds) < LONGEST_SESSION).all():
+        raise _Damage("the times of its frames are no times")
+    return np.round(seconds * 1e9).astype(np.int64)
+
+
+def _payload(column: np.ndarray) -> np.ndarray:
+    """(n, 8) bytes, (n, 64) where there may be more."""
+    if column.ndim != 2 or column.dtype != np.uint8:
+        raise _Damage("the DataBytes of its frames are no bytes")
+    if column.shape[1] not in (8, 64):
+        width = 8 if column.shape[1] < 8 else 64
+        column = np.pad(column[:, :width], ((0, 0), (0, max(width - column.shape[1], 0))))
+    return np.ascontiguousarray(column)
 
 
 def _bus_of(log: Any, group: int) -> int:
