@@ -201,9 +201,11 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
         raise _Damage("its frames have no bytes")
     if not any(channel.channel_type in _TIMES for channel in content.channels):
         raise _Damage("its frames have no time")
-    for first in range(0, content.channel_group.cycles_nr, PIECE):
+    count = content.channel_group.cycles_nr
+    for first in range(0, count, PIECE):
+        # Not more than there are: asammdf makes room for all it is asked for.
         signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
-                         record_count=PIECE)
+                         record_count=min(PIECE, count - first))
         yield _frames(name, signal, bus, start_ns)
 
 
