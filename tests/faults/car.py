@@ -69,7 +69,8 @@ class Car(threading.Thread):
 
     def close(self) -> None:
         self._ending.set()
-        self.join()
+        if self.ident:
+            self.join()
         self.ins.close()
         self.can.close()
 
