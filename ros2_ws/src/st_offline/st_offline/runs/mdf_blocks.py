@@ -23,7 +23,7 @@ _INVALIDATION = 3  # flags of a channel: it looks at the invalidation bits of it
 _LINEAR = (0, 1)  # conversions: none, offset and factor
 
 
-class _Damage(ValueError):
+class Damage(ValueError):
     """What is wrong with a file, in words for its owner."""
 
 
@@ -48,7 +48,7 @@ def damage(data: Buffer) -> str:
         return "it is not of version 4 of the format"
     try:
         _Walk(data).file()
-    except _Damage as found:
+    except Damage as found:
         return str(found)
     return ""
 
@@ -74,29 +74,29 @@ class _Walk:
     def _block(self, at: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
         """The block at a place, one of these, with at least so many links and bytes of content."""
         if at + _HEADER > self._size:
-            raise _Damage(f"its index points to byte {at}, it has {self._size}")
+            raise Damage(f"its index points to byte {at}, it has {self._size}")
         if at in self._seen:
-            raise _Damage(f"its index leads to byte {at} twice")
+            raise Damage(f"its index leads to byte {at} twice")
         self._seen.add(at)
         name = bytes(self._data[at : at + 4])
         if name not in names:
             wanted = " or ".join(n[2:].decode() for n in names)
-            raise _Damage(f"there is no block at byte {at}, or another one than {wanted}")
+            raise Damage(f"there is no block at byte {at}, or another one than {wanted}")
         length, count = struct.unpack_from("<QQ", self._data, at + 8)
         end, content_at = at + length, at + _HEADER + 8 * count
         if name == b"##DT" and self._unfinished and not _HEADER <= length <= self._size - at:
             end = self._size
         if end > self._size:
-            raise _Damage(f"the block at byte {at} ends at {end}, the file at {self._size}")
+            raise Damage(f"the block at byte {at} ends at {end}, the file at {self._size}")
         if count < links or content_at + content > end:
-            raise _Damage(f"the block at byte {at} is too short for what it holds")
+            raise Damage(f"the block at byte {at} is too short for what it holds")
         return _Block(at, name, struct.unpack_from(f"<{count}Q", self._data, at + _HEADER), content_at, end)
 
     def _chain(self, at: int, name: bytes) -> None:
         """Blocks that nothing depends on, except that they come to an end."""
         while at and at + _HEADER + 8 <= self._size and self._data[at : at + 4] == name:
             if at in self._seen:
-                raise _Damage(f"its index leads to byte {at} twice")
+                raise Damage(f"its index leads to byte {at} twice")
             self._seen.add(at)
             at = struct.unpack_from("<Q", self._data, at + _HEADER)[0]
 
@@ -105,17 +105,17 @@ class _Walk:
         block = self._block(at, (b"##DG",), links=4, content=8)
         id_size = self._data[block.content]
         if id_size not in (0, 1, 2, 4, 8):
-            raise _Damage(f"the block at byte {at} has record identifiers of {id_size} bytes")
+            raise Damage(f"the block at byte {at} has record identifiers of {id_size} bytes")
         claimed, records, group = 0, set(), block.links[1]
         while group:
             group, record, size = self._group(group, id_size)
             claimed += size
             if record in records:
-                raise _Damage(f"two kinds of records of the block at byte {at} have the identifier {record}")
+                raise Damage(f"two kinds of records of the block at byte {at} have the identifier {record}")
             records.add(record)
         held = self._records(block.links[2], b"DT")
         if claimed > held and not self._open & _COUNTERS_OPEN:
-            raise _Damage(f"the block at byte {at} claims {claimed} bytes of records and has {held}")
+            raise Damage(f"the block at byte {at} claims {claimed} bytes of records and has {held}")
         return block.links[0]
 
     def _group(self, at: int, id_size: int) -> tuple[int, int, int]:
@@ -123,13 +123,13 @@ class _Walk:
         block = self._block(at, (b"##CG",), links=6, content=32)
         record, count, flags, _, _, size, invalid = _channel_group(self._data, at)
         if flags & _REMOTE_MASTER or len(block.links) != 6 or block.end != block.content + 32:
-            raise _Damage(f"the block at byte {at} describes records in a way that no CAN logger does")
+            raise Damage(f"the block at byte {at} describes records in a way that no CAN logger does")
         if flags & _VARIABLE_LENGTH_GROUP:
             if block.links[1]:
-                raise _Damage(f"the records of the block at byte {at} have channels and no fixed length")
+                raise Damage(f"the records of the block at byte {at} have channels and no fixed length")
             return block.links[0], record, 0
         if size + invalid > _LONGEST_RECORD:
-            raise _Damage(f"the block at byte {at} has records of {size + invalid} bytes")
+            raise Damage(f"the block at byte {at} has records of {size + invalid} bytes")
         self._channels(block.links[1], size, invalid, flags)
         return block.links[0], record, count * (size + invalid + id_size)
 
@@ -141,7 +141,7 @@ class _Walk:
                 continue
             block = self._block(at, (b"##CN",), links=8, content=72)
             if block.end != block.content + 72:
-                raise _Damage(f"the block at byte {at} is too long for what it holds")
+                raise Damage(f"the block at byte {at} is too long for what it holds")
             self._channel(block, size, invalid)
             waiting.append(block.links[0])
             if part := block.links[1]:
@@ -156,14 +156,14 @@ class _Walk:
             return
         end = byte + (bit + bits + 7) // 8
         if end > size:
-            raise _Damage(f"the channel at byte {block.at} ends at byte {end} of a record, the record at {size}")
+            raise Damage(f"the channel at byte {block.at} ends at byte {end} of a record, the record at {size}")
         if bit > 7 or (data_type in _NUMBERS and not 0 < bits <= 64):
-            raise _Damage(f"the channel at byte {block.at} has {bits} bits from bit {bit} of its byte on")
+            raise Damage(f"the channel at byte {block.at} has {bits} bits from bit {bit} of its byte on")
         if flags & _INVALIDATION and invalid and invalid_bit >= 8 * invalid:
-            raise _Damage(f"the channel at byte {block.at} has its invalidation bit outside the record")
+            raise Damage(f"the channel at byte {block.at} has its invalidation bit outside the record")
         if kind == _VALUE_ELSEWHERE:
             if bits != 64 or bit or data_type not in _TEXTS_AND_BYTES:
-                raise _Damage(f"the channel at byte {block.at} has its values elsewhere and does not say where")
+                raise Damage(f"the channel at byte {block.at} has its values elsewhere and does not say where")
             if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # its group is in the chain of groups
                 self._records(block.links[5], b"SD")
         if kind == _MASTER and block.links[4]:
@@ -175,11 +175,11 @@ class _Walk:
         block = self._block(at, (b"##CC",), links=4, content=24)
         kind, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
         if kind not in _LINEAR or (kind and (values != 2 or block.content + 40 > block.end)):
-            raise _Damage(f"the block at byte {at} makes no times of its numbers")
+            raise Damage(f"the block at byte {at} makes no times of its numbers")
         if kind:
             offset, factor = struct.unpack_from("<2d", self._data, block.content + 24)
             if not math.isfinite(offset) or not 0 < factor < math.inf:
-                raise _Damage(f"the block at byte {at} makes no times of its numbers ({offset:g} + {factor:g} x)")
+                raise Damage(f"the block at byte {at} makes no times of its numbers ({offset:g} + {factor:g} x)")
 
     def _records(self, at: int, kind: bytes) -> int:
         """Bytes of records at a link: a block of them, packed or not, or a list of such blocks."""
@@ -200,17 +200,17 @@ class _Walk:
             else:
                 held += (self._size if self._open & _LENGTH_OPEN else block.end) - block.content
         if lists > 1 and self._open & (_LIST_OPEN | _LENGTH_OPEN):  # asammdf would look for their end for ever
-            raise _Damage("it was never finalised, and its records are in more than one list")
+            raise Damage("it was never finalised, and its records are in more than one list")
         return held
 
     def _unpacked(self, block: _Block, kind: bytes) -> int:
         if block.content + 24 > block.end:
-            raise _Damage(f"the block at byte {block.at} is too short for what it holds")
+            raise Damage(f"the block at byte {block.at} is too short for what it holds")
         what, way, columns, unpacked, packed = struct.unpack_from("<2sBxIQQ", self._data, block.content)
         if what != kind or way > _MOST_WAYS or (way % 2 and not columns):
-            raise _Damage(f"the block at byte {block.at} is not packed in a known way")
+            raise Damage(f"the block at byte {block.at} is not packed in a known way")
         if block.content + 24 + packed > block.end or unpacked > _MOST_INFLATED * packed:
-            raise _Damage(f"the block at byte {block.at} cannot hold the {unpacked} bytes it claims")
+            raise Damage(f"the block at byte {block.at} cannot hold the {unpacked} bytes it claims")
         return unpacked
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from . import mdf_blocks
 from .errors import RunError, check_readable
 from .frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, continued, in_file_order, joined, set_back
+from .mdf_blocks import Damage
 
 PIECE = 1 << 20  # records
 MOST_BYTES = 64  # of a frame
@@ -74,7 +75,7 @@ def read_mf4(path: Path) -> Mf4:
     with _opened(path, warnings) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         if not 0 <= start_ns < LATEST_START * 10**9:
-            raise _Damage("the start of its session is no time")
+            raise Damage("the start of its session is no time")
         parts = []
         steps: list[float] = []
         for group in range(len(log.groups)):
@@ -94,14 +95,6 @@ def _head(path: Path) -> bytes:
         return stream.read(64)
 
 
-class _Damage(ValueError):
-    """What is wrong with the file, in words for its owner."""
-
-
-def _damaged(path: Path, what: str) -> RunError:
-    return RunError(path, f"the file is cut or damaged: {what}", "copy it from the logger's card again")
-
-
 @contextmanager
 def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
     """The file as an asammdf MDF. asammdf prints what it raises as well, so its output is held back meanwhile."""
@@ -115,8 +108,8 @@ def _opened(path: Path, warnings: list[str]) -> Iterator[Any]:
             yield log
     except RunError:
         raise
-    except _Damage as error:
-        raise _damaged(path, str(error)) from None
+    except Damage as error:
+        raise RunError(path, f"the file is cut or damaged: {error}", "copy it from the logger's card again") from None
     except Exception as error:
         raise RunError(path, f"asammdf cannot read it ({' '.join(str(error).split())[:120]})",
                        "copy it from the logger's card again") from None
@@ -133,7 +126,7 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         damage = mdf_blocks.damage(data)
     if damage:
-        raise _Damage(damage)
+        raise Damage(damage)
     MDF4._file = None  # or its __del__ complains on stderr where its __init__ gave up
     log = None
     try:
@@ -147,14 +140,14 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
     data = path.read_bytes()
     end = mdf_blocks.end_of_last_frame(data)
     if end is None:
-        raise _Damage("no whole frame is in it")
+        raise Damage("no whole frame is in it")
     if damage := mdf_blocks.damage(data[:end]):
-        raise _Damage(damage)
+        raise Damage(damage)
     warnings.append(f"the file ends in the middle of a frame ({len(data) - end} bytes dropped)")
     log = MDF(io.BytesIO(data[:end]), process_bus_logging=False)
     if not all(_is_whole(log, group) for group in range(len(log.groups))):
         log.close()
-        raise _Damage("payloads are not where its frames say")
+        raise Damage("payloads are not where its frames say")
     return log
 
 
@@ -198,9 +191,9 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
         return
     content, bus = log.groups[group], _bus_of(log, group)
     if not content.channel_group.samples_byte_nr:
-        raise _Damage("its frames have no bytes")
+        raise Damage("its frames have no bytes")
     if not any(channel.channel_type in _TIMES for channel in content.channels):
-        raise _Damage("its frames have no time")
+        raise Damage("its frames have no time")
     count = content.channel_group.cycles_nr
     for first in range(0, count, PIECE):
         # Not more than there are: asammdf makes room for all it is asked for.
@@ -215,14 +208,14 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int) -> Frames:
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
     needed = {"CAN_DataFrame": ("ID", "DataBytes"), "CAN_RemoteFrame": ("ID",)}.get(name, ())
     if missing := [short for short in needed if short not in members]:
-        raise _Damage(f"its frames have no {missing[0]}")
+        raise Damage(f"its frames have no {missing[0]}")
 
     def member(short: str, default: int = 0) -> np.ndarray:
         if short not in members:
             return np.full(n, default, np.uint8)
         column = rows[members[short]]
         if column.ndim != 1 or column.dtype.kind not in "bui":
-            raise _Damage(f"the {short} of its frames is no whole number")
+            raise Damage(f"the {short} of its frames is no whole number")
         return column
 
     identifier = member("ID").astype(np.uint32)
@@ -241,17 +234,17 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int) -> Frames:
 
 def _nanoseconds(seconds: np.ndarray, n: int) -> np.ndarray:
     if seconds.shape != (n,) or seconds.dtype.kind != "f":
-        raise _Damage("its frames have no time each")
+        raise Damage("its frames have no time each")
     # NaN is not within, either.
     if not (np.abs(seconds) < LONGEST_SESSION).all():
-        raise _Damage("the times of its frames are no times")
+        raise Damage("the times of its frames are no times")
     return np.round(seconds * 1e9).astype(np.int64)
 
 
 def _payload(column: np.ndarray) -> np.ndarray:
     """(n, 8) bytes, (n, 64) where there may be more."""
     if column.ndim != 2 or column.dtype != np.uint8:
-        raise _Damage("the DataBytes of its frames are no bytes")
+        raise Damage("the DataBytes of its frames are no bytes")
     if column.shape[1] not in (8, 64):
         width = 8 if column.shape[1] < 8 else 64
         column = np.pad(column[:, :width], ((0, 0), (0, max(width - column.shape[1], 0))))
