@@ -12,8 +12,9 @@ from .space import Space
 from .study import Fit, Study
 
 TRIALS = 200
-STRUCTURE = 1.2  # gains of a healthy car on other roads than the reference, over those on resampled reference blocks
-TAIL = 2.0  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
+USUALLY = 0.6  # gains of healthy cars on roads of their own, over those of a car and blocks drawn at random
+TAIL = 2.4  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
+FALL_KNOWN = 1.0  # healthy runs TAIL counts as much as
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
 RELATIVE = 0.02  # of the gain, for what the library's equations are not the car's
 RELATIVE_TWINS = 0.08  # the same for effects that the registry calls twins
@@ -49,8 +50,7 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
     """The largest gain of any effect on healthy drives.
 
     From `blocks` blocks of them drawn again and again, and by a car that is off the floor as healthy cars are; and from
-    each whole run held against the rest: n runs that differ among each other by a variance t differ from their mean by
-    t (1 - 1/n), a new one by t (1 + 1/n).
+    what each whole run gains as a new one (`floor.of_a_new_run`).
     """
     weights = np.stack([precision(floor.spread, space.indices(*group)) for group in ((), *((n,) for n in names))])
     scale = floor.inflation
@@ -69,12 +69,13 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
         some = rng.integers(0, len(gradient), blocks)
         h = hessian[some].sum(axis=0)
         drawn.append(gain(gradient[some].sum(axis=0) + h @ (root @ rng.standard_normal(len(space))), h))
-    middle, fall = STRUCTURE * float(np.median(drawn)), STRUCTURE * TAIL
+    middle, fall = USUALLY * float(np.median(drawn)), TAIL
     runs = np.unique(run) if run is not None else np.array([], int)
     if len(runs) > 1:
-        apart = [gain(gradient[run == r].sum(axis=0), hessian[run == r].sum(axis=0)) for r in runs]
-        more = max(1.0, float(np.median(apart)) * (len(runs) + 1) / (len(runs) - 1) / max(middle, 1e-9))
-        middle, fall = more * middle, more * fall
+        apart = np.array([gain(q.gradient[run == r].sum(axis=0) / scale, hessian[run == r].sum(axis=0)) for r in runs])
+        middle = max(middle, float(np.median(apart)))
+        beyond = apart[apart > middle] - middle
+        fall = max(fall, (FALL_KNOWN * fall + float(beyond.sum())) / (FALL_KNOWN + len(beyond)))
     return Null(middle, fall)
 
 

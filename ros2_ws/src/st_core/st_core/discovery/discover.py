@@ -107,16 +107,17 @@ class _Work:
         study.rate(fits.values())
         found: list[Fit] = []
         unknown, signature = False, ()
+        excess = several.excess(study, study.base)
+        sure = gain > several.SURELY * limit or excess > several.UNKNOWN_BESIDE
         if gain > limit:
             found, level = several.search(study, fits, limit, settings.maximum_effects)
-            unknown = several.unexplained(study, found[0], level, fits) or not study.credible(found[0])
-        elif several.excess(study, study.base) > several.UNKNOWN_ALONE:
+            if several.unexplained(study, found[0], level, fits) or not study.credible(found[0]):
+                unknown, found = sure, found if sure else []
+        elif excess > several.UNKNOWN_ALONE:
             unknown = True
         answer = found[0] if found else study.base
         rivals = several.rivals(study, answer, fits, gain) if found and not unknown else {}
         outcome = self._outcome(answer, rivals, unknown, untestable, names)
-        stated = {*answer.names, *(n for others in rivals.values() for _, n in others)} if not unknown else set()
-        untestable = tuple(n for n in untestable if n.name not in stated)
         model, vector = None, floor.vector
         if answer.names and not unknown:
             vector = several.alone(study, answer)
@@ -125,8 +126,11 @@ class _Work:
         gaps = gap.measure(parts, self.vehicle, study, answer if model else study.base, vector, floor)
         if model and not gap.shrinks(gaps, bool(self.reference)):
             self.warnings.append(f"{', '.join(answer.names)} fits best, but errors do not shrink with it")
-            outcome, model, effects, rivals = "unknown", None, (), {}
+            outcome, model, effects, rivals = "unknown" if sure else "none", None, (), {}
+            answer = answer if sure else study.base
             gaps = gap.measure(parts, self.vehicle, study, study.base, floor.vector, floor)
+        stated = {name for e in effects for name in (e.name, *e.alternatives)}
+        untestable = tuple(n for n in untestable if n.name not in stated)
         lost = astray(windows, study.rows)
         if lost > ASTRAY and model is None:
             self.warnings.append(f"the base model is lost in {lost:.0%} of the windows: it diverges, is not of this "

@@ -134,7 +134,33 @@ def learn(windows: Windows, space: Space, drift: float, tick=None) -> Floor:
     posterior = np.linalg.inv(q.hessian.sum(0) / inflation + np.diag(1.0 / deviation**2))
     spread = posterior + np.diag(drifts(space, drift, "velocity_y" in windows.columns)**2)
     run = windows.run[np.unique(windows.block, return_index=True)[1]]
+    if len(np.unique(run)) > 1:
+        q = of_a_new_run(windows, space, x, rows, slopes, q, run, inflation, start, deviation)
+        inflation = max(float(np.median(inflation_of(q))), 1.0)
     return Floor(x, how, spread, inflation, q, run, q.cost / np.maximum(q.windows, 1), _sizes(windows, rows))
+
+
+def of_a_new_run(windows: Windows, space: Space, x: np.ndarray, rows: np.ndarray, slopes: np.ndarray, own: Quadratic,
+                 run: np.ndarray, inflation: float, start: np.ndarray, deviation: np.ndarray) -> Quadratic:
+    """What the blocks of the reference would cost had the floor not been learnt from them.
+
+    Values and sizes of errors are fitted to a run that is looked at, so it looks better than the next one will. Left
+    out, each run is seen by the floor of the n - 1 others, worse than by that of n others; from the one to the other
+    the share (n - 1) / n is gone. By the slopes about x, nothing is predicted anew.
+    """
+    numbers = np.unique(run)
+    left_out = {name: getattr(own, name).astype(float) for name in ("cost", "gradient", "hessian")}
+    for number in numbers:
+        others, rest = run != number, windows.run != number
+        d = solve_map(own.hessian[others].sum(0) / inflation, own.gradient[others].sum(0) / inflation, deviation,
+                      (x - start) / space.scale, (space.low - x) / space.scale, (space.high - x) / space.scale)
+        moved = rows - np.einsum("p,pnm->nm", d, np.nan_to_num(slopes))
+        how = whitening(moved[rest], windows.condition[rest], least(windows), windows.scored)
+        seen = quadratic(moved, slopes, windows, how)
+        for name, values in left_out.items():
+            values[~others] = getattr(seen, name)[~others]
+    share = (len(numbers) - 1) / len(numbers)
+    return Quadratic(*(getattr(own, n) + share * (v - getattr(own, n)) for n, v in left_out.items()), own.windows)
 
 
 def assumed(windows: Windows, space: Space, tick=None) -> Floor:

@@ -9,13 +9,14 @@ import numpy as np
 from . import choice
 from .study import Fit, Study
 
-SHARE, SHARE_OF_LITTLE = 0.05, 0.2  # of the whole gain another effect must bring; where little is left to explain
+SHARE, SHARE_OF_LITTLE = 0.05, 0.08  # of the whole gain another effect must bring; where little is left to explain
 FURTHER = 1.5  # times the gain the first effect needs: what that explains imperfectly looks like another
 ENOUGH = 0.8  # share of the best gain at which an effect that does its work alone is preferred
-ORDINARY = 1.2  # excess that healthy drives have as well
+ORDINARY = 0.85  # excess of an ordinary healthy run
 PARTNERS = 8  # pairs fitted to the end
-UNKNOWN_ALONE = 2.0  # excess of a base no effect improves
-UNKNOWN_LEFT = 2.0  # excess an explanation may leave
+UNKNOWN_ALONE = 1.8  # excess of a base no effect improves
+UNKNOWN_BESIDE, SURELY = 1.5, 2.0  # excess, or times the limit, from which a gain is a gap though no name holds
+UNKNOWN_LEFT = 1.5  # excess an explanation may leave
 LEAST, MOST = 0.2, 0.8  # shares of the excess an explanation takes away
 NEARLY = 0.7  # share of the best gain at which another name does nearly as well
 
