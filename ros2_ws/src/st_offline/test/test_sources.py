@@ -135,6 +135,8 @@ def test_run_yaml(tmp_path: Path) -> None:
         ("can: 1.log", "one of the keys ins, bag and csv"),
         ("ins: y.ncom\ncan: 1.log", "ins: there is no 'y.ncom' beside it"),
         ("ins: x.ncom", "key can names no CAN log"),
+        ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is no pattern"),
+        ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is no pattern"),
         ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),
         ("ins: x.ncom\ncan: 1.log\nins_can_latency: 0.002", r"ins_can_latency: 0\.002 is not \[latency"),
         ("csv: d.csv\nlabels: [{name: a}]", "labels: a list of"),

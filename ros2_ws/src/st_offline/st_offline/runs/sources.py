@@ -161,8 +161,7 @@ def _parsed(path: Path) -> RunSource:
     file = _existing(path, kinds[0], content[kinds[0]])
     logs: list[Path] = []
     for text in _listed(path, "can", content.get("can", [])):
-        found = sorted(path.parent.glob(text)) if any(c in text for c in "*?[") else [_existing(path, "can", text)]
-        logs += [f for entry in found for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
+        logs += [f for entry in _matching(path, text) for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
                  if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS]
     if kinds[0] == "ins" and not logs:
         raise RunError(path, "key can names no CAN log", "list the logs, a folder of them, or a pattern")
@@ -177,6 +176,16 @@ def _parsed(path: Path) -> RunSource:
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     name, kind = _plain_name(path, content.get("name", default)), {"ins": "ncom"}.get(kinds[0], kinds[0])
     return RunSource(name, kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
+
+
+def _matching(path: Path, text: str) -> list[Path]:
+    if not any(c in text for c in "*?["):
+        return [_existing(path, "can", text)]
+    try:
+        return sorted(path.parent.glob(text))
+    except (ValueError, NotImplementedError, OSError) as error:
+        raise RunError(path, f"can: {text[:100]!r} is no pattern ({error})",
+                       "patterns are relative to the run file; * is a part of a name, **/ are folders") from None
 
 
 def _latency(path: Path, value: Any) -> tuple[float, float]:
