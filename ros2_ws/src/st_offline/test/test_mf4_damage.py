@@ -30,6 +30,7 @@ def places(data: bytes) -> dict[str, int]:
     return {
         "next data group": groups + 24, "size of identifiers": groups + 56, "next group": group + 24,
         "count": group + 80, "flags": group + 88, "size": group + 96, "next channel": time + 24, "kind": time + 88,
+        "type of time": time + 90,
         "times": conversion + 80, "factor": conversion + 88, "byte": member + 92, "bits": member + 96,
         "bit": member + 91, "data type": member + 90, "name": link(data, member, 2) + 24, "frame": frame,
         "composition": frame + 32, "data group": groups, "records": records,
@@ -61,7 +62,9 @@ def damaged(tmp_path: Path, place: str, layout: str, value: object) -> Path:
         ("next channel", "<Q", 0, "the log holds no CAN frames"),
         ("next channel", "<Q", 2**63, "its index points to byte 9223372036854775808"),
         ("kind", "<B", 0, "its frames have no time"),
+        ("type of time", "<B", 15, "is the time and no real number"),
         ("factor", "<d", math.nan, "makes no times of its numbers"),
+        ("factor", "<d", 1e307, "the times of its frames are no times"),
         ("factor", "<d", 1e200, "the times of its frames are no times"),
         ("times", "<d", -1e12, "the times of its frames are no times"),
     ],

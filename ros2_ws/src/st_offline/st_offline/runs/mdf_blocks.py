@@ -18,7 +18,8 @@ _LONGEST_RECORD = 65536  # bytes; a CAN FD frame has some 90
 _MOST_CHANNELS = 10_000  # of a group; more are links in a circle
 _VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a channel group
 _VALUE_ELSEWHERE, _MASTER, _VIRTUAL = 1, 2, (3, 6)  # types of a channel
-_NUMBERS, _TEXTS_AND_BYTES = range(4), range(6, 13)  # data types: integers, and what may have a length of its own
+_NUMBERS, _REALS = range(4), range(6)  # data types: integers, and with them what has a point
+_TEXTS_AND_BYTES = range(6, 13)  # data types that may have a length of their own
 _INVALIDATION = 3  # flags of a channel: it looks at the invalidation bits of its record
 _LINEAR = (0, 1)  # conversions: none, offset and factor
 
@@ -166,8 +167,11 @@ class _Walk:
                 raise Damage(f"the channel at byte {block.at} has its values elsewhere and does not say where")
             if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # its group is in the chain of groups
                 self._records(block.links[5], b"SD")
-        if kind == _MASTER and block.links[4]:
-            self._conversion_of_time(block.links[4])
+        if kind == _MASTER:
+            if data_type not in _REALS:
+                raise Damage(f"the channel at byte {block.at} is the time and no real number")
+            if block.links[4]:
+                self._conversion_of_time(block.links[4])
 
     def _conversion_of_time(self, at: int) -> None:
         """asammdf reads a broken one as none: microseconds would be seconds. Groups share them."""

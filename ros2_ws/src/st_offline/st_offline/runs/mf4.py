@@ -196,9 +196,10 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
         raise Damage("its frames have no time")
     count = content.channel_group.cycles_nr
     for first in range(0, count, PIECE):
-        # Not more than there are: asammdf makes room for all it is asked for.
-        signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
-                         record_count=min(PIECE, count - first))
+        # Not more than there are: asammdf makes room for all it is asked for. Times out of range are found below.
+        with np.errstate(all="ignore"):
+            signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
+                             record_count=min(PIECE, count - first))
         yield _frames(name, signal, bus, start_ns)
 
 
