@@ -10,10 +10,11 @@ from functools import cache
 import numpy as np
 import pytest
 from st_core.augmented import augment
-from st_core.discovery import DiscoverySettings, discover
+from st_core.discovery import DiscoverySettings, choice, discover, several
 from st_core.discovery.choice import unsure
 from st_core.discovery.floor import noisier
 from st_core.discovery.manoeuvres import CATALOGUE, drive
+from st_core.discovery.study import Study
 from st_core.effects import EFFECTS, load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
@@ -182,6 +183,23 @@ def test_base_without_finite_predictions_is_refused_in_words(leaf, monkeypatch):
                         lambda windows, *_: np.full((len(windows), 3), np.nan))
     with pytest.raises(StCoreError, match="no finite prediction for 100% of the windows"):
         discover(log, leaf, settings=settings())
+
+
+@pytest.mark.parametrize(("beside", "outcomes"), [(np.inf, {"none"}), (-np.inf, {"unknown"})])
+def test_a_gain_without_a_name_is_a_gap_only_when_it_stands_out(leaf, monkeypatch, beside, outcomes):
+    monkeypatch.setattr(choice.Null, "threshold", lambda *_: 1e-9)
+    monkeypatch.setattr(Study, "credible", lambda *_: False)
+    monkeypatch.setattr(several, "SURELY", np.inf)
+    monkeypatch.setattr(several, "UNKNOWN_BESIDE", beside)
+    log, = recorded(leaf, {**HEALTHY, "steering_offset": {"angle": 0.01}}, 15, ("step",))
+    found = discover([log.slice(log.start_ns, log.start_ns + 15_000_000_000)], leaf, settings=settings(
+        effects=("steering_lag", "steering_offset"), maximum_effects=1))
+    assert found.outcome in outcomes
+    assert found.effects == ()
+    assert found.model is None
+    if found.outcome == "none":
+        assert "chosen" not in {c.verdict for c in found.candidates}
+        assert any("gains more" in text for text in found.warnings)
 
 
 def test_unknown_effect_name_is_refused():

@@ -12,7 +12,9 @@ from .space import Space
 from .study import Fit, Study
 
 TRIALS = 200
-USUALLY = 0.6  # gains of healthy cars on roads of their own, over those of a car and blocks drawn at random
+# Gains of healthy cars on roads of their own over those of a car and blocks drawn at random; these are too small where
+# the blocks are of the drives the floor was learnt from.
+USUALLY, USUALLY_SEEN = 0.6, 1.2
 TAIL = 2.4  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
 FALL_KNOWN = 1.0  # healthy runs TAIL counts as much as
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
@@ -69,8 +71,8 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
         some = rng.integers(0, len(gradient), blocks)
         h = hessian[some].sum(axis=0)
         drawn.append(gain(gradient[some].sum(axis=0) + h @ (root @ rng.standard_normal(len(space))), h))
-    middle, fall = USUALLY * float(np.median(drawn)), TAIL
     runs = np.unique(run) if run is not None else np.array([], int)
+    middle, fall = (USUALLY if len(runs) > 1 else USUALLY_SEEN) * float(np.median(drawn)), TAIL
     if len(runs) > 1:
         apart = np.array([gain(q.gradient[run == r].sum(axis=0) / scale, hessian[run == r].sum(axis=0)) for r in runs])
         middle = max(middle, float(np.median(apart)))

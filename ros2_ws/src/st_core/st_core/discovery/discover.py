@@ -111,13 +111,16 @@ class _Work:
         sure = gain > several.SURELY * limit or excess > several.UNKNOWN_BESIDE
         if gain > limit:
             found, level = several.search(study, fits, limit, settings.maximum_effects)
-            if several.unexplained(study, found[0], level, fits) or not study.credible(found[0]):
-                unknown, found = sure, found if sure else []
+            unknown = several.unexplained(study, found[0], level, fits)
+            if not unknown and not study.credible(found[0]):
+                unknown = sure
+                if not sure:
+                    self._leave_open(found.pop(0), "not by itself")
         elif excess > several.UNKNOWN_ALONE:
             unknown = True
         answer = found[0] if found else study.base
         rivals = several.rivals(study, answer, fits, gain) if found and not unknown else {}
-        outcome = self._outcome(answer, rivals, unknown, untestable, names)
+        outcome = self._outcome(answer, rivals, unknown, untestable, gain > limit)
         model, vector = None, floor.vector
         if answer.names and not unknown:
             vector = several.alone(study, answer)
@@ -125,9 +128,12 @@ class _Work:
         effects = tuple(self._effect(n, answer, vector, rivals, fits) for n in answer.names) if model else ()
         gaps = gap.measure(parts, self.vehicle, study, answer if model else study.base, vector, floor)
         if model and not gap.shrinks(gaps, bool(self.reference)):
-            self.warnings.append(f"{', '.join(answer.names)} fits best, but errors do not shrink with it")
             outcome, model, effects, rivals = "unknown" if sure else "none", None, (), {}
-            answer = answer if sure else study.base
+            if sure:
+                self.warnings.append(f"{', '.join(answer.names)} fits best, but errors do not shrink with it")
+            else:
+                self._leave_open(answer, "errors of other drives do not shrink with it")
+                answer = study.base
             gaps = gap.measure(parts, self.vehicle, study, study.base, floor.vector, floor)
         stated = {name for e in effects for name in (e.name, *e.alternatives)}
         untestable = tuple(n for n in untestable if n.name not in stated)
@@ -221,12 +227,17 @@ class _Work:
 
     # What is said
 
-    def _outcome(self, answer: Fit, rivals, unknown: bool, untestable, names):
+    def _leave_open(self, fit: Fit, why: str) -> None:
+        self.warnings.append(f"{', '.join(fit.names)} gains more than effects do on healthy drives, but {why}; "
+                             "too little stands out to call it a gap")
+
+    def _outcome(self, answer: Fit, rivals, unknown: bool, untestable, gained: bool):
         if unknown:
             return "unknown"
         if not answer.names:
+            names = self.space.hypotheses
             blind = {n.name for n in untestable} & set(names)
-            return "not_testable" if len(blind) > 0.6 * len(names) else "none"
+            return "not_testable" if not gained and len(blind) > 0.6 * len(names) else "none"
         if len(answer.names) > 1:
             return "several"
         return "ambiguous" if rivals.get(answer.names[0]) else "named"
@@ -253,6 +264,7 @@ class _Work:
 
     def _candidates(self, linear, fits, answer, rivals, study, null, untestable):
         blind = {n.name for n in untestable}
+        limit = null.threshold(self.settings.false_alarm)
         also = {other for others in rivals.values() for _, other in others}
         rows = []
         for name in sorted(self.space.hypotheses, key=lambda n: fits[n].cost if n in fits else 1e18 - linear[n]):
@@ -264,7 +276,7 @@ class _Work:
                       for i in self.space.indices(name)}
             verdict = ("chosen" if name in answer.names else "alternative" if name in also
                        else "not testable" if name in blind else "explains less" if answer.names
-                       else "no more than on healthy drives")
+                       else "no more than on healthy drives" if gain <= limit else "too little to be stated")
             share = gain / max(study.base.cost, 1e-9)
             rows.append(Candidate(name, values, float(share), null.probability(gain), verdict))
         return tuple(rows)

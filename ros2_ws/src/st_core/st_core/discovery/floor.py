@@ -26,6 +26,7 @@ GUESSED = ("lateral_load_transfer",)  # what a guessed sideslip looks like near 
 DOUBTFUL = 4.0  # usual sizes
 ROUNDS = 4
 LOST = 20.0
+FRESH = 1.4  # cost of a window of a new run over one of a run the floor was learnt from, where there is no other run
 NOISIER, NOISIEST = 1.3, 4.0  # ratios of variances: from where on it counts, and how far
 
 
@@ -133,11 +134,11 @@ def learn(windows: Windows, space: Space, drift: float, tick=None) -> Floor:
     inflation = max(float(np.median(inflation_of(q))), 1.0)
     posterior = np.linalg.inv(q.hessian.sum(0) / inflation + np.diag(1.0 / deviation**2))
     spread = posterior + np.diag(drifts(space, drift, "velocity_y" in windows.columns)**2)
-    run = windows.run[np.unique(windows.block, return_index=True)[1]]
+    run, fresh = windows.run[np.unique(windows.block, return_index=True)[1]], FRESH
     if len(np.unique(run)) > 1:
-        q = of_a_new_run(windows, space, x, rows, slopes, q, run, inflation, start, deviation)
+        q, fresh = of_a_new_run(windows, space, x, rows, slopes, q, run, inflation, start, deviation), 1.0
         inflation = max(float(np.median(inflation_of(q))), 1.0)
-    return Floor(x, how, spread, inflation, q, run, q.cost / np.maximum(q.windows, 1), _sizes(windows, rows))
+    return Floor(x, how, spread, inflation, q, run, fresh * q.cost / np.maximum(q.windows, 1), _sizes(windows, rows))
 
 
 def of_a_new_run(windows: Windows, space: Space, x: np.ndarray, rows: np.ndarray, slopes: np.ndarray, own: Quadratic,
@@ -145,22 +146,21 @@ def of_a_new_run(windows: Windows, space: Space, x: np.ndarray, rows: np.ndarray
     """What the blocks of the reference would cost had the floor not been learnt from them.
 
     Values and sizes of errors are fitted to a run that is looked at, so it looks better than the next one will. Left
-    out, each run is seen by the floor of the n - 1 others, worse than by that of n others; from the one to the other
-    the share (n - 1) / n is gone. By the slopes about x, nothing is predicted anew.
+    out, it is seen by the floor of the others, worse than by that of all: of the way from the one to the other as much
+    is gone as the others have of the windows. By the slopes about x, nothing is predicted anew.
     """
-    numbers = np.unique(run)
-    left_out = {name: getattr(own, name).astype(float) for name in ("cost", "gradient", "hessian")}
-    for number in numbers:
+    plain = np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0)
+    result = {name: getattr(own, name).astype(float) for name in ("cost", "gradient", "hessian")}
+    for number in np.unique(run):
         others, rest = run != number, windows.run != number
         d = solve_map(own.hessian[others].sum(0) / inflation, own.gradient[others].sum(0) / inflation, deviation,
                       (x - start) / space.scale, (space.low - x) / space.scale, (space.high - x) / space.scale)
-        moved = rows - np.einsum("p,pnm->nm", d, np.nan_to_num(slopes))
+        moved = rows - np.einsum("p,pnm->nm", d, plain)
         how = whitening(moved[rest], windows.condition[rest], least(windows), windows.scored)
-        seen = quadratic(moved, slopes, windows, how)
-        for name, values in left_out.items():
-            values[~others] = getattr(seen, name)[~others]
-    share = (len(numbers) - 1) / len(numbers)
-    return Quadratic(*(getattr(own, n) + share * (v - getattr(own, n)) for n, v in left_out.items()), own.windows)
+        left_out = quadratic(moved, slopes, windows, how)
+        for name, values in result.items():
+            values[~others] += rest.mean() * (getattr(left_out, name) - values)[~others]
+    return Quadratic(**result, windows=own.windows)
 
 
 def assumed(windows: Windows, space: Space, tick=None) -> Floor:
@@ -182,7 +182,7 @@ def assumed(windows: Windows, space: Space, tick=None) -> Floor:
     how = whitening(rows, windows.condition, usual(windows) * 0.3, windows.scored)
     q = quadratic(rows, jacobian(windows, space, x, rows, tick=tick), windows, how)
     inflation = max(float(np.median(inflation_of(q))), 2.0)
-    return Floor(start, how, np.diag(deviation**2), inflation, None, None, q.cost / np.maximum(q.windows, 1),
+    return Floor(start, how, np.diag(deviation**2), inflation, None, None, FRESH * q.cost / np.maximum(q.windows, 1),
                  _sizes(windows, rows))
 
 

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from . import choice
+from . import choice, testable
 from .study import Fit, Study
 
 SHARE, SHARE_OF_LITTLE = 0.05, 0.08  # of the whole gain another effect must bring; where little is left to explain
@@ -42,7 +42,7 @@ def search(study: Study, fits: Mapping[str, Fit], limit: float, most: int) -> tu
         better = _joined(study, answer, fits, need)
         if better is None or answer.cost - better.cost < need or not study.credible(better):
             break
-        answer = _without_idle(study, better, need)
+        answer = _without_still(study, _without_idle(study, better, need))
         if len(answer.names) == 1:
             break
     return [answer], excess(study, answer)
@@ -73,6 +73,18 @@ def _without_idle(study: Study, fit: Fit, need: float) -> Fit:
         smaller = study.fit(rest, study.start_of(rest, {}, fit))
         if smaller.cost - fit.cost < need:
             return _without_idle(study, smaller, need) if len(rest) > 1 else smaller
+    return fit
+
+
+def _without_still(study: Study, fit: Fit) -> Fit:
+    """The fit without effects that stay where a healthy car has them once nothing else may move with them."""
+    change = (alone(study, fit) - study.floor.vector) / study.space.scale
+    free = study.space.indices(*fit.names)
+    moved = np.abs(change[free]) > testable.deviations(study, fit.quadratic, fit.names)
+    for name in fit.names:
+        if len(fit.names) > 1 and not moved[np.isin(free, study.space.indices(name))].any():
+            rest = tuple(n for n in fit.names if n != name)
+            return _without_still(study, study.fit(rest, study.start_of(rest, {}, fit)))
     return fit
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from st_core.discovery import Discovery, FittedParameter, FoundEffect, Gap, WhereStatement
+from st_core.discovery import Discovery, DiscoverySettings, FittedParameter, FoundEffect, Gap, WhereStatement
 from st_core.effects import EFFECTS
 
 CHANNEL = {"velocity_y": "lateral velocity", "yaw_rate": "yaw rate", "acceleration_y": "lateral acceleration",
@@ -50,6 +50,8 @@ def values(effect: FoundEffect) -> str:
 def title(found: Discovery) -> str:
     """The verdict in a line."""
     names = [plain(e.name) for e in found.effects]
+    if found.outcome == "none" and found.p < DiscoverySettings().false_alarm:
+        return "No missing effect is stated: hardly more than healthy drives show"
     if found.outcome == "none":
         return "No missing effect: nothing beyond what is to be expected"
     if found.outcome == "not_testable":
