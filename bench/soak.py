@@ -123,16 +123,15 @@ def recorded(folder: Path) -> dict[str, np.ndarray]:
 
 
 def unexplained(sent_ns: np.ndarray, recorded_ns: np.ndarray, began_ns: int, when: list, minutes: float) -> int:
-    """How many fewer were recorded than sent in those seconds in which no fault was in, nor shortly before.
-
-    Counts of two clocks may differ by one at the edges of a second: what is within two in a hundred is none.
-    """
-    edges = began_ns + np.arange(0, int(60 * minutes)) * 10**9
+    """How many fewer were recorded than sent while no fault was in, nor shortly before, summed over each such stretch:
+    a packet or two may fall on the other side of its edge."""
+    edges = began_ns + np.arange(0, int(60 * minutes) + 1) * 10**9
     missing = np.histogram(sent_ns, edges)[0] - np.histogram(recorded_ns, edges)[0]
-    second = np.arange(len(missing))
+    second, calm = np.arange(len(missing)), np.ones(len(missing), bool)
     for begin, end in when:
-        missing[(second >= 60 * begin - 2) & (second <= 60 * end + AFTERWARDS)] = 0
-    return int(missing[np.abs(missing) > 5].sum())
+        calm &= (second < 60 * begin - 2) | (second > 60 * end + AFTERWARDS)
+    stretches = np.split(np.where(calm, missing, 0), np.flatnonzero(np.diff(calm)) + 1)
+    return int(sum(lost for s in stretches if (lost := s.sum()) > 2))
 
 
 def slope(minutes: list[float], values: list[float]) -> float:
@@ -145,7 +144,7 @@ def slope(minutes: list[float], values: list[float]) -> float:
     return float(np.polyfit(t[life], v[life], 1)[0] * 60) if len(life) > 12 else float("nan")
 
 
-def draw(samples: Samples, found: dict, when: list[float], began_ns: int) -> None:
+def draw(samples: Samples, found: dict, when: list[tuple[float, float]], began_ns: int) -> None:
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -203,7 +202,7 @@ def run() -> dict:
         "statuses at the end": {k: v for k, v in statuses.items() if v}, "not well at the end": ill,
         "ncom sent": len(sent), "ncom recorded": len(found["packet_ns"]),
         "ncom lost with no fault in": unexplained(sent, found["packet_ns"], began_ns, when, samples.minutes[-1]),
-        "longest silence in the recording, s": float(np.diff(np.sort(found["packet_ns"])).max()) * 1e-9,
+        "longest silence in the recording, s": float(np.diff(np.sort(found["packet_ns"])).max(initial=0)) * 1e-9,
         "can sent": frames_sent, "can recorded": int(found["frames"]),
         "predictions": len(ages), "predictions due": round(samples.minutes[-1] * 600),
         "age ms, first half": dict(zip(("p50", "p99"), np.percentile(ages[:half], (50, 99)).tolist(), strict=True)),
