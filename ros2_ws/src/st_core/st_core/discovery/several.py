@@ -42,7 +42,10 @@ def search(study: Study, fits: Mapping[str, Fit], limit: float, most: int) -> tu
         better = _joined(study, answer, fits, need)
         if better is None or answer.cost - better.cost < need or not study.credible(better):
             break
-        answer = _without_still(study, _without_idle(study, better, need))
+        better = _without_still(study, _without_idle(study, better, need))
+        if set(better.names) == set(answer.names):
+            break
+        answer = better
         if len(answer.names) == 1:
             break
     return [answer], excess(study, answer)
