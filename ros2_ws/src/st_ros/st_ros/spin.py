@@ -1,7 +1,6 @@
 """Start a node, spin it, and leave nothing behind: exit 0 on SIGINT or SIGTERM, 2 on a wrong configuration."""
 
 import atexit
-import os
 import signal
 import sys
 from collections.abc import Callable
@@ -18,9 +17,6 @@ from .parameters import ConfigurationError
 
 # How long a signal may wait for the executor to come back [s].
 WAKE_PERIOD = 0.1
-# Fast DDS' shared memory: after a node was killed, others may go on writing into its segment for good, and the node
-# started in its place hears nothing from them though all is matched (eProsima/Fast-DDS issues 5053, 5469).
-os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 
 def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> int:
