@@ -171,7 +171,8 @@ def _watch(
             elif time.monotonic() - last_line >= QUIET_REFRESH:
                 last_line = time.monotonic()
                 console.print(Text(f"{title}: {elapsed:.0f} s; {live_view.ticks(monitor.heard)}"), soft_wrap=True)
-                console.print(live_view.health(monitor.heard), soft_wrap=True, end="")
+                if said := live_view.health(monitor.heard).plain.rstrip():
+                    console.print(Text(said), soft_wrap=True)
     return ""
 
 
