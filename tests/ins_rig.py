@@ -18,6 +18,7 @@ from ros_processes import executable, free_domain
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix, TimeReference
 from st_msgs.msg import InsStatus, Ncom, Trigger
+from st_offline import transport
 from tf2_msgs.msg import TFMessage
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -39,9 +40,8 @@ TOPICS = {
 
 def launch(parameters: dict, log_folder: Path, domain: int) -> subprocess.Popen:
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    environment = os.environ | {
+    environment = os.environ | transport.loopback(os.environ) | {
         "ROS_DOMAIN_ID": str(domain),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": str(log_folder),
     }
     command = [executable("oxts_bridge", "oxts_bridge"), "--ros-args", *words]

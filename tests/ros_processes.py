@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from st_offline import transport
 from support import ROOT
 
 
@@ -41,9 +42,8 @@ class Processes:
     def __init__(self, folder: Path):
         """folder: for logs, as NAME.log."""
         self.folder = folder
-        self.environment = os.environ | {
-            "ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_LOG_DIR": str(folder / "ros_log"),
+        self.environment = os.environ | transport.loopback(os.environ) | {
+            "ROS_DOMAIN_ID": str(free_domain()), "ROS_LOG_DIR": str(folder / "ros_log"),
         }
         self._running: list[subprocess.Popen] = []
 

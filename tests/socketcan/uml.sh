@@ -33,9 +33,10 @@ python=$(command -v python3)
 quoted() { printf '%q ' "$@"; echo; }
 {
     echo '#!/bin/bash'
-    for name in PATH PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH ST_ENVIRONMENT ST_WORKSPACE ROS_DISTRO _ROS_WHEELS_BOOTSTRAP_COMPLETE
+    for name in PATH PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH ST_ENVIRONMENT ST_WORKSPACE ROS_DISTRO _ROS_WHEELS_BOOTSTRAP_COMPLETE \
+        ROS_AUTOMATIC_DISCOVERY_RANGE FASTRTPS_DEFAULT_PROFILES_FILE
     do [ -z "${!name:-}" ] || printf 'export %s=%q\n' "$name" "${!name}"; done
-    echo 'export HOME=/run TMPDIR=/run LANG=C.UTF-8 PYTHONDONTWRITEBYTECODE=1 ROS_LOG_DIR=/run/ros ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST'
+    echo 'export HOME=/run TMPDIR=/run LANG=C.UTF-8 PYTHONDONTWRITEBYTECODE=1 ROS_LOG_DIR=/run/ros'
     echo 'mount -t proc p /proc; mount -t sysfs s /sys; mount -t tmpfs t /run; mkdir -p /dev/shm; mount -t tmpfs t /dev/shm'
     quoted mount -t hostfs none "$out" -o "$out,rw"
     quoted touch "$out/started"

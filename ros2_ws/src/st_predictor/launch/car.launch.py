@@ -3,10 +3,11 @@
     ros2 launch st_predictor car.launch.py config_dir:=/path/to/config can_channel:=can0 ncom_port:=3000
 """
 
+import os
 from datetime import UTC, datetime
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -44,7 +45,10 @@ def generate_launch_description():
     drawn = {"condition": IfCondition(LaunchConfiguration("markers"))}
     tracked = {"condition": IfCondition(LaunchConfiguration("identify"))}
     bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}
+    # Over Fast DDS' shared memory a node that is started again may stay deaf (docs/reliability.md, Transport).
+    transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     return LaunchDescription([
+        SetEnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", transports),
         argument("config_dir", "folder with nodes.yaml, vehicle/ and can/ (config/ of the repository)"),
         argument("vehicle", "vehicle file", [CONFIG, "/vehicle/leaf.yaml"]),
         argument("parameters", "node parameters", [CONFIG, "/nodes.yaml"]),

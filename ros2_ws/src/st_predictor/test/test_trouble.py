@@ -131,6 +131,21 @@ def test_odometry_in_another_frame_is_refused(processes: Processes) -> None:
 
 
 @pytest.mark.slow
+def test_recorder_names_the_node_that_it_does_not_hear(processes: Processes) -> None:
+    predictor = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}")
+    recording, bag = recorder(processes)
+    feed(processes, "--subscribers", "2", "--duration", "3")
+    predictor.send_signal(signal.SIGSTOP)  # what it published stays matched
+    wait_for(lambda: "nothing recorded from predictor" in processes.log("recorder"), what="the silence is told")
+    predictor.send_signal(signal.SIGCONT)
+    wait_for(lambda: "all that publish are heard" in processes.log("recorder"), what="and its end")
+    assert [processes.stop(p) for p in (predictor, recording)] == [0, 0]
+    said = health(read_messages(bag))["recorder: senders"]
+    assert {level for _, level, _ in said} == {OK, WARN}
+    assert not [text for _, level, text in said if level == WARN and "predictor" not in text]
+
+
+@pytest.mark.slow
 def test_overrun_skips_ticks_and_queues_none(processes: Processes) -> None:
     """6000 steps of three models do not fit into 50 ms; the evaluator notices that its vehicle is another one."""
     predictor = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}", "horizon:=60.0", "step:=0.01",

@@ -3,6 +3,7 @@
 import atexit
 import signal
 import sys
+import time
 from collections.abc import Callable
 from types import FrameType
 
@@ -10,20 +11,22 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 
 from .parameters import ConfigurationError
 
 # How long a signal may wait for the executor to come back [s].
 WAKE_PERIOD = 0.1
+# How long a node waits at its end until its subscribers have all it published [s]. Of what got lost over UDP Fast DDS
+# tells with its next heartbeat, every 3 s; ros2 launch loses patience after 5 s.
+LAST_WORDS = 4.0
 
 
 def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> int:
     """Spin the node until it is told to stop.
 
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
-    once before it is destroyed; it can still publish).
+    once before it is destroyed; it can still publish). What it published is waited for, at most `LAST_WORDS`.
     """
     stop = _StopRequest()
     node = executor = None
@@ -49,6 +52,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
         if node is not None:
             if hasattr(node, "close"):
                 node.close()
+            _settle(node)
             status = status or getattr(node, "exit_status", 0)
             if executor is not None:
                 # Left to the interpreter's exit, its destructor may find the context gone and complain.
@@ -58,10 +62,11 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
     return status
 
 
-def settle(*publishers: Publisher, seconds: float = 0.5) -> None:
-    """For `close()`: wait until the subscribers have what was published, at most `seconds` each."""
-    for publisher in publishers:
-        publisher.wait_for_all_acked(Duration(seconds=seconds))
+def _settle(node: Node) -> None:
+    """Wait until the reliable subscribers have what was published."""
+    end = time.monotonic() + LAST_WORDS
+    for publisher in node.publishers:
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
 
 class _StopRequest:

@@ -42,7 +42,6 @@ TALKER = """
 
         def close(self):
             self.publisher.publish(Int64(data=-1))
-            spin.settle(self.publisher)
             print("closed", flush=True)
 
     sys.exit(spin.run(Talker))

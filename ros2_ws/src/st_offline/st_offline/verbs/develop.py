@@ -9,6 +9,7 @@ from typing import NoReturn
 
 import typer
 
+from .. import transport
 from ..paths import project_root
 
 
@@ -21,7 +22,7 @@ def test(
     # Failed, broken and skipped tests are listed with their reasons; cores are few, so tests run one after another.
     command = [sys.executable, "-m", "pytest", "-rfEs", "-q", *(["-m", "not slow"] if fast else []), *context.args]
     with tempfile.TemporaryDirectory(prefix="st-test-") as logs:
-        environment = {**os.environ, "ROS_LOG_DIR": logs, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        environment = {**os.environ, **transport.loopback(os.environ), "ROS_LOG_DIR": logs}
         raise typer.Exit(subprocess.run(command, cwd=root, env=environment, check=False).returncode)
 
 

@@ -158,7 +158,6 @@ class EvaluatorNode(Node):
         self._work()
         self._publish_scores(self._core.flush())
         self._publish_summary()
-        spin.settle(self._error_publisher, self._summary_publisher)
         if self._bag:
             self._bag.close()
             if self._bag.error:

@@ -124,7 +124,6 @@ class IdentifierNode(Node):
     def close(self) -> None:
         self._drain()
         self._publish()
-        spin.settle(self._publisher)
 
 
 def main() -> int:

@@ -141,7 +141,6 @@ class PredictorNode(Node):
 
     def close(self) -> None:
         self._publish_status()
-        spin.settle(self._status_publisher)
 
 
 def main() -> int:

@@ -24,6 +24,7 @@ from .. import convert, params
 from ..definitions import UnknownTypeError
 from ..mcap import Qos
 from ._bag import open_bag, recording_check
+from ._heard import DIAGNOSTICS, Heard
 
 # The queues are emptied this often; each message carries the time it arrived.
 WORK_PERIOD = 0.05
@@ -48,6 +49,7 @@ class RecorderNode(Node):
         self._recorded: dict[str, tuple[PolledSubscription, int]] = {}
         self._announced: dict[str, tuple[str, list[Qos]]] = {}
         self._refused: dict[str, str] = {}
+        self._heard = Heard(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WORK_PERIOD, self._work, clock=steady)
@@ -85,11 +87,12 @@ class RecorderNode(Node):
         self._announced[topic] = announced
 
     def _work(self) -> None:
-        write = self._bag.write
-        for subscription, number in self._recorded.values():
+        write, heard = self._bag.write, self._heard.arrived
+        for topic, (subscription, number) in self._recorded.items():
             for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
                 log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
                 write(number, data, log_ns, sent_ns or log_ns)
+                heard(topic, data)
         self._bag.flush_when_due()
         if self._bag.error and self._values.number_when_taken:
             self._resume()
@@ -118,7 +121,17 @@ class RecorderNode(Node):
         elif not self._recorded:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
         topics = Check("topics", level, text, {"topics": len(self._recorded)})
-        return [recording_check(self._bag, self._stopped), topics]
+        return [recording_check(self._bag, self._stopped), topics, self._senders_check()]
+
+    def _senders_check(self) -> Check:
+        if DIAGNOSTICS not in self._recorded:
+            return Check("senders", diagnostics.OK, f"not judged: {DIAGNOSTICS} is not recorded")
+        self._work()  # what waits counts as heard, should this node itself have been held up
+        silent = self._heard.silent(self._recorded)
+        if silent:
+            words = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
+            return Check("senders", diagnostics.WARN, f"nothing recorded from {words}, nor a word on /diagnostics")
+        return Check("senders", diagnostics.OK, "all that publish are heard")
 
     @property
     def exit_status(self) -> int:
