@@ -25,6 +25,8 @@ OUR_SIGNALS = {
     "gps_time": "s", "gps_utc_offset": "s",
 }
 ANGLES = frozenset({"ins_yaw"})
+# Factors and offsets beyond cannot be meant.
+LARGEST = 1e12
 
 # DBC unit -> (our unit, factor).
 UNITS = {
@@ -179,6 +181,7 @@ def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
     row.only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
     if dbc.is_multiplexed() or dbc.is_container:
         raise TableError(f"{dbc_path}: {dbc.name} is multiplexed or a container; the table takes plain messages only")
+    _check_layout(dbc, dbc_path)
     rows = row.entry("signals")
     signals = tuple(_signal(rows.entry(name), _find(dbc, name, dbc_path, row), dbc_path) for name in rows)
     _check_time_parts(rows, signals)
@@ -193,6 +196,15 @@ def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
         fill={name: fill.integer(name, 0, 2 ** _find(dbc, name, dbc_path, row).length - 1) for name in fill or ()},
         samples=tuple(_sample(s, dbc, signals, dbc_path) for s in row.entries("samples")),
     )
+
+
+def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
+    """Raises TableError for what cantools takes and fails on with the first frame."""
+    for signal in dbc.signals:
+        if signal.start < 0:
+            raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start}; 0 or more wanted")
+        if not all(abs(number) <= LARGEST for number in (signal.scale, signal.offset)):
+            raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {LARGEST:g}")
 
 
 def _find(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:

@@ -37,8 +37,8 @@ def executable() -> str:
 
 def launch(parameters, log_folder) -> subprocess.Popen:
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    environment = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-                                "ROS_LOG_DIR": str(log_folder)}
+    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | os.environ | {
+        "ROS_DOMAIN_ID": str(DOMAIN), "ROS_LOG_DIR": str(log_folder)}
     return subprocess.Popen([executable(), "--ros-args", *words], env=environment, text=True,
                             stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
