@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..effects import get_effect
-from .floor import Floor
+from .floor import Floor, precision
 from .quadratic import Quadratic
 from .space import Space
 from .study import Fit, Study
@@ -15,20 +15,12 @@ TRIALS = 200
 # Gains of healthy cars on roads of their own over those of a car and blocks drawn at random; these are too small where
 # the blocks are of the drives the floor was learnt from.
 USUALLY, USUALLY_SEEN = 0.6, 1.2
-TAIL = 2.4  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
+TAIL = 1.9  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
 FALL_KNOWN = 1.0  # healthy runs TAIL counts as much as
+FEW = 2.0  # where gains of healthy runs fall off more slowly: how much more slowly others may; a few are all there are
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
 RELATIVE = 0.02  # of the gain, for what the library's equations are not the car's
 RELATIVE_TWINS = 0.08  # the same for effects that the registry calls twins
-
-
-def precision(spread: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Of the deviations from the floor when those in `free` may be anything."""
-    rest = np.setdiff1d(np.arange(len(spread)), free)
-    result = np.zeros_like(spread)
-    result[np.ix_(rest, rest)] = np.linalg.inv(spread[np.ix_(rest, rest)])
-    result[free, free] = 1e-6
-    return result
 
 
 @dataclass(frozen=True)
@@ -77,7 +69,8 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
         apart = np.array([gain(q.gradient[run == r].sum(axis=0) / scale, hessian[run == r].sum(axis=0)) for r in runs])
         middle = max(middle, float(np.median(apart)))
         beyond = apart[apart > middle] - middle
-        fall = max(fall, (FALL_KNOWN * fall + float(beyond.sum())) / (FALL_KNOWN + len(beyond)))
+        known = (FALL_KNOWN * fall + float(beyond.sum())) / (FALL_KNOWN + len(beyond))
+        fall += FEW * max(known - fall, 0.0)
     return Null(middle, fall)
 
 

@@ -97,7 +97,7 @@ class _Work:
         tried = sorted(names, key=linear.get, reverse=True)[:TRIED]
         fits = self.fits = {}
         for i, name in enumerate(tried):
-            fits[name] = study.fit((name,))
+            fits[name] = study.no_worse_than_base((name,))
             self._say("fits", i + 1, len(tried))
             if i >= 2 and linear[name] < 0.1 * (study.base.cost - min(f.cost for f in fits.values())):
                 break
@@ -139,6 +139,8 @@ class _Work:
         untestable = tuple(n for n in untestable if n.name not in stated)
         lost = astray(windows, study.rows)
         if lost > ASTRAY and model is None:
+            if not self.reference or excess > several.UNKNOWN_BESIDE:
+                outcome = "unknown"
             self.warnings.append(f"the base model is lost in {lost:.0%} of the windows: it diverges, is not of this "
                                  "car, or something large is wrong; check base and vehicle file")
         separable = tuple(self._separability(rivals, fits)) if model else ()

@@ -88,6 +88,15 @@ def drifts(space: Space, drift: float, with_vy: bool) -> np.ndarray:
     return result
 
 
+def precision(spread: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Of the deviations from the floor when those in `free` may be anything."""
+    rest = np.setdiff1d(np.arange(len(spread)), free)
+    result = np.zeros_like(spread)
+    result[np.ix_(rest, rest)] = np.linalg.inv(spread[np.ix_(rest, rest)])
+    result[free, free] = 1e-6
+    return result
+
+
 def solve_map(hessian: np.ndarray, gradient: np.ndarray, deviation: np.ndarray, at: np.ndarray,
               low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The step from `at` (deviations from the prior mean) to the most likely point with low <= step <= high."""

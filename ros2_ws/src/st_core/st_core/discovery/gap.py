@@ -35,11 +35,11 @@ def split(runs: Sequence[DriveLog], settings: DiscoverySettings) -> Parts:
         used = [run for i, run in enumerate(runs) if i not in held]
         kept = [runs[i] for i in held]
         said = Split(tuple(r.name for r in used), tuple(r.name for r in used), tuple(r.name for r in kept),
-                     "held-out runs served nothing else; of the others each selects on values fitted to the rest")
+                     "held-out runs served nothing else")
         return Parts(used, kept, said)
     if len(runs) > 1:
-        return Parts(runs, [], Split(names, names, names, "too few runs to hold one out: each is predicted, selected "
-                                     "and reported on with values fitted to the others"))
+        return Parts(runs, [], Split(names, names, names, "too few runs to hold one out: each is predicted and "
+                                     "reported on with values fitted to the others"))
     return Parts(runs, [], Split(names, names, names, f"one run only: blocks of {settings.block:g} s are "
                                  "predicted with values fitted to the other half of the blocks"))
 

@@ -46,13 +46,6 @@ class Quadratic:
         """(b,) cost of each block at d."""
         return self.cost - 2.0 * self.gradient @ d + np.einsum("i,bij,j->b", d, self.hessian, d)
 
-    def gradient_at(self, d: np.ndarray) -> np.ndarray:
-        return self.gradient - self.hessian @ d
-
-    def moved(self, d: np.ndarray) -> "Quadratic":
-        """About another point."""
-        return Quadratic(self.at(d), self.gradient_at(d), self.hessian, self.windows)
-
 
 def row_errors(windows: Windows, space: Space, vector: np.ndarray) -> np.ndarray:
     """(n, m): all errors of a window in a row."""

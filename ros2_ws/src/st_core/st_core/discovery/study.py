@@ -6,12 +6,13 @@ from functools import cached_property
 
 import numpy as np
 
-from .floor import Floor, solve_map
+from .floor import Floor, precision, solve_map
 from .quadratic import Quadratic, costs, jacobian, quadratic, row_errors, whitened
 from .space import Space
 from .windows import Windows
 
-ITERATIONS = 3
+ITERATIONS, RENEWALS = 10, 2
+SETTLED, STUCK = 0.5, 3.0  # twice the log-likelihood: a step that gains less is the last, unless as much is promised
 ALONE = 0.5  # share of a gain that must not need a healthy car's values to move as well
 ANYWAY = 0.4  # share of a gain that counts at the least, however much of it the base has as well
 ALONE_UNREFERENCED = 0.25  # the same without a reference, where a healthy car may be further from its file
@@ -20,14 +21,12 @@ ALONE_UNREFERENCED = 0.25  # the same without a reference, where a healthy car m
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A hypothesis fitted. names: effects freed, () for the base. vector: where. quadratic: about it. cost: of the
-    fit, priors included, over the inflation. held_out: (b,) cost of each block with values fitted to the other folds,
-    over the inflation."""
+    fit, priors included, over the inflation."""
 
     names: tuple[str, ...]
     vector: np.ndarray
     quadratic: Quadratic
     cost: float
-    held_out: np.ndarray
 
 
 class Study:
@@ -45,16 +44,12 @@ class Study:
 
     def precision(self, free: np.ndarray) -> np.ndarray:
         """Of the deviations from the floor when those in `free` may be anything."""
-        rest = np.setdiff1d(np.arange(len(self.space)), free)
-        result = np.zeros((len(self.space),) * 2)
-        result[np.ix_(rest, rest)] = np.linalg.inv(self.floor.spread[np.ix_(rest, rest)])
-        result[free, free] = 1e-6
-        return result
+        return precision(self.floor.spread, free)
 
-    def solve(self, q: Quadratic, precision: np.ndarray, about: np.ndarray, blocks=slice(None)) -> np.ndarray:
+    def solve(self, q: Quadratic, precision: np.ndarray, about: np.ndarray) -> np.ndarray:
         """Deviation that fits best, from a quadratic about the deviation `about`; within the bounds."""
         scale = self.floor.inflation
-        h, g = q.hessian[blocks].sum(0) / scale, q.gradient[blocks].sum(0) / scale
+        h, g = q.hessian.sum(0) / scale, q.gradient.sum(0) / scale
         return about + bounded(h + precision, g - precision @ about, self.low - about, self.high - about)
 
     def linear(self, names: Iterable[str]) -> tuple[np.ndarray, float]:
@@ -89,35 +84,54 @@ class Study:
         return float(each.sum() / self.floor.inflation + d @ weight @ d)
 
     def fit(self, names: Iterable[str], start: np.ndarray | None = None) -> Fit:
-        """Gauss-Newton; slopes of what is freed are renewed at each step, those of the rest are the floor's."""
+        """Gauss-Newton. At each step the slopes of what is freed are renewed, those of the rest corrected by what the
+        step did; where that leads nowhere though more is promised, all are renewed."""
         names = tuple(names)
         free = self.space.indices(*names)
         weight = self.precision(free)
         d = self.linear(names)[0] if start is None else start
         slopes, rows, cost = self.slopes, self.rows, self.total(self.rows, np.zeros(len(d)), weight)
-        about = np.zeros(len(d))
-        q = self.quadratic
-        for _ in range(ITERATIONS if names else 2):
-            moved, trial, lower = None, None, cost
-            for share in (1.0, 0.5, 0.2):
-                candidate = about + share * (d - about)
-                trial = row_errors(self.windows, self.space, self.at(candidate))
-                value = self.total(trial, candidate, weight)
-                if value < lower:
-                    moved, lower = candidate, value
+        about, q, renewals = np.zeros(len(d)), self.quadratic, 0
+        exact, given = True, start is not None
+        for _ in range(ITERATIONS):
+            moved, trial, lower = self._step(about, d, cost, weight)
+            gained = cost - lower
+            if moved is not None:
+                slopes = secant(slopes, moved - about, rows - trial)
+                about, rows, cost = moved, trial, lower
+                if len(free):
+                    fresh = jacobian(self.windows, self.space, self.at(about), rows, free, self._tick)
+                    slopes[free] = fresh[free]
+                q, exact = quadratic(rows, slopes, self.windows, self.floor.how), False
+            elif exact and not given:
+                break  # the same step again
+            d, given = self.solve(q, weight, about), False
+            if gained < SETTLED and not exact:
+                promised = cost - float(q.at(d - about).sum() / self.floor.inflation + d @ weight @ d)
+                if renewals == RENEWALS or promised < STUCK:
                     break
-            if moved is None:
-                break
-            gained, about, rows, cost = cost - lower, moved, trial, lower
-            if len(free):
-                fresh = jacobian(self.windows, self.space, self.at(about), rows, free, self._tick)
-                slopes = slopes.copy()
-                slopes[free] = fresh[free]
-            q = quadratic(rows, slopes, self.windows, self.floor.how)
-            if gained < 0.5:
-                break
-            d = self.solve(q, weight, about)
-        return Fit(names, self.at(about), q, cost, self._held_out(q, weight, about))
+                renewals, exact = renewals + 1, True
+                slopes = jacobian(self.windows, self.space, self.at(about), rows, tick=self._tick)
+                q = quadratic(rows, slopes, self.windows, self.floor.how)
+                d = self.solve(q, weight, about)
+        return Fit(names, self.at(about), q, cost)
+
+    def no_worse_than_base(self, names: tuple[str, ...]) -> Fit:
+        """A fit; where it ends above the base, which is the same with less freedom, another from there."""
+        fit = self.fit(names)
+        if fit.cost <= self.base.cost:
+            return fit
+        return min(fit, self.fit(names, self.deviation(self.base)), key=lambda each: each.cost)
+
+    def _step(self, about: np.ndarray, towards: np.ndarray, cost: float, weight: np.ndarray):
+        """(deviation, errors there, cost) on the way to a point where the cost falls; (None, None, cost) if nowhere."""
+        for share in (1.0, 0.5, 0.2):
+            candidate = about + share * (towards - about)
+            trial = row_errors(self.windows, self.space, self.at(candidate))
+            value = self.total(trial, candidate, weight)
+            if value < cost:
+                return candidate, trial, value
+        return None, None, cost
 
     def at(self, d: np.ndarray) -> np.ndarray:
         return self.space.inside(self.floor.vector + d * self.space.scale)
@@ -154,13 +168,13 @@ class Study:
     def deviation(self, fit: Fit) -> np.ndarray:
         return (fit.vector - self.floor.vector) / self.space.scale
 
-    def _held_out(self, q: Quadratic, weight: np.ndarray, about: np.ndarray) -> np.ndarray:
-        result = np.zeros(len(q.cost))
-        for fold in np.unique(self.folds):
-            mine = self.folds == fold
-            d = self.solve(q, weight, about, ~mine)
-            result[mine] = q.at(d - about)[mine] / self.floor.inflation
-        return result
+
+def secant(slopes: np.ndarray, step: np.ndarray, taken: np.ndarray) -> np.ndarray:
+    """Slopes (p, n, m) that give for this step (p,) what the errors (n, m) have just lost by it (Broyden's update)."""
+    known = np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0)
+    missed = taken - np.tensordot(step, known, 1)
+    missed[~np.isfinite(missed)] = 0.0  # a window that has just diverged, or come back, says nothing of slopes
+    return known + (step / max(float(step @ step), 1e-12))[:, None, None] * missed
 
 
 def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

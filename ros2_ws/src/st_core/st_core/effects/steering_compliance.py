@@ -13,7 +13,7 @@ class SteeringCompliance(Effect):
     physics = "delta = delta_measured - compliance F_front; understeer gradient + compliance m l_r / l"
     excited_by = "cornering near the limit; an exact twin of a softer front axle below 0.4 g"
     twins = ("front_stiffness", "roll_steer", "steering_ratio")
-    order = 90
+    order = 83  # inside steered_drive_force: the force of the tyres alone bends the suspension
     parameters = (
         Parameter("compliance", "rad/N", null=0.0, initial=1.0e-6, bounds=(0.0, 1.0e-5),
                   meaning="toe to the outside per lateral force of the front axle",
