@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from ..effects import get_effect
 from .floor import Floor, precision
@@ -15,9 +16,18 @@ TRIALS = 200
 # Gains of healthy cars on roads of their own over those of a car and blocks drawn at random; these are too small where
 # the blocks are of the drives the floor was learnt from.
 USUALLY, USUALLY_SEEN = 0.6, 1.2
-TAIL = 1.9  # gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many
-FALL_KNOWN = 1.0  # healthy runs TAIL counts as much as
-FEW = 2.0  # where gains of healthy runs fall off more slowly: how much more slowly others may; a few are all there are
+# Gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many; TAIL_AGREED
+# where it is known besides that a gain comes from all runs alike.
+TAIL, TAIL_AGREED = 1.9, 1.55
+# What an effect gains on a healthy run not seen before, mean over effects and runs. Up to SAME, car and road stay the
+# same; from CHANGING on they differ from run to run, and gains of that fall off SLOWER times as slowly. The largest
+# gains of a few runs do not foretell those of the next.
+SAME, CHANGING, SLOWER = 0.5, 1.2, 6.0
+# What is built in does not change by itself; gains of these fall off so many times as slowly there.
+BUILT_IN = {"steering_delay", "steering_lag", "sensor_lever_arm", "yaw_rate_scale", "speed_scale"}
+SLOWER_BUILT_IN = 3.0
+AGREED = 0.005  # probability of what runs say by chance: below that they agree in it
+DISAGREED = 0.6  # what a gain loses for each factor e above that, in units of the fall over TAIL_AGREED
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
 RELATIVE = 0.02  # of the gain, for what the library's equations are not the car's
 RELATIVE_TWINS = 0.08  # the same for effects that the registry calls twins
@@ -25,14 +35,25 @@ RELATIVE_TWINS = 0.08  # the same for effects that the registry calls twins
 
 @dataclass(frozen=True)
 class Null:
-    """What healthy data gain: half of them more than `middle`; above it the share falls off as exp(-gain / fall)."""
+    """What healthy data gain: half of them more than `middle`; above it the share falls off as exp(-gain / fall).
+
+    built_in: times as fast for what is built into the car. loss: of a gain for each factor e in what its runs say by
+    chance; 0 where that cannot be known.
+    """
 
     middle: float
     fall: float
+    built_in: float = 1.0
+    loss: float = 0.0
 
     def probability(self, gain: float) -> float:
         """That healthy data gain as much."""
         return float(0.5 * np.exp(min(-(gain - self.middle) / self.fall, np.log(2.0))))
+
+    def agreed(self, gain: float, names: Sequence[str], chance: float) -> float:
+        """A gain of effects as one of any effect in which the runs agree. chance: see `by_chance`."""
+        over = gain - self.middle - self.loss * float(np.log(max(chance, AGREED) / AGREED))
+        return self.middle + over * (self.built_in if BUILT_IN.issuperset(names) else 1.0)
 
     def threshold(self, false_alarm: float) -> float:
         """The gain at which `probability` is false_alarm."""
@@ -49,9 +70,9 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
     weights = np.stack([precision(floor.spread, space.indices(*group)) for group in ((), *((n,) for n in names))])
     scale = floor.inflation
 
-    def gain(g: np.ndarray, h: np.ndarray) -> float:
+    def gains(g: np.ndarray, h: np.ndarray) -> np.ndarray:
         explained = np.linalg.solve(h + weights, np.broadcast_to(g, (len(weights), len(g)))[..., None])[..., 0] @ g
-        return float((explained[1:] - explained[0]).max())
+        return explained[1:] - explained[0]
 
     hessian = q.hessian / scale
     # About the best point without prior and bounds: a block says nothing of what it does not show.
@@ -62,16 +83,50 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
     for _ in range(TRIALS):
         some = rng.integers(0, len(gradient), blocks)
         h = hessian[some].sum(axis=0)
-        drawn.append(gain(gradient[some].sum(axis=0) + h @ (root @ rng.standard_normal(len(space))), h))
+        drawn.append(gains(gradient[some].sum(axis=0) + h @ (root @ rng.standard_normal(len(space))), h).max())
     runs = np.unique(run) if run is not None else np.array([], int)
-    middle, fall = (USUALLY if len(runs) > 1 else USUALLY_SEEN) * float(np.median(drawn)), TAIL
-    if len(runs) > 1:
-        apart = np.array([gain(q.gradient[run == r].sum(axis=0) / scale, hessian[run == r].sum(axis=0)) for r in runs])
-        middle = max(middle, float(np.median(apart)))
-        beyond = apart[apart > middle] - middle
-        known = (FALL_KNOWN * fall + float(beyond.sum())) / (FALL_KNOWN + len(beyond))
-        fall += FEW * max(known - fall, 0.0)
-    return Null(middle, fall)
+    if len(runs) < 2:
+        return Null(USUALLY_SEEN * float(np.median(drawn)), TAIL)
+    apart = np.stack([gains(q.gradient[run == r].sum(axis=0) / scale, hessian[run == r].sum(axis=0)) for r in runs])
+    slower, slower_built_in = (float(np.interp(apart.mean(), (SAME, CHANGING), (1.0, most)))
+                               for most in (SLOWER, SLOWER_BUILT_IN))
+    middle = max(USUALLY * float(np.median(drawn)), float(np.median(apart.max(axis=1))))
+    return Null(middle, TAIL_AGREED * slower, slower / slower_built_in, DISAGREED * slower)
+
+
+def by_chance(fit: Fit, study: Study) -> float:
+    """Probability that runs of one car differ as much as those of the suspect and of the reference do.
+
+    Along the change d a fit makes of its own parameters each run says how much of it there is, 1 + d'g / d'Hd in a
+    suspect run and d'g / d'Hd in one of the reference, with variance inflation / d'Hd and what runs differ among
+    themselves (DerSimonian and Laird 1986). Two-sided t-test of the difference of the means.
+    """
+    own = study.space.indices(*fit.names)
+    d = study.deviation(fit)[own]
+    first = np.unique(study.windows.block, return_index=True)[1]
+    suspect = _said(fit.quadratic, study.windows.run[first], own, d, study.floor.inflation)
+    healthy = _said(study.floor.quadratic, study.floor.run, own, d, study.floor.inflation)
+    between, freedom = _between([suspect, healthy])
+    means = [np.average(v, weights=1.0 / (between + 1.0 / w)) for v, w in (suspect, healthy)]
+    variance = sum(1.0 / (1.0 / (between + 1.0 / w)).sum() for _, w in (suspect, healthy))
+    return float(2.0 * stats.t.sf(abs(1.0 + means[0] - means[1]) / np.sqrt(variance), freedom)) if freedom else 1.0
+
+
+def _said(q: Quadratic, run: np.ndarray, own: np.ndarray, d: np.ndarray, inflation: float):
+    """(values, their weights) of the runs."""
+    gradient, hessian = q.gradient[:, own] @ d, d @ q.hessian[:, own][:, :, own] @ d
+    runs = np.unique(run, return_inverse=True)[1]
+    weight = np.maximum(np.bincount(runs, hessian), 1e-12)
+    return np.bincount(runs, gradient) / weight, weight / inflation
+
+
+def _between(groups) -> tuple[float, int]:
+    """(variance between the runs of a group beyond what their weights say, degrees of freedom)."""
+    beyond, weight = 0.0, 0.0
+    for values, w in groups:
+        beyond += float(w @ np.square(values - np.average(values, weights=w))) - (len(w) - 1)
+        weight += float(w.sum() - np.square(w).sum() / w.sum())
+    return max(beyond / max(weight, 1e-12), 0.0), sum(len(w) - 1 for _, w in groups)
 
 
 def behind(fit: Fit, best: Fit, study: Study) -> tuple[float, float]:

@@ -103,24 +103,25 @@ class _Work:
                 break
         best = min(fits.values(), key=lambda fit: fit.cost)
         gain = study.base.cost - best.cost
-        p = null.probability(gain)
+        agreed = self._agreed(best)
+        p = null.probability(agreed)
         study.rate(fits.values())
         found: list[Fit] = []
         unknown, signature = False, ()
-        excess = several.excess(study, study.base)
-        sure = gain > several.SURELY * limit or excess > several.UNKNOWN_BESIDE
-        if gain > limit:
+        excess = several.excess(study, study.base, np.mean)
+        sure = agreed > several.SURELY * limit or excess > several.UNKNOWN_BESIDE
+        if agreed > limit:
             found, level = several.search(study, fits, limit, settings.maximum_effects)
             unknown = several.unexplained(study, found[0], level, fits)
             if not unknown and not study.credible(found[0]):
                 unknown = sure
                 if not sure:
                     self._leave_open(found.pop(0), "not by itself")
-        elif excess > several.UNKNOWN_ALONE:
+        elif excess > (several.UNKNOWN_BESIDE if gain > limit else several.UNKNOWN_ALONE):
             unknown = True
         answer = found[0] if found else study.base
         rivals = several.rivals(study, answer, fits, gain) if found and not unknown else {}
-        outcome = self._outcome(answer, rivals, unknown, untestable, gain > limit)
+        outcome = self._outcome(answer, rivals, unknown, untestable, agreed > limit)
         model, vector = None, floor.vector
         if answer.names and not unknown:
             vector = several.alone(study, answer)
@@ -229,6 +230,11 @@ class _Work:
 
     # What is said
 
+    def _agreed(self, fit: Fit) -> float:
+        """What a fit gains, without what that loses where the runs do not agree in it."""
+        gain = self.study.base.cost - fit.cost
+        return self.null.agreed(gain, fit.names, choice.by_chance(fit, self.study)) if self.null.loss else gain
+
     def _leave_open(self, fit: Fit, why: str) -> None:
         self.warnings.append(f"{', '.join(fit.names)} gains more than effects do on healthy drives, but {why}; "
                              "too little stands out to call it a gap")
@@ -272,15 +278,16 @@ class _Work:
         for name in sorted(self.space.hypotheses, key=lambda n: fits[n].cost if n in fits else 1e18 - linear[n]):
             fit = fits.get(name)
             gain = study.base.cost - fit.cost if fit else linear[name]
+            agreed = self._agreed(fit) if fit else gain
             vector = fit.vector if fit else self.space.inside(
                 self.floor.vector + study.linear((name,))[0] * self.space.scale)
             values = {self.space.free[i].parameter: float(self.space.free[i].null + vector[i] - self.floor.vector[i])
                       for i in self.space.indices(name)}
             verdict = ("chosen" if name in answer.names else "alternative" if name in also
                        else "not testable" if name in blind else "explains less" if answer.names
-                       else "no more than on healthy drives" if gain <= limit else "too little to be stated")
+                       else "no more than on healthy drives" if agreed <= limit else "too little to be stated")
             share = gain / max(study.base.cost, 1e-9)
-            rows.append(Candidate(name, values, float(share), null.probability(gain), verdict))
+            rows.append(Candidate(name, values, float(share), null.probability(agreed), verdict))
         return tuple(rows)
 
     def _where(self, floor: Floor) -> tuple[WhereStatement, ...]:

@@ -1,7 +1,7 @@
 """One effect or more: forward steps with everything fitted anew, effects taken out again and exchanged, and when to say
 that the library does not explain it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import combinations
 
 import numpy as np
@@ -14,19 +14,20 @@ FURTHER = 1.5  # times the gain the first effect needs: what that explains imper
 ENOUGH = 0.8  # share of the best gain at which an effect that does its work alone is preferred
 ORDINARY = 0.85  # excess of an ordinary healthy run
 PARTNERS = 8  # pairs fitted to the end
-UNKNOWN_ALONE = 1.8  # excess of a base no effect improves
-UNKNOWN_BESIDE, SURELY = 1.5, 2.0  # excess, or times the limit, from which a gain is a gap though no name holds
+UNKNOWN_ALONE = 1.7  # mean excess of a base no effect improves
+UNKNOWN_BESIDE, SURELY = 1.5, 2.2  # mean excess, or times the limit, from which a gain is a gap though no name holds
 UNKNOWN_LEFT = 1.5  # excess an explanation may leave
 LEAST, MOST = 0.2, 0.8  # shares of the excess an explanation takes away
 NEARLY = 0.7  # share of the best gain at which another name does nearly as well
 
 
-def excess(study: Study, fit: Fit) -> float:
-    """Cost of a typical window over that of a typical window of healthy driving [1]; what it costs to move a healthy
-    car's values so far is shared out."""
+def excess(study: Study, fit: Fit, over: Callable = np.median) -> float:
+    """Cost of a window over that of a window of healthy driving [1], each in the middle of the blocks, or their mean as `over`
+    says; what it costs to move a healthy car's values so far is shared out. The mean sees a gap in a few blocks only.
+    """
     q = fit.quadratic
     moved = max(fit.cost * study.floor.inflation - float(q.cost.sum()), 0.0) / max(int(q.windows.sum()), 1)
-    return float((np.median(q.cost / np.maximum(q.windows, 1)) + moved) / np.median(study.floor.level))
+    return float((over(q.cost / np.maximum(q.windows, 1)) + moved) / over(study.floor.level))
 
 
 def search(study: Study, fits: Mapping[str, Fit], limit: float, most: int) -> tuple[list[Fit], float]:

@@ -1,0 +1,80 @@
+"""When a gain is believed: what healthy runs gain, and whether the runs agree in it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+from st_core.discovery.choice import AGREED, BUILT_IN, SLOWER, SLOWER_BUILT_IN, TAIL, TAIL_AGREED, by_chance, null_of
+from st_core.discovery.quadratic import Quadratic
+
+SUSPECT, HEALTHY = np.array([0.9, 1.4, 1.0]), np.array([-0.3, 0.2, 0.1, 0.4])
+
+
+class Space:
+    """Two effects of one parameter each."""
+
+    def __len__(self) -> int:
+        return 2
+
+    def indices(self, *names: str) -> np.ndarray:
+        return np.array([i for i, name in enumerate("ab") if name in names], int)
+
+
+def saying(values: np.ndarray, weight: float, fitted: float = 0.0, blocks: int = 3) -> tuple[Quadratic, np.ndarray]:
+    """Runs of some blocks, each of which says its value of the first parameter with a weight; as seen from `fitted`."""
+    run = np.repeat(np.arange(len(values)), blocks)
+    hessian = np.tile(np.diag([weight, 1.0]) / blocks, (len(run), 1, 1))
+    gradient = np.stack([(values - fitted)[run] * weight / blocks, np.zeros(len(run))], axis=1)
+    return Quadratic(cost=np.zeros(len(run)), gradient=gradient, hessian=hessian, windows=np.full(len(run), 5)), run
+
+
+def studied(weight: float, inflation: float = 1.0, fitted: float = 1.0):
+    """A fit of the first effect at `fitted` and the study it is of."""
+    q, run = saying(SUSPECT, weight, fitted)
+    healthy, healthy_run = saying(HEALTHY, weight)
+    floor = SimpleNamespace(inflation=inflation, quadratic=healthy, run=healthy_run)
+    study = SimpleNamespace(space=Space(), floor=floor, deviation=lambda fit: np.array([fitted, 0.3]),
+                            windows=SimpleNamespace(block=np.arange(len(run)), run=run))
+    return SimpleNamespace(names=("a",), quadratic=q), study
+
+
+@pytest.mark.parametrize("fitted", [1.0, -0.4])
+def test_runs_that_scatter_are_compared_as_student_does(fitted):
+    """Where windows are sure of each run's value, only the scatter of the runs counts; from wherever it is seen."""
+    wanted = stats.ttest_ind(SUSPECT, HEALTHY, equal_var=True).pvalue
+    assert by_chance(*studied(1e7, fitted=fitted)) == pytest.approx(wanted, rel=1e-5)
+
+
+def test_runs_that_agree_within_noise_are_compared_by_the_noise():
+    weight, inflation = 2.0, 1.5
+    error = np.sqrt(inflation / weight * (1 / len(SUSPECT) + 1 / len(HEALTHY)))
+    z = (SUSPECT.mean() - HEALTHY.mean()) / error
+    wanted = 2.0 * stats.t.sf(z, len(SUSPECT) + len(HEALTHY) - 2)
+    assert by_chance(*studied(weight, inflation)) == pytest.approx(wanted, rel=1e-9)
+
+
+def null(values: np.ndarray):
+    q, run = saying(values, 50.0)
+    floor = SimpleNamespace(spread=0.04 * np.eye(2), inflation=1.0)
+    return null_of(q, run, floor, Space(), "ab", 9, np.random.default_rng(0))
+
+
+def test_gains_fall_off_more_slowly_where_healthy_runs_differ():
+    same, changing = null(np.array([0.01, -0.01, 0.02])), null(np.array([1.0, -1.2, 0.4]))
+    assert same.fall == pytest.approx(TAIL_AGREED)
+    assert changing.fall == pytest.approx(TAIL_AGREED * SLOWER)
+    assert changing.middle > same.middle
+    assert (same.built_in, changing.built_in) == (1.0, pytest.approx(SLOWER / SLOWER_BUILT_IN))
+    assert null(np.array([0.5])).fall == TAIL  # one run says nothing of others
+
+
+def test_a_gain_counts_less_where_runs_disagree_and_more_for_what_is_built_in():
+    changing = null(np.array([1.0, -1.2, 0.4]))
+    gain, built_in = changing.middle + 30.0, sorted(BUILT_IN)[:1]
+    in_all = changing.agreed(gain, ["a"], AGREED)
+    assert in_all == changing.agreed(gain, ["a"], 0.1 * AGREED) == pytest.approx(gain)
+    assert changing.agreed(gain, ["a"], 0.5) < changing.agreed(gain, ["a"], 0.05) < in_all
+    assert changing.agreed(gain, built_in, AGREED) == pytest.approx(changing.middle + 60.0)
+    assert changing.agreed(gain, [*built_in, "a"], AGREED) == in_all
+    assert changing.probability(changing.threshold(0.01)) == pytest.approx(0.01)
