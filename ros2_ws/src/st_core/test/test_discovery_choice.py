@@ -7,6 +7,8 @@ import pytest
 from scipy import stats
 from st_core.discovery.choice import AGREED, BUILT_IN, SLOWER, SLOWER_BUILT_IN, TAIL, TAIL_AGREED, by_chance, null_of
 from st_core.discovery.quadratic import Quadratic
+from st_core.discovery.several import excess
+from st_core.effects import EFFECTS
 
 SUSPECT, HEALTHY = np.array([0.9, 1.4, 1.0]), np.array([-0.3, 0.2, 0.1, 0.4])
 
@@ -72,9 +74,19 @@ def test_gains_fall_off_more_slowly_where_healthy_runs_differ():
 def test_a_gain_counts_less_where_runs_disagree_and_more_for_what_is_built_in():
     changing = null(np.array([1.0, -1.2, 0.4]))
     gain, built_in = changing.middle + 30.0, sorted(BUILT_IN)[:1]
-    in_all = changing.agreed(gain, ["a"], AGREED)
-    assert in_all == changing.agreed(gain, ["a"], 0.1 * AGREED) == pytest.approx(gain)
-    assert changing.agreed(gain, ["a"], 0.5) < changing.agreed(gain, ["a"], 0.05) < in_all
-    assert changing.agreed(gain, built_in, AGREED) == pytest.approx(changing.middle + 60.0)
-    assert changing.agreed(gain, [*built_in, "a"], AGREED) == in_all
+    in_all = changing.comparable(gain, ["a"], AGREED)
+    assert in_all == changing.comparable(gain, ["a"], 0.1 * AGREED) == pytest.approx(gain)
+    assert changing.comparable(gain, ["a"], 0.5) < changing.comparable(gain, ["a"], 0.05) < in_all
+    assert changing.comparable(gain, built_in, AGREED) == pytest.approx(changing.middle + 60.0)
+    assert changing.comparable(gain, [*built_in, "a"], AGREED) == in_all
+    assert set(EFFECTS) >= BUILT_IN
     assert changing.probability(changing.threshold(0.01)) == pytest.approx(0.01)
+
+
+def test_a_gap_in_few_blocks_shows_in_the_mean():
+    q, _ = saying(np.zeros(10), 1.0, blocks=1)
+    cost = np.where(np.arange(10) < 2, 40.0, 5.0)  # of 5 windows each
+    fit = SimpleNamespace(quadratic=Quadratic(cost, q.gradient, q.hessian, q.windows), cost=float(cost.sum()) / 2.0)
+    study = SimpleNamespace(floor=SimpleNamespace(inflation=2.0, level=np.ones(7)))
+    assert excess(study, fit) == pytest.approx(1.0)
+    assert excess(study, fit, np.mean) == pytest.approx((2 * 8.0 + 8 * 1.0) / 10)

@@ -52,7 +52,8 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
         if node is not None:
             if hasattr(node, "close"):
                 node.close()
-            _settle(node)
+            if rclpy.ok():
+                _settle(node)
             status = status or getattr(node, "exit_status", 0)
             if executor is not None:
                 # Left to the interpreter's exit, its destructor may find the context gone and complain.

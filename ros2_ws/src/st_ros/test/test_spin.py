@@ -16,9 +16,10 @@ pytestmark = pytest.mark.ros
 
 TALKER = """
     import sys
+    import time
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
-    from std_msgs.msg import Int64
+    from std_msgs.msg import Int64, String
     from st_ros import spin
     from st_ros.parameters import ConfigurationError
 
@@ -41,6 +42,12 @@ TALKER = """
                     print("said all", flush=True)
 
         def close(self):
+            if "much" in sys.argv:
+                words = self.create_publisher(String, "words", QoSProfile(depth=1000))
+                while not words.get_subscription_count():
+                    time.sleep(0.01)
+                for _ in range(600):
+                    words.publish(String(data=4000 * "x"))
             self.publisher.publish(Int64(data=-1))
             print("closed", flush=True)
 
@@ -78,6 +85,29 @@ LISTENER = """
             print(self.subscription.topic, self.heard == [*range(500), -1], flush=True)
 
     sys.exit(spin.run(Listener))
+"""
+
+COUNTER = """
+    import sys
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile
+    from std_msgs.msg import String
+    from st_ros import spin
+
+    class Counter(Node):
+        def __init__(self):
+            super().__init__("counter")
+            self.count = 0
+            self.create_subscription(String, "words", self.hear, QoSProfile(depth=1000))
+            print("up", flush=True)
+
+        def hear(self, message):
+            self.count += 1
+
+        def close(self):
+            print(self.count, flush=True)
+
+    sys.exit(spin.run(Counter))
 """
 
 
@@ -141,3 +171,15 @@ def test_polled_subscription_hears_all_in_order_up_to_the_last_word(processes: P
     assert processes.stop(talker) == 0
     assert listener.wait(20) == 0
     assert processes.log("listener").split() == ["up", "/numbers", "True"]
+
+
+def test_what_a_node_says_at_its_end_arrives_however_much_it_is(processes: Processes) -> None:
+    """Ten times what a socket holds: some of it is lost on the way and sent again."""
+    counter = script(processes, COUNTER, "counter")
+    wait_for(lambda: "up" in processes.log("counter"), what="counter up")
+    talker = script(processes, TALKER, "talker", "much")
+    wait_for(lambda: "up" in processes.log("talker"), what="talker up")
+    assert processes.stop(talker) == 0
+    time.sleep(0.5)
+    assert processes.stop(counter) == 0
+    assert processes.log("counter").split() == ["up", "600"]

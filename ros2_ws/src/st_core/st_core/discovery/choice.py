@@ -17,7 +17,7 @@ TRIALS = 200
 # the blocks are of the drives the floor was learnt from.
 USUALLY, USUALLY_SEEN = 0.6, 1.2
 # Gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many; TAIL_AGREED
-# where it is known besides that a gain comes from all runs alike.
+# where a gain loses that runs do not agree in (`by_chance`).
 TAIL, TAIL_AGREED = 1.9, 1.55
 # What an effect gains on a healthy run not seen before, mean over effects and runs. Up to SAME, car and road stay the
 # same; from CHANGING on they differ from run to run, and gains of that fall off SLOWER times as slowly. The largest
@@ -27,7 +27,7 @@ SAME, CHANGING, SLOWER = 0.5, 1.2, 6.0
 BUILT_IN = {"steering_delay", "steering_lag", "sensor_lever_arm", "yaw_rate_scale", "speed_scale"}
 SLOWER_BUILT_IN = 3.0
 AGREED = 0.005  # probability of what runs say by chance: below that they agree in it
-DISAGREED = 0.6  # what a gain loses for each factor e above that, in units of the fall over TAIL_AGREED
+DISAGREED = 0.6  # what a gain loses for each factor e above that, times as much where gains fall off more slowly
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
 RELATIVE = 0.02  # of the gain, for what the library's equations are not the car's
 RELATIVE_TWINS = 0.08  # the same for effects that the registry calls twins
@@ -37,8 +37,8 @@ RELATIVE_TWINS = 0.08  # the same for effects that the registry calls twins
 class Null:
     """What healthy data gain: half of them more than `middle`; above it the share falls off as exp(-gain / fall).
 
-    built_in: times as fast for what is built into the car. loss: of a gain for each factor e in what its runs say by
-    chance; 0 where that cannot be known.
+    built_in: times as fast for what is built into the car. loss: of a gain, for each factor e of `by_chance` above
+    AGREED; 0 where that cannot be known.
     """
 
     middle: float
@@ -50,8 +50,8 @@ class Null:
         """That healthy data gain as much."""
         return float(0.5 * np.exp(min(-(gain - self.middle) / self.fall, np.log(2.0))))
 
-    def agreed(self, gain: float, names: Sequence[str], chance: float) -> float:
-        """A gain of effects as one of any effect in which the runs agree. chance: see `by_chance`."""
+    def comparable(self, gain: float, names: Sequence[str], chance: float) -> float:
+        """A gain as one in which the runs agree, of an effect that is not built in. chance: see `by_chance`."""
         over = gain - self.middle - self.loss * float(np.log(max(chance, AGREED) / AGREED))
         return self.middle + over * (self.built_in if BUILT_IN.issuperset(names) else 1.0)
 
@@ -99,7 +99,8 @@ def by_chance(fit: Fit, study: Study) -> float:
 
     Along the change d a fit makes of its own parameters each run says how much of it there is, 1 + d'g / d'Hd in a
     suspect run and d'g / d'Hd in one of the reference, with variance inflation / d'Hd and what runs differ among
-    themselves (DerSimonian and Laird 1986). Two-sided t-test of the difference of the means.
+    themselves (DerSimonian and Laird 1986). Two-sided t-test of the difference of the means. Of an effect with several
+    parameters d is chosen by the suspect runs, which makes it a little small. Needs two reference runs or more.
     """
     own = study.space.indices(*fit.names)
     d = study.deviation(fit)[own]
@@ -109,7 +110,7 @@ def by_chance(fit: Fit, study: Study) -> float:
     between, freedom = _between([suspect, healthy])
     means = [np.average(v, weights=1.0 / (between + 1.0 / w)) for v, w in (suspect, healthy)]
     variance = sum(1.0 / (1.0 / (between + 1.0 / w)).sum() for _, w in (suspect, healthy))
-    return float(2.0 * stats.t.sf(abs(1.0 + means[0] - means[1]) / np.sqrt(variance), freedom)) if freedom else 1.0
+    return float(2.0 * stats.t.sf(abs(1.0 + means[0] - means[1]) / np.sqrt(variance), freedom))
 
 
 def _said(q: Quadratic, run: np.ndarray, own: np.ndarray, d: np.ndarray, inflation: float):

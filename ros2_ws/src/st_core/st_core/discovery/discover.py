@@ -103,7 +103,7 @@ class _Work:
                 break
         best = min(fits.values(), key=lambda fit: fit.cost)
         gain = study.base.cost - best.cost
-        agreed = self._agreed(best)
+        agreed = self._comparable(best)
         p = null.probability(agreed)
         study.rate(fits.values())
         found: list[Fit] = []
@@ -117,11 +117,15 @@ class _Work:
                 unknown = sure
                 if not sure:
                     self._leave_open(found.pop(0), "not by itself")
+            elif not unknown and len(found[0].names) == 1 and self._comparable(found[0]) <= limit:
+                self._leave_open(found.pop(0), "runs do not agree in it")
         elif excess > (several.UNKNOWN_BESIDE if gain > limit else several.UNKNOWN_ALONE):
             unknown = True
+        elif gain > limit:
+            self._leave_open(best, "runs do not agree in it")
         answer = found[0] if found else study.base
         rivals = several.rivals(study, answer, fits, gain) if found and not unknown else {}
-        outcome = self._outcome(answer, rivals, unknown, untestable, agreed > limit)
+        outcome = self._outcome(answer, rivals, unknown, untestable, gain > limit)
         model, vector = None, floor.vector
         if answer.names and not unknown:
             vector = several.alone(study, answer)
@@ -221,7 +225,7 @@ class _Work:
         floor = replace(learnt, inflation=more * learnt.inflation, level=more * learnt.level)
 
         def null_of(blocks, study):
-            case = blocks, space.hypotheses
+            case = settings.seed, blocks, space.hypotheses
             if case not in kept:
                 kept[case] = choice.null_of(learnt.quadratic, learnt.run, learnt, space, space.hypotheses, blocks,
                                             np.random.default_rng(settings.seed))
@@ -230,10 +234,10 @@ class _Work:
 
     # What is said
 
-    def _agreed(self, fit: Fit) -> float:
+    def _comparable(self, fit: Fit) -> float:
         """What a fit gains, without what that loses where the runs do not agree in it."""
         gain = self.study.base.cost - fit.cost
-        return self.null.agreed(gain, fit.names, choice.by_chance(fit, self.study)) if self.null.loss else gain
+        return self.null.comparable(gain, fit.names, choice.by_chance(fit, self.study)) if self.null.loss else gain
 
     def _leave_open(self, fit: Fit, why: str) -> None:
         self.warnings.append(f"{', '.join(fit.names)} gains more than effects do on healthy drives, but {why}; "
@@ -278,14 +282,15 @@ class _Work:
         for name in sorted(self.space.hypotheses, key=lambda n: fits[n].cost if n in fits else 1e18 - linear[n]):
             fit = fits.get(name)
             gain = study.base.cost - fit.cost if fit else linear[name]
-            agreed = self._agreed(fit) if fit else gain
+            agreed = self._comparable(fit) if fit else gain
             vector = fit.vector if fit else self.space.inside(
                 self.floor.vector + study.linear((name,))[0] * self.space.scale)
             values = {self.space.free[i].parameter: float(self.space.free[i].null + vector[i] - self.floor.vector[i])
                       for i in self.space.indices(name)}
             verdict = ("chosen" if name in answer.names else "alternative" if name in also
                        else "not testable" if name in blind else "explains less" if answer.names
-                       else "no more than on healthy drives" if agreed <= limit else "too little to be stated")
+                       else "no more than on healthy drives" if gain <= limit
+                       else "runs do not agree in it" if agreed <= limit else "too little to be stated")
             share = gain / max(study.base.cost, 1e-9)
             rows.append(Candidate(name, values, float(share), null.probability(agreed), verdict))
         return tuple(rows)

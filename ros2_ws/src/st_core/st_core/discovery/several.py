@@ -22,8 +22,10 @@ NEARLY = 0.7  # share of the best gain at which another name does nearly as well
 
 
 def excess(study: Study, fit: Fit, over: Callable = np.median) -> float:
-    """Cost of a window over that of a window of healthy driving [1], each in the middle of the blocks, or their mean as `over`
-    says; what it costs to move a healthy car's values so far is shared out. The mean sees a gap in a few blocks only.
+    """Cost of a window over that of a window of healthy driving [1].
+
+    over: blocks are compared by their median or, which sees a gap in a few of them, their mean. What it costs to move a
+    healthy car's values so far is shared out.
     """
     q = fit.quadratic
     moved = max(fit.cost * study.floor.inflation - float(q.cost.sum()), 0.0) / max(int(q.windows.sum()), 1)

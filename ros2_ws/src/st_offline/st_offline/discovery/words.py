@@ -132,9 +132,8 @@ def before_and_after(one: Gap) -> str:
 
 def sure(found: Discovery) -> str:
     """How far the answer may be believed."""
-    chance = (f"Healthy drives would show as much with probability {_probability(found.p)}."
-              if found.outcome not in ("none", "not_testable") else
-              f"Probability that healthy drives show as much: {_probability(found.p)}.")
+    chance = ("Healthy drives would show as much with probability" if found.effects else
+              "Probability that an effect gains as much on healthy drives:") + f" {_probability(found.p)}."
     parts = [chance]
     for effect in found.effects:
         others = ", ".join(plain(a) for a in effect.alternatives)
