@@ -28,11 +28,11 @@ from .sensing import log_of
 LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 NOMINAL: Car = read_car(LEAF_FILE)
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
-SEALED = "single track, discovery, sealed set 5"
+SEALED = "single track, discovery, sealed set 6"
 PER_CAR = 10
 RUNS, HELD_OUT = 3, 2
 SCALES, ODDS = (1.0, 0.5, 0.25), (0.45, 0.35, 0.2)
-COUNTS = {"single": 240, "healthy": 100, "double": 60, "unknown": 60, "untestable": 30, "partial": 10, "real": 60}
+COUNTS = {"single": 240, "healthy": 100, "double": 60, "unknown": 60, "untestable": 30, "partial": 10, "real": 120}
 """Cases of the sealed set; kind real is in `real`."""
 SLID_AWAY = 6.0
 """m/s of sideways speed: the car has spun and the drive is not used."""

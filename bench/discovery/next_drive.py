@@ -5,7 +5,7 @@ from typing import Any
 from st_core.discovery import Discovery, DiscoverySettings, discover
 
 from . import manoeuvres as m
-from .cases import Case, Drives, driven, without_vy
+from .cases import NOMINAL, Case, Drives, driven, without_vy
 
 # Scenario of st_sim -> what is driven here; lateral acceleration [m/s^2] as st_sim drives it.
 _PARTS = {
@@ -14,8 +14,6 @@ _PARTS = {
     "S1": (m.ordinary, 1.4), "S2": (m.circle, 1.5), "S3": (m.circle, 3.8), "S4": (m.circle, 6.4),
     "S6": (m.ordinary, 2.5), "S7": (m.ordinary, 2.0), "circle": (m.circle, 3.0), "straight": (m.weave, 0.2),
 }
-TIMES = 3
-"""Each manoeuvre is repeated, as ISO asks for."""
 
 
 def driven_again(case: Case, drives: Drives, found: Discovery, settings: DiscoverySettings) -> dict[str, Any]:
@@ -30,8 +28,10 @@ def driven_again(case: Case, drives: Drives, found: Discovery, settings: Discove
     if part is None:
         return {"suggested": suggested.scenario, "settled": False, "again": ["not driven: no such manoeuvre"]}
     drive, lateral = part
-    parts = (m.Part(drive, (suggested.speed, suggested.speed), (lateral, lateral)),) * TIMES
-    runs = tuple(driven(f"next_{i + 1}", drives.faulty, (case.seed, 300 + i), parts) for i in range(2))
+    part = m.Part(drive, (suggested.speed, suggested.speed), (lateral, lateral))
+    # Manoeuvres are shorter here: as many of them as last as long.
+    parts = (part,) * max(1, round(suggested.duration / m.duration(NOMINAL, part)))
+    runs = tuple(driven(f"next_{i + 1}", drives.faulty, (case.seed, 300 + i), parts) for i in range(suggested.times))
     if not case.with_vy:
         runs = tuple(without_vy(log) for log in runs)
     again = discover((*drives.suspect, *runs), drives.vehicle, "nonlinear", drives.reference, settings)

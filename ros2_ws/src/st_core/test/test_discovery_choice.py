@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 from st_core.discovery.choice import AGREED, BUILT_IN, SLOWER, SLOWER_BUILT_IN, TAIL, TAIL_AGREED, by_chance, null_of
+from st_core.discovery.floor import precisions, restless_of
 from st_core.discovery.quadratic import Quadratic
-from st_core.discovery.several import excess
+from st_core.discovery.several import SHARE_TOGETHER, TOGETHER, excess, incomplete
 from st_core.effects import EFFECTS
 
 SUSPECT, HEALTHY = np.array([0.9, 1.4, 1.0]), np.array([-0.3, 0.2, 0.1, 0.4])
@@ -58,7 +59,9 @@ def test_runs_that_agree_within_noise_are_compared_by_the_noise():
 
 def null(values: np.ndarray):
     q, run = saying(values, 50.0)
-    floor = SimpleNamespace(spread=0.04 * np.eye(2), inflation=1.0)
+    spread = 0.04 * np.eye(2)
+    floor = SimpleNamespace(spread=spread, inflation=1.0,
+                            restless=restless_of(q, run, 1.0, precisions(spread, [np.array([0]), np.array([1])])))
     return null_of(q, run, floor, Space(), "ab", 9, np.random.default_rng(0))
 
 
@@ -90,3 +93,16 @@ def test_a_gap_in_few_blocks_shows_in_the_mean():
     study = SimpleNamespace(floor=SimpleNamespace(inflation=2.0, level=np.ones(7)))
     assert excess(study, fit) == pytest.approx(1.0)
     assert excess(study, fit, np.mean) == pytest.approx((2 * 8.0 + 8 * 1.0) / 10)
+
+
+@pytest.mark.parametrize("slower", [1.0, 6.0])
+def test_an_answer_is_incomplete_where_all_effects_together_explain_much_more(slower):
+    answer = SimpleNamespace(cost=500.0)  # of 1500
+    most = TOGETHER * slower + SHARE_TOGETHER * 1000.0
+
+    def told(left: float) -> bool:
+        study = SimpleNamespace(base=SimpleNamespace(cost=1500.0), space=SimpleNamespace(hypotheses=("a", "b")),
+                                promise=lambda names, fits, near: left if names == ("a", "b") else np.nan)
+        return incomplete(study, answer, {}, slower)
+    assert told(500.0 - most - 1.0)
+    assert not told(500.0 - most + 1.0)

@@ -3,8 +3,10 @@
 from types import SimpleNamespace
 
 import numpy as np
-from st_core.discovery.floor import least, of_a_new_run
-from st_core.discovery.quadratic import quadratic, whitening
+from st_core.discovery import DiscoverySettings
+from st_core.discovery.floor import CHANGING, MORE, SAME, SURROUNDINGS, drifts, least, of_a_new_run, restless_of
+from st_core.discovery.quadratic import Quadratic, quadratic, whitening
+from st_core.discovery.space import Space
 from st_core.discovery.windows import CONDITIONS
 
 WINDOWS = 8  # of a block
@@ -62,3 +64,24 @@ def test_a_slope_that_is_infinite_counts_as_none():
     rows = errors(block_run)
     windows, slopes, own = made(block_run, rows, infinite=True)
     assert np.isfinite(as_new(windows, rows, slopes, own).cost).all()
+
+
+def test_a_restless_car_may_differ_by_more():
+    space = Space("nonlinear", DiscoverySettings())
+    same, changing = (drifts(space, 0.03, True, restless) for restless in (0.0, 1.0))
+    assert np.allclose(changing, MORE * same)
+    assert np.allclose(same[space.indices("mass")], SURROUNDINGS["mass"])
+    assert np.allclose(same[space.indices("steering_ratio")], 0.03)
+
+
+def test_runs_are_restless_as_far_as_each_gains_as_a_new_one():
+    """One parameter of weight 1 held at 0 by the floor: freed, a run of gradient g and hessian 1 gains g^2 / 2."""
+    weights = np.array([[[1.0]], [[1e-9]]])
+
+    def told(gain: float) -> float:
+        g = np.full((4, 1), np.sqrt(2.0 * gain))
+        q = Quadratic(np.zeros(4), g * np.array([[1.0], [-1.0], [1.0], [-1.0]]), np.ones((4, 1, 1)), np.ones(4))
+        return restless_of(q, np.arange(4), 1.0, weights)
+    assert told(0.9 * SAME) == 0.0
+    assert abs(told(0.5 * (SAME + CHANGING)) - 0.5) < 1e-6
+    assert told(1.1 * CHANGING) == 1.0

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .floor import Floor, precision
+from .floor import Floor, gains, precisions, runs_of
 from .quadratic import Quadratic
 from .space import Space
 from .study import Fit, Study
@@ -17,15 +17,11 @@ TRIALS = 200
 # the blocks are of the drives the floor was learnt from.
 USUALLY, USUALLY_SEEN = 0.6, 1.2
 # Gains of healthy data fall off as exp(-gain / TAIL) above their median, as those of a parameter too many; TAIL_AGREED
-# where a gain loses that runs do not agree in (`by_chance`).
-TAIL, TAIL_AGREED = 1.9, 1.55
-# What an effect gains on a healthy run not seen before, mean over effects and runs. Up to SAME, car and road stay the
-# same; from CHANGING on they differ from run to run, and gains of that fall off SLOWER times as slowly. The largest
-# gains of a few runs do not foretell those of the next.
-SAME, CHANGING, SLOWER = 0.5, 1.2, 6.0
-# What is built in does not change by itself; gains of these fall off so many times as slowly there.
+# where a gain loses that runs do not agree in (`by_chance`), up to SLOWER times as slowly where car and road change;
+# what is built in does not change by itself, and its gains fall off SLOWER_BUILT_IN times as slowly there.
+TAIL, TAIL_AGREED = 1.9, 0.85
+SLOWER, SLOWER_BUILT_IN = 6.0, 3.0
 BUILT_IN = {"steering_delay", "steering_lag", "sensor_lever_arm", "yaw_rate_scale", "speed_scale"}
-SLOWER_BUILT_IN = 3.0
 AGREED = 0.005  # probability of what runs say by chance: below that they agree in it
 DISAGREED = 0.6  # what a gain loses for each factor e above that, times as much where gains fall off more slowly
 CLOSE = 6.0  # twice the log-likelihood: nearer than that nothing is told apart
@@ -45,6 +41,11 @@ class Null:
     fall: float
     built_in: float = 1.0
     loss: float = 0.0
+
+    @property
+    def slower(self) -> float:
+        """Times as slowly as where car and road stay the same."""
+        return self.fall / TAIL_AGREED
 
     def probability(self, gain: float) -> float:
         """That healthy data gain as much."""
@@ -67,13 +68,7 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
     From `blocks` blocks of them drawn again and again, and by a car that is off the floor as healthy cars are; and from
     what each whole run gains as a new one (`floor.of_a_new_run`).
     """
-    weights = np.stack([precision(floor.spread, space.indices(*group)) for group in ((), *((n,) for n in names))])
-    scale = floor.inflation
-
-    def gains(g: np.ndarray, h: np.ndarray) -> np.ndarray:
-        explained = np.linalg.solve(h + weights, np.broadcast_to(g, (len(weights), len(g)))[..., None])[..., 0] @ g
-        return explained[1:] - explained[0]
-
+    scale, weights = floor.inflation, precisions(floor.spread, [space.indices(n) for n in names])
     hessian = q.hessian / scale
     # About the best point without prior and bounds: a block says nothing of what it does not show.
     best = np.linalg.solve(hessian.sum(axis=0) + 1e-3 * np.eye(len(space)), q.gradient.sum(axis=0) / scale)
@@ -83,14 +78,13 @@ def null_of(q: Quadratic, run: np.ndarray | None, floor: Floor, space: Space, na
     for _ in range(TRIALS):
         some = rng.integers(0, len(gradient), blocks)
         h = hessian[some].sum(axis=0)
-        drawn.append(gains(gradient[some].sum(axis=0) + h @ (root @ rng.standard_normal(len(space))), h).max())
-    runs = np.unique(run) if run is not None else np.array([], int)
-    if len(runs) < 2:
+        g = gradient[some].sum(axis=0) + h @ (root @ rng.standard_normal(len(space)))
+        drawn.append(gains(g, h, weights).max())
+    if run is None or len(np.unique(run)) < 2:
         return Null(USUALLY_SEEN * float(np.median(drawn)), TAIL)
-    apart = np.stack([gains(q.gradient[run == r].sum(axis=0) / scale, hessian[run == r].sum(axis=0)) for r in runs])
-    slower, slower_built_in = (float(np.interp(apart.mean(), (SAME, CHANGING), (1.0, most)))
-                               for most in (SLOWER, SLOWER_BUILT_IN))
-    middle = max(USUALLY * float(np.median(drawn)), float(np.median(apart.max(axis=1))))
+    apart = [gains(g, h, weights).max() for g, h in runs_of(q, run, scale)]
+    slower, slower_built_in = (1.0 + floor.restless * (most - 1.0) for most in (SLOWER, SLOWER_BUILT_IN))
+    middle = max(USUALLY * float(np.median(drawn)), float(np.median(apart)))
     return Null(middle, TAIL_AGREED * slower, slower / slower_built_in, DISAGREED * slower)
 
 
@@ -149,6 +143,6 @@ def not_worse(fits: Mapping[str, Fit], best: Fit, instead: str, gain: float, stu
     result = []
     for name, fit in fits.items():
         more, deviations = behind(fit, best, study)
-        if more <= max(CLOSE, unsure(name, instead) * gain) or deviations < study.settings.deviations:
+        if more <= max(CLOSE, unsure(name, instead) * gain) or deviations < study.settings.deviations_above:
             result.append((more, name))
     return [name for _, name in sorted(result)]

@@ -119,6 +119,10 @@ class _Work:
                     self._leave_open(found.pop(0), "not by itself")
             elif not unknown and len(found[0].names) == 1 and self._comparable(found[0]) <= limit:
                 self._leave_open(found.pop(0), "runs do not agree in it")
+            elif not unknown and null.loss and several.incomplete(study, found[0], fits, null.slower):
+                unknown = True
+                self.warnings.append(f"{', '.join(found[0].names)} comes closest, but all effects together would "
+                                     "explain much more: it only resembles what is there")
         elif excess > (several.UNKNOWN_BESIDE if gain > limit else several.UNKNOWN_ALONE):
             unknown = True
         elif gain > limit:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..log import DriveLog
 from .quadratic import Quadratic, Whitening, by_condition, costs, jacobian, quadratic, row_errors, whitened, whitening
-from .space import ALWAYS, LIFTED, Space
+from .space import ALWAYS, GAIN, LIFTED, Space
 from .windows import CHANNEL_OF, Windows
 
 # What the errors of a car nobody measured may be: at once and per second of horizon. SI.
@@ -18,10 +18,14 @@ LEAST = {"velocity_y": 0.003, "yaw_rate": 0.0008, "acceleration_y": 0.02, "yaw":
 HARDNESS = np.array([1.0, 1.0, 1.5, 2.5, 4.0, 1.5, 1.5, 2.0, 3.0, 5.0])  # how much larger in each kind of driving
 HEALTHY = 1.0  # usual sizes of each effect a car may have before anything is wrong with it, with a reference to say so
 UNKNOWN = 0.35  # the same without a reference
-# Usual sizes: 1.5 m/s of wind, 2 mrad of bank, 0.5 mrad the heading of an INS wanders and 6 mm/s^2 its accelerometer;
-# a passenger or some fuel, 2 % of the mass.
-SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.1, "heading_misalignment": 0.1, "lateral_acceleration_bias": 0.06,
-                "mass": 0.2}
+# Usual sizes: 1.5 m/s of wind, 1 mrad of bank, 0.5 mrad the heading of an INS wanders, 4 mm/s^2 its accelerometer and
+# 0.25 mrad/s its gyroscope; some fuel, 1 % of the mass.
+SURROUNDINGS = {"crosswind": 0.3, "road_bank": 0.05, "heading_misalignment": 0.1, "lateral_acceleration_bias": 0.04,
+                "yaw_rate_bias": 0.05, "mass": 0.1}
+# What any effect gains on a healthy run not seen before, mean over effects and runs: up to SAME, runs are of one car on
+# one day; from CHANGING on, car and road differ from run to run, and by MORE times as much.
+SAME, CHANGING, MORE = 0.9, 1.25, 3.0
+UNTOLD = 0.5  # how restless, where one run cannot tell
 GUESSED = ("lateral_load_transfer",)  # what a guessed sideslip looks like near the limit
 DOUBTFUL = 4.0  # usual sizes
 ROUNDS = 4
@@ -35,7 +39,7 @@ class Floor:
     """vector: values of the healthy base. spread: (p, p) covariance of what healthy suspect drives may deviate from
     it, in usual sizes. inflation: cost per independent piece of data; windows overlap and errors last. quadratic: of
     the reference drives, and run of each of its blocks; None without one. level: cost per window of their blocks.
-    size: by channel at the end of the horizon [SI]."""
+    size: by channel at the end of the horizon [SI]. restless: how far healthy runs differ from each other, 0 to 1."""
 
     vector: np.ndarray
     how: Whitening
@@ -45,6 +49,7 @@ class Floor:
     run: np.ndarray | None
     level: np.ndarray
     size: Mapping[str, float]
+    restless: float
 
 
 def usual(windows: Windows, table: Mapping[str, tuple[float, float]] = USUAL_ERRORS) -> np.ndarray:
@@ -78,14 +83,14 @@ def prior(space: Space, spread: float) -> np.ndarray:
     return result
 
 
-def drifts(space: Space, drift: float, with_vy: bool) -> np.ndarray:
+def drifts(space: Space, drift: float, with_vy: bool, restless: float) -> np.ndarray:
     """(p,) what a healthy car and its surroundings change from one day to the next, in usual sizes."""
     result = np.full(len(space), drift)
     for name, share in SURROUNDINGS.items():
         result[space.indices(name)] = np.maximum(drift, share)
     if not with_vy:
         result[space.indices(*GUESSED)] = np.maximum(drift, 0.07)
-    return result
+    return (1.0 + restless * (MORE - 1.0)) * result
 
 
 def precision(spread: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -95,6 +100,18 @@ def precision(spread: np.ndarray, free: np.ndarray) -> np.ndarray:
     result[np.ix_(rest, rest)] = np.linalg.inv(spread[np.ix_(rest, rest)])
     result[free, free] = 1e-6
     return result
+
+
+def precisions(spread: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
+    """(1 + groups, p, p) `precision` with nothing free, then with each group."""
+    return np.stack([precision(spread, free) for free in (np.array([], int), *groups)])
+
+
+def gains(gradient: np.ndarray, hessian: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(groups,) what data gain with a group free. gradient, hessian: over the inflation; weights: `precisions`."""
+    each = np.linalg.solve(hessian + weights, np.broadcast_to(gradient, (len(weights), len(gradient)))[..., None])
+    explained = each[..., 0] @ gradient
+    return explained[1:] - explained[0]
 
 
 def solve_map(hessian: np.ndarray, gradient: np.ndarray, deviation: np.ndarray, at: np.ndarray,
@@ -142,12 +159,30 @@ def learn(windows: Windows, space: Space, drift: float, tick=None) -> Floor:
     q = quadratic(rows, slopes, windows, how)
     inflation = max(float(np.median(inflation_of(q))), 1.0)
     posterior = np.linalg.inv(q.hessian.sum(0) / inflation + np.diag(1.0 / deviation**2))
-    spread = posterior + np.diag(drifts(space, drift, "velocity_y" in windows.columns)**2)
     run, fresh = windows.run[np.unique(windows.block, return_index=True)[1]], FRESH
+
+    def spread(restless: float) -> np.ndarray:
+        return posterior + np.diag(drifts(space, drift, "velocity_y" in windows.columns, restless)**2)
+    restless = UNTOLD
     if len(np.unique(run)) > 1:
         q, fresh = of_a_new_run(windows, space, x, rows, slopes, q, run, inflation, start, deviation), 1.0
         inflation = max(float(np.median(inflation_of(q))), 1.0)
-    return Floor(x, how, spread, inflation, q, run, fresh * q.cost / np.maximum(q.windows, 1), _sizes(windows, rows))
+        groups = [space.indices(n) for n in np.unique(space.effect_of) if n != GAIN and n not in ALWAYS]
+        restless = restless_of(q, run, inflation, precisions(spread(0.0), groups))
+    return Floor(x, how, spread(restless), inflation, q, run, fresh * q.cost / np.maximum(q.windows, 1),
+                 _sizes(windows, rows), restless)
+
+
+def restless_of(q: Quadratic, run: np.ndarray, inflation: float, weights: np.ndarray) -> float:
+    """0 to 1 from what each run, as a new one, gains. weights: `precisions` of a car and road that stay the same."""
+    apart = [gains(g, h, weights).mean() for g, h in runs_of(q, run, inflation)]
+    return float(np.interp(np.mean(apart), (SAME, CHANGING), (0.0, 1.0)))
+
+
+def runs_of(q: Quadratic, run: np.ndarray, inflation: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(gradient, hessian) of each run, over the inflation."""
+    return [(q.gradient[run == r].sum(axis=0) / inflation, q.hessian[run == r].sum(axis=0) / inflation)
+            for r in np.unique(run)]
 
 
 def of_a_new_run(windows: Windows, space: Space, x: np.ndarray, rows: np.ndarray, slopes: np.ndarray, own: Quadratic,
@@ -192,7 +227,7 @@ def assumed(windows: Windows, space: Space, tick=None) -> Floor:
     q = quadratic(rows, jacobian(windows, space, x, rows, tick=tick), windows, how)
     inflation = max(float(np.median(inflation_of(q))), 2.0)
     return Floor(start, how, np.diag(deviation**2), inflation, None, None, FRESH * q.cost / np.maximum(q.windows, 1),
-                 _sizes(windows, rows))
+                 _sizes(windows, rows), UNTOLD)
 
 
 def noisier(runs: Sequence[DriveLog], reference: Sequence[DriveLog]) -> float:

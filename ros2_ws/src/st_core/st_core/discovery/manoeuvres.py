@@ -13,13 +13,15 @@ from ..prediction import predict
 from ..readings import corrected_steering, readings
 from ..types import InputSequence, VehicleState
 from ..vehicle import VehicleParameters
-from .choice import precision, unsure
+from .choice import unsure
+from .floor import drifts, precision
 from .quadratic import jacobian, quadratic, row_errors
 from .result import FoundEffect, NextManoeuvre
 from .study import Fit, Study
-from .testable import VISIBLE
 from .windows import STEP, MotionOnly, Windows, added_acceleration
 
+TIMES = 3  # each manoeuvre is driven, as ISO asks for
+TOLD = 3.7  # standard deviations a pair must be put apart
 PERIOD = STEP / 2  # s, of the simulated log
 MOST_LATERAL = 9.0  # m/s^2
 
@@ -94,15 +96,14 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
 
 def following(study: Study, effects: Sequence[FoundEffect], fits: Mapping[str, Fit]) -> NextManoeuvre | None:
     """The manoeuvre with the largest smallest strength over all pairs of the ambiguous answer; None without a pair, or
-    where none reaches VISIBLE."""
+    where none reaches TOLD."""
     pairs = [pair for e in effects for pair in combinations((e.name, *e.alternatives), 2)
              if all(name in fits for name in pair)]
     if not pairs:
         return None
-    names = tuple(dict.fromkeys(n for pair in pairs for n in pair))
     weakest = {}
     for manoeuvre in CATALOGUE:
-        strengths = _strengths(study, manoeuvre, pairs, names, fits)
+        strengths = _strengths(study, manoeuvre, pairs, fits)
         if strengths:
             pair = min(strengths, key=strengths.get)
             weakest[manoeuvre.name] = (strengths[pair], pair)
@@ -110,14 +111,16 @@ def following(study: Study, effects: Sequence[FoundEffect], fits: Mapping[str, F
         return None
     name = max(weakest, key=lambda n: weakest[n][0])
     strength, pair = weakest[name]
-    if strength < VISIBLE:
+    if strength < TOLD:
         return None
     chosen = next(m for m in CATALOGUE if m.name == name)
-    return NextManoeuvre(name, name, pair, strength, {n: s for n, (s, _) in weakest.items()}, chosen.duration,
-                         chosen.speed, f"{pair[0]} and {pair[1]} differ most there of all manoeuvres of the catalogue")
+    return NextManoeuvre(
+        name=name, scenario=name, separates=pair, strength=strength, options={n: s for n, (s, _) in weakest.items()},
+        times=TIMES, duration=chosen.duration, speed=chosen.speed,
+        reason=f"{pair[0]} and {pair[1]} differ most there of all manoeuvres of the catalogue")
 
 
-def _strengths(study: Study, manoeuvre: Manoeuvre, pairs, names, fits: Mapping[str, Fit]) -> dict:
+def _strengths(study: Study, manoeuvre: Manoeuvre, pairs, fits: Mapping[str, Fit]) -> dict:
     space, floor = study.space, study.floor
     log = drive(manoeuvre, space.at(floor.vector), study.windows.vehicle)
     lateral = np.abs(log.velocity_x * log.yaw_rate)
@@ -132,9 +135,10 @@ def _strengths(study: Study, manoeuvre: Manoeuvre, pairs, names, fits: Mapping[s
     if not len(windows):
         return {}
     rows = row_errors(windows, space, floor.vector)
-    which = np.append(space.indices(*names), len(space) - 1)
-    q = quadratic(0.0 * rows, jacobian(windows, space, floor.vector, rows, which), windows, floor.how)
-    h = q.hessian.sum(0) / floor.inflation
+    q = quadratic(0.0 * rows, jacobian(windows, space, floor.vector, rows), windows, floor.how)
+    h = (study.quadratic.hessian.sum(0) + TIMES * q.hessian.sum(0)) / floor.inflation
+    healthy = drifts(space, study.settings.drift, "velocity_y" in windows.columns, floor.restless)
+    spread = np.diag(np.square(healthy) + 1e-6)
     result = {}
     for first, second in pairs:
         left = []
@@ -143,9 +147,9 @@ def _strengths(study: Study, manoeuvre: Manoeuvre, pairs, names, fits: Mapping[s
             d = np.zeros(len(space))
             d[own] = ((fits[a].vector - floor.vector) / space.scale)[own]
             g = h @ d
-            weight = precision(np.diag(np.full(len(space), study.settings.drift**2 + 1e-6)), space.indices(b))
-            rest = d @ h @ d - g @ np.linalg.solve(h + weight, g)
+            gain, rest = (d @ g - g @ np.linalg.solve(h + precision(spread, space.indices(*names)), g)
+                          for names in ((), (b,)))
             # What the equations of an effect are not those of a car counts there as it does in the choice.
-            left.append(rest if rest > unsure(a, b) * (d @ h @ d) else 0.0)
+            left.append(rest if rest > unsure(a, b) * gain else 0.0)
         result[first, second] = float(np.sqrt(max(min(left), 0.0)))
     return result

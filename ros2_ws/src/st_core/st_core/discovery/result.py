@@ -77,8 +77,8 @@ class NotTestable:
 class NextManoeuvre:
     """The drive that would tell most. name: as in the catalogue. scenario: what st_sim calls it.
 
-    separates: the pair least well told apart by it. strength: of that pair, in standard deviations. options: strength
-    of every manoeuvre tried, by name.
+    separates: the pair least well told apart by it. strength: of that pair, in standard deviations, once it has
+    been driven so many times and added to the runs. options: strength of every manoeuvre tried, by name.
     """
 
     name: str
@@ -86,6 +86,7 @@ class NextManoeuvre:
     separates: tuple[str, str]
     strength: float
     options: Mapping[str, float]
+    times: int
     duration: float
     speed: float
     reason: str
@@ -171,8 +172,9 @@ class Discovery:
             "next_manoeuvre": None if self.next_manoeuvre is None else {
                 "name": self.next_manoeuvre.name, "scenario": self.next_manoeuvre.scenario,
                 "separates": list(self.next_manoeuvre.separates), "strength": self.next_manoeuvre.strength,
-                "options": dict(self.next_manoeuvre.options), "duration": self.next_manoeuvre.duration,
-                "speed": self.next_manoeuvre.speed, "reason": self.next_manoeuvre.reason},
+                "options": dict(self.next_manoeuvre.options), "times": self.next_manoeuvre.times,
+                "duration": self.next_manoeuvre.duration, "speed": self.next_manoeuvre.speed,
+                "reason": self.next_manoeuvre.reason},
             "separability": [{"first": s.first, "second": s.second, "cosine": s.cosine, "strength": s.strength}
                              for s in self.separability],
             "signature": list(self.signature),

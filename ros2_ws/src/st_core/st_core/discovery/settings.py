@@ -42,6 +42,11 @@ class DiscoverySettings:
         """Standard deviations of a normal distribution that hold the confidence on both sides."""
         return NormalDist().inv_cdf(0.5 + 0.5 * self.confidence)
 
+    @property
+    def deviations_above(self) -> float:
+        """The same on one side."""
+        return NormalDist().inv_cdf(self.confidence)
+
     def __post_init__(self):
         for channel in (*self.channels, *(self.noise or {})):
             if channel not in CHANNELS:

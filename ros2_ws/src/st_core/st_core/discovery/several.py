@@ -10,14 +10,16 @@ from . import choice, testable
 from .study import Fit, Study
 
 SHARE, SHARE_OF_LITTLE = 0.05, 0.08  # of the whole gain another effect must bring; where little is left to explain
-FURTHER = 1.5  # times the gain the first effect needs: what that explains imperfectly looks like another
+FURTHER = 2.8  # times the gain the first effect needs: what that explains imperfectly looks like another
 ENOUGH = 0.8  # share of the best gain at which an effect that does its work alone is preferred
 ORDINARY = 0.85  # excess of an ordinary healthy run
 PARTNERS = 8  # pairs fitted to the end
 UNKNOWN_ALONE = 1.7  # mean excess of a base no effect improves
-UNKNOWN_BESIDE, SURELY = 1.5, 2.2  # mean excess, or times the limit, from which a gain is a gap though no name holds
+UNKNOWN_BESIDE, SURELY = 1.5, 4.0  # mean excess, or times the limit, from which a gain is a gap though no name holds
 UNKNOWN_LEFT = 1.5  # excess an explanation may leave
 LEAST, MOST = 0.2, 0.8  # shares of the excess an explanation takes away
+# What all effects together may gain over an answer, and what more as a share of its gain.
+TOGETHER, SHARE_TOGETHER = 90.0, 0.06
 NEARLY = 0.7  # share of the best gain at which another name does nearly as well
 
 
@@ -124,6 +126,14 @@ def unexplained(study: Study, answer: Fit, left: float, fits: Mapping[str, Fit])
     gains = sorted(base - fit.cost for name, fit in fits.items() if name not in answer.names)
     near = bool(gains) and gains[-1] > NEARLY * (base - answer.cost)
     return explained < LEAST or (explained < MOST and near)
+
+
+def incomplete(study: Study, answer: Fit, fits: Mapping[str, Fit], slower: float) -> bool:
+    """Whether all effects together would explain so much more that the answer only resembles the truth.
+
+    slower: times as much as where car and road stay the same."""
+    more = answer.cost - study.promise(study.space.hypotheses, fits, answer)
+    return more > TOGETHER * slower + SHARE_TOGETHER * (study.base.cost - answer.cost)
 
 
 def alone(study: Study, answer: Fit) -> np.ndarray:

@@ -7,7 +7,7 @@ from .quadratic import Quadratic
 from .result import NotTestable
 from .study import Fit, Study
 
-VISIBLE = 3.0  # standard deviations a usual size must make
+VISIBLE = 4.0  # standard deviations a usual size must make
 BIAS = 0.05  # of a change: what the equations of an effect are not those of the car
 # Causes the forward acceleration holds already, as it is an input.
 ALREADY_GIVEN = {

@@ -152,7 +152,7 @@ def following(found: Discovery) -> str:
     if n is None:
         return ""
     strength = f"{n.strength:.1f} standard deviations apart"
-    return (f"{n.name}, {n.duration:.0f} s at {n.speed:.1f} m/s: puts {plain(n.separates[0])} and "
+    return (f"{n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: puts {plain(n.separates[0])} and "
             f"{plain(n.separates[1])} {strength}. {n.reason}")
 
 
