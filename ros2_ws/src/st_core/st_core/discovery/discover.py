@@ -136,7 +136,7 @@ class _Work:
             model = space.at(vector)
         effects = tuple(self._effect(n, answer, vector, rivals, fits) for n in answer.names) if model else ()
         gaps = gap.measure(parts, self.vehicle, study, answer if model else study.base, vector, floor)
-        if model and not gap.shrinks(gaps, bool(self.reference)):
+        if model and not gap.shrinks(gaps, study, answer):
             outcome, model, effects, rivals = "unknown" if sure else "none", None, (), {}
             if sure:
                 self.warnings.append(f"{', '.join(answer.names)} fits best, but errors do not shrink with it")

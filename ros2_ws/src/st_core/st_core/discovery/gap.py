@@ -7,6 +7,7 @@ import numpy as np
 
 from ..log import DriveLog
 from .floor import Floor
+from .quadratic import costs, row_errors, whitened
 from .result import Gap, Split
 from .settings import UNITS, DiscoverySettings
 from .study import Fit, Study
@@ -70,12 +71,28 @@ def measure(parts: Parts, vehicle, study: Study, fit: Fit, vector: np.ndarray, f
     return result
 
 
-def shrinks(gaps: Mapping[str, Gap], compared: bool) -> bool:
-    """Whether errors go down with what was found: over all channels, in half widths of their intervals. Without healthy
-    drives to compare with, one of them must do so for sure."""
+def shrinks(gaps: Mapping[str, Gap], study: Study, fit: Fit) -> bool:
+    """Whether errors go down with what was found on driving that its values were not fitted to.
+
+    With a reference the cost of each run must fall, by values fitted to the others and all else as in the healthy car:
+    what healthy drives gain by accident one of them denies. Where runs differ one may; then errors at the end of the
+    horizon must shrink, over all channels, in half widths of their intervals. Without a reference one surely must."""
     surely = any(g.interval[0] > 0.0 for g in gaps.values())
+    if study.floor.quadratic is None:
+        return surely
+    if all(_fall(study, fit, fold) > 0.0 for fold in np.unique(study.folds)):
+        return True
     together = sum((g.base - g.augmented) / max(0.5 * (g.interval[1] - g.interval[0]), 1e-12) for g in gaps.values())
-    return surely or (compared and together > 0.0)
+    return study.floor.restless > 0.0 and (surely or together > 0.0)
+
+
+def _fall(study: Study, fit: Fit, fold: int) -> float:
+    """Of the cost of a fold over that of the healthy base."""
+    mine = study.folds == fold
+    vector = study.only(fit, study.space.indices(*fit.names), ~mine)
+    rows = row_errors(study.windows, study.space, vector)
+    each, _ = costs(whitened(rows, study.windows.condition, study.floor.how), study.windows)
+    return float(study.quadratic.cost[mine].sum() - each[mine[study.windows.block]].sum())
 
 
 def _errors(parts: Parts, vehicle, study: Study, fit: Fit, vector: np.ndarray, settings, long: bool):
