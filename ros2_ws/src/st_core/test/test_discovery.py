@@ -91,6 +91,14 @@ def test_without_sideslip_nothing_of_it_is_used(leaf):
 
 
 @pytest.mark.slow
+def test_each_run_must_show_what_is_stated(leaf):
+    """A lag in one run only: the others, predicted with it, deny it."""
+    late = recorded(leaf, {**HEALTHY, "steering_lag": {"time_constant": 0.12}}, 3)
+    found = discover([late[0], *recorded(leaf, HEALTHY, 3)[1:]], leaf, reference=reference(leaf), settings=settings())
+    assert found.outcome in ("none", "unknown") and not found.effects
+
+
+@pytest.mark.slow
 def test_two_effects_are_both_found(leaf):
     effects = {**HEALTHY, "steering_offset": {"angle": 0.006}, "yaw_inertia": {"factor": 1.25}}
     found = discover(recorded(leaf, effects, 5), leaf, reference=reference(leaf), settings=settings())
