@@ -106,11 +106,39 @@ def test_each_run_must_show_what_is_stated(leaf, monkeypatch, late_runs):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("from_", [0.45, 0.0])
+def test_an_effect_in_one_part_only_is_told_from_one_that_nothing_explains(leaf, monkeypatch, from_):
+    """A lag from a moment on; and one that is there all the time, though the whole is held to be explained by nothing:
+    both halves show it."""
+    lagged = recorded(leaf, {**HEALTHY, "steering_lag": {"time_constant": 0.12}}, 3)
+    runs = [replace(log, **{key: np.where(np.linspace(0.0, 1.0, len(log.x)) < from_, getattr(log, key),
+                                          getattr(later, key)) for key in NOISE})
+            for log, later in zip(recorded(leaf, HEALTHY, 3), lagged, strict=True)]
+    unexplained, whole = several.unexplained, iter([from_ == 0.0])
+    monkeypatch.setattr(several, "unexplained", lambda *others: next(whole, False) or unexplained(*others))
+    found = discover(runs, leaf, reference=reference(leaf), settings=settings())
+    assert found.outcome == ("named" if from_ else "unknown")
+    assert [e.name for e in found.effects] == ["steering_lag"] * (from_ > 0.0)
+    assert any("in the later part of the runs only" in text for text in found.warnings) == (from_ > 0.0)
+
+
+@pytest.mark.slow
 def test_two_effects_are_both_found(leaf):
     effects = {**HEALTHY, "steering_offset": {"angle": 0.006}, "yaw_inertia": {"factor": 1.25}}
     found = discover(recorded(leaf, effects, 5), leaf, reference=reference(leaf), settings=settings())
     assert found.outcome == "several"
     assert {e.name for e in found.effects} == {"steering_offset", "yaw_inertia"}
+
+
+@pytest.mark.slow
+def test_three_changes_at_once_are_held_for_one_that_the_library_lacks(leaf):
+    effects = {**HEALTHY, "steering_offset": {"angle": 0.01}, "yaw_inertia": {"factor": 1.3},
+               "steering_lag": {"time_constant": 0.12}}
+    found = discover(recorded(leaf, effects, 5), leaf, reference=reference(leaf), settings=settings())
+    assert found.outcome == "unknown"
+    assert found.model is None
+    words, = (text for text in found.warnings if "likelier than so many at once" in text)
+    assert {"steering_offset", "yaw_inertia", "steering_lag"} == set(words.split(" together")[0].split(", "))
 
 
 @pytest.mark.slow

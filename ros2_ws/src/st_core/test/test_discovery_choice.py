@@ -5,7 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import stats
-from st_core.discovery.choice import AGREED, BUILT_IN, SLOWER, SLOWER_BUILT_IN, TAIL, TAIL_AGREED, by_chance, null_of
+from st_core.discovery.choice import (
+    AGREED,
+    BUILT_IN,
+    LITTLE,
+    SLOWER,
+    SLOWER_BUILT_IN,
+    SLOWER_LITTLE,
+    TAIL,
+    TAIL_AGREED,
+    by_chance,
+    null_of,
+)
 from st_core.discovery.floor import precisions, restless_of
 from st_core.discovery.quadratic import Quadratic
 from st_core.discovery.several import SHARE_TOGETHER, TOGETHER, excess, incomplete
@@ -84,6 +95,19 @@ def test_a_gain_counts_less_where_runs_disagree_and_more_for_what_is_built_in():
     assert changing.comparable(gain, [*built_in, "a"], AGREED) == in_all
     assert set(EFFECTS) >= BUILT_IN
     assert changing.probability(changing.threshold(0.01)) == pytest.approx(0.01)
+
+
+def test_more_must_be_gained_where_an_effect_explains_little_alone():
+    same, changing = null(np.array([0.01, -0.01, 0.02])), null(np.array([1.0, -1.2, 0.4]))
+    gain, explained = same.middle + 30.0, np.array([2.0, 1.0, 0.5, 0.3, 0.1]) * LITTLE
+    over = [same.comparable(gain, ["a"], AGREED, e) - same.middle for e in explained]
+    assert over == pytest.approx([30.0, 30.0, 15.0, 9.0, 30.0 / SLOWER_LITTLE])
+    assert same.comparable(gain, ["a"], AGREED, -1.0) == same.comparable(gain, ["a"], AGREED, 0.0)
+    # Where gains fall off as slowly anyway that is asked for once only.
+    gain = changing.middle + 30.0
+    assert changing.comparable(gain, ["a"], AGREED, 0.0) == pytest.approx(gain)
+    assert changing.comparable(gain, sorted(BUILT_IN)[:1], AGREED, 0.0) == pytest.approx(
+        changing.middle + 30.0 * SLOWER / SLOWER_LITTLE)
 
 
 def test_a_gap_in_few_blocks_shows_in_the_mean():

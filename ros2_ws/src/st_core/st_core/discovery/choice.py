@@ -21,6 +21,8 @@ USUALLY, USUALLY_SEEN = 0.6, 1.2
 # what is built in does not change by itself, and its gains fall off SLOWER_BUILT_IN times as slowly there.
 TAIL, TAIL_AGREED = 1.9, 0.85
 SLOWER, SLOWER_BUILT_IN = 6.0, 3.0
+# Where an effect alone explains less than LITTLE of what healthy driving costs: as many times as slowly, up to this.
+LITTLE, SLOWER_LITTLE = 0.75, 5.2
 BUILT_IN = {"steering_delay", "steering_lag", "sensor_lever_arm", "yaw_rate_scale", "speed_scale"}
 AGREED = 0.005  # probability of what runs say by chance: below that they agree in it
 DISAGREED = 0.6  # what a gain loses for each factor e above that, times as much where gains fall off more slowly
@@ -51,10 +53,14 @@ class Null:
         """That healthy data gain as much."""
         return float(0.5 * np.exp(min(-(gain - self.middle) / self.fall, np.log(2.0))))
 
-    def comparable(self, gain: float, names: Sequence[str], chance: float) -> float:
-        """A gain as one in which the runs agree, of an effect that is not built in. chance: see `by_chance`."""
+    def comparable(self, gain: float, names: Sequence[str], chance: float, explained: float = 1.0) -> float:
+        """A gain as one in which the runs agree, of an effect that is not built in and explains enough.
+
+        chance: see `by_chance`. explained: by the effect alone, over what healthy driving costs (`gap.explained`)."""
         over = gain - self.middle - self.loss * float(np.log(max(chance, AGREED) / AGREED))
-        return self.middle + over * (self.built_in if BUILT_IN.issuperset(names) else 1.0)
+        usual = self.slower / (self.built_in if BUILT_IN.issuperset(names) else 1.0)
+        little = min(LITTLE / max(explained, 1e-9), SLOWER_LITTLE)
+        return self.middle + over * self.slower / max(usual, little)
 
     def threshold(self, false_alarm: float) -> float:
         """The gain at which `probability` is false_alarm."""

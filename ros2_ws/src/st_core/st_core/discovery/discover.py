@@ -23,6 +23,7 @@ Progress = Callable[[str, int, int], None]
 LEAST_BLOCKS = 4
 ASTRAY = 0.2  # share of the windows
 TRIED = 7  # hypotheses fitted to the end
+DOUBTED = "runs do not agree in it or it explains little alone"
 KEPT = 4  # floors of references, for who discovers again and again
 _floors: dict[tuple, tuple[tuple, Floor, dict]] = {}
 
@@ -51,19 +52,22 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
 
 def _in_part(found: Discovery, runs, vehicle, base, reference, settings, progress) -> Discovery | None:
     """What the later or the earlier halves of the runs say alone, where the whole is explained by nothing: an effect
-    may have come or gone on the way."""
+    may have come or gone on the way. What both halves show was there all the time."""
     least = 1_000_000_000 * (2.0 * settings.horizon + 4.0)
     if any(run.end_ns - run.start_ns < 2 * least for run in runs):
         return None
+    said = []
     for words, begin, end in (("later", 0.55, 1.0), ("earlier", 0.0, 0.35)):
         parts = [run.slice(*(run.start_ns + round(share * (run.end_ns - run.start_ns)) for share in (begin, end)))
                  for run in runs]
         part = _Work(parts, vehicle, base, reference, replace(settings, where=False), progress).result()
-        if part.outcome in ("named", "ambiguous"):
-            said = (f"{part.effects[0].name} is there in the {words} part of the runs only; values and gap are those "
-                    f"of {begin:.0%} to {end:.0%} of each run")
-            return replace(part, where=found.where, warnings=(*part.warnings, said), p=found.p)
-    return None
+        if part.effects:
+            said.append((part, f"{part.effects[0].name} is there in the {words} part of the runs only; values and gap "
+                               f"are those of {begin:.0%} to {end:.0%} of each run"))
+    if len(said) != 1 or len(said[0][0].effects) != 1:
+        return None
+    (part, words), = said
+    return replace(part, where=found.where, warnings=(*part.warnings, words), p=found.p)
 
 
 class _Work:
@@ -108,17 +112,22 @@ class _Work:
         study.rate(fits.values())
         found: list[Fit] = []
         unknown, signature = False, ()
-        excess = several.excess(study, study.base, np.mean)
+        excess = several.excess(study, study.base, np.mean) / (1.0 + several.RESTLESS * floor.restless)
         sure = agreed > several.SURELY * limit or excess > several.UNKNOWN_BESIDE
         if agreed > limit:
-            found, level = several.search(study, fits, limit, settings.maximum_effects)
+            most = min(settings.maximum_effects, several.TOO_MANY) if null.loss else settings.maximum_effects
+            found, level = several.search(study, fits, limit, most)
             unknown = several.unexplained(study, found[0], level, fits)
             if not unknown and not study.credible(found[0]):
                 unknown = sure
                 if not sure:
                     self._leave_open(found.pop(0), "not by itself")
             elif not unknown and len(found[0].names) == 1 and self._comparable(found[0]) <= limit:
-                self._leave_open(found.pop(0), "runs do not agree in it")
+                self._leave_open(found.pop(0), DOUBTED)
+            elif not unknown and null.loss and len(found[0].names) >= several.TOO_MANY:
+                unknown = True
+                self.warnings.append(f"{', '.join(found[0].names)} together come closest, but one effect that the "
+                                     "library lacks is likelier than so many at once")
             elif not unknown and null.loss and several.incomplete(study, found[0], fits, null.slower):
                 unknown = True
                 self.warnings.append(f"{', '.join(found[0].names)} comes closest, but all effects together would "
@@ -126,7 +135,7 @@ class _Work:
         elif excess > (several.UNKNOWN_BESIDE if gain > limit else several.UNKNOWN_ALONE):
             unknown = True
         elif gain > limit:
-            self._leave_open(best, "runs do not agree in it")
+            self._leave_open(best, DOUBTED)
         answer = found[0] if found else study.base
         rivals = several.rivals(study, answer, fits, gain) if found and not unknown else {}
         outcome = self._outcome(answer, rivals, unknown, untestable, gain > limit)
@@ -239,9 +248,15 @@ class _Work:
     # What is said
 
     def _comparable(self, fit: Fit) -> float:
-        """What a fit gains, without what that loses where the runs do not agree in it."""
+        """What a fit gains, without what that loses where the runs do not agree in it or it explains little alone."""
         gain = self.study.base.cost - fit.cost
-        return self.null.comparable(gain, fit.names, choice.by_chance(fit, self.study)) if self.null.loss else gain
+        if not self.null.loss:
+            return gain
+        chance = choice.by_chance(fit, self.study)
+        agreed = self.null.comparable(gain, fit.names, chance)
+        if agreed <= self.null.threshold(self.settings.false_alarm):
+            return agreed
+        return self.null.comparable(gain, fit.names, chance, gap.explained(self.study, fit))
 
     def _leave_open(self, fit: Fit, why: str) -> None:
         self.warnings.append(f"{', '.join(fit.names)} gains more than effects do on healthy drives, but {why}; "
@@ -294,7 +309,7 @@ class _Work:
             verdict = ("chosen" if name in answer.names else "alternative" if name in also
                        else "not testable" if name in blind else "explains less" if answer.names
                        else "no more than on healthy drives" if gain <= limit
-                       else "runs do not agree in it" if agreed <= limit else "too little to be stated")
+                       else DOUBTED if agreed <= limit else "too little to be stated")
             share = gain / max(study.base.cost, 1e-9)
             rows.append(Candidate(name, values, float(share), null.probability(agreed), verdict))
         return tuple(rows)

@@ -82,15 +82,26 @@ def shrinks(gaps: Mapping[str, Gap], study: Study, fit: Fit) -> bool:
     surely = any(g.interval[0] > 0.0 for g in gaps.values())
     if study.floor.quadratic is None:
         return surely
-    falls = [_fall(study, fit, fold) for fold in np.unique(study.folds)]
-    if sum(falls) > 0.0 and min(falls) > -RISE:
+    each = falls(study, fit)
+    if each.sum() > 0.0 and each.min() > -RISE:
         return True
     together = sum((g.base - g.augmented) / max(0.5 * (g.interval[1] - g.interval[0]), 1e-12) for g in gaps.values())
     return study.floor.restless > 0.0 and (surely or together > 0.0)
 
 
+def explained(study: Study, fit: Fit) -> float:
+    """What the effects alone explain of runs they were not fitted to, over what healthy drives as long cost [1]."""
+    floor, windows = study.floor, study.quadratic.windows
+    return float(falls(study, fit).sum() * floor.inflation / (windows.sum() * floor.level.mean()))
+
+
+def falls(study: Study, fit: Fit) -> np.ndarray:
+    """(folds,) of twice the negative log-likelihood of each fold, from the healthy base to the effects alone, fitted to
+    the other folds."""
+    return np.array([_fall(study, fit, fold) for fold in np.unique(study.folds)])
+
+
 def _fall(study: Study, fit: Fit, fold: int) -> float:
-    """Of twice the negative log-likelihood of a fold, from the healthy base to the effects alone."""
     mine = study.folds == fold
     vector = study.only(fit, study.space.indices(*fit.names), ~mine)
     rows = row_errors(study.windows, study.space, vector)

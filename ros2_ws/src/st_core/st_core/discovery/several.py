@@ -16,10 +16,12 @@ ORDINARY = 0.85  # excess of an ordinary healthy run
 PARTNERS = 8  # pairs fitted to the end
 UNKNOWN_ALONE = 1.7  # mean excess of a base no effect improves
 UNKNOWN_BESIDE, SURELY = 1.5, 4.0  # mean excess, or times the limit, from which a gain is a gap though no name holds
+RESTLESS = 0.3  # by how much more healthy runs exceed where they differ from each other
 UNKNOWN_LEFT = 1.5  # excess an explanation may leave
 LEAST, MOST = 0.2, 0.8  # shares of the excess an explanation takes away
 # What all effects together may gain over an answer, and what more as a share of its gain.
 TOGETHER, SHARE_TOGETHER = 90.0, 0.06
+TOO_MANY = 3  # changes at once of a car that is known to have been healthy
 NEARLY = 0.7  # share of the best gain at which another name does nearly as well
 
 

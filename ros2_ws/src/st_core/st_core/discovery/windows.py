@@ -140,6 +140,11 @@ class Windows:
     def __len__(self) -> int:
         return len(self.starts_ns)
 
+    @property
+    def speeds(self) -> np.ndarray:
+        """(n, points) forward speed at the points of the windows that are compared [m/s]."""
+        return self._measured["velocity_x"]
+
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
         log, width = self._raw, round(2 * STEP / NANOSECOND)
         signals = Signals(log, 0.1)
