@@ -234,7 +234,7 @@ def test_a_gain_without_a_name_is_a_gap_only_when_it_stands_out(leaf, monkeypatc
     monkeypatch.setattr(choice.Null, "threshold", lambda *_: 1e-9)
     monkeypatch.setattr(Study, "credible", lambda *_: False)
     monkeypatch.setattr(several, "SURELY", np.inf)
-    monkeypatch.setattr(several, "UNKNOWN_BESIDE", beside)
+    monkeypatch.setattr(several, "UNKNOWN", beside)
     log, = recorded(leaf, {**HEALTHY, "steering_offset": {"angle": 0.01}}, 15, ("step",))
     found = discover([log.slice(log.start_ns, log.start_ns + 15_000_000_000)], leaf, settings=settings(
         effects=("steering_lag", "steering_offset"), maximum_effects=1))

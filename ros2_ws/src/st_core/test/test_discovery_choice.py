@@ -9,6 +9,7 @@ from st_core.discovery.choice import (
     AGREED,
     BUILT_IN,
     LITTLE,
+    MOMENTARY,
     SLOWER,
     SLOWER_BUILT_IN,
     SLOWER_LITTLE,
@@ -93,7 +94,7 @@ def test_a_gain_counts_less_where_runs_disagree_and_more_for_what_is_built_in():
     assert changing.comparable(gain, ["a"], 0.5) < changing.comparable(gain, ["a"], 0.05) < in_all
     assert changing.comparable(gain, built_in, AGREED) == pytest.approx(changing.middle + 60.0)
     assert changing.comparable(gain, [*built_in, "a"], AGREED) == in_all
-    assert set(EFFECTS) >= BUILT_IN
+    assert set(EFFECTS) >= BUILT_IN | MOMENTARY
     assert changing.probability(changing.threshold(0.01)) == pytest.approx(0.01)
 
 
@@ -103,6 +104,9 @@ def test_more_must_be_gained_where_an_effect_explains_little_alone():
     over = [same.comparable(gain, ["a"], AGREED, e) - same.middle for e in explained]
     assert over == pytest.approx([30.0, 30.0, 15.0, 9.0, 30.0 / SLOWER_LITTLE])
     assert same.comparable(gain, ["a"], AGREED, -1.0) == same.comparable(gain, ["a"], AGREED, 0.0)
+    # Not asked of what acts in moments only; and what gains less than half of the healthy does is not helped by it.
+    assert same.comparable(gain, sorted(MOMENTARY), AGREED, 0.0) == pytest.approx(gain)
+    assert same.comparable(same.middle - 1.0, ["a"], AGREED, 0.0) == pytest.approx(same.middle - 1.0)
     # Where gains fall off as slowly anyway that is asked for once only.
     gain = changing.middle + 30.0
     assert changing.comparable(gain, ["a"], AGREED, 0.0) == pytest.approx(gain)

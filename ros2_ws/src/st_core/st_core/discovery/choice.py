@@ -22,7 +22,9 @@ USUALLY, USUALLY_SEEN = 0.6, 1.2
 TAIL, TAIL_AGREED = 1.9, 0.85
 SLOWER, SLOWER_BUILT_IN = 6.0, 3.0
 # Where an effect alone explains less than LITTLE of what healthy driving costs: as many times as slowly, up to this.
+# Not asked of what acts in a few moments only, and what no healthy drive imitates.
 LITTLE, SLOWER_LITTLE = 0.75, 5.2
+MOMENTARY = {"combined_slip"}
 BUILT_IN = {"steering_delay", "steering_lag", "sensor_lever_arm", "yaw_rate_scale", "speed_scale"}
 AGREED = 0.005  # probability of what runs say by chance: below that they agree in it
 DISAGREED = 0.6  # what a gain loses for each factor e above that, times as much where gains fall off more slowly
@@ -59,8 +61,8 @@ class Null:
         chance: see `by_chance`. explained: by the effect alone, over what healthy driving costs (`gap.explained`)."""
         over = gain - self.middle - self.loss * float(np.log(max(chance, AGREED) / AGREED))
         usual = self.slower / (self.built_in if BUILT_IN.issuperset(names) else 1.0)
-        little = min(LITTLE / max(explained, 1e-9), SLOWER_LITTLE)
-        return self.middle + over * self.slower / max(usual, little)
+        little = 1.0 if MOMENTARY.issuperset(names) else min(LITTLE / max(explained, 1e-9), SLOWER_LITTLE)
+        return self.middle + over * self.slower / (max(usual, little) if over > 0.0 else usual)
 
     def threshold(self, false_alarm: float) -> float:
         """The gain at which `probability` is false_alarm."""

@@ -60,14 +60,19 @@ def _in_part(found: Discovery, runs, vehicle, base, reference, settings, progres
     for words, begin, end in (("later", 0.55, 1.0), ("earlier", 0.0, 0.35)):
         parts = [run.slice(*(run.start_ns + round(share * (run.end_ns - run.start_ns)) for share in (begin, end)))
                  for run in runs]
-        part = _Work(parts, vehicle, base, reference, replace(settings, where=False), progress).result()
+        try:
+            part = _Work(parts, vehicle, base, reference, replace(settings, where=False), progress).result()
+        except StCoreError:
+            continue  # the car stands there, say: nothing is known of that part
+        if part.outcome in ("unknown", "several"):
+            return None
         if part.effects:
-            said.append((part, f"{part.effects[0].name} is there in the {words} part of the runs only; values and gap "
+            said.append((part, f"{part.effects[0].name} shows in the {words} part of the runs only; values and gap "
                                f"are those of {begin:.0%} to {end:.0%} of each run"))
-    if len(said) != 1 or len(said[0][0].effects) != 1:
+    if len(said) != 1:
         return None
     (part, words), = said
-    return replace(part, where=found.where, warnings=(*part.warnings, words), p=found.p)
+    return replace(part, where=found.where, warnings=(*part.warnings, words))
 
 
 class _Work:
@@ -76,6 +81,7 @@ class _Work:
         self.space = Space(base, settings)
         self.rng = np.random.default_rng(settings.seed)
         self.warnings: list[str] = []
+        self._explained: dict[tuple[str, ...], tuple[float, float]] = {}
         self.runs, self.reference = self._usable(runs, "run"), self._usable(reference, "reference")
         if not self.runs:
             raise StCoreError("no run is long enough: a run needs "
@@ -112,8 +118,10 @@ class _Work:
         study.rate(fits.values())
         found: list[Fit] = []
         unknown, signature = False, ()
-        excess = several.excess(study, study.base, np.mean) / (1.0 + several.RESTLESS * floor.restless)
-        sure = agreed > several.SURELY * limit or excess > several.UNKNOWN_BESIDE
+        excess = several.excess(study, study.base, np.mean)
+        if null.loss:
+            excess /= 1.0 + several.RESTLESS * floor.restless
+        sure = agreed > several.SURELY * limit or excess > several.UNKNOWN
         if agreed > limit:
             most = min(settings.maximum_effects, several.TOO_MANY) if null.loss else settings.maximum_effects
             found, level = several.search(study, fits, limit, most)
@@ -132,7 +140,7 @@ class _Work:
                 unknown = True
                 self.warnings.append(f"{', '.join(found[0].names)} comes closest, but all effects together would "
                                      "explain much more: it only resembles what is there")
-        elif excess > (several.UNKNOWN_BESIDE if gain > limit else several.UNKNOWN_ALONE):
+        elif excess > several.UNKNOWN:
             unknown = True
         elif gain > limit:
             self._leave_open(best, DOUBTED)
@@ -157,14 +165,15 @@ class _Work:
         untestable = tuple(n for n in untestable if n.name not in stated)
         lost = astray(windows, study.rows)
         if lost > ASTRAY and model is None:
-            if not self.reference or excess > several.UNKNOWN_BESIDE:
+            if not self.reference or excess > several.UNKNOWN:
                 outcome = "unknown"
             self.warnings.append(f"the base model is lost in {lost:.0%} of the windows: it diverges, is not of this "
                                  "car, or something large is wrong; check base and vehicle file")
         separable = tuple(self._separability(rivals, fits)) if model else ()
         following = manoeuvres.following(study, effects, fits) if separable else None
         if separable and following is None:
-            self.warnings.append("no drive of the catalogue would tell the names apart: "
+            self.warnings.append("no drive of the catalogue at speeds like those driven would surely tell the names "
+                                 "apart: "
                                  + "; ".join(f"{s.first} and {s.second}" for s in separable))
         where = self._where(floor)
         if outcome == "unknown":
@@ -252,11 +261,9 @@ class _Work:
         gain = self.study.base.cost - fit.cost
         if not self.null.loss:
             return gain
-        chance = choice.by_chance(fit, self.study)
-        agreed = self.null.comparable(gain, fit.names, chance)
-        if agreed <= self.null.threshold(self.settings.false_alarm):
-            return agreed
-        return self.null.comparable(gain, fit.names, chance, gap.explained(self.study, fit))
+        if fit.names not in self._explained:
+            self._explained[fit.names] = choice.by_chance(fit, self.study), gap.explained(self.study, fit)
+        return self.null.comparable(gain, fit.names, *self._explained[fit.names])
 
     def _leave_open(self, fit: Fit, why: str) -> None:
         self.warnings.append(f"{', '.join(fit.names)} gains more than effects do on healthy drives, but {why}; "

@@ -21,7 +21,7 @@ from .study import Fit, Study
 from .windows import STEP, MotionOnly, Windows, added_acceleration
 
 TIMES = 3  # each manoeuvre is driven, as ISO asks for
-TOLD = 4.0  # standard deviations a pair must be put apart: nine in ten drives settle it then
+TOLD = 4.0  # standard deviations a pair must be put apart
 MARGIN = 0.15  # beyond the speeds usually driven; nobody has seen how large a healthy car's errors are
 PERIOD = STEP / 2  # s, of the simulated log
 MOST_LATERAL = 9.0  # m/s^2
