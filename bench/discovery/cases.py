@@ -28,7 +28,7 @@ from .sensing import log_of
 LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 NOMINAL: Car = read_car(LEAF_FILE)
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
-SEALED = "single track, discovery, sealed set 9"
+SEALED = "single track, discovery, sealed set 10"
 PER_CAR = 10
 RUNS, HELD_OUT = 3, 2
 SCALES, ODDS = (1.0, 0.5, 0.25), (0.45, 0.35, 0.2)

@@ -131,6 +131,18 @@ def test_two_effects_are_both_found(leaf):
 
 
 @pytest.mark.slow
+def test_a_part_in_which_the_car_stands_does_not_take_the_answer_away(leaf, monkeypatch):
+    logs = recorded(leaf, {**HEALTHY, "steering_lag": {"time_constant": 0.12}}, 3)
+    runs = [replace(log, velocity_x=np.where(np.linspace(0.0, 1.0, len(log.x)) < 0.4, 0.0, log.velocity_x))
+            for log in logs]
+    unexplained, whole = several.unexplained, iter([True])
+    monkeypatch.setattr(several, "unexplained", lambda *others: next(whole, False) or unexplained(*others))
+    found = discover(runs, leaf, reference=reference(leaf), settings=settings())
+    assert [e.name for e in found.effects] == ["steering_lag"]
+    assert any("in the later part of the runs only" in text for text in found.warnings)
+
+
+@pytest.mark.slow
 def test_three_changes_at_once_are_held_for_one_that_the_library_lacks(leaf):
     effects = {**HEALTHY, "steering_offset": {"angle": 0.01}, "yaw_inertia": {"factor": 1.3},
                "steering_lag": {"time_constant": 0.12}}

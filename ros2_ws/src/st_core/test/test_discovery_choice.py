@@ -9,10 +9,12 @@ from st_core.discovery.choice import (
     AGREED,
     BUILT_IN,
     LITTLE,
+    LITTLE_MORE,
+    LITTLE_SLOWER,
     MOMENTARY,
+    MUCH_FASTER,
     SLOWER,
     SLOWER_BUILT_IN,
-    SLOWER_LITTLE,
     TAIL,
     TAIL_AGREED,
     by_chance,
@@ -100,18 +102,18 @@ def test_a_gain_counts_less_where_runs_disagree_and_more_for_what_is_built_in():
 
 def test_more_must_be_gained_where_an_effect_explains_little_alone():
     same, changing = null(np.array([0.01, -0.01, 0.02])), null(np.array([1.0, -1.2, 0.4]))
-    gain, explained = same.middle + 30.0, np.array([2.0, 1.0, 0.5, 0.3, 0.1]) * LITTLE
+    gain, explained = same.middle + 30.0, np.array([9.0, 1.25, 1.0, 0.5, 0.3, 0.1]) * LITTLE
     over = [same.comparable(gain, ["a"], AGREED, e) - same.middle for e in explained]
-    assert over == pytest.approx([30.0, 30.0, 15.0, 9.0, 30.0 / SLOWER_LITTLE])
+    assert over == pytest.approx([30.0 / MUCH_FASTER, 37.5, 30.0, 15.0, 9.0, 30.0 / LITTLE_SLOWER])
     assert same.comparable(gain, ["a"], AGREED, -1.0) == same.comparable(gain, ["a"], AGREED, 0.0)
     # Not asked of what acts in moments only; and what gains less than half of the healthy does is not helped by it.
     assert same.comparable(gain, sorted(MOMENTARY), AGREED, 0.0) == pytest.approx(gain)
     assert same.comparable(same.middle - 1.0, ["a"], AGREED, 0.0) == pytest.approx(same.middle - 1.0)
-    # Where gains fall off as slowly anyway that is asked for once only.
+    # Where gains fall off slowly anyway hardly more is asked for.
     gain = changing.middle + 30.0
-    assert changing.comparable(gain, ["a"], AGREED, 0.0) == pytest.approx(gain)
+    assert changing.comparable(gain, ["a"], AGREED, 0.0) == pytest.approx(changing.middle + 30.0 / LITTLE_MORE)
     assert changing.comparable(gain, sorted(BUILT_IN)[:1], AGREED, 0.0) == pytest.approx(
-        changing.middle + 30.0 * SLOWER / SLOWER_LITTLE)
+        changing.middle + 30.0 * SLOWER / LITTLE_SLOWER)
 
 
 def test_a_gap_in_few_blocks_shows_in_the_mean():

@@ -21,9 +21,10 @@ USUALLY, USUALLY_SEEN = 0.6, 1.2
 # what is built in does not change by itself, and its gains fall off SLOWER_BUILT_IN times as slowly there.
 TAIL, TAIL_AGREED = 1.9, 0.85
 SLOWER, SLOWER_BUILT_IN = 6.0, 3.0
-# Where an effect alone explains less than LITTLE of what healthy driving costs: as many times as slowly, up to this.
-# Not asked of what acts in a few moments only, and what no healthy drive imitates.
-LITTLE, SLOWER_LITTLE = 0.75, 5.2
+# An effect that alone explains less than LITTLE, over what healthy driving costs: as many times as slowly, until they
+# fall off LITTLE_SLOWER times as slowly or this much is LITTLE_MORE; as much faster, to MUCH_FASTER, where it explains
+# more. Not asked of what acts in a few moments only, and what no healthy drive imitates.
+LITTLE, LITTLE_SLOWER, LITTLE_MORE, MUCH_FASTER = 0.75, 5.2, 1.5, 0.6
 MOMENTARY = {"combined_slip"}
 BUILT_IN = {"steering_delay", "steering_lag", "sensor_lever_arm", "yaw_rate_scale", "speed_scale"}
 AGREED = 0.005  # probability of what runs say by chance: below that they agree in it
@@ -55,14 +56,15 @@ class Null:
         """That healthy data gain as much."""
         return float(0.5 * np.exp(min(-(gain - self.middle) / self.fall, np.log(2.0))))
 
-    def comparable(self, gain: float, names: Sequence[str], chance: float, explained: float = 1.0) -> float:
+    def comparable(self, gain: float, names: Sequence[str], chance: float, explained: float = LITTLE) -> float:
         """A gain as one in which the runs agree, of an effect that is not built in and explains enough.
 
         chance: see `by_chance`. explained: by the effect alone, over what healthy driving costs (`gap.explained`)."""
         over = gain - self.middle - self.loss * float(np.log(max(chance, AGREED) / AGREED))
         usual = self.slower / (self.built_in if BUILT_IN.issuperset(names) else 1.0)
-        little = 1.0 if MOMENTARY.issuperset(names) else min(LITTLE / max(explained, 1e-9), SLOWER_LITTLE)
-        return self.middle + over * self.slower / (max(usual, little) if over > 0.0 else usual)
+        if over > 0.0 and not MOMENTARY.issuperset(names):
+            usual *= np.clip(LITTLE / max(explained, 1e-9), MUCH_FASTER, max(LITTLE_SLOWER / usual, LITTLE_MORE))
+        return self.middle + float(over * self.slower / usual)
 
     def threshold(self, false_alarm: float) -> float:
         """The gain at which `probability` is false_alarm."""

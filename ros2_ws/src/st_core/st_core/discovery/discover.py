@@ -121,7 +121,7 @@ class _Work:
         excess = several.excess(study, study.base, np.mean)
         if null.loss:
             excess /= 1.0 + several.RESTLESS * floor.restless
-        sure = agreed > several.SURELY * limit or excess > several.UNKNOWN
+        sure = self._comparable(best, choice.LITTLE) > several.SURELY * limit or excess > several.UNKNOWN
         if agreed > limit:
             most = min(settings.maximum_effects, several.TOO_MANY) if null.loss else settings.maximum_effects
             found, level = several.search(study, fits, limit, most)
@@ -256,14 +256,15 @@ class _Work:
 
     # What is said
 
-    def _comparable(self, fit: Fit) -> float:
+    def _comparable(self, fit: Fit, explained: float | None = None) -> float:
         """What a fit gains, without what that loses where the runs do not agree in it or it explains little alone."""
         gain = self.study.base.cost - fit.cost
         if not self.null.loss:
             return gain
         if fit.names not in self._explained:
             self._explained[fit.names] = choice.by_chance(fit, self.study), gap.explained(self.study, fit)
-        return self.null.comparable(gain, fit.names, *self._explained[fit.names])
+        chance, own = self._explained[fit.names]
+        return self.null.comparable(gain, fit.names, chance, own if explained is None else explained)
 
     def _leave_open(self, fit: Fit, why: str) -> None:
         self.warnings.append(f"{', '.join(fit.names)} gains more than effects do on healthy drives, but {why}; "

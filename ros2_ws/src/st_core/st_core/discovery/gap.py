@@ -16,7 +16,7 @@ from .windows import CHANNEL_OF, Windows
 HELD_OUT_FROM = 4  # runs; with fewer each is predicted by values fitted to the others
 LONG = 5.0  # s
 RESAMPLES = 400
-RISE = 1.0  # of twice the negative log-likelihood: a run that does not show an effect may say nothing of it
+RISE = 3.0  # of twice the negative log-likelihood: a run that does not show an effect may say nothing of it
 
 
 @dataclass(frozen=True, eq=False)
