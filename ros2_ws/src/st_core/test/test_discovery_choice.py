@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import stats
+from st_core.discovery import manoeuvres
 from st_core.discovery.choice import (
     AGREED,
     BUILT_IN,
@@ -22,6 +23,7 @@ from st_core.discovery.choice import (
 )
 from st_core.discovery.floor import precisions, restless_of
 from st_core.discovery.quadratic import Quadratic
+from st_core.discovery.result import FoundEffect
 from st_core.discovery.several import SHARE_TOGETHER, TOGETHER, excess, incomplete
 from st_core.effects import EFFECTS
 
@@ -136,3 +138,14 @@ def test_an_answer_is_incomplete_where_all_effects_together_explain_much_more(sl
         return incomplete(study, answer, {}, slower)
     assert told(500.0 - most - 1.0)
     assert not told(500.0 - most + 1.0)
+
+
+@pytest.mark.parametrize(("speed", "looked_at"), [
+    (4.0, {"S1"}), (12.0, {"step", "ramp_to_limit", "lane_change", "brake_in_turn"}), (30.0, set())])
+def test_drives_are_asked_for_at_speeds_like_those_driven(monkeypatch, speed, looked_at):
+    seen = set()
+    monkeypatch.setattr(manoeuvres, "_strengths", lambda study, manoeuvre, *others: seen.add(manoeuvre.name) or {})
+    study = SimpleNamespace(windows=SimpleNamespace(speeds=np.array([[speed, np.nan], [speed, speed]])))
+    effect = FoundEffect("a", {}, ("b",), 0.5)
+    assert manoeuvres.following(study, [effect], {"a": None, "b": None}) is None
+    assert seen == looked_at

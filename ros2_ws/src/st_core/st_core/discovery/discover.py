@@ -172,9 +172,9 @@ class _Work:
         separable = tuple(self._separability(rivals, fits)) if model else ()
         following = manoeuvres.following(study, effects, fits) if separable else None
         if separable and following is None:
+            pairs = "; ".join(f"{s.first} and {s.second}" for s in separable)
             self.warnings.append("no drive of the catalogue at speeds like those driven would surely tell the names "
-                                 "apart: "
-                                 + "; ".join(f"{s.first} and {s.second}" for s in separable))
+                                 f"apart: {pairs}")
         where = self._where(floor)
         if outcome == "unknown":
             signature = tuple(f"{w.channel}: {w.condition}" for w in where[:6])

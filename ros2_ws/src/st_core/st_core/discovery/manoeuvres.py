@@ -22,7 +22,7 @@ from .windows import STEP, MotionOnly, Windows, added_acceleration
 
 TIMES = 3  # each manoeuvre is driven, as ISO asks for
 TOLD = 4.0  # standard deviations a pair must be put apart
-MARGIN = 0.15  # beyond the speeds usually driven; nobody has seen how large a healthy car's errors are
+MARGIN = 0.15  # of the speeds usually driven: further off nobody has seen how large errors are
 PERIOD = STEP / 2  # s, of the simulated log
 MOST_LATERAL = 9.0  # m/s^2
 
