@@ -1,0 +1,14 @@
+"""Is a recording what it says it is? Signals first: what breaks an identity is a sensor, a unit, a clock or a projection.
+
+    checked = check(log, vehicle, extras)
+    for finding in checked.findings: print(finding.severity, finding.text, finding.cure)
+
+Pure: numbers in, findings out. The same call serves `st check`, every other verb and the live node.
+"""
+
+from .check import check
+from .extras import Extras, InsQuality, Series
+from .finding import SCHEMA, Channel, Checked, Cure, Finding, Identity, Severity
+
+__all__ = ["SCHEMA", "Channel", "Checked", "Cure", "Extras", "Finding", "Identity", "InsQuality", "Series", "Severity",
+           "check"]

@@ -1,0 +1,121 @@
+"""What a check of a recording gives: findings, what was measured of each channel, and the identities behind them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, Literal
+
+import numpy as np
+
+SCHEMA = 1  # of check.json; keys are added, never renamed, within a number
+
+
+class Severity(StrEnum):
+    """error: an evaluation would be meaningless. warning: it would be biased. note: worth knowing, harmless here."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    NOTE = "note"
+
+
+@dataclass(frozen=True)
+class Cure:
+    """What removes a finding. line: to be pasted, one line.
+
+    kind: "run.yaml": `entry` is to be merged into the run's run.yaml; "vehicle": a value of the vehicle file;
+    "option": of the command line; "look": nothing to paste, `line` says what to look at.
+    """
+
+    kind: Literal["run.yaml", "vehicle", "option", "look"]
+    line: str
+    entry: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with a recording, or worth knowing of it.
+
+    name: stable, a key of docs/checks.md. channels: fields of DriveLog (or time, wheel_speed, ins) it is about.
+    value, interval: estimate and its 95 % interval in `unit`; None where there is nothing to estimate. text: one
+    sentence. where: stretches in s after the first INS measurement; empty for the whole run. effect: by about how much
+    it moves the predicted or measured position after 5 s [m]; None where that means nothing.
+    """
+
+    name: str
+    severity: Severity
+    channels: tuple[str, ...]
+    text: str
+    value: float | None = None
+    unit: str = "1"
+    interval: tuple[float, float] | None = None
+    where: tuple[tuple[float, float], ...] = ()
+    effect: float | None = None
+    cure: Cure | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, as check.json has them."""
+        return {
+            "name": self.name, "severity": self.severity.value, "channels": list(self.channels), "value": self.value,
+            "unit": self.unit, "interval": None if self.interval is None else list(self.interval), "text": self.text,
+            "where": [list(stretch) for stretch in self.where], "effect": self.effect,
+            "cure": None if self.cure is None else {"kind": self.cure.kind, "line": self.cure.line,
+                                                    "entry": dict(self.cure.entry)},
+        }
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What was measured of one channel; all in its own `unit`.
+
+    rate: samples per second, median. gaps: intervals longer than 0.25 s; longest_gap [s]. noise: standard deviation of
+    what a second difference shows beyond motion. resolution: smallest step of its values, 0 where none is seen.
+    repeated: share of samples equal to the one before. missing: rows that held no number and were left out.
+    """
+
+    unit: str
+    samples: int
+    rate: float
+    gaps: int
+    longest_gap: float
+    noise: float
+    resolution: float
+    repeated: float
+    missing: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+@dataclass(frozen=True, eq=False)
+class Identity:
+    """Two roads to one quantity: measured against derived, (n,) each, at `time` [s after the first INS measurement].
+
+    findings: names of those that rest on it.
+    """
+
+    name: str
+    title: str
+    unit: str
+    measured_label: str
+    derived_label: str
+    time: np.ndarray
+    measured: np.ndarray
+    derived: np.ndarray
+    findings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """findings: the gravest first. channels: by name. identities: in the order they are judged."""
+
+    findings: tuple[Finding, ...]
+    channels: Mapping[str, Channel]
+    identities: tuple[Identity, ...]
+
+    def of(self, severity: Severity) -> tuple[Finding, ...]:
+        return tuple(one for one in self.findings if one.severity is severity)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The run's part of check.json."""
+        return {"findings": [one.as_dict() for one in self.findings],
+                "channels": {name: channel.as_dict() for name, channel in self.channels.items()}}
