@@ -6,15 +6,18 @@ settles in the wrong place, although the car would not. minimum_slip_speed is th
 the stiffness stays what it is there.
 """
 
+import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from .models import Model, get_model
-from .vehicle import VehicleParameters
+from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 
 MOST_SUBSTEPS = 64
+HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s, that a vehicle file may hold
 FASTEST = 60.0  # m/s, where the search for the lowest stable speed begins
 _LATERAL = (3, 5)  # velocity_y, yaw_rate; and what states follow the six
 _SMALL = 1.0e-5  # of the difference quotients [m/s, rad/s]
@@ -74,13 +77,38 @@ def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: fl
     return float(high)
 
 
+def stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> bool:
+    """Whether steps of `step` [s] are short enough for all the models at all the speeds [m/s]."""
+    return all(growth(model, vehicle, v, step) <= 1.0 for v in speeds for model in models)
+
+
 def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
     """Into how many equal parts a step must be divided to be stable at all the speeds [m/s]; at most MOST_SUBSTEPS."""
     speeds = list(speeds)
-    for count in range(1, MOST_SUBSTEPS):
-        if all(growth(model, vehicle, v, step / count) <= 1.0 for v in speeds):
-            return count
-    return MOST_SUBSTEPS
+    return next((count for count in range(1, MOST_SUBSTEPS) if stable([model], vehicle, speeds, step / count)),
+                MOST_SUBSTEPS)
+
+
+def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float],
+                      step: float) -> float | None:
+    """The minimum_slip_speed [m/s], in tenths, from which on the models are stable at all the speeds [m/s].
+
+    It is more than `lowest_stable_speed`: a car slower than the floor keeps the damping it has there, but not the
+    coupling v r of its two modes, and one of the two becomes faster. None where no value a vehicle file may hold
+    helps: extra states, such as those of tyres that relax, have a stiffness of their own, at high speed.
+    """
+    speeds, models = sorted(speeds), [get_model(model) for model in models]
+
+    def helps(tenths: int) -> bool:
+        return stable(models, replace(vehicle, minimum_slip_speed=tenths / 10.0), speeds, step)
+
+    first = math.ceil(10.0 * vehicle.minimum_slip_speed)
+    tried = np.unique(np.geomspace(first, 10.0 * HIGHEST_SLIP_SPEED, 80).astype(int)).tolist()
+    good = next((k for k, tenths in enumerate(tried) if helps(tenths)), None)
+    if good is None:
+        return None
+    below = tried[good - 1] + 1 if good else first
+    return next(tenths for tenths in range(below, tried[good] + 1) if helps(tenths)) / 10.0
 
 
 def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> None:
@@ -94,9 +122,9 @@ def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Ite
     if worst is None or factors[worst] <= 1.0:
         return
     _said.add(key)
-    enough = substeps_needed(model, vehicle, factors, step)
-    above = lowest_stable_speed(model, vehicle, step)
+    floor = slip_speed_needed([model], vehicle, factors, step)
+    in_the_file = f"a minimum_slip_speed of {floor:g} m/s in the vehicle file, or " if floor else ""
     warnings.warn(
         f"{model.name} model of {vehicle.name}: integration steps of {step * 1e3:g} ms are too long at {worst:.2f} m/s,"
-        f" the lateral motion comes out wrong; stable above {above:.2f} m/s, or with substeps={enough}",
-        StepTooLongWarning, stacklevel=3)
+        f" the lateral motion comes out wrong; cured by {in_the_file}"
+        f"substeps={substeps_needed(model, vehicle, factors, step)}", StepTooLongWarning, stacklevel=3)

@@ -9,7 +9,14 @@ from st_core import stability
 from st_core.augmented import augment
 from st_core.handling import linear_system, rk4_growth
 from st_core.prediction import PredictionSettings, Predictor, predict
-from st_core.stability import StepTooLongWarning, growth, lateral_modes, lowest_stable_speed, substeps_needed
+from st_core.stability import (
+    StepTooLongWarning,
+    growth,
+    lateral_modes,
+    lowest_stable_speed,
+    slip_speed_needed,
+    substeps_needed,
+)
 from st_core.types import ControlInput, InputSequence, VehicleState
 
 STEP = 0.05
@@ -79,10 +86,10 @@ def test_the_warning_comes_once_and_says_what_to_do(bare):
         for _ in range(3):
             stability.warn_if_too_long("linear", bare, [2.0, 20.0], STEP)
     assert len(caught) == 1
-    limit, count = lowest_stable_speed("linear", bare, STEP), substeps_needed("linear", bare, [2.0], STEP)
+    floor, count = slip_speed_needed(["linear"], bare, [2.0, 20.0], STEP), substeps_needed("linear", bare, [2.0], STEP)
     assert str(caught[0].message) == (
         f"linear model of {bare.name}: integration steps of 50 ms are too long at 2.00 m/s, the lateral motion comes "
-        f"out wrong; stable above {limit:.2f} m/s, or with substeps={count}")
+        f"out wrong; cured by a minimum_slip_speed of {floor:g} m/s in the vehicle file, or substeps={count}")
 
 
 def test_nothing_is_said_where_all_is_well(car, bare):

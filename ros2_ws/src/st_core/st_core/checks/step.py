@@ -1,0 +1,68 @@
+"""Is the integration step short enough for this car at the speeds of a run? See `stability`."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from ..filtering import NANOSECOND
+from ..log import DriveLog
+from ..models import Model, get_model
+from ..stability import MOST_SUBSTEPS, growth, slip_speed_needed, stable
+from ..vehicle import VehicleParameters
+from .finding import Cure, Finding, Severity
+
+SPEEDS = 40
+"""looked at, between the lowest and the highest of the run."""
+SHORT = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MOST_SUBSTEPS)
+"""Parts of a step that keep it a plain number."""
+TOGETHER = 1.0
+"""s. Stretches closer than that are one."""
+
+
+def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
+                  step: float) -> Finding | None:
+    """The finding `step_too_long`, for all of the models together; None where the step [s] is short enough.
+
+    Its value is the minimum_slip_speed [m/s] that cures it, as printed; where none does, the step [s].
+    Checked by: test_checks_step.py.
+    """
+    models = [get_model(model) for model in models]
+    speed = np.abs(log.velocity_x)
+    if not len(speed):
+        return None
+    speeds = np.linspace(speed.min(), speed.max(), SPEEDS)
+    factors = {model.name: np.array([growth(model, vehicle, v, step) for v in speeds]) for model in models}
+    guilty = [name for name, factor in factors.items() if factor.max() > 1.0]
+    if not guilty:
+        return None
+    unstable = np.interp(speed, speeds, np.max(list(factors.values()), axis=0)) > 1.0
+    touched = speed[unstable] if unstable.any() else speed[:1]
+    value, unit, cure = _cure(models, vehicle, speeds.tolist(), step)
+    text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(guilty)} model of "
+            f"{vehicle.name} at {touched.min():.1f} to {touched.max():.1f} m/s: the lateral motion comes out wrong")
+    return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit,
+                   where=_stretches(log, unstable), cure=cure)
+
+
+def _cure(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
+          step: float) -> tuple[float | None, str, Cure]:
+    floor = slip_speed_needed(models, vehicle, speeds, step)
+    if floor is not None:
+        line = f'minimum_slip_speed: {{value: {floor:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
+        return floor, "m/s", Cure("vehicle", line, {"minimum_slip_speed": floor})
+    shorter = next((step / parts for parts in SHORT if stable(models, vehicle, speeds, step / parts)), None)
+    if shorter is not None:
+        return shorter, "s", Cure("option", f"--step {shorter:.9g}", {"step": shorter})
+    return None, "s", Cure("look", f"no step down to {1e3 * step / MOST_SUBSTEPS:.2g} ms is short enough: look at the "
+                           "vehicle's yaw_inertia, mass and stiffnesses, and at the effects of the model")
+
+
+def _stretches(log: DriveLog, chosen: np.ndarray) -> tuple[tuple[float, float], ...]:
+    """Where a mask over the INS samples holds, in s after the first of them; () for the whole run."""
+    seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
+    times = seconds[chosen]
+    if not len(times) or chosen.all():
+        return ()
+    edges = [0, *(np.flatnonzero(np.diff(times) > TOGETHER) + 1).tolist(), len(times)]
+    return tuple((float(times[a]), float(times[b - 1])) for a, b in pairwise(edges))

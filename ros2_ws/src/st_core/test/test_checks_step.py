@@ -1,0 +1,116 @@
+"""The note that the integration step is too long: the value it tells cures it, for every car, model and effect."""
+
+import re
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from st_core import stability
+from st_core.augmented import augment
+from st_core.batch import predict_log
+from st_core.checks.finding import Severity
+from st_core.checks.step import step_too_long
+from st_core.log import DriveLog
+from st_core.stability import StepTooLongWarning, slip_speed_needed, stable
+
+STEP = 0.05
+MODELS = ("linear", "nonlinear")
+EFFECTS = ({"steering_lag": {"time_constant": 0.1}}, {"tyre_relaxation": {"length": 0.3}}, {"mass": {"factor": 0.7}},
+           {"front_stiffness": {"factor": 1.6}}, {"yaw_inertia": {"factor": 0.7}},
+           {"rear_stiffness": {"factor": 1.4}, "tyre_relaxation": {"length": 0.1}})
+
+
+def driven(speeds, rate=100.0):
+    """Straight on, at the speeds given."""
+    speeds = np.asarray(speeds, float)
+    time = (np.arange(len(speeds)) * 1e9 / rate).astype(np.int64)
+    zero = np.zeros(len(speeds))
+    return DriveLog("straight", time, np.cumsum(speeds) / rate, zero, zero, speeds, zero, zero, time, zero)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return driven(np.interp(np.arange(6000), [0, 2000, 4000, 5000, 5999], [0.5, 20.0, 2.0, 2.0, 35.0]))
+
+
+def printed(finding):
+    """The value as a reader would copy it."""
+    return float(re.search(r"value: ([\d.]+), unit: m/s", finding.cure.line)[1])
+
+
+def models(name):
+    yield name
+    for effect in EFFECTS:
+        yield augment(name, effect)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("lighter", [0.5, 0.35, 0.25])
+def test_the_value_told_cures_it(car, log, name, lighter):
+    stiff = replace(car, yaw_inertia=lighter * car.yaw_inertia)
+    told = 0
+    for model in models(name):
+        finding = step_too_long([model], stiff, log, STEP)
+        if finding is None:
+            continue
+        if finding.cure.kind == "vehicle":
+            assert printed(finding) == finding.value and finding.unit == "m/s"
+            mended = replace(stiff, minimum_slip_speed=printed(finding))
+            assert step_too_long([model], mended, log, STEP) is None
+            told += 1
+        else:
+            assert finding.cure.line == f"--step {finding.value:.9g}"
+            assert step_too_long([model], stiff, log, finding.value) is None
+    assert told >= 4
+
+
+def test_one_tenth_less_does_not(car, log):
+    stiff = replace(car, yaw_inertia=0.3 * car.yaw_inertia)
+    value = step_too_long(MODELS, stiff, log, STEP).value
+    assert step_too_long(MODELS, replace(stiff, minimum_slip_speed=value - 0.1), log, STEP) is not None
+
+
+def test_the_speed_where_steps_become_stable_is_not_the_floor_that_makes_them_so(leaf):
+    """What was told before: 6.1 m/s for this car, with which it went on warning."""
+    stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
+    lowest = stability.lowest_stable_speed("linear", stiff, STEP)
+    assert not stable(["linear"], replace(stiff, minimum_slip_speed=lowest + 0.08), [0.5, 35.0], STEP)
+    needed = slip_speed_needed(["linear"], stiff, [0.5, 35.0], STEP)
+    assert needed > lowest + 0.1 and round(10 * needed, 9) == round(10 * needed)
+
+
+def test_prediction_no_longer_warns_with_the_value_told(leaf, log, monkeypatch):
+    monkeypatch.setattr(stability, "_said", set())
+    stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
+    starts = np.arange(0, 50, 5) * 10**9
+    with pytest.warns(StepTooLongWarning, match=r"minimum_slip_speed of [\d.]+ m/s in the vehicle file") as caught:
+        predict_log("nonlinear", stiff, log, starts, backend="numpy")
+    told = float(re.search(r"minimum_slip_speed of ([\d.]+) m/s", str(caught[0].message))[1])
+    stability._said.clear()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        predict_log("nonlinear", replace(stiff, minimum_slip_speed=told), log, starts, backend="numpy")
+
+
+def test_it_says_where(leaf, log):
+    finding = step_too_long(MODELS, replace(leaf, minimum_slip_speed=0.1), log, STEP)
+    assert finding.severity is Severity.WARNING and "linear and nonlinear model of Nissan Leaf ZE0" in finding.text
+    first, second = finding.where
+    # 0.5 to 20 m/s in 20 s and so on: 2.66 m/s is the limit.
+    assert first == (0.0, pytest.approx(2.2, abs=0.5)) and second == pytest.approx((39.2, 50.2), abs=0.7)
+    assert "at 0.5 to 2." in finding.text
+
+
+def test_stiffness_that_no_floor_lowers_asks_for_a_shorter_step(leaf, log):
+    """Tyres that relax over 0.2 m follow the speed: at 35 m/s they are as stiff with any floor."""
+    model = augment("linear", {"tyre_relaxation": {"length": 0.2}})
+    finding = step_too_long([model], leaf, log, 0.2)
+    assert (finding.cure.kind, finding.unit) == ("option", "s") and finding.cure.line == f"--step {finding.value:g}"
+    assert step_too_long([model], leaf, log, finding.value) is None
+    assert step_too_long([model], leaf, log, 2.0 * finding.value) is not None
+
+
+def test_nothing_to_say(car, log):
+    assert step_too_long(("kinematic", *MODELS), car, log, STEP) is None
+    assert step_too_long(MODELS, car, log.slice(1, 2), STEP) is None
