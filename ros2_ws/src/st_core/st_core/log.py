@@ -16,11 +16,12 @@ class DriveLog:
     """Measurements of one drive, each on its own time base. Arrays are read-only.
 
     ins_time_ns, steering_time_ns: int64 UTC nanoseconds since the Unix epoch, both on the INS clock, strictly rising.
-    A gap in the measurement is a step in time; nothing is interpolated and nothing is NaN.
+    A gap in the measurement is a step in time; nothing is interpolated, and only accelerations may be NaN.
 
     x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].
     velocity_x, velocity_y: body axes, forward and left, at the INS point [m/s]. yaw_rate: left turn + [rad/s].
-    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]; None if not there.
+    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]; None if not there,
+    NaN where a sample of the others came without it.
 
     road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as the sensor says, left +, offset not
     removed [rad]; None where the source holds only the road wheel angle.
@@ -60,7 +61,7 @@ class DriveLog:
                 value = np.asarray(value, dtype=float)
                 if value.shape != time.shape:
                     raise StCoreError(f"{self.name}: {signal} has {value.size} values, {base} has {len(time)}")
-                if not np.isfinite(value).all():
+                if signal not in OPTIONAL_INS_SIGNALS and not np.isfinite(value).all():
                     raise StCoreError(f"{self.name}: {signal} holds values that are not finite")
                 self._keep(signal, value, float)
 
@@ -92,6 +93,11 @@ class DriveLog:
         start = max(int(self.ins_time_ns[0]), int(self.steering_time_ns[0]))
         end = min(int(self.ins_time_ns[-1]), int(self.steering_time_ns[-1]))
         return max(end - start, 0) * 1e-9
+
+    def with_ins(self, rows: np.ndarray) -> "DriveLog":
+        """The INS samples of some rows (a mask or places), and the whole steering."""
+        names = ("ins_time_ns", *INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
+        return replace(self, **{n: getattr(self, n)[rows] for n in names if getattr(self, n) is not None})
 
     def slice(self, start_ns: int, end_ns: int, name: str | None = None) -> "DriveLog":
         """The measurements with start_ns <= time <= end_ns, of both time bases."""

@@ -243,7 +243,7 @@ def noisier(runs: Sequence[DriveLog], reference: Sequence[DriveLog]) -> float:
 
     def tremble(log: DriveLog, name: str) -> float:
         every = max(1, round(slowest / spacings[id(log)]))
-        return float(np.median(np.abs(np.diff(getattr(log, name)[::every], 3))))
+        return float(np.nanmedian(np.abs(np.diff(getattr(log, name)[::every], 3))))
     ratios = [np.median([tremble(r, n) for r in runs]) / max(np.median([tremble(r, n) for r in reference]), 1e-9)
               for n in names if any(np.any(r.velocity_y) for r in reference) or n != "velocity_y"]
     more = float(np.median(ratios))**2

@@ -152,8 +152,10 @@ class Windows:
             times, "x", "y", "yaw", "velocity_y", "velocity_x"), strict=True))
         result["yaw_rate"] = signals.sample(log.ins_time_ns, smoothed(log.ins_time_ns, log.yaw_rate, width), times)
         if log.acceleration_y is not None:
-            smooth = smoothed(log.ins_time_ns, log.acceleration_y, width)
-            result["acceleration_y"] = signals.sample(log.ins_time_ns, smooth, times)
+            there = np.isfinite(log.acceleration_y)
+            time_ns = log.ins_time_ns[there]
+            smooth = smoothed(time_ns, log.acceleration_y[there], width)
+            result["acceleration_y"] = signals.sample(time_ns, smooth, times)
         return result
 
     def _conditions(self, length: float) -> np.ndarray:

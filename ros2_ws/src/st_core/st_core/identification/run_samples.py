@@ -1,6 +1,6 @@
 """A drive as samples at the CG, on the INS clock, all signals behind the same filter: what regressions work on."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -81,17 +81,27 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0, 
     elif log.acceleration_y is None:
         raise IdentificationError(f"{log.name}: no accelerometer was recorded; use the acceleration from velocity")
     else:
-        a_y, _ = smooth(time_ns, log.acceleration_y)
+        a_y = _where_there(log, smooth, maximum_gap)
     _, a_y = ins_to_cg_acceleration(0.0, a_y, yaw_rate, yaw_acceleration, d_x, d_y)
 
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
     signals = LogSignals(log, maximum_gap, 5.0)
     angle = signals.sample(log.steering_time_ns, angle, time_ns)
-    known = np.isfinite(angle) & _inside(time_ns, maximum_gap) & np.isfinite(yaw_acceleration)
+    known = np.isfinite(angle) & _inside(time_ns, maximum_gap) & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
     seconds = (time_ns - time_ns[:1]) * NANOSECOND
     columns = (seconds, speed + yaw_rate * d_y, across - yaw_rate * d_x, log.yaw, yaw_rate, yaw_acceleration,
                speed_dot + yaw_acceleration * d_y, a_y, angle, vehicle.steering_wheel_angle(angle))
     return RunSamples(log.name, *(column[known] for column in columns))
+
+
+def _where_there(log: DriveLog, smooth: Callable, maximum_gap: float) -> np.ndarray:
+    """acceleration_y behind the filter; NaN where it was not recorded and where the filter is not settled."""
+    there = np.flatnonzero(np.isfinite(log.acceleration_y))
+    time_ns, result = log.ins_time_ns[there], np.full(len(log.acceleration_y), np.nan)
+    if len(there):
+        filtered, _ = smooth(time_ns, log.acceleration_y[there])
+        result[there] = np.where(_inside(time_ns, maximum_gap), filtered, np.nan)
+    return result
 
 
 def prepared(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[list[DriveLog], tuple[str, ...]]:

@@ -1,0 +1,174 @@
+"""Faults of a recording that are known, taken back: scales, biases, delays, another point, an INS mounted askew.
+
+    corrected value = scale * recorded value + add,   at   recorded stamp - earlier
+
+What a recording holds of the wrong unit, sign or point stays in its files; a run.yaml says what is to be made of it.
+Checked by: test_corrections.py.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .errors import StCoreError
+from .filtering import NANOSECOND
+from .frames import body_to_map, map_to_body
+from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from .readings import interpolate
+from .vehicle import VehicleParameters
+
+MAXIMUM_GAP = 0.25
+"""s. A signal moved in time is not interpolated between samples further apart."""
+
+STEERING = ("road_wheel_angle", "steering")
+_PAIRS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
+_ALL = ("scale", "add", "earlier")
+CHANNELS: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(("x", "y"), _ALL), "position": ("scale", "earlier", "ahead"), "yaw": _ALL, "heading": ("add",),
+    **dict.fromkeys(("velocity_x", "velocity_y"), _ALL), "velocity": ("scale", "earlier"),
+    **dict.fromkeys(("yaw_rate", "acceleration_x", "acceleration_y", *STEERING), _ALL),
+}
+"""What may be corrected, and which fields of Correction it takes."""
+
+UNITS: Mapping[str, str] = {
+    **dict.fromkeys(("x", "y", "position"), "m"), **dict.fromkeys(("velocity_x", "velocity_y", "velocity"), "m/s"),
+    "yaw_rate": "rad/s", **dict.fromkeys(("acceleration_x", "acceleration_y"), "m/s^2"),
+    **dict.fromkeys(("yaw", "heading", *STEERING), "rad"),
+}
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Of one channel. scale [1]. add [unit of the channel]. earlier: its stamps are late by so much [s]. ahead: moves
+    the point of the positions forward along the car [m]."""
+
+    scale: float = 1.0
+    add: float = 0.0
+    earlier: float = 0.0
+    ahead: float = 0.0
+
+
+def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: VehicleParameters | None = None,
+              leave_out: Sequence[tuple[float, float]] = ()) -> DriveLog:
+    """The drive as it should have been recorded.
+
+    Of each channel first scale, then add, then time; position and velocity stand for both of theirs, after x, y,
+    velocity_x and velocity_y have had their own. Then
+
+        heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body,  so that R(yaw) v,
+                            the velocity over ground, stays
+        position.ahead = d: (x, y) -> (x, y) + d (cos yaw, sin yaw)
+
+    An INS channel that is moved in time is interpolated at the stamps of the others, which stay; where it is not known
+    there (the ends, and gaps longer than MAXIMUM_GAP) the sample is left out, of an acceleration it is NaN. Steering
+    has its own stamps, and these are moved. A hand wheel is corrected so that ratio and offset of `vehicle` give the
+    corrected road wheel angle; without a vehicle it is left out of the result.
+
+    leave_out: INS samples that are not used, (start, end) [s] after the first recorded one, both included.
+    Raises StCoreError for what CHANNELS does not know, a value that is not finite, and a correction that leaves
+    nothing.
+    """
+    check_corrections(corrections)
+    start_ns = log.ins_time_ns[:1]
+    seconds = (log.ins_time_ns - start_ns) * NANOSECOND
+    used = np.ones(len(seconds), bool)
+    for begin, end in leave_out:
+        used &= (seconds < begin) | (seconds > end)
+    if not used.all():
+        log = log.with_ins(used)
+    log = _ins_corrected(log, corrections)
+    log = _turned(log, corrections.get("heading", Correction()).add)
+    ahead = corrections.get("position", Correction()).ahead
+    if ahead:
+        forward, left = body_to_map(ahead, 0.0, log.yaw)
+        log = replace(log, x=log.x + forward, y=log.y + left)
+    for name in STEERING:
+        log = _steered(log, corrections.get(name, Correction()), vehicle)
+    if used.any() and not len(log.ins_time_ns):
+        raise StCoreError(f"{log.name}: the corrections in time leave no INS sample")
+    return log
+
+
+def check_corrections(corrections: Mapping[str, Correction]) -> None:
+    """Raises StCoreError for an unknown channel, a field that means nothing for it, and a value that is not finite."""
+    for channel, correction in corrections.items():
+        if channel not in CHANNELS:
+            raise StCoreError(f"{channel}: no such channel; there are {', '.join(CHANNELS)}")
+        for name, neutral in vars(Correction()).items():
+            value = getattr(correction, name)
+            if not np.isfinite(value):
+                raise StCoreError(f"{channel}: {name}: {value!r} is not a finite number")
+            if value != neutral and name not in CHANNELS[channel]:
+                raise StCoreError(f"{channel}: {name} means nothing here; there are {', '.join(CHANNELS[channel])}")
+        if correction.scale == 0.0:
+            raise StCoreError(f"{channel}: scale: 0 leaves nothing of it")
+    if all(name in corrections for name in STEERING):
+        raise StCoreError(f"{' and '.join(STEERING)} are the same channel; correct one of them")
+
+
+def in_words(corrections: Mapping[str, Correction]) -> tuple[str, ...]:
+    """A phrase for each channel, as "yaw_rate x 0.01745 - 0.004 rad/s, 0.31 s earlier"."""
+    return tuple(_phrase(channel, correction) for channel, correction in corrections.items())
+
+
+def _phrase(channel: str, correction: Correction) -> str:
+    words = [channel]
+    if correction.scale != 1.0:
+        words.append(f"x {correction.scale:.6g}")
+    if correction.add:
+        words.append(f"{'+' if correction.add > 0 else '-'} {abs(correction.add):.6g} {UNITS[channel]}")
+    phrase = " ".join(words)
+    if correction.earlier:
+        phrase += f", {abs(correction.earlier):.6g} s {'earlier' if correction.earlier > 0 else 'later'}"
+    if correction.ahead:
+        phrase += f", {abs(correction.ahead):.6g} m {'ahead' if correction.ahead > 0 else 'behind'}"
+    return phrase
+
+
+def _ins_corrected(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveLog:
+    group = {name: pair for pair, names in _PAIRS.items() for name in names}
+    parts: dict[str, np.ndarray] = {}
+    for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS):
+        steps = [corrections[key] for key in (name, group.get(name)) if key in corrections]
+        values = getattr(log, name)
+        if not steps or values is None:
+            continue
+        for step in steps:
+            values = step.scale * values + step.add
+        late_ns = round(sum(step.earlier for step in steps) / NANOSECOND)
+        if late_ns:
+            values = interpolate(log.ins_time_ns, values, log.ins_time_ns + late_ns, round(MAXIMUM_GAP / NANOSECOND))
+        parts[name] = values
+    if not parts:
+        return log
+    known = np.all([np.isfinite(parts[name]) for name in INS_SIGNALS if name in parts], axis=0)
+    if np.all(known):
+        return replace(log, **parts)
+    return replace(log.with_ins(known), **{name: values[known] for name, values in parts.items()})
+
+
+def _turned(log: DriveLog, angle: float) -> DriveLog:
+    if not angle:
+        return log
+    parts = {"yaw": log.yaw + angle}
+    for kind in ("velocity", "acceleration"):
+        x, y = getattr(log, f"{kind}_x"), getattr(log, f"{kind}_y")
+        if x is not None and y is not None:
+            parts[f"{kind}_x"], parts[f"{kind}_y"] = map_to_body(x, y, angle)
+    return replace(log, **parts)
+
+
+def _steered(log: DriveLog, correction: Correction, vehicle: VehicleParameters | None) -> DriveLog:
+    late_ns = round(correction.earlier / NANOSECOND)
+    log = replace(log, steering_time_ns=log.steering_time_ns - late_ns) if late_ns else log
+    if correction.scale == 1.0 and not correction.add:
+        return log
+    wheel = log.steering_wheel_angle
+    if wheel is not None and vehicle is not None:
+        wheel = vehicle.steering_wheel_offset + correction.scale * (wheel - vehicle.steering_wheel_offset) + (
+            correction.add * vehicle.steering_ratio)
+    else:
+        wheel = None
+    return replace(log, road_wheel_angle=correction.scale * log.road_wheel_angle + correction.add,
+                   steering_wheel_angle=wheel)

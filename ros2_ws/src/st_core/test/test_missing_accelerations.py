@@ -1,0 +1,53 @@
+"""An accelerometer that is not there for some samples: those samples are lost, nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from st_core.augmented import augment
+from st_core.discovery import DiscoverySettings
+from st_core.discovery.floor import noisier
+from st_core.discovery.manoeuvres import CATALOGUE, drive
+from st_core.discovery.windows import Windows
+from st_core.identification.run_samples import run_samples
+from st_core.log import DriveLog
+
+
+@pytest.fixture(scope="module")
+def logs(leaf) -> tuple[DriveLog, DriveLog]:
+    """A drive with noise, and the same with three single samples and 2.5 s of the accelerometer missing."""
+    log = drive(next(m for m in CATALOGUE if m.name == "sweep"), augment("nonlinear", {}), leaf)
+    rng = np.random.default_rng(4)
+    names = ("yaw_rate", "velocity_x", "velocity_y", "acceleration_y")
+    log = replace(log, **{n: getattr(log, n) + 0.01 * rng.standard_normal(len(log.x)) for n in names})
+    lost = np.array(log.acceleration_y)
+    lost[[300, 700, 701]] = np.nan
+    lost[1000:1100] = np.nan
+    return log, replace(log, acceleration_y=lost)
+
+
+def test_regressions_work_on_the_others(logs, leaf):
+    whole, holed = (run_samples(log, leaf, lateral_acceleration="accelerometer") for log in logs)
+    alike = np.isin(whole.time, holed.time)
+    lost = whole.time[~alike]
+    # Single samples, and 2.5 s at 40 Hz with EDGE on both sides.
+    assert len(lost) == 3 + 100 + 2 * 8 and (lost[3], lost[-1]) == (pytest.approx(24.8), pytest.approx(27.675))
+    np.testing.assert_allclose(holed.yaw_rate, whole.yaw_rate[alike])
+    assert np.abs(holed.lateral_acceleration - whole.lateral_acceleration[alike]).max() < 0.02
+    by_velocity = [run_samples(log, leaf) for log in logs]
+    assert len(by_velocity[0]) == len(by_velocity[1]) == len(whole)
+    none = replace(logs[0], acceleration_y=np.full(len(logs[0].x), np.nan))
+    assert len(run_samples(none, leaf, lateral_acceleration="accelerometer")) == 0
+
+
+def test_windows_are_scored_where_it_is_known(logs, leaf):
+    settings = DiscoverySettings(where=False)
+    whole, holed = (Windows([log], leaf, settings)._measured["acceleration_y"] for log in logs)
+    lost = np.isnan(holed) & np.isfinite(whole)
+    assert 0.0 < lost.mean() < 0.1
+    both = np.isfinite(holed)
+    assert np.abs(holed - whole)[both].max() < 0.05
+
+
+def test_noise_is_that_of_the_samples_there_are(logs):
+    assert noisier([logs[1]], [logs[0]]) == noisier([logs[0]], [logs[0]]) == 1.0
