@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+KEPT = ROOT / "tests" / "golden" / "data"
+EXAMPLES = ROOT / "examples" / "data"
+SETS = ("kept", "whole")
 
 
 def shared(relative: str) -> Path:
@@ -16,3 +19,8 @@ def shared(relative: str) -> Path:
         folder = relative.partition("/")[0]
         pytest.skip(f"reference data not found: {path} (set ST_SHARED to the folder that holds {folder}/)")
     return path
+
+
+def vectors(which: str, relative: str) -> Path:
+    """A path inside the NCOM and CAN vectors: the part "kept" in tests/golden/data, or the "whole" set by `shared`."""
+    return KEPT / relative if which == "kept" else shared(f"vectors/{relative}")

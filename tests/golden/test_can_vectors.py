@@ -1,4 +1,8 @@
-"""CAN vectors: a made-up drive and a real CANedge2 file, both as MF4, against what other programs read from them."""
+"""CAN vectors: a made-up drive and a real CANedge2 file, both as MF4, against what other programs read from them.
+
+Two sets (tests/support.py): "kept" in tests/golden/data, "whole" beside the checkout. Of the drive, every hundredth
+value of a signal is kept, not every tenth; of the real file the first 262 frames of 5588, two of them with id 0x002.
+"""
 
 import csv
 from collections import defaultdict
@@ -10,13 +14,14 @@ import pytest
 from canedge_bridge.decode import Decoder
 from canedge_bridge.log_decode import EXTENDED, decode_log
 from canedge_bridge.signals import load_dbc
-from support import ROOT, shared
+from support import ROOT, SETS, vectors
 
 asammdf = pytest.importorskip("asammdf", reason="asammdf is an offline requirement")
 
 DBC = ROOT / "config" / "can" / "leaf_ze0.dbc"
 TABLE = ROOT / "config" / "can" / "leaf_ze0.yaml"
 REAL = "canedge2_2F6913DB_00000004_00000001"
+EVERY = {"kept": 100, "whole": 10}  # of how many values of the drive the vector has one
 
 
 def frames_of(path: Path) -> dict[str, np.ndarray]:
@@ -34,36 +39,41 @@ def frames_of(path: Path) -> dict[str, np.ndarray]:
     return {name: values[order] for name, values in merged.items()}
 
 
-@pytest.fixture(scope="module")
-def drive():
-    return frames_of(shared("vectors/can/synthetic_leaf_rt.mf4"))
+@pytest.fixture(scope="module", params=SETS)
+def which(request):
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def samples():
-    """signal -> [(seconds, value)], every tenth of the drive"""
-    with shared("vectors/can/synthetic_leaf_rt.decoded.csv").open() as file:
+def drive(which):
+    return frames_of(vectors(which, "can/synthetic_leaf_rt.mf4"))
+
+
+@pytest.fixture(scope="module")
+def samples(which):
+    """signal -> [(seconds, value)], one of EVERY[which] of the drive"""
+    with vectors(which, "can/synthetic_leaf_rt.decoded.csv").open() as file:
         table = defaultdict(list)
         for row in csv.DictReader(file):
             table[row["signal"]].append((float(row["t_s"]), float(row["value"])))
-    assert sum(map(len, table.values())) == 3600
+    assert sum(map(len, table.values())) == 36_000 / EVERY[which]
     return table
 
 
-def assert_every_tenth(times, values, expected):
-    assert len(values[::10]) == len(expected)
+def assert_sampled(times, values, expected, every):
+    assert len(values[::every]) == len(expected)
     expected_times, expected_values = np.array(expected).T
-    assert np.abs(times[::10] - expected_times).max() < 1e-6
+    assert np.abs(times[::every] - expected_times).max() < 1e-6
     # The values in the file are rounded to the resolution of the signal.
-    assert np.abs(values[::10] - expected_values).max() < 1e-9
+    assert np.abs(values[::every] - expected_values).max() < 1e-9
 
 
-def test_whole_log_decoder_on_the_drive(drive, samples):
+def test_whole_log_decoder_on_the_drive(which, drive, samples):
     columns = decode_log(load_dbc(DBC), drive["ID"], drive["DataBytes"], drive["DataLength"])
     by_signal = {name: (c.rows, values) for c in columns.values() for name, values in c.signals.items()}
     for name, expected in samples.items():
         rows, values = by_signal[name]
-        assert_every_tenth(drive["time"][rows], values, expected)
+        assert_sampled(drive["time"][rows], values, expected, EVERY[which])
 
 
 # Our name, its source message, what one unit of the DBC is in SI (sign included), and the DBC signal of the vector.
@@ -77,7 +87,7 @@ LIVE = [
 ]
 
 
-def test_live_decoder_on_the_drive(drive, samples):
+def test_live_decoder_on_the_drive(which, drive, samples):
     """Every frame of the drive through the decoder of the node: all good, none lost, and the values of the vector."""
     decoder = Decoder(DBC, TABLE)
     decoded = defaultdict(list)
@@ -91,8 +101,8 @@ def test_live_decoder_on_the_drive(drive, samples):
     assert decoder.frames.unknown == 0 and len(drive["ID"]) == 42000
     for message, name, scale, signal in LIVE:
         times, values = np.array(decoded[message, name]).T
-        assert_every_tenth(times, values / scale, samples[signal])
-    yaw = np.array(decoded["RT_IsoOrientation", "ins_yaw"])[::10, 1]
+        assert_sampled(times, values / scale, samples[signal], EVERY[which])
+    yaw = np.array(decoded["RT_IsoOrientation", "ins_yaw"])[:: EVERY[which], 1]
     error = np.degrees(yaw) - np.array(samples["IsoYawAngle"])[:, 1]
     assert np.abs((error + 180) % 360 - 180).max() < 1e-9
 
@@ -109,11 +119,11 @@ def test_both_axes_conventions_say_the_same(drive):
     assert np.abs((difference + 180) % 360 - 180).max() < 0.011
 
 
-def test_real_canedge2_file_frame_by_frame():
-    read = frames_of(shared(f"vectors/can/{REAL}.MF4"))
-    with shared(f"vectors/can/{REAL}.frames.csv").open() as file:
+def test_real_canedge2_file_frame_by_frame(which):
+    read = frames_of(vectors(which, f"can/{REAL}.MF4"))
+    with vectors(which, f"can/{REAL}.frames.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 5588
+    assert len(read["time"]) == len(rows) == {"kept": 262, "whole": 5588}[which]
     assert np.abs(read["time"] - [float(r["t_rel_s"]) for r in rows]).max() < 1e-6
     for name, column, base in (("BusChannel", "bus", 10), ("Dir", "dir_tx", 10), ("IDE", "ide", 10),
                                ("ID", "id_hex", 16), ("DLC", "dlc", 10), ("DataLength", "len", 10)):
@@ -122,9 +132,9 @@ def test_real_canedge2_file_frame_by_frame():
         assert bytes(data[:length]).hex().upper() == row["data_hex"]
 
 
-def test_nothing_of_the_real_file_is_taken_for_a_leaf_message():
+def test_nothing_of_the_real_file_is_taken_for_a_leaf_message(which):
     """Its GNSS frames share the identifier 0x002 with the steering angle; their length tells them apart."""
-    read = frames_of(shared(f"vectors/can/{REAL}.MF4"))
+    read = frames_of(vectors(which, f"can/{REAL}.MF4"))
     ids = read["ID"] | (read["IDE"].astype(np.uint32) * EXTENDED)
     assert decode_log(load_dbc(DBC), ids, read["DataBytes"], read["DataLength"]) == {}
     decoder = Decoder(DBC, TABLE)
@@ -132,4 +142,5 @@ def test_nothing_of_the_real_file_is_taken_for_a_leaf_message():
                                                   strict=True):
         frame = can.Message(arbitration_id=int(identifier), is_extended_id=bool(extended), data=bytes(data[:length]))
         assert decoder.decode(frame, 0) is None
-    assert decoder.statistics("Leaf_Steering").wrong_length == (read["ID"] == 0x002).sum() == 44
+    foreign = {"kept": 2, "whole": 44}[which]
+    assert decoder.statistics("Leaf_Steering").wrong_length == (read["ID"] == 0x002).sum() == foreign

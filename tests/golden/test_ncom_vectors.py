@@ -1,11 +1,14 @@
 """NCOM codec against the public vectors: values of the vendor's decoder, values of the manual, byte identity.
 
+Two sets (tests/support.py): "kept" in tests/golden/data, "whole" beside the checkout. A case that is kept in part ends
+behind one of its packets; stream, packet rows and status rows end there alike, so every check holds for both.
 Tolerance: relative 1e-9; `time` and `tow` 1e-6 s (README of the vectors). What may differ is listed in the `allow_*`
 functions, one habit of the vendor's decoder each, no wider than the habit.
 """
 
 import csv
 import math
+from functools import cache
 
 import pytest
 from oxts_bridge import ncom
@@ -13,23 +16,26 @@ from oxts_bridge.batch import KINDS, UNKNOWN_TIME, decode_file
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.export import write_csv
 from oxts_bridge.stream import NcomParser
-from support import shared
+from support import SETS, shared, vectors
 
-CASES = (
-    "startup",
-    "all_channels",
-    "extremes",
-    "corrupt",
-    "inner_checksums",
-    "rollover",
-    "triggers",
-    "wheel_speed",
-    "drive_100hz",
-    "filters",
-    "local_frame",
-    "manual_channels",
-)
-FOLDER = "vectors/ncom"
+CASES = {
+    "kept": ("startup", "extremes", "corrupt", "inner_checksums", "filters", "local_frame"),
+    "whole": (
+        "startup",
+        "all_channels",
+        "extremes",
+        "corrupt",
+        "inner_checksums",
+        "rollover",
+        "triggers",
+        "wheel_speed",
+        "drive_100hz",
+        "filters",
+        "local_frame",
+        "manual_channels",
+    ),
+}
+every_case = pytest.mark.parametrize(("which", "case"), [(which, case) for which in SETS for case in CASES[which]])
 ABSOLUTE = {
     "time": 1e-6,
     "tow": 1e-6,
@@ -61,11 +67,16 @@ def same(name, expected, got):
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """Every case through write_csv, as `st ncom` does it."""
-    folder, out = shared(FOLDER), tmp_path_factory.mktemp("ncom")
-    for case in CASES:
-        write_csv(folder / f"{case}.ncom", out / f"{case}.csv", out / f"{case}.status.csv")
-    return out
+    """Set -> folder with every case of it through write_csv, as `st ncom` does it."""
+
+    @cache
+    def write(which):
+        folder, out = vectors(which, "ncom"), tmp_path_factory.mktemp(which)
+        for case in CASES[which]:
+            write_csv(folder / f"{case}.ncom", out / f"{case}.csv", out / f"{case}.status.csv")
+        return out
+
+    return write
 
 
 def allow_minute_at_once(name, packet, expected, first_timed):
@@ -90,9 +101,9 @@ def allow_first_angular_acceleration(name, packet, expected, first_timed):
     )
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_every_packet_as_the_vendor_reads_it(case, written):
-    expected, got = rows(shared(f"{FOLDER}/{case}.expected.csv")), rows(written / f"{case}.csv")
+@every_case
+def test_every_packet_as_the_vendor_reads_it(which, case, written):
+    expected, got = rows(vectors(which, f"ncom/{case}.expected.csv")), rows(written(which) / f"{case}.csv")
     assert len(got) == len(expected) > 0
     assert set(expected[0]) <= set(got[0])
     first_timed = next(i for i, row in enumerate(got) if row["time"])
@@ -126,10 +137,10 @@ def allow_wheel_wrap(field, want, got):
     return field == "WSpeedFreq" and abs(float(want[2])) > 1e7 and 0 <= float(got[2]) < 1e9
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_every_status_change_as_the_vendor_reads_it(case, written):
-    expected = changes(rows(shared(f"{FOLDER}/{case}.status.csv")))
-    got = changes(rows(written / f"{case}.status.csv"))
+@every_case
+def test_every_status_change_as_the_vendor_reads_it(which, case, written):
+    expected = changes(rows(vectors(which, f"ncom/{case}.status.csv")))
+    got = changes(rows(written(which) / f"{case}.status.csv"))
     assert expected
     different = [
         (key, want, got.get(key))
@@ -139,16 +150,17 @@ def test_every_status_change_as_the_vendor_reads_it(case, written):
         or (not same(key[1], want[2], got[key][2]) and not allow_wheel_wrap(key[1], want, got[key]))
     ]
     assert different == []
-    vendor_fields = {row["field"] for name in CASES for row in rows(shared(f"{FOLDER}/{name}.status.csv"))}
+    tables = [rows(vectors(which, f"ncom/{name}.status.csv")) for name in CASES[which]]
+    vendor_fields = {row["field"] for table in tables for row in table}
     assert [key for key in got if key not in expected and key[1] in vendor_fields] == []
 
 
 def test_every_field_of_the_manual(written):
-    folder = shared(FOLDER)
+    folder = shared("vectors/ncom")
     columns = decode_file(folder / "manual_channels.ncom")
     table = rows(folder / "manual_channels.manual.csv")
     assert len(table) > 400
-    shown = changes(rows(written / "manual_channels.status.csv"))
+    shown = changes(rows(written("whole") / "manual_channels.status.csv"))
     missing = {row["field"] for row in table if row["valid"] == "1"} - {field for _, field in shown}
     assert missing == set()
     times = {"Trig3Time": 79, "Trig4Time": 80, "DigitalOut2Time": 81}
@@ -167,11 +179,11 @@ def test_every_field_of_the_manual(written):
     assert different == []
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_encode_gives_every_packet_back_byte_for_byte(case):
+@every_case
+def test_encode_gives_every_packet_back_byte_for_byte(which, case):
     """Structure B is private to the vendor. Inner checksums that were sent wrong (case inner_checksums) come back
     right."""
-    columns = decode_file(shared(f"{FOLDER}/{case}.ncom"))
+    columns = decode_file(vectors(which, f"ncom/{case}.ncom"))
     checked = 0
     for row in columns.raw:
         data = row.tobytes()
@@ -188,9 +200,9 @@ def test_encode_gives_every_packet_back_byte_for_byte(case):
 
 
 @pytest.mark.parametrize("portion", [1, 37, 72, 1472, 10**6])
-@pytest.mark.parametrize("case", CASES)
-def test_stream_and_file_decoder_agree_for_any_portions(case, portion):
-    data = shared(f"{FOLDER}/{case}.ncom").read_bytes()
+@every_case
+def test_stream_and_file_decoder_agree_for_any_portions(which, case, portion):
+    data = vectors(which, f"ncom/{case}.ncom").read_bytes()
     columns = decode_file(data)
     parser = NcomParser()
     received = [packet for at in range(0, len(data), portion) for packet in parser.feed(data[at : at + portion])]
@@ -205,12 +217,17 @@ def test_stream_and_file_decoder_agree_for_any_portions(case, portion):
     assert parser.time_jumps == columns.time_jumps
 
 
-def test_accepted_and_skipped_bytes_are_those_of_the_summary():
-    for row in rows(shared(f"{FOLDER}/summary.csv")):
-        columns = decode_file(shared(f"{FOLDER}/{row['case']}.ncom"))
+@pytest.mark.parametrize("which", SETS)
+def test_accepted_and_skipped_bytes_are_those_of_the_summary(which):
+    table = rows(vectors(which, "ncom/summary.csv"))
+    assert [row["case"] for row in table] == list(CASES[which])
+    for row in table:
+        file = vectors(which, f"ncom/{row['case']}.ncom")
+        columns = decode_file(file)
         assert len(columns) == int(row["packets"])
         # The summary leaves out what lies before the first and after the last packet.
         inside = int(columns.offset[-1]) - int(columns.offset[0]) + 72
         assert inside - 72 * len(columns) == int(row["skipped_bytes"])
-        total = shared(f"{FOLDER}/{row['case']}.ncom").stat().st_size
+        total = file.stat().st_size
+        assert total == int(row["bytes"])
         assert columns.counters.skipped_bytes <= total - 72 * len(columns) < columns.counters.skipped_bytes + 72

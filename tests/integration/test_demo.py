@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import ROOT, shared
+from support import EXAMPLES, ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
@@ -150,10 +150,9 @@ def test_killed_recorder_loses_at_most_a_second(tmp_path: Path) -> None:
 
 
 def test_recorded_drive_on_the_wires(tmp_path: Path) -> None:
-    drive = shared("data/hyundai_genesis_oxts/rfs_turn_a.csv")
     process = start_demo(
         "--drive",
-        str(drive),
+        str(EXAMPLES / "rfs_turn_a.csv"),
         "--vehicle",
         "config/vehicle/hyundai_genesis.yaml",
         "--duration",

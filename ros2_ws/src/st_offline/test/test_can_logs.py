@@ -12,9 +12,9 @@ from st_offline.runs.can_logs import read_can_logs
 from st_offline.runs.errors import RunError
 from st_offline.runs.frames import EXTENDED, SENT, Frames
 from st_offline.runs.mf4 import read_mf4, session_of
-from support import shared
+from support import KEPT, SETS, vectors
 
-REAL = "vectors/can/canedge2_2F6913DB_00000004_00000001.MF4"
+REAL = "can/canedge2_2F6913DB_00000004_00000001.MF4"
 START_NS = 1_700_000_000_000_000_000
 COLUMNS = ("time_ns", "id", "payload", "length", "bus", "flags")
 
@@ -33,12 +33,13 @@ def some_frames(n: int, start_us: int = 0, seed: int = 0) -> list[LogFrame]:
     return frames
 
 
-def test_the_real_file_frame_for_frame() -> None:
-    log = read_mf4(shared(REAL))
+@pytest.mark.parametrize("which", SETS)
+def test_the_real_file_frame_for_frame(which: str) -> None:
+    log = read_mf4(vectors(which, REAL))
     frames = log.frames
-    with shared(REAL.replace(".MF4", ".frames.csv")).open() as stream:
+    with vectors(which, REAL.replace(".MF4", ".frames.csv")).open() as stream:
         expected = list(csv.DictReader(stream))
-    assert len(frames) == len(expected) == 5588
+    assert len(frames) == len(expected) == {"kept": 262, "whole": 5588}[which]
     for k, row in enumerate(expected):
         found = (
             f"{(frames.time_ns[k] - log.start_ns) * 1e-9:.6f}", str(frames.bus[k]), str(frames.flags[k] & SENT),
@@ -50,23 +51,25 @@ def test_the_real_file_frame_for_frame() -> None:
         assert found == wanted, f"frame {k}"
 
 
-def test_the_real_file_cut_anywhere_gives_the_frames_before_the_cut(tmp_path: Path) -> None:
-    whole = read_mf4(shared(REAL)).frames
-    content = shared(REAL).read_bytes()
+@pytest.mark.parametrize(("which", "middle"), [("kept", 20_000), ("whole", 60_000)])
+def test_the_real_file_cut_anywhere_gives_the_frames_before_the_cut(which: str, middle: int, tmp_path: Path) -> None:
+    whole = read_mf4(vectors(which, REAL)).frames
+    content = vectors(which, REAL).read_bytes()
     file = tmp_path / "cut.MF4"
     counts = []
-    for end in [*range(60_000, 60_037), *range(len(content) - 37, len(content)), 20_000, 150_000]:
+    for end in [*range(middle, middle + 37), *range(len(content) - 37, len(content)), 16_000, 5 * len(content) // 7]:
         file.write_bytes(content[:end])
         frames = read_mf4(file).frames
         assert same(frames, whole.select(slice(0, len(frames)))), f"cut at {end}"
         counts.append(len(frames))
     assert counts[:37] == sorted(counts[:37])
     assert counts[36] - counts[0] in (1, 2)  # 37 bytes are one frame and its payload
-    assert 5585 <= min(counts[37:74]) <= max(counts[37:74]) <= 5588
+    assert len(whole) - 3 <= min(counts[37:74]) <= max(counts[37:74]) <= len(whole)
 
 
 def test_a_file_cut_inside_its_index_says_so(tmp_path: Path) -> None:
-    for content in (shared(REAL).read_bytes()[:5000], shared("vectors/can/synthetic_leaf_rt.mf4").read_bytes()[:-5000]):
+    drive = KEPT / "can/synthetic_leaf_rt.mf4"
+    for content in ((KEPT / REAL).read_bytes()[:5000], drive.read_bytes()[:-5000]):
         file = tmp_path / "cut.MF4"
         file.write_bytes(content)
         with pytest.raises(RunError, match=r"cut\.MF4: the file is cut or damaged: .* copy it from the logger's card"):

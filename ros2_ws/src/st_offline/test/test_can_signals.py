@@ -11,14 +11,14 @@ from st_offline.runs.can_logs import read_can_logs
 from st_offline.runs.can_signals import decode_signals, load_signal_table, steering_of, with_unix_time
 from st_offline.runs.errors import RunError
 from st_offline.runs.frames import REMOTE, Frames
-from support import ROOT, shared
+from support import KEPT, ROOT
 
 DBC, TABLE = ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml"
 
 
 @pytest.fixture(scope="module")
 def frames() -> Frames:
-    return read_can_logs([shared("vectors/can/synthetic_leaf_rt.mf4")]).frames
+    return read_can_logs([KEPT / "can/synthetic_leaf_rt.mf4"]).frames
 
 
 def live(frames: Frames) -> dict[tuple[str, str], list[tuple[int, float, bool]]]:
@@ -71,7 +71,7 @@ def test_a_log_without_steering_says_what_is_there(frames: Frames) -> None:
     with pytest.raises(RunError, match=r"drive\.mf4: the steering message Leaf_Steering \(0x002\) is not in the log; "
                                        r"it has Leaf_WheelSpeedFront, .*; log the bus that carries it"):
         steering_of(without, "drive.mf4", table)
-    real = read_can_logs([shared("vectors/can/canedge2_2F6913DB_00000004_00000001.MF4")]).frames
+    real = read_can_logs([KEPT / "can/canedge2_2F6913DB_00000004_00000001.MF4"]).frames
     with pytest.raises(RunError, match="none of the known messages is"):
         steering_of(decode_signals(real, table), "real.mf4", table)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from st_offline.runs.csv import has_drive_columns, read_drive, read_motion
 from st_offline.runs.errors import RunError
-from support import shared
+from support import EXAMPLES, KEPT
 
 HEADER = "t,x,y,yaw,vx,vy,yaw_rate,ax,ay,delta"
 
@@ -22,17 +22,17 @@ def write(folder: Path, lines: list[str], end: str = "\n", name: str = "drive.cs
 
 
 def test_a_real_drive() -> None:
-    log, warnings = read_drive(shared("data/hyundai_genesis_oxts/cpg_lap_fast.csv"))
-    assert (len(log.ins_time_ns), log.duration) == (12944, pytest.approx(258.86, abs=0.01))
+    log, warnings = read_drive(EXAMPLES / "rfs_turn_a.csv")
+    assert (len(log.ins_time_ns), log.duration) == (2026, pytest.approx(40.51, abs=1e-6))
     assert not warnings
     assert log.steering_wheel_angle is None
-    assert log.velocity_x.max() == pytest.approx(19.4, abs=0.05)
-    assert np.abs(log.velocity_x * log.yaw_rate).max() == pytest.approx(4.4, abs=0.05)
-    assert np.abs(log.road_wheel_angle).max() == pytest.approx(0.11, abs=0.005)
+    assert log.velocity_x.max() == pytest.approx(12.5, abs=0.05)
+    assert np.abs(log.velocity_x * log.yaw_rate).max() == pytest.approx(2.9, abs=0.05)
+    assert np.abs(log.road_wheel_angle).max() == pytest.approx(0.21, abs=0.005)
 
 
 def test_an_ins_log_for_alignment() -> None:
-    file = shared("vectors/can/synthetic_rt_own_log.csv")
+    file = KEPT / "can/synthetic_rt_own_log.csv"
     motion, _ = read_motion(file)
     assert not motion.absolute
     turning = np.gradient(np.unwrap(motion.yaw), motion.time_ns * 1e-9)

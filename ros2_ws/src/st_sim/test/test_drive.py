@@ -11,7 +11,7 @@ from st_sim.car import read_car
 from st_sim.drive import COLUMNS, RecordedDrive
 from st_sim.errors import SimulationError
 from st_sim.ncom_status import UNDULATION
-from support import ROOT, shared
+from support import EXAMPLES, ROOT
 
 GENESIS = ROOT / "config/vehicle/hyundai_genesis.yaml"
 CAR = read_car(GENESIS)
@@ -43,7 +43,7 @@ def test_straight_lines_between_rows(tmp_path):
 
 
 def test_a_real_drive_comes_out_of_the_wire_as_recorded(tmp_path):
-    file = shared("data/hyundai_genesis_oxts/rfs_turn_a.csv")
+    file = EXAMPLES / "rfs_turn_a.csv"
     arguments = ["--drive", str(file), "--vehicle", str(GENESIS), "--to-files", str(tmp_path), "--ncom-rate", "250"]
     assert run.main(arguments) == 0
     table = np.genfromtxt(file, delimiter=",", names=True)
