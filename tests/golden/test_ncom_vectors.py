@@ -16,7 +16,7 @@ from oxts_bridge.batch import KINDS, UNKNOWN_TIME, decode_file
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.export import write_csv
 from oxts_bridge.stream import NcomParser
-from support import SETS, shared, vectors
+from support import KEPT, SETS, vectors
 
 CASES = {
     "kept": ("startup", "extremes", "corrupt", "inner_checksums", "filters", "local_frame"),
@@ -155,12 +155,13 @@ def test_every_status_change_as_the_vendor_reads_it(which, case, written):
     assert [key for key in got if key not in expected and key[1] in vendor_fields] == []
 
 
-def test_every_field_of_the_manual(written):
-    folder = shared("vectors/ncom")
-    columns = decode_file(folder / "manual_channels.ncom")
-    table = rows(folder / "manual_channels.manual.csv")
+def test_every_field_of_the_manual(tmp_path):
+    file = KEPT / "ncom/manual_channels.ncom"
+    columns = decode_file(file)
+    table = rows(KEPT / "ncom/manual_channels.manual.csv")
     assert len(table) > 400
-    shown = changes(rows(written("whole") / "manual_channels.status.csv"))
+    write_csv(file, tmp_path / "packets.csv", tmp_path / "status.csv")
+    shown = changes(rows(tmp_path / "status.csv"))
     missing = {row["field"] for row in table if row["valid"] == "1"} - {field for _, field in shown}
     assert missing == set()
     times = {"Trig3Time": 79, "Trig4Time": 80, "DigitalOut2Time": 81}

@@ -1,6 +1,6 @@
 """The table of all status channels: which field lies where, in which unit, and when it is valid.
 
-Field names are the vendor's, as in shared/vectors/ncom; angles are in degrees as the vendor's tools show them.
+Field names are the vendor's, as in tests/golden/data/ncom; angles are in degrees as the vendor's tools show them.
 Source: NCOM manual 260702 and the behaviour of the vendor's public decoder; manual=M marks fields only the manual
 knows. Checked by: tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
 """
