@@ -16,6 +16,7 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_offline.runs.csv import read_drive
 
+from .._mounting import moved, turned
 from .cases import PER_CAR, Drives, seed_of
 from .effects import Hidden
 from .paths import ROOT
@@ -63,30 +64,12 @@ def _bias(log: DriveLog, bias: float) -> DriveLog:
     return replace(log, acceleration_y=log.acceleration_y + bias)
 
 
-def _turned(log: DriveLog, angle: float) -> DriveLog:
-    c, s = np.cos(angle), np.sin(angle)
-    return replace(
-        log, yaw=log.yaw + angle, velocity_x=c * log.velocity_x + s * log.velocity_y,
-        velocity_y=c * log.velocity_y - s * log.velocity_x,
-        acceleration_x=c * log.acceleration_x + s * log.acceleration_y,
-        acceleration_y=c * log.acceleration_y - s * log.acceleration_x)
-
-
-def _moved(log: DriveLog, x: float) -> DriveLog:
-    """As if the unit sat further forward; its yaw acceleration is the slope of a smoothed yaw rate."""
-    rate = np.convolve(log.yaw_rate, np.ones(5) / 5, "same")
-    slope = np.gradient(rate, log.ins_time_ns * 1e-9)
-    return replace(
-        log, x=log.x + x * np.cos(log.yaw), y=log.y + x * np.sin(log.yaw), velocity_y=log.velocity_y + x * log.yaw_rate,
-        acceleration_x=log.acceleration_x - x * log.yaw_rate**2, acceleration_y=log.acceleration_y + x * slope)
-
-
 # name in the library -> (how it is put in, large size)
 INJECTED: dict[str, tuple[Callable[[DriveLog, float], DriveLog], float]] = {
     "steering_offset": (_offset, 0.012), "steering_ratio": (_ratio, 0.10), "steering_delay": (_delay, 0.12),
     "yaw_rate_scale": (_yaw_rate_scale, 0.05), "yaw_rate_bias": (_yaw_rate_bias, 0.02),
     "speed_scale": (_speed_scale, 0.05), "lateral_acceleration_bias": (_bias, 0.4),
-    "heading_misalignment": (_turned, 0.03), "sensor_lever_arm": (_moved, 0.6),
+    "heading_misalignment": (turned, 0.03), "sensor_lever_arm": (moved, 0.6),
 }
 
 

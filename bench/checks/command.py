@@ -1,0 +1,109 @@
+"""Options of the corruption matrix."""
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from st_offline.paths import project_root, source_version
+
+from . import drives, healthy, speed, tables
+from .corruptions import KINDS
+from .run import matrix
+from .score import Drive, Record, as_recorded, checked, short
+
+RESULTS = Path(__file__).with_name("results.json")
+PAGE = Path("docs") / "checks.md"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="st bench checks", description=(
+        "Known faults put into real and virtual drives, and what `st check` says of them. The sealed drives are run "
+        "once, at the end; look at those of development as often as you like."))
+    parser.add_argument("--sealed", action="store_true", help="the sealed drives, with sizes drawn by seed")
+    parser.add_argument("--kind", action="append", choices=sorted(KINDS), metavar="NAME", help="may be repeated")
+    parser.add_argument("--drive", action="append", metavar="NAME", help="may be repeated; one kind and one drive: "
+                        "every finding in full")
+    parser.add_argument("--list", action="store_true", help="print kinds, sizes, findings and drives")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--write", action="store_true", help="write results.json and the table in docs/checks.md")
+    parser.add_argument("--healthy", type=int, metavar="SEEDS", help="drives of all scenarios without a fault instead")
+    parser.add_argument("--seconds", type=float, default=35.0, help="of a healthy drive")
+    parser.add_argument("--speed", action="store_true", help="time of 1, 10 and 60 minutes instead")
+    parser.add_argument("--real", action="store_true", help="what is said of every recorded drive instead")
+    chosen = parser.parse_args(arguments)
+    if chosen.list:
+        return _list()
+    if chosen.healthy:
+        return healthy.main(chosen.healthy, chosen.seconds, chosen.jobs)
+    if chosen.speed:
+        return speed.main()
+    if chosen.real:
+        return _real()
+    return _matrix(parser, chosen)
+
+
+def _matrix(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
+    set_ = "sealed" if chosen.sealed else "development"
+    there, kinds = drives.names(set_), chosen.kind or list(KINDS)
+    if unknown := [name for name in chosen.drive or () if name not in there]:
+        parser.error(f"--drive {unknown[0]}: the {set_} set has {', '.join(there)}")
+    if chosen.kind and chosen.drive and len(chosen.drive) == 1:
+        return _in_full(set_, chosen.drive[0], kinds)
+    records: list[Record] = []
+    begin = time.monotonic()
+    for part in matrix(set_, chosen.drive or there, kinds, chosen.jobs):
+        for record in part:
+            if not record["right"]:
+                print("wrong: " + tables.failure(record), flush=True)
+        records += part
+    version = {"set": set_, "version": source_version(), "date": time.strftime("%Y-%m-%d", time.gmtime())}
+    document = {**version, **tables.scores(records)}
+    print(f"\n{tables.as_text(document)}\n{len(records)} cases in {time.monotonic() - begin:.0f} s")
+    if chosen.write:
+        _write(document, records)
+    return 0
+
+
+def _write(document: Record, records: Sequence[Record]) -> None:
+    """Each set has its own place in results.json; the page shows both."""
+    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    results[document["set"]] = {**document, "wrong": [tables.failure(r) for r in records if not r["right"]]}
+    RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+    tables.put_into(project_root() / PAGE, "\n\n".join(
+        tables.as_markdown(results[name]) for name in ("development", "sealed") if name in results))
+
+
+def _in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
+    drive = Drive(drives.load(name, set_))
+    for kind in map(KINDS.__getitem__, kinds):
+        for size in kind.sizes:
+            clean = drive.clean(kind, size)
+            if not kind.shows(clean, size.value):
+                print(f"== {kind.name} {size.label}: {name} cannot show it")
+                continue
+            corrupted, truth = kind.edit(clean, size.value)
+            print(f"== {kind.name} {size.label}: {kind.how} {truth:.5g}; expected {' or '.join(kind.findings)}")
+            for title, said in (("as recorded", as_recorded(clean)), ("corrupted", checked(corrupted))):
+                print(f"-- {title}")
+                for finding in said.findings:
+                    cure = finding.cure.line if finding.cure else "-"
+                    print(f"{short(finding)}\n    {finding.text}\n    where {finding.where}; cure: {cure}")
+    return 0
+
+
+def _real() -> int:
+    for file in drives.real_files():
+        print(f"{file.parent.name}/{file.stem}")
+        for finding in checked(drives.real_drive(file)).findings:
+            print(f"    {short(finding)}\n        {finding.text}")
+    return 0
+
+
+def _list() -> int:
+    for kind in KINDS.values():
+        sizes = " / ".join(size.label for size in kind.sizes)
+        print(f"{kind.name:32} {sizes:28} {kind.how:6} {' or '.join(kind.findings)}")
+    print(f"{len(KINDS)} kinds; drives: {', '.join(drives.names('development'))}")
+    return 0

@@ -1,0 +1,226 @@
+"""What can be wrong with a recording: each kind as an edit of a good one, with what `st check` should say of it.
+
+An edit returns the corrupted recording and the truth about it: for `how` "times" the factor the named value is
+multiplied by, for "plus" what is added to it, for "is" the value itself; "named" has no value.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from st_core.log import DriveLog
+
+from .._mounting import moved, turned
+from . import faults as f
+from . import visible as v
+from .recording import (
+    Recording,
+    late,
+    late_series,
+    with_good_quality,
+    with_ins_speed,
+    with_stamps,
+    with_wheel_speed,
+)
+
+DEG, GON, G, FOOT, MPH, KMH = 57.29577951, 63.66197724, 9.80665, 3.280839895, 2.236936292, 3.6
+"""Per rad, rad, m/s^2 in one g, per m, per m/s, per m/s."""
+Edit = Callable[[Recording, float], tuple[Recording, float]]
+Shows = Callable[[Recording, float], bool]
+
+
+@dataclass(frozen=True)
+class Size:
+    """fixed: has no other size, as a unit. part: put into the middle half of the drive alone, the rest is cut off."""
+
+    label: str
+    value: float
+    fixed: bool = False
+    part: bool = False
+
+
+@dataclass(frozen=True)
+class Kind:
+    """findings: any of them is the right name. shows: whether a drive can show it at all. channel: the finding must be
+    about. tolerance: by how much of the truth a value may miss where it is a share, a count, a step or a gross factor.
+    also: further findings that are true of it. before: what the drive is given first, corrupted or not.
+    """
+
+    name: str
+    findings: tuple[str, ...]
+    how: str
+    edit: Edit
+    sizes: tuple[Size, Size]
+    shows: Shows
+    channel: str | None = None
+    tolerance: float = 0.0
+    also: tuple[str, ...] = ()
+    before: Callable[[Recording], Recording] | None = None
+
+
+def times(*channels: str) -> Edit:
+    return lambda r, k: (r.with_log(**{c: x * k for c in channels if (x := getattr(r.log, c)) is not None}), k)
+
+
+def plus(*channels: str) -> Edit:
+    return lambda r, d: (r.with_log(**{c: x + d for c in channels if (x := getattr(r.log, c)) is not None}), d)
+
+
+def delay(*channels: str) -> Edit:
+    return lambda r, s: (late(r, s, *channels), s)
+
+
+def of_log(change: Callable[[DriveLog, float], DriveLog]) -> Edit:
+    return lambda r, size: (replace(r, log=change(r.log, size)), size)
+
+
+def reverse(change: Edit) -> Edit:
+    """Put in the other way round: the car's point lies behind, the true value is negative."""
+    return lambda r, size: change(r, -size)
+
+
+def road_wheel(change: Edit) -> Edit:
+    """As a recording that holds the angle of the road wheels only."""
+    return lambda r, size: change(r.with_log(steering_wheel_angle=None), size)
+
+
+def hand_wheel(r: Recording, unit: float) -> tuple[Recording, float]:
+    return times("road_wheel_angle")(r.with_log(steering_wheel_angle=None), r.vehicle.steering_ratio * unit)
+
+
+def wheel_speed(r: Recording, k: float) -> tuple[Recording, float]:
+    series = r.extras.wheel_speed
+    return r.with_extras(wheel_speed=replace(series, values=series.values * k)), k
+
+
+def wheel_speed_late(r: Recording, seconds: float) -> tuple[Recording, float]:
+    return r.with_extras(wheel_speed=late_series(r.extras.wheel_speed, seconds)), seconds
+
+
+def ins_speed(r: Recording, k: float) -> tuple[Recording, float]:
+    series = r.extras.ins_speed
+    return r.with_extras(ins_speed=replace(series, values=series.values * k)), k
+
+
+def two(first: float, second: float, unit: str = "") -> tuple[Size, Size]:
+    return tuple(Size(f"{value:g}{unit and ' ' + unit}", value) for value in (first, second))
+
+
+def units(first: tuple[str, float], second: tuple[str, float]) -> tuple[Size, Size]:
+    return tuple(Size(label, value, fixed=True) for label, value in (first, second))
+
+
+def whole_and_half(value: float) -> tuple[Size, Size]:
+    return Size("whole drive", value, fixed=True), Size("half the drive", value, fixed=True, part=True)
+
+
+POSITION, VELOCITY, WHEEL = ("x", "y"), ("velocity_x", "velocity_y"), ("road_wheel_angle", "steering_wheel_angle")
+SHARE = 0.05
+"""Tolerance of shares, counts and lengths."""
+GROSS = 0.25
+"""Tolerance of what is measured against the car: its own ratio, offset and understeer are in it."""
+
+TIME = (
+    Kind("stamps in other units", ("time_unit",), "is", f.other_time_unit, units(("ms", 1e3), ("us", 1e6)), v.moves,
+         tolerance=SHARE),
+    Kind("gaps", ("time_gaps",), "is", f.three_gaps, two(1.0, 2.0, "s, three"), v.moves, tolerance=SHARE),
+    Kind("long gap", ("time_gaps",), "is", f.one_gap, two(5.0, 10.0, "s, one"), v.moves, tolerance=SHARE),
+    Kind("stamps twice", ("time_duplicates",), "is", f.stamps_twice, two(0.05, 0.2, "of the rows"), v.moves,
+         tolerance=SHARE, before=with_stamps),
+    Kind("stamps out of order", ("time_order",), "is", f.stamps_swapped, two(0.05, 0.2, "of the rows"), v.moves,
+         tolerance=SHARE, before=with_stamps),
+    Kind("stamps jitter", ("time_jitter",), "is", f.jitter, two(0.006, 0.015, "s"), v.moves, tolerance=0.15),
+    Kind("rows missing", ("values_missing",), "is", f.rows_missing, two(0.05, 0.2, "of the rows"), v.moves,
+         tolerance=SHARE),
+)
+POSITIONS = (
+    Kind("x scaled", ("x_scale",), "times", times("x"), two(0.964, 1.05), v.goes_both_ways),
+    Kind("y scaled", ("y_scale",), "times", times("y"), two(0.964, 1.05), v.goes_both_ways),
+    Kind("positions in other units", ("position_scale",), "times", times(*POSITION),
+         units(("feet", FOOT), ("mm", 1e3)), v.moves),
+    Kind("axes exchanged", ("position_axes",), "named", f.exchanged, units(("y, x", 1.0), ("-y, -x", -1.0)),
+         v.goes_both_ways),
+    Kind("axis mirrored", ("position_axes",), "named", f.mirrored, units(("x", 0.0), ("y", 1.0)), v.goes_both_ways),
+    Kind("positions late", ("position_lag",), "plus", delay(*POSITION), two(0.05, 0.2, "s"), v.turns_and_accelerates),
+    Kind("positions stale", ("position_stale",), "is", f.stale_positions, two(0.1, 0.3, "of the rows"), v.moves,
+         tolerance=SHARE, also=("samples_repeated",)),
+    Kind("positions jump every second", ("position_jumps",), "is", f.jumps_every_second, two(0.3, 1.0, "m"), v.moves,
+         tolerance=SHARE),
+    Kind("positions jump once", ("position_jumps",), "is", f.jumps_once, two(0.5, 6.0, "m"), v.moves),
+    Kind("reference point of positions", ("position_reference",), "plus", of_log(f.position_ahead),
+         two(0.7, 1.5, "m"), v.turns),
+    Kind("positions rounded", ("resolution_coarse",), "is", f.rounded(*POSITION), two(0.25, 1.0, "m"), v.moves,
+         channel="x", tolerance=SHARE, also=("samples_repeated",)),
+)
+YAW = (
+    Kind("yaw in other units", ("yaw_scale",), "times", times("yaw"), units(("deg", DEG), ("gon", GON)), v.turns),
+    Kind("yaw in degrees, wrapped", ("yaw_scale",), "times", f.wrapped_degrees, whole_and_half(DEG), v.turns),
+    Kind("compass heading", ("yaw_convention",), "named", f.compass, whole_and_half(1.0), v.turns),
+    Kind("yaw offset", ("yaw_offset",), "plus", plus("yaw"), two(0.02, 0.06, "rad"), v.moves),
+    Kind("yaw late", ("yaw_lag",), "plus", delay("yaw"), two(0.1, 0.3, "s"), v.turns),
+    Kind("yaw rounded", ("resolution_coarse",), "is", f.rounded("yaw"),
+         (Size("1 deg", 1 / DEG), Size("2 deg", 2 / DEG)), v.turns, channel="yaw", tolerance=SHARE,
+         also=("samples_repeated",)),
+    Kind("yaw rate in other units", ("yaw_rate_scale",), "times", times("yaw_rate"),
+         units(("deg/s", DEG), ("mrad/s", 1e3)), v.turns),
+    Kind("yaw rate sign", ("yaw_rate_scale",), "times", times("yaw_rate"), whole_and_half(-1.0), v.turns),
+    Kind("yaw rate scaled", ("yaw_rate_scale",), "times", times("yaw_rate"), two(1.05, 1.15), v.turns),
+    Kind("yaw rate bias", ("yaw_rate_bias",), "plus", plus("yaw_rate"), two(0.01, 0.03, "rad/s"), v.moves),
+    Kind("yaw rate late", ("yaw_rate_lag",), "plus", delay("yaw_rate"), two(0.1, 0.3, "s"), v.turns),
+    Kind("yaw rate held", ("samples_repeated",), "is", f.held("yaw_rate"), two(5.0, 2.0, "Hz"), v.turns,
+         channel="yaw_rate", tolerance=SHARE, also=("yaw_rate_lag", "resolution_coarse")),
+    Kind("yaw rate frozen", ("channel_frozen",), "is", f.frozen("yaw_rate"), two(10.0, 30.0, "s"),
+         v.long_enough("yaw_rate"), channel="yaw_rate", tolerance=SHARE, also=("samples_repeated",)),
+)
+VELOCITIES = (
+    Kind("velocity_x in other units", ("velocity_x_scale",), "times", times("velocity_x"),
+         units(("km/h", KMH), ("mph", MPH)), v.slides),
+    Kind("velocities in other units", ("velocity_scale",), "times", times(*VELOCITY),
+         units(("km/h", KMH), ("mph", MPH)), v.slides),
+    # How much of v_y is wrong as well is not to be seen of a few per cent.
+    Kind("velocity_x scaled", ("velocity_x_scale", "velocity_scale"), "times", times("velocity_x"), two(1.03, 1.10),
+         v.moves),
+    Kind("velocity_y sign", ("velocity_y_scale",), "times", times("velocity_y"), whole_and_half(-1.0), v.slides),
+    Kind("velocities late", ("velocity_lag",), "plus", delay(*VELOCITY), two(0.15, 0.4, "s"), v.turns_and_accelerates),
+    Kind("velocity at standstill", ("standstill_motion",), "is", f.creeping, two(0.1, 0.3, "m/s"), v.stands,
+         tolerance=SHARE),
+)
+ACCELERATIONS = (
+    Kind("a_y in other units", ("acceleration_y_scale",), "times", times("acceleration_y"),
+         units(("g", 1 / G), ("ft/s^2", FOOT)), v.corners),
+    Kind("a_y sign", ("acceleration_y_scale",), "times", times("acceleration_y"), whole_and_half(-1.0), v.corners),
+    Kind("a_y bias", ("acceleration_y_bias",), "plus", plus("acceleration_y"), two(0.4, 1.0, "m/s^2"), v.has_a_y),
+    Kind("a_y late", ("acceleration_y_lag",), "plus", delay("acceleration_y"), two(0.15, 0.4, "s"), v.corners),
+    Kind("a_x in other units", ("acceleration_x_scale",), "times", times("acceleration_x"),
+         units(("g", 1 / G), ("ft/s^2", FOOT)), v.accelerates),
+    Kind("a_x sign", ("acceleration_x_scale",), "times", times("acceleration_x"), whole_and_half(-1.0), v.accelerates),
+    Kind("a_x bias", ("acceleration_x_bias",), "plus", plus("acceleration_x"), two(0.3, 0.8, "m/s^2"), v.has_a_x),
+    Kind("a_x late", ("acceleration_x_lag",), "plus", delay("acceleration_x"), two(0.15, 0.4, "s"), v.accelerates),
+)
+STEERING = (
+    Kind("steering in other units", ("steering_scale",), "times", road_wheel(times("road_wheel_angle")),
+         units(("deg", DEG), ("mrad", 1e3)), v.steers, tolerance=GROSS),
+    Kind("hand wheel for road wheels", ("steering_scale",), "times", hand_wheel, units(("rad", 1.0), ("deg", DEG)),
+         v.steers, tolerance=GROSS),
+    Kind("steering sign", ("steering_sign",), "is", times(*WHEEL), whole_and_half(-1.0), v.steers, tolerance=GROSS),
+    Kind("steering late", ("steering_lag",), "plus", delay(*WHEEL), two(0.3, 0.6, "s"), v.steers),
+    Kind("steering offset", ("steering_offset",), "plus", road_wheel(plus("road_wheel_angle")),
+         two(0.03, 0.08, "rad"), v.moves),
+    Kind("steering frozen", ("channel_frozen",), "is", f.frozen(*WHEEL), two(10.0, 30.0, "s"),
+         v.long_enough("road_wheel_angle"), channel="road_wheel_angle", tolerance=SHARE, also=("samples_repeated",)),
+)
+INS = (
+    Kind("measuring point moved back", ("measuring_point",), "plus", reverse(of_log(moved)), two(0.8, 1.5, "m"),
+         v.turns),
+    Kind("INS askew", ("heading_misaligned",), "plus", of_log(turned), two(0.02, 0.05, "rad"), v.moves),
+    Kind("without RTK", ("ins_mode",), "is", f.without_rtk, two(0.2, 0.6, "of the time"), v.moves, tolerance=SHARE,
+         before=with_good_quality),
+    Kind("poor accuracy", ("ins_accuracy",), "is", f.poor_accuracy, two(0.5, 2.0, "m"), v.moves, tolerance=SHARE,
+         before=with_good_quality),
+    Kind("wheel speed scaled", ("wheel_speed_scale",), "times", wheel_speed, two(1.05, 1.15), v.moves,
+         before=with_wheel_speed),
+    Kind("wheel speed late", ("wheel_speed_lag",), "plus", wheel_speed_late, two(0.3, 0.6, "s"), v.accelerates,
+         before=with_wheel_speed),
+    Kind("other INS output scaled", ("ins_speed_scale",), "times", ins_speed, two(1.05, 1.15), v.moves,
+         before=with_ins_speed),
+)
+KINDS = {kind.name: kind for kind in (*TIME, *POSITIONS, *YAW, *VELOCITIES, *ACCELERATIONS, *STEERING, *INS)}

@@ -1,0 +1,65 @@
+"""The drives of the matrix: recorded ones of the Genesis and of the virtual Leaf, for development and sealed.
+
+The sealed drives are looked at once, at the end: other runs, other scenarios, other seeds.
+"""
+
+import os
+from functools import lru_cache
+from pathlib import Path
+
+from st_core.vehicle import VehicleParameters
+from st_offline.paths import config, project_root
+from st_offline.runs.csv import read_drive
+
+from .recording import Recording
+from .virtual import virtual_drive
+
+REAL = {
+    "development": ("cpg_lap_slow", "cpg_lap_fast_controlled", "cpg_low_speed_a", "rfs_turn_b", "rfs_turn_c"),
+    "sealed": ("cpg_lap_fast", "cpg_lap_medium", "cpg_low_speed_b", "rfs_turn_a", "cpg_low_speed_f"),
+}
+VIRTUAL = {
+    "development": (("S1", 11), ("S5", 12), ("S6", 13), ("S7", 14), ("step", 15)),
+    "sealed": (("lane_change", 81), ("sweep", 82), ("brake_in_turn", 83), ("S6", 84), ("ramp_to_limit", 85)),
+}
+SECONDS = 120.0
+"""of a virtual drive."""
+
+
+def data_folder() -> Path:
+    return Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / "data"
+
+
+def names(set_: str) -> tuple[str, ...]:
+    """Real drives first; those that are not there are left out."""
+    virtual = tuple(f"virtual_{scenario}" for scenario, _ in VIRTUAL[set_])
+    return tuple(name for name in REAL[set_] if _file(name).exists()) + virtual
+
+
+@lru_cache(maxsize=4)
+def load(name: str, set_: str) -> Recording:
+    for scenario, seed in VIRTUAL[set_]:
+        if name == f"virtual_{scenario}":
+            return virtual_drive(scenario, seed, SECONDS)
+    return real_drive(_file(name))
+
+
+def real_drive(file: Path) -> Recording:
+    return Recording(read_drive(file)[0], genesis(), True)
+
+
+@lru_cache
+def genesis() -> VehicleParameters:
+    file = config("vehicle/hyundai_genesis.yaml")
+    return VehicleParameters.from_yaml(file.read_text(), str(file))
+
+
+def real_files() -> list[Path]:
+    """Every drive of the shared folders."""
+    return sorted(data_folder().glob("*/*.csv"))
+
+
+def _file(name: str) -> Path:
+    # What is nowhere is looked for in the first folder, and named there by the reader.
+    found = [file for file in real_files() if file.stem == name]
+    return found[0] if found else data_folder() / "hyundai_genesis_oxts" / f"{name}.csv"

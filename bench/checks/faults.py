@@ -1,0 +1,205 @@
+"""Edits that are more than a factor, a sum or a delay. Each returns the corrupted recording and the true value."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from st_core.log import DriveLog
+
+from .recording import RTK_INTEGER, STEERING, TIMED, Recording, kept
+
+DIFFERENTIAL = 4
+"""NCOM position mode without RTK."""
+MOVING = 1.5
+"""m/s."""
+Edited = tuple[Recording, float]
+
+
+def _generator(recording: Recording) -> np.random.Generator:
+    return np.random.default_rng(len(recording.log.x))
+
+
+def other_time_unit(r: Recording, factor: float) -> Edited:
+    """Stamps count `factor` times too fast, from the first measurement on."""
+    start = r.log.start_ns
+
+    def faster(time_ns: np.ndarray) -> np.ndarray:
+        return start + (time_ns - start) * round(factor)
+    series = {name: replace(part, time_ns=faster(part.time_ns)) for name in TIMED
+              if (part := getattr(r.extras, name)) is not None}
+    log = {name: faster(getattr(r.log, name)) for name in ("ins_time_ns", "steering_time_ns")}
+    return r.with_log(**log).with_extras(**series), factor
+
+
+def three_gaps(r: Recording, seconds: float) -> Edited:
+    return _without(r, [(share * r.log.duration, seconds) for share in (0.25, 0.5, 0.75)])
+
+
+def one_gap(r: Recording, seconds: float) -> Edited:
+    return _without(r, [(0.45 * r.log.duration, seconds)])
+
+
+def _without(r: Recording, gaps: list[tuple[float, float]]) -> Edited:
+    """Nothing recorded for (start, length) [s]. True value: what the INS's gaps last together, s."""
+    def there(time_ns: np.ndarray) -> np.ndarray:
+        time = (time_ns - r.log.ins_time_ns[0]) * 1e-9
+        return ~np.any([(time > start) & (time < start + length) for start, length in gaps], axis=0)
+    corrupted = kept(r, there(r.log.ins_time_ns), there(r.log.steering_time_ns))
+    steps = np.diff(corrupted.time)
+    return corrupted, float(steps[steps > 0.25].sum())
+
+
+def stamps_twice(r: Recording, share: float) -> Edited:
+    """That share of all rows recorded is the row before once more; a reader leaves them out."""
+    generator = _generator(r)
+
+    def doubled(time: np.ndarray) -> np.ndarray:
+        count = round(share / (1 - share) * len(time))
+        rows = np.sort(generator.choice(len(time), count, replace=False))
+        return np.insert(time, rows + 1, time[rows])
+    return r.with_extras(stamps={name: doubled(time) for name, time in r.extras.stamps.items()}), share
+
+
+def stamps_swapped(r: Recording, share: float) -> Edited:
+    """Rows recorded before the one measured before them; a reader leaves them out."""
+    generator, stamps, rising = _generator(r), {}, {}
+    for name, in_order in r.extras.stamps.items():
+        time = in_order.copy()
+        rows = 2 * generator.choice(len(time) // 2, round(share * len(time)), replace=False)
+        time[rows], time[rows + 1] = in_order[rows + 1], in_order[rows]
+        stamps[name] = time
+        rising[name] = np.ones(len(time), bool)
+        # The later stamp comes first and stays; the log itself is in the order of time.
+        rising[name][rows] = False
+    return kept(r, rising["INS"], rising["steering"]).with_extras(stamps=stamps), share
+
+
+def jitter(r: Recording, size: float) -> Edited:
+    """Stamps of the arrival, `size` [s] of white delay; rows stay in order. True value: std of what it adds to the
+    intervals."""
+    time = r.log.ins_time_ns
+    noise = np.round(size * 1e9 * _generator(r).standard_normal(len(time))).astype(np.int64)
+    late = np.maximum.accumulate(time + noise) + 1000 * np.arange(len(time))
+    return r.with_log(ins_time_ns=late), float(np.std(np.diff(late) - np.diff(time))) * 1e-9
+
+
+def rows_missing(r: Recording, share: float) -> Edited:
+    """Rows in which the yaw rate held no number; they were left out of the INS's rows."""
+    there = _generator(r).random(len(r.log.x)) >= share
+    corrupted = kept(r, there, np.ones(len(r.log.steering_time_ns), bool))
+    missing = int((~there).sum())
+    return corrupted.with_extras(missing={"yaw_rate": missing}), missing / len(there)
+
+
+def exchanged(r: Recording, sign: float) -> Edited:
+    return r.with_log(x=sign * r.log.y, y=sign * r.log.x), sign
+
+
+def mirrored(r: Recording, axis: float) -> Edited:
+    name = "y" if axis else "x"
+    return r.with_log(**{name: -getattr(r.log, name)}), -1.0
+
+
+def compass(r: Recording, factor: float) -> Edited:
+    return r.with_log(yaw=np.pi / 2 - r.log.yaw), factor
+
+
+def wrapped_degrees(r: Recording, factor: float) -> Edited:
+    """-180 to 180 deg in the file, unwrapped by a reader that takes it for rad."""
+    wrapped = (r.log.yaw * factor + 180.0) % 360.0 - 180.0
+    return r.with_log(yaw=np.unwrap(wrapped)), factor
+
+
+def position_ahead(log: DriveLog, distance: float) -> DriveLog:
+    return replace(log, x=log.x + distance * np.cos(log.yaw), y=log.y + distance * np.sin(log.yaw))
+
+
+def stale_positions(r: Recording, share: float) -> Edited:
+    old = _generator(r).random(len(r.log.x)) < share
+    old[0] = False
+    rows = np.arange(len(old)) - old
+    return r.with_log(x=r.log.x[rows], y=r.log.y[rows]), float(old.mean())
+
+
+def jumps_every_second(r: Recording, size: float) -> Edited:
+    """To the side and, a second later, back."""
+    second = np.floor(r.time)
+    return _shifted(r, size * (second % 2)), float(np.count_nonzero(np.diff(second % 2)))
+
+
+def jumps_once(r: Recording, size: float) -> Edited:
+    """A new fix in the middle of the moving rows, which stays."""
+    moving = np.flatnonzero(np.abs(r.log.velocity_x) > MOVING)
+    return _shifted(r, size * (np.arange(len(r.log.x)) >= moving[len(moving) // 2])), 1.0
+
+
+def _shifted(r: Recording, offset: np.ndarray) -> Recording:
+    return r.with_log(x=r.log.x + 0.6 * offset, y=r.log.y + 0.8 * offset)
+
+
+def rounded(*channels: str) -> Callable[[Recording, float], Edited]:
+    return lambda r, step: (r.with_log(**{c: np.round(getattr(r.log, c) / step) * step for c in channels}), step)
+
+
+def held(channel: str) -> Callable[[Recording, float], Edited]:
+    def edit(r: Recording, rate: float) -> Edited:
+        new = np.diff(np.floor(r.time * rate), prepend=-1.0) > 0
+        rows = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
+        return r.with_log(**{channel: getattr(r.log, channel)[rows]}), float(np.mean(~new))
+    return edit
+
+
+def frozen(*channels: str) -> Callable[[Recording, float], Edited]:
+    """The first of them moves most in that stretch. True value: its length, s."""
+    def edit(r: Recording, seconds: float) -> Edited:
+        start = liveliest(r, channels[0], seconds)
+        if start is None:
+            raise ValueError(f"{r.name}: no {seconds:g} s in which the car moves")
+        fields = {}
+        for channel in channels:
+            if (values := getattr(r.log, channel)) is not None:
+                rows = _window(r, channel, start, seconds)
+                fields[channel] = values.copy()
+                fields[channel][rows] = values[rows.start]
+        return r.with_log(**fields), seconds
+    return edit
+
+
+def liveliest(r: Recording, channel: str, seconds: float) -> float | None:
+    """Start [s] of the stretch in which the channel moves most while the car does not stop."""
+    speed, best = np.abs(r.log.velocity_x), None
+    for start in np.arange(1.0, r.log.duration - seconds - 1.0):
+        rows = _window(r, channel, start, seconds)
+        spread = np.std(getattr(r.log, channel)[rows])
+        if speed[_window(r, "x", start, seconds)].min() > MOVING and (best is None or spread > best[0]):
+            best = spread, float(start)
+    return None if best is None else best[1]
+
+
+def _window(r: Recording, channel: str, start: float, seconds: float) -> slice:
+    time = r.log.steering_time_ns if channel in STEERING else r.log.ins_time_ns
+    first = int(r.log.ins_time_ns[0])
+    ends = [first + round(t * 1e9) for t in (start, start + seconds)]
+    return slice(*np.searchsorted(time, ends).tolist())
+
+
+def standing(r: Recording) -> np.ndarray:
+    return np.abs(r.log.velocity_x) < 0.05
+
+
+def creeping(r: Recording, speed: float) -> Edited:
+    """A forward speed that does not go to zero."""
+    return r.with_log(velocity_x=np.where(standing(r), speed, r.log.velocity_x)), speed
+
+
+def without_rtk(r: Recording, share: float) -> Edited:
+    quality = r.extras.quality
+    time = np.linspace(0.0, 1.0, len(quality.time_ns))
+    lost = np.abs(time - 0.5) < share / 2
+    modes = np.where(lost, DIFFERENTIAL, RTK_INTEGER).astype(float)
+    return r.with_extras(quality=replace(quality, position_mode=modes)), float(lost.mean())
+
+
+def poor_accuracy(r: Recording, accuracy: float) -> Edited:
+    quality = r.extras.quality
+    return r.with_extras(quality=replace(quality, position_accuracy=np.full(len(quality.time_ns), accuracy))), accuracy

@@ -1,0 +1,49 @@
+"""Virtual drives nothing is wrong with: no error may be said of them, and next to no warning."""
+
+import time
+from collections import Counter
+
+from st_core.checks import Severity
+from st_sim.scenarios import SCENARIOS
+
+from ..discovery.score import wilson
+from .run import over
+from .score import checked, short
+from .virtual import virtual_drive
+
+FIRST_SEED = 1000
+BATCH = 5
+"""Drives of one scenario in one task."""
+
+Said = tuple[str, int, list[tuple[str, str]]]
+
+
+def main(seeds: int, seconds: float, jobs: int) -> int:
+    """Every scenario with that many seeds; exit status 1 with an error among what is said."""
+    tasks = [(scenario, range(FIRST_SEED + first, FIRST_SEED + min(first + BATCH, seeds)), seconds)
+             for scenario in SCENARIOS for first in range(0, seeds, BATCH)]
+    begin, counts, names = time.monotonic(), Counter(), Counter()
+    for part in over(_said, tasks, jobs):
+        for scenario, seed, findings in part:
+            counts["drives"] += 1
+            worst = {severity for severity, _ in findings}
+            counts["error"] += Severity.ERROR in worst
+            counts["warning"] += Severity.WARNING in worst
+            for _, text in findings:
+                names[text.split()[1]] += 1
+                print(f"{scenario} seed {seed}: {text}", flush=True)
+    low, high = wilson(counts["warning"], counts["drives"])
+    print(f"{counts['drives']} drives of {seconds:g} s in {time.monotonic() - begin:.0f} s: errors in "
+          f"{counts['error']}, warnings in {counts['warning']} ({100 * counts['warning'] / counts['drives']:.2f} %, 95 % interval "
+          f"{100 * low:.2f} to {100 * high:.2f}); {dict(names)}")
+    return 1 if counts["error"] else 0
+
+
+def _said(task: tuple[str, range, float]) -> list[Said]:
+    scenario, seeds, seconds = task
+    result = []
+    for seed in seeds:
+        said = checked(virtual_drive(scenario, seed, seconds))
+        result.append((scenario, seed, [(f.severity, short(f)) for f in said.findings
+                                        if f.severity is not Severity.NOTE]))
+    return result

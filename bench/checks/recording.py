@@ -1,0 +1,114 @@
+"""A drive with all that was recorded beside it, and the edits several corruptions share."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from st_core.checks import Extras, InsQuality, Series
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+RTK_INTEGER, LOCKED = 6, 4
+WHEEL_NOISE = 0.02
+"""m/s."""
+STEERING = ("road_wheel_angle", "steering_wheel_angle")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """real: measured; what it holds of its own is not known. vehicle: the file a user would have beside it."""
+
+    log: DriveLog
+    vehicle: VehicleParameters
+    real: bool
+    extras: Extras = field(default_factory=Extras)
+
+    @property
+    def name(self) -> str:
+        return self.log.name
+
+    @property
+    def time(self) -> np.ndarray:
+        """s after the first INS measurement, of the INS rows."""
+        return (self.log.ins_time_ns - self.log.ins_time_ns[0]) * 1e-9
+
+    def with_log(self, **fields) -> "Recording":
+        return replace(self, log=replace(self.log, **fields))
+
+    def with_extras(self, **fields) -> "Recording":
+        return replace(self, extras=replace(self.extras, **fields))
+
+    def between(self, start_ns: int, end_ns: int) -> "Recording":
+        """Everything recorded in that time; stamps are left out, they are of the whole."""
+        extras = {name: None if (part := getattr(self.extras, name)) is None else _rows(
+            part, (part.time_ns >= start_ns) & (part.time_ns <= end_ns)) for name in TIMED}
+        return replace(self, log=self.log.slice(start_ns, end_ns), extras=replace(self.extras, stamps={}, **extras))
+
+
+TIMED = ("wheel_speed", "ins_speed", "quality")
+"""Parts of Extras that have a time base."""
+
+
+def _rows(part: Series | InsQuality, kept: np.ndarray) -> Series | InsQuality:
+    return replace(part, **{name: getattr(part, name)[kept] for name in part.__dataclass_fields__})
+
+
+def half(recording: Recording) -> Recording:
+    """The middle half."""
+    start, end = int(recording.log.ins_time_ns[0]), int(recording.log.ins_time_ns[-1])
+    quarter = (end - start) // 4
+    return recording.between(start + quarter, end - quarter)
+
+
+def kept(recording: Recording, ins: np.ndarray, steering: np.ndarray) -> Recording:
+    """Only the rows of the log marked True."""
+    log = recording.log
+    fields = {name: value[steering if "steering" in name or "wheel" in name else ins]
+              for name in log.__dataclass_fields__ if isinstance(value := getattr(log, name), np.ndarray)}
+    return replace(recording, log=replace(log, **fields))
+
+
+def late(recording: Recording, seconds: float, *channels: str) -> Recording:
+    """Each channel says at t what was true at t - seconds; the ends, where nobody knows that, are cut off."""
+    log, fields = recording.log, {}
+    for channel in channels:
+        if (values := getattr(log, channel)) is not None:
+            time = log.steering_time_ns if channel in STEERING else log.ins_time_ns
+            fields[channel] = _at(time, values, seconds)
+    cut = round(abs(seconds) * 1e9)
+    return recording.with_log(**fields).between(log.start_ns + cut, log.end_ns - cut)
+
+
+def late_series(series: Series, seconds: float) -> Series:
+    return replace(series, values=_at(series.time_ns, series.values, seconds))
+
+
+def _at(time_ns: np.ndarray, values: np.ndarray, seconds: float) -> np.ndarray:
+    time = (time_ns - time_ns[0]) * 1e-9
+    return np.interp(time - seconds, time, values)
+
+
+def with_good_quality(recording: Recording) -> Recording:
+    """As a unit with RTK says all the time."""
+    time = recording.log.ins_time_ns
+    level = np.ones(len(time))
+    return recording.with_extras(quality=InsQuality(time, LOCKED * level, RTK_INTEGER * level, 0.01 * level,
+                                                    0.001 * level))
+
+
+def with_wheel_speed(recording: Recording) -> Recording:
+    """A wheel speed that is right: the INS's forward speed and a little noise, at every second row."""
+    return recording.with_extras(wheel_speed=_speed(recording, WHEEL_NOISE))
+
+
+def with_ins_speed(recording: Recording) -> Recording:
+    return recording.with_extras(ins_speed=_speed(recording, 0.002))
+
+
+def _speed(recording: Recording, noise: float) -> Series:
+    speed = recording.log.velocity_x[::2]
+    return Series(recording.log.ins_time_ns[::2], speed + noise * np.random.default_rng(5).standard_normal(len(speed)))
+
+
+def with_stamps(recording: Recording) -> Recording:
+    """Stamps without a fault."""
+    return recording.with_extras(stamps={"INS": recording.log.ins_time_ns, "steering": recording.log.steering_time_ns})

@@ -1,0 +1,131 @@
+"""Was it right? What `check` says of a corrupted drive against the truth, as plain data.
+
+Truth of a virtual drive is absolute: its sensors are known. A real drive has offsets of its own, so truth is what the
+same quantity is found to be on the drive as recorded, combined with the edit: times for factors, plus for offsets. Too
+small there to be a finding, it is taken from the drive with the opposite edit instead (`opposite`), which brings it
+out with the other sign; where that says nothing either it is 1 or 0.
+"""
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from st_core.checks import Checked, Finding, Severity, check
+
+from .corruptions import Kind, Size
+from .recording import Recording, half
+
+SAID = (Severity.ERROR, Severity.WARNING)
+COUNT_TOLERANCE = 1e-6
+Record = dict[str, Any]
+
+
+def checked(recording: Recording) -> Checked:
+    return check(recording.log, recording.vehicle, recording.extras)
+
+
+@cache
+def as_recorded(recording: Recording) -> Checked:
+    """Of a drive nothing was put into; one object is checked once."""
+    return checked(recording)
+
+
+class Drive:
+    """A recording and what it is before a fault is put in, each made once."""
+
+    def __init__(self, recording: Recording):
+        self.recording = recording
+        self._made: dict[tuple, Recording] = {}
+
+    def clean(self, kind: Kind, size: Size) -> Recording:
+        key = size.part, kind.before
+        if key not in self._made:
+            part = half(self.recording) if size.part else self.recording
+            self._made[key] = kind.before(part) if kind.before else part
+        return self._made[key]
+
+
+def score(drive: Drive, kind: Kind, size: Size) -> Record | None:
+    """None where the drive cannot show it."""
+    clean = drive.clean(kind, size)
+    if not kind.shows(clean, size.value):
+        return None
+    corrupted, change = kind.edit(clean, size.value)
+    said, before = checked(corrupted), as_recorded(clean)
+    finding = of_kind(said, kind)
+    truth, source = true_value(kind, size, clean, change)
+    inside = finding is not None and is_inside(kind, finding, truth)
+    named = finding is not None and finding.severity in SAID
+    collateral = new_findings(said, before, kind)
+    return {
+        "drive": clean.name, "real": clean.real, "kind": kind.name, "size": size.label, "truth": truth,
+        "truth_from": source, "named": named, "inside": inside, "right": named and inside,
+        "said": None if finding is None else short(finding),
+        "new": {severity.value: [short(f) for f in collateral if f.severity is severity] for severity in Severity},
+    }
+
+
+def of_kind(said: Checked, kind: Kind) -> Finding | None:
+    """The gravest finding with a right name, about the right channel."""
+    for finding in said.findings:
+        if finding.name in kind.findings and (kind.channel is None or kind.channel in finding.channels):
+            return finding
+    return None
+
+
+def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple[float | None, str]:
+    """What the value should be, and where that is from: edit, drive, opposite."""
+    if kind.how == "named":
+        return None, "edit"
+    if kind.how == "is" or not clean.real:
+        return change, "edit"
+    own = of_kind(as_recorded(clean), kind)
+    if own is not None and own.value is not None:
+        return combined(kind.how, own.value, change), "drive"
+    opposite = kind.edit(clean, 1 / size.value if kind.how == "times" else -size.value)
+    own = of_kind(checked(opposite[0]), kind)
+    if own is not None and own.value is not None:
+        return combined(kind.how, combined(kind.how, own.value, inverse(kind.how, opposite[1])), change), "opposite"
+    return change, "edit"
+
+
+def combined(how: str, own: float, change: float) -> float:
+    return own * change if how == "times" else own + change
+
+
+def inverse(how: str, change: float) -> float:
+    return 1 / change if how == "times" else -change
+
+
+def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:
+    """In the finding's interval, or as near as the kind allows."""
+    if truth is None:
+        return True
+    if finding.value is None:
+        return False
+    if finding.interval is not None and finding.interval[0] <= truth <= finding.interval[1]:
+        return True
+    return abs(finding.value - truth) <= max(kind.tolerance * abs(truth), COUNT_TOLERANCE)
+
+
+def new_findings(said: Checked, before: Checked, kind: Kind) -> list[Finding]:
+    """What the corruption brought beside its own name."""
+    known = {finding.name for finding in before.findings} | {*kind.findings, *kind.also}
+    return [finding for finding in said.findings if finding.name not in known]
+
+
+def short(finding: Finding) -> str:
+    """name 1.23 (1.20 to 1.26) unit of channels"""
+    value = "" if finding.value is None else f" {finding.value:.4g}"
+    if finding.interval is not None:
+        value += f" ({finding.interval[0]:.4g} to {finding.interval[1]:.4g})"
+    unit = "" if finding.unit == "1" or finding.value is None else f" {finding.unit}"
+    return f"{finding.severity.value} {finding.name}{value}{unit} [{', '.join(finding.channels)}]"
+
+
+def drawn(size: Size, how: str, share: float) -> Size:
+    """The same fault, `share` times as large; a factor is as large as its distance from 1."""
+    if size.fixed:
+        return size
+    value = 1 + (size.value - 1) * share if how == "times" else size.value * share
+    return replace(size, value=value, label=f"{value:.3g} {size.label.partition(' ')[2]}".strip())

@@ -1,0 +1,74 @@
+"""Records of the matrix as tables: for the console, for results.json, for docs/checks.md."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..discovery.score import wilson
+from .score import Record
+
+BEGIN, END = "<!-- corruption matrix -->", "<!-- end -->"
+
+
+def row(records: Sequence[Record], **first: object) -> Record:
+    counts = {key: sum(r[key] for r in records) for key in ("named", "inside", "right")}
+    errors = sum(bool(r["new"]["error"]) for r in records)
+    warnings = sum(bool(r["new"]["warning"]) for r in records)
+    share = [round(end, 4) for end in wilson(counts["right"], len(records))]
+    return {**first, "cases": len(records), **counts, "interval": share, "new_errors": errors,
+            "new_warnings": warnings}
+
+
+def scores(records: Sequence[Record]) -> Record:
+    """Per kind in the order of the matrix, per drive, and in all."""
+    def by(key: str) -> list[Record]:
+        values = dict.fromkeys(r[key] for r in records)
+        return [row([r for r in records if r[key] == value], **{key: value}) for value in values]
+    groups = [row([r for r in records if r["real"] is real], which="real" if real else "virtual")
+              for real in (True, False) if any(r["real"] is real for r in records)]
+    return {"kinds": by("kind"), "drives": by("drive"), "total": [*groups, row(records, which="all")]}
+
+
+def share(r: Record) -> str:
+    low, high = r["interval"]
+    percent = 100 * r["right"] / r["cases"] if r["cases"] else 0.0
+    return f"{percent:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def as_markdown(document: Record) -> str:
+    head = ("cases", "named", "value inside", "right", "other new errors", "other new warnings")
+    keys = ("cases", "named", "inside", "right", "new_errors", "new_warnings")
+    kinds = [(r["kind"], *(str(r[key]) for key in keys)) for r in document["kinds"]]
+    total = [(r["which"], str(r["cases"]), share(r)) for r in document["total"]]
+    where = f"Set {document['set']}, version {document['version']}, {document['date']}."
+    return "\n\n".join((where, _table(("drives", "cases", "right (95 % interval)"), total),
+                        _table(("kind", *head), kinds)))
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def as_text(document: Record) -> str:
+    def lines(rows: Sequence[Record], key: str) -> list[str]:
+        return [f"{r[key]:32} {r['cases']:4} cases  named {r['named']:4}  inside {r['inside']:4}  right "
+                f"{r['right']:4}  new errors in {r['new_errors']}, warnings in {r['new_warnings']}" for r in rows]
+    total = [f"{r['which']}: {share(r)} of {r['cases']} right" for r in document["total"]]
+    return "\n".join([*lines(document["kinds"], "kind"), "", *lines(document["drives"], "drive"), "", *total])
+
+
+def failure(r: Record) -> str:
+    others = "; ".join((*r["new"]["error"], *r["new"]["warning"])) or "nothing"
+    truth = "" if r["truth"] is None else f", true {r['truth']:.4g} (from {r['truth_from']})"
+    return f"{r['drive']}: {r['kind']} {r['size']}{truth}: said {r['said'] or 'not its name'}; beside it {others}"
+
+
+def put_into(page: Path, text: str) -> None:
+    """Between the marks; a page that is not there is made. Raises ValueError where it has no marks."""
+    if not page.exists():
+        page.write_text(f"# Checks\n\n{BEGIN}\n{END}\n")
+    before, begin, rest = page.read_text().partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise ValueError(f"{page}: the marks {BEGIN} and {END} are not there")
+    page.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")

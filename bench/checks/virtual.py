@@ -1,0 +1,74 @@
+"""Drives of the virtual Leaf in memory: plant, driver and sensors of st_sim, rounding and axes of the wires."""
+
+from functools import lru_cache
+
+import numpy as np
+from st_core.checks import Series
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+from st_offline.paths import config
+from st_offline.runs.ncom import to_body
+from st_sim.car import Car, read_car
+from st_sim.scenarios import load
+from st_sim.sensors import Ins, SteeringSensor, read_wheel_speeds
+from st_sim.settings import resolve
+from st_sim.simulation import SimulatedCar
+from st_sim.stream import STEERING, TICK_MS, WHEELS
+
+from .recording import Recording, with_good_quality
+
+START_NS = 1_756_900_800_000_000_000
+INS_MS = 10
+ROUNDING = {"angle": 1e-6, "velocity": 1e-4, "rate": 1e-5, "force": 1e-4, "steering": np.radians(0.1), "wheel": 0.01}
+"""rad, m/s, rad/s, m/s^2 of NCOM; rad of the hand wheel and m/s on CAN."""
+
+
+@lru_cache
+def leaf() -> tuple[Car, VehicleParameters]:
+    file = config("vehicle/leaf.yaml")
+    return read_car(file), VehicleParameters.from_yaml(file.read_text(), str(file))
+
+
+def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
+    """One scenario with the realistic plant: INS at 100 Hz, steering 100 Hz, wheel speeds 50 Hz, RTK all the time."""
+    car, vehicle = leaf()
+    settings = resolve("realistic", [])
+    source = SimulatedCar(car, settings, load(scenario), seed)
+    ins, sensor = Ins(car, settings, INS_MS / 1000, seed), SteeringSensor(car, settings, seed)
+    readings, hand, wheels = [], [], []
+    for now in range(0, round(seconds * 1000), TICK_MS):
+        source.advance(now / 1000)
+        if now % INS_MS == 0:
+            readings.append(ins.read(source.truth()))
+        if now % STEERING[0] == STEERING[1]:
+            hand.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.truth())))
+        if now % WHEELS[0] == WHEELS[1]:
+            # The rear wheels: they do not travel further than the car in a turn.
+            wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings).wheels[2:]) / 2))
+    log = _log(f"virtual_{scenario}", readings, np.array(hand), vehicle)
+    times, speeds = np.array(wheels).T
+    recording = Recording(log, vehicle, False).with_extras(wheel_speed=Series(_ns(times), _rounded(speeds, "wheel")))
+    return with_good_quality(recording)
+
+
+def _log(name: str, readings: list, hand: np.ndarray, vehicle: VehicleParameters) -> DriveLog:
+    def column(field: str) -> np.ndarray:
+        return np.array([getattr(reading, field) for reading in readings], float)
+    yaw, pitch, roll = (_rounded(column(field), "angle") for field in ("yaw", "pitch", "roll"))
+    cosine, sine = np.cos(column("yaw")), np.sin(column("yaw"))
+    forward, left = column("velocity_x"), column("velocity_y")
+    level = np.stack([cosine * forward - sine * left, sine * forward + cosine * left, column("velocity_z")])
+    velocity = to_body(_rounded(level, "velocity"), yaw, -pitch, roll)
+    angle = _rounded(hand[:, 1], "steering")
+    force = _rounded(column("specific_force"), "force")
+    return DriveLog(name, _ns(column("stamp")), column("x"), column("y"), np.unwrap(yaw), velocity[0], velocity[1],
+                    _rounded(column("rates")[:, 2], "rate"), _ns(hand[:, 0]), vehicle.road_wheel_angle(angle), angle,
+                    force[:, 0], force[:, 1])
+
+
+def _rounded(values: np.ndarray, kind: str) -> np.ndarray:
+    return np.round(values / ROUNDING[kind]) * ROUNDING[kind]
+
+
+def _ns(seconds: np.ndarray) -> np.ndarray:
+    return START_NS + np.round(seconds * 1e9).astype(np.int64)
