@@ -47,7 +47,8 @@ EXHIBITS = (
     Exhibit("Two clocks brought together", "./st align {}/raw/run.ncom {}/raw/run.log --output {}/align",
             "align/alignment.png", "The same signals from INS and CAN, before and after; what remains is the tolerance "
             "of the offset."),
-    Exhibit("A drive evaluated at the desk", "./st evaluate {}/run/bag --output {}/evaluate",
+    Exhibit("A real drive evaluated at the desk", "./st evaluate examples/data/rfs_turn_a.csv "
+            "--vehicle config/vehicle/hyundai_genesis.yaml --output {}/evaluate",
             "evaluate/**/horizon_means.png", "The error of every start over the drive, as in the paper; the folder "
             "also holds the page report.html with sortable tables."),
     Exhibit("A parameter identified", "./st identify steering-ratio docs/examples/identification/steering_ratio.csv "
@@ -65,7 +66,8 @@ EXHIBITS = (
 def page() -> str:
     """The text of gallery.md."""
     lines = ["# Gallery", "",
-             "Made by `./st docs --gallery`: one drive of the virtual Leaf (S6, U-turns), as each command shows it.",
+             "Made by `./st docs --gallery`: a drive of the virtual Leaf (S6, U-turns) and a short real one of another car "
+             "([examples/data](../examples/data/README.md)), as each command shows them.",
              "", "## Seen live", "",
              "From the driver's seat: what the models predict now, what they predicted one to five seconds ago, and "
              "what happened.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
