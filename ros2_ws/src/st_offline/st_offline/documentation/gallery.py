@@ -66,8 +66,8 @@ EXHIBITS = (
 def page() -> str:
     """The text of gallery.md."""
     lines = ["# Gallery", "",
-             "Made by `./st docs --gallery`: a drive of the virtual Leaf (S6, U-turns) and a short real one of another car "
-             "([examples/data](../examples/data/README.md)), as each command shows them.",
+             "Made by `./st docs --gallery`: a drive of the virtual Leaf (S6, U-turns) and a short real one of another "
+             "car ([examples/data](../examples/data/README.md)), as each command shows them.",
              "", "## Seen live", "",
              "From the driver's seat: what the models predict now, what they predicted one to five seconds ago, and "
              "what happened.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
