@@ -1,16 +1,112 @@
-"""All checks of one recording."""
+"""All checks of one recording, in the order that lets one fault be told once."""
+
+from dataclasses import replace
+
+import numpy as np
 
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
+from . import inertial, position, sampling, with_car
+from .channel import identity, judged
 from .extras import Extras
-from .finding import Checked
+from .finding import Checked, Finding, Identity, Severity
+from .gross import gross
+from .motion import Motion
+from .quality import quality
+from .regression import Estimate
+from .steps import steps
+
+SHORTEST = 50  # INS samples; less than a few seconds says nothing
+ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 
 
 def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extras | None = None, *,
           seed: int = 0) -> Checked:
     """Findings of one recording.
 
+    First how it was sampled, then units, signs and axes, then the identities that no vehicle parameter can break
+    (position, yaw, velocity, accelerations, other speeds), then those with the car. What is found is taken out of a
+    working copy before the next is judged.
+
     vehicle: for the identities with the car; None leaves those out. extras: what else was recorded. seed: of the
     resampling. Never raises for what is in a recording: a channel too short or too poor to judge gives no finding.
     """
-    return Checked((), {}, ())
+    extras = extras or Extras()
+    motion = Motion.of(log)
+    if len(log.ins_time_ns) < SHORTEST:
+        return Checked((), sampling.channels(motion, extras), ())
+    known = sampling.channels(motion, extras)
+    told = [*sampling.timing(motion, extras), *quality(extras.quality, int(log.ins_time_ns[0]))]
+    raw = motion
+    motion, coarse = gross(motion)
+    told += sampling.merged(sampling.values(raw if not coarse else motion, known))
+    told += steps(motion)
+    before = _factors(coarse)
+    motion, fine, estimates, identities = _sensors(motion, before, extras, int(log.ins_time_ns[0]), seed)
+    told += [_with_value(one, estimates) for one in coarse] + fine
+    if vehicle is not None:
+        for found, more, shown in (with_car.steering(motion, vehicle, seed), with_car.rear_axle(motion, vehicle, seed)):
+            told += found
+            estimates |= more
+            identities += [shown] if shown else []
+        told += with_car.believable(motion)
+    told += with_car.standstill(motion)
+    ordered = sorted(told, key=lambda one: (ORDER.index(one.severity), -(one.effect or np.inf)))
+    return Checked(tuple(ordered), known, tuple(identities), {k: (e.value, *e.interval) for k, e in estimates.items()})
+
+
+def _factors(coarse: list[Finding]) -> dict[str, float]:
+    """What gross() has divided out, by the name of the finding."""
+    found = {}
+    for one in coarse:
+        correct = one.cure.entry.get("correct", {}) if one.cure else {}
+        scale = next((entry["scale"] for entry in correct.values() if "scale" in entry), None)
+        if scale:
+            found[one.name] = 1.0 / scale
+    return found
+
+
+def _with_value(one: Finding, estimates: dict[str, Estimate]) -> Finding:
+    """A unit or sign with the value that the finer identity gives it."""
+    found = estimates.get(one.name)
+    return one if found is None else replace(one, value=found.value, interval=found.interval)
+
+
+def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns: int,
+             seed: int) -> tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]:
+    """The identities that no vehicle parameter can break."""
+    shown = [position.identity(motion)]
+    found, expected = inertial.yaw_rate(motion, seed)
+    late = -found.lag.value if found and found.lag.sure else 0.0
+    motion, told, estimates = position.position(motion, seed, late)
+    if any(one.name in ("yaw_lag", "yaw_offset") for one in told):
+        found, expected = inertial.yaw_rate(motion, seed)
+    more, those = judged(found, expected, before.get("yaw_rate_scale", 1.0))
+    told += [one for one in more if not (one.name == "yaw_rate_scale" and one.name in before)]
+    estimates |= those
+    for name in ("velocity_scale", "velocity_x_scale", "position_scale"):
+        if name in before:
+            estimates[name] = _rescaled(estimates, name, before[name])
+    if "yaw_scale" in before and found:
+        low, high = (before["yaw_scale"] / end for end in found.scale.interval)
+        estimates["yaw_scale"] = Estimate(before["yaw_scale"] / found.scale.value, 0.0, (min(low, high), max(low, high)))
+    shown += [panel for panel in (identity(found, expected, "yaw rate: sensor against change of yaw"),) if panel]
+    if found:
+        motion = inertial.mended_yaw_rate(motion, found)
+    for findings, values, panel in (*inertial.accelerations(motion, seed),
+                                    *inertial.speeds(motion, extras, start_ns, seed)):
+        told += findings
+        estimates |= values
+        shown += [panel] if panel else []
+    return motion, told, estimates, shown
+
+
+def _rescaled(estimates: dict[str, Estimate], name: str, factor: float) -> Estimate:
+    """A unit times what velocity and positions still differ by; positions have the inverse."""
+    fine = estimates.get("velocity_scale")
+    if fine is None:
+        return Estimate(factor, 0.0, (factor, factor))
+    if name == "position_scale":
+        low, high = sorted(factor / end for end in fine.interval)
+        return Estimate(factor / fine.value, 0.0, (low, high))
+    return fine.scaled(factor)

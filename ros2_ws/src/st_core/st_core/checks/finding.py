@@ -106,11 +106,15 @@ class Identity:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """findings: the gravest first. channels: by name. identities: in the order they are judged."""
+    """findings: the gravest first. channels: by name. identities: in the order they are judged.
+
+    estimates: (value, low, high), 95 %, by the name of the finding they would be: what was measured, right or wrong.
+    """
 
     findings: tuple[Finding, ...]
     channels: Mapping[str, Channel]
     identities: tuple[Identity, ...]
+    estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:
         return tuple(one for one in self.findings if one.severity is severity)
@@ -118,4 +122,5 @@ class Checked:
     def as_dict(self) -> dict[str, Any]:
         """The run's part of check.json."""
         return {"findings": [one.as_dict() for one in self.findings],
-                "channels": {name: channel.as_dict() for name, channel in self.channels.items()}}
+                "channels": {name: channel.as_dict() for name, channel in self.channels.items()},
+                "estimates": {name: list(values) for name, values in self.estimates.items()}}

@@ -1,0 +1,109 @@
+"""One channel against the same quantity from others: scale, bias and lag become findings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .finding import Cure, Finding, Identity, Severity
+from .lag import Agreement
+from .limits import LIMITS
+from .regression import Estimate
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What of a channel is worth a word.
+
+    against: what it is compared with, in words. unit: of the channel. digits: of its bias. lag [s], bias [unit]: least
+    that is told; scale: least deviation from 1. reach: position after 5 s per unit of error [m]; 0 where no prediction
+    uses the channel, and then a bias from `grave` [unit] on, a lag and a factor are warnings for who does.
+    factors: names of units by the factor they make.
+    """
+
+    channel: str
+    against: str
+    unit: str
+    lag: float
+    scale: float
+    bias: float
+    reach: float = 0.0
+    grave: float = np.inf
+    digits: int = 2
+    factors: Mapping[float, str] = field(default_factory=dict)
+
+
+def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.0,
+           ) -> tuple[list[Finding], dict[str, Estimate]]:
+    """(findings, estimates by the name of their finding). scale_before: factor that was taken out already."""
+    if found is None or abs(found.correlation) < LIMITS.correlation:
+        return [], {}
+    name, told = expected.channel, []
+    scale, lag, bias = found.scale, found.lag, found.bias
+    factor = _factor(scale.value, expected)
+    if factor is not None:
+        told.append(_gross(scale, factor, expected))
+    elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).sure:
+        text = f"{name} is {in_words(scale, 3)} times what {expected.against} says"
+        told.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
+                             {"scale": 1.0 / scale.value}))
+    size = abs(scale.value)
+    if lag.sure and abs(lag.value) >= expected.lag:
+        rate = float(np.std(np.gradient(found.derived, found.time)))
+        text = f"{name} lags {expected.against} by {in_words(lag, 3)} s"
+        told.append(_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value}))
+    if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
+        text = f"{name} is {in_words(bias, expected.digits)} {expected.unit} too high against {expected.against}"
+        told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
+                             {"add": -bias.value}))
+    return told, {f"{name}_lag": lag, f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
+
+
+def in_words(one: Estimate, digits: int) -> str:
+    """value ± half of the 95 % interval."""
+    return f"{one.value:.{digits}f} ± {0.5 * (one.interval[1] - one.interval[0]):.{digits}f}"
+
+
+def _factor(scale: float, expected: Expected) -> float | None:
+    """The unit or sign that a scale is, the scale itself where it is far from 1 and none of them, None near 1."""
+    if 1.0 / LIMITS.channel_unit < scale < LIMITS.channel_unit:
+        return None
+    signed = [sign * factor for factor in (1.0, *expected.factors) for sign in (1.0, -1.0)][1:]
+    near = [f for f in signed if f * scale > 0.0 and 1.0 / LIMITS.channel_unit < scale / f < LIMITS.channel_unit]
+    return min(near, key=lambda f: abs(np.log(scale / f)), default=scale)
+
+
+def _gross(scale: Estimate, factor: float, expected: Expected) -> Finding:
+    words = [expected.factors.get(abs(factor), "")] + ["it counts the other way" if factor < 0.0 else ""]
+    reason = " and ".join(word for word in words if word)
+    text = (f"{expected.channel} is {in_words(scale, 3)} times what {expected.against} says"
+            + (f": {reason}?" if reason else ""))
+    exact = float(f"{1.0 / factor:.6g}")
+    return Finding(f"{expected.channel}_scale", Severity.WARNING, (expected.channel,), text, scale.value, "1",
+                   scale.interval, (), None, _cure(expected.channel, {"scale": exact}))
+
+
+def _finding(kind: str, text: str, one: Estimate, unit: str, error: float, expected: Expected,
+             correct: dict[str, float]) -> Finding:
+    """error: what it makes of the channel, root mean square [unit]."""
+    effect = error * expected.reach
+    severity = LIMITS.severity(effect)
+    if not expected.reach:
+        severity = Severity.NOTE if kind == "bias" and error < expected.grave else Severity.WARNING
+    return Finding(f"{expected.channel}_{kind}", severity, (expected.channel,), text, one.value, unit, one.interval, (),
+                   effect if expected.reach else None,
+                   _cure(expected.channel, {key: float(f"{value:.5g}") for key, value in correct.items()}))
+
+
+def _cure(channel: str, correct: dict[str, float]) -> Cure:
+    """Wheel speeds and a second INS output are no channels of a run: there is nothing to paste."""
+    if channel in ("wheel_speed", "ins_speed"):
+        return Cure("look", "look at the source of it: unit, wheel radius, clock")
+    words = ", ".join(f"{key}: {value:g}" for key, value in correct.items())
+    return Cure("run.yaml", f"correct: {{{channel}: {{{words}}}}}", {"correct": {channel: correct}})
+
+
+def identity(found: Agreement | None, expected: Expected, title: str) -> Identity | None:
+    return found and Identity(expected.channel, title, expected.unit, expected.channel, f"from {expected.against}",
+                              found.time, found.measured, found.derived,
+                              tuple(f"{expected.channel}_{kind}" for kind in ("scale", "bias", "lag")))

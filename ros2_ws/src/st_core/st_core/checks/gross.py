@@ -1,0 +1,248 @@
+"""Units, signs and axes: factors that no calibration has.
+
+Three roads lead to a turn (change of yaw, integrated yaw rate, change of the course over ground), two to a way (change
+of position, integrated velocity). Who of three stands alone is wrong:
+
+    yaw / course = f, yaw / rate = f, rate / course = 1      -> yaw is f times too large
+    position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times too fast
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .finding import Cure, Finding, Severity
+from .limits import LIMITS
+from .motion import MOVING, Motion, Windows, integral, weighted_median, windows
+
+LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m in a window, from which on it says something
+LEAST_WINDOWS = 5
+DEGREE = 180.0 / np.pi
+SPEEDS = {3.6: ("km/h", "km/h"), 2.23694: ("mph", "mph"), 1.94384: ("knots", "kn")}
+LENGTHS = {1000.0: ("millimetres", "mm"), 100.0: ("centimetres", "cm"), 3.28084: ("feet", "ft"),
+           0.001: ("kilometres", "km")}
+TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
+ALIKE = 1.2  # two ratios that differ by less than this factor are one
+
+
+@dataclass(frozen=True)
+class Ratios:
+    """Medians over the windows, NaN where there is too little motion. way: position over velocity. Turns: yaw over
+    integrated yaw rate, yaw over course, yaw rate over course.
+    """
+
+    way: float
+    yaw_rate: float
+    yaw_course: float
+    rate_course: float
+
+
+def near(value: float, target: float, factor: float = ALIKE) -> bool:
+    return bool(np.isfinite(value) and value * target > 0.0 and 1.0 / factor < value / target < factor)
+
+
+def unit_of(factor: float, table: dict[float, tuple[str, str]]) -> tuple[float, tuple[str, str]] | None:
+    """The entry of a table of units that a factor is, to 6 %."""
+    return next(((known, words) for known, words in table.items() if near(factor, known, 1.06)), None)
+
+
+def ratios(motion: Motion, length: float = 1.0) -> Ratios:
+    over = windows(motion.time, length, max(0.25, 0.5 * length))
+    way = np.hypot(over.change(motion.x), over.change(motion.y))
+    run = over.change(integral(motion.time, motion.speed))
+    turn, rate = over.change(motion.yaw), over.change(integral(motion.time, motion.yaw_rate))
+    return Ratios(_way_ratio(way, run), _slope(turn, rate), *_against_course(motion, over, way))
+
+
+def _way_ratio(way: np.ndarray, run: np.ndarray) -> float:
+    enough = (way > LEAST_WAY) | (run > LEAST_WAY)
+    if enough.sum() < LEAST_WINDOWS:
+        return float("nan")
+    return weighted_median(way[enough] / np.maximum(run[enough], 1e-12), run[enough])
+
+
+def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
+    """Robust slope of top over bottom, beside a small constant: a bias of the yaw rate is none of its scale."""
+    if len(top) < LEAST_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < LEAST_TURN:
+        return float("nan")
+    weights, slope = np.ones(len(top)), float("nan")
+    # The constant is held by as much as windows that turn by LEAST_TURN would: a circle says nothing about it.
+    held = (len(top) * LEAST_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
+    for _ in range(8):
+        rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + held]])
+        slope, constant = np.linalg.solve(rows + 1e-300, [weights @ (bottom * top), weights @ top])
+        rest = np.abs(top - slope * bottom - constant)
+        weights = 1.0 / np.maximum(1.0, rest / (3.0 * max(float(np.median(rest)), 1e-12)))
+    return float(slope)
+
+
+def _against_course(motion: Motion, over: Windows, way: np.ndarray) -> tuple[float, float]:
+    """(yaw, yaw rate) over course: change from one window's middle to the next."""
+    if len(over) < 2:
+        return float("nan"), float("nan")
+    course = np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x)))
+    scale = float(np.median(way)) if len(way) else 0.0
+    # Consecutive windows in which the car got on: else the course is noise.
+    usable = (over.last[:-1] == over.first[1:]) & (np.minimum(way[1:], way[:-1]) > max(0.3 * scale, 1e-12))
+    turn = np.diff(course)[usable]
+    usable_turn = np.abs(turn) < 1.5
+    yaw = np.diff(over.mean(motion.time, motion.yaw))[usable][usable_turn]
+    rate = np.diff(over.mean(motion.time, integral(motion.time, motion.yaw_rate)))[usable][usable_turn]
+    turn = turn[usable_turn]
+    return _slope(yaw, turn), _slope(rate, turn)
+
+
+def gross(motion: Motion) -> tuple[Motion, list[Finding]]:
+    """(motion with units, signs and axes mended, what was mended)."""
+    found: list[Finding] = []
+    for step in (_time, _turns, _axes, _way, _turned):
+        motion, finding = step(motion)
+        found += [finding] if finding else []
+    return motion, found
+
+
+def _error(name: str, channels: tuple[str, ...], text: str, value: float | None, cure: Cure) -> Finding:
+    return Finding(name, Severity.ERROR, channels, text, value, "1", None, (), None, cure)
+
+
+def _time(motion: Motion) -> tuple[Motion, Finding | None]:
+    if len(motion.time) < 20:
+        return motion, None
+    spacing = float(np.median(np.diff(motion.time)))
+    found = ratios(motion, max(1.0, 50 * spacing) if spacing > 0.2 else 1.0) if spacing > 2e-4 else ratios(
+        motion, 50 * spacing)
+    both = [r for r in (found.way, found.yaw_rate) if np.isfinite(r)]
+    if not both or not all(r > 0 and not 1 / LIMITS.unit < r < LIMITS.unit and near(r, both[0]) for r in both):
+        return motion, None
+    factor = 1.0 / found.way
+    unit = unit_of(factor, TIMES)
+    # One ratio alone may as well be the velocity's unit; then only a unit of time is believed.
+    if not unit and (len(both) < 2 or 1 / 10 < factor < 10):
+        return motion, None
+    factor, words = (unit[0], f": {unit[1][0]}?") if unit else (factor, "")
+    cure = (Cure("run.yaml", f"units: {{t: {unit[1][1]}}}", {"units": {"t": unit[1][1]}}) if unit else
+            Cure("look", "look at the clock that stamps the rows"))
+    text = f"time runs {factor:g} times too fast for positions and yaw{words}"
+    mended = motion.with_(time=motion.time / factor, steering_time=motion.steering_time / factor)
+    return mended, _error("time_unit", ("time",), text, factor, cure)
+
+
+def _turns(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Yaw and yaw rate, each against the other two."""
+    r = ratios(motion)
+    if not np.isfinite(r.yaw_rate) or 1 / LIMITS.unit < r.yaw_rate < LIMITS.unit:
+        return motion, None
+    if near(r.yaw_course, 1.0, LIMITS.unit) or near(1.0 / r.yaw_rate, DEGREE) or near(
+            r.rate_course, 1.0 / r.yaw_rate, LIMITS.unit):
+        return _yaw_rate(motion, 1.0 / r.yaw_rate)
+    if near(r.rate_course, -1.0, LIMITS.unit) and not near(r.yaw_course, -1.0, LIMITS.unit) and near(
+            r.yaw_rate, -1.0, LIMITS.unit):
+        return _yaw_rate(motion, -1.0)
+    return _yaw(motion, r.yaw_rate)
+
+
+def _yaw_rate(motion: Motion, factor: float) -> tuple[Motion, Finding]:
+    exact = DEGREE * np.sign(factor) if near(abs(factor), DEGREE, 1.06) else -1.0 if near(factor, -1.0, 1.1) else factor
+    reason = {True: ": deg/s?"}.get(abs(exact) == DEGREE, ": it counts the other way (left is positive)"
+                                    if exact == -1.0 else "")
+    text = f"yaw_rate is {factor:.3g} times what yaw says{reason}"
+    cure = Cure("run.yaml", f"correct: {{yaw_rate: {{scale: {1.0 / exact:.6g}}}}}",
+                {"correct": {"yaw_rate": {"scale": 1.0 / exact}}})
+    return (motion.with_(yaw_rate=motion.yaw_rate / exact),
+            _error("yaw_rate_scale", ("yaw_rate",), text, factor, cure))
+
+
+def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
+    size = DEGREE if near(abs(factor), DEGREE, 1.06) else 1.0 if near(abs(factor), 1.0, 1.1) else abs(factor)
+    if factor > 0.0:
+        text = f"yaw is {factor:.3g} times what yaw rate and course say" + (": degrees?" if size == DEGREE else "")
+        cure = Cure("run.yaml", f"correct: {{yaw: {{scale: {1.0 / size:.6g}}}}}",
+                    {"correct": {"yaw": {"scale": 1.0 / size}}})
+        return (motion.with_(yaw=motion.yaw / size), _error("yaw_scale", ("yaw",), text, factor, cure))
+    unit = " in degrees" if size == DEGREE else ""
+    text = f"yaw counts clockwise{unit}: a compass heading from north? Yaw is from east, counter-clockwise"
+    scale = -1.0 / size
+    cure = Cure("run.yaml", f"correct: {{yaw: {{scale: {scale:.6g}, add: {np.pi / 2:.6g}}}}}",
+                {"correct": {"yaw": {"scale": scale, "add": np.pi / 2}}})
+    mended = motion.with_(yaw=scale * motion.yaw + np.pi / 2)
+    return mended, _error("yaw_convention", ("yaw",), text, factor, cure)
+
+
+def _axes(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Positions mirrored against yaw and yaw rate, which agree."""
+    r = ratios(motion)
+    if not (near(r.yaw_course, -1.0, LIMITS.unit) and near(r.yaw_rate, 1.0, LIMITS.unit)):
+        return motion, None
+    east, north = motion.velocity_map
+    over = windows(motion.time, 1.0)
+    derived = over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north))
+    measured = over.change(motion.x) + 1j * over.change(motion.y)
+    angle = np.angle(np.sum(measured * derived))
+    quarter = int(np.round(angle / (np.pi / 2))) % 4
+    text, x, y, entry = {
+        0: ("y is mirrored (it should count north)", motion.x, -motion.y, {"correct": {"y": {"scale": -1.0}}}),
+        1: ("x and y are exchanged (x is east, y north)", motion.y, motion.x, {"columns": {"x": "y", "y": "x"}}),
+        2: ("x is mirrored (it should count east)", -motion.x, motion.y, {"correct": {"x": {"scale": -1.0}}}),
+        3: ("x and y are exchanged and mirrored", -motion.y, -motion.x,
+            {"columns": {"x": "y", "y": "x"}, "correct": {"x": {"scale": -1.0}, "y": {"scale": -1.0}}}),
+    }[quarter]
+    key = "columns: {x: y, y: x}" if quarter == 1 else f"correct: {entry.get('correct')}".replace("'", "")
+    finding = _error("position_axes", ("x", "y"), f"positions turn the other way than the car: {text}", None,
+                     Cure("run.yaml", key, entry))
+    return motion.with_(x=x, y=y), finding
+
+
+def _way(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Positions against velocities: units."""
+    r = ratios(motion)
+    if not np.isfinite(r.way) or 1 / LIMITS.unit < r.way < LIMITS.unit:
+        return motion, None
+    speed, length = unit_of(1.0 / r.way, SPEEDS), unit_of(r.way, LENGTHS)
+    if length and not speed:
+        factor, (name, symbol) = length
+        text = f"x and y are {r.way:.4g} times what velocity says: {name}?"
+        entry = {"correct": {"position": {"scale": 1.0 / factor}}}
+        finding = _error("position_scale", ("x", "y"), text, r.way,
+                         Cure("run.yaml", f"correct: {{position: {{scale: {1.0 / factor:.6g}}}}}", entry))
+        return motion.with_(x=motion.x / factor, y=motion.y / factor), finding
+    factor = speed[0] if speed else 1.0 / r.way
+    unit = f": {speed[1][0]}?" if speed else ""
+    both = motion.with_(velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
+    forward = motion.with_(velocity_x=motion.velocity_x / factor)
+    alone = _misfit(forward) < 0.8 * _misfit(both)
+    name, channel = ("velocity_x_scale", "velocity_x") if alone else ("velocity_scale", "velocity")
+    channels = ("velocity_x",) if alone else ("velocity_x", "velocity_y")
+    text = f"{' and '.join(channels)} {'is' if alone else 'are'} {1.0 / r.way:.3g} times what positions say{unit}"
+    cure = Cure("run.yaml", f"correct: {{{channel}: {{scale: {1.0 / factor:.6g}}}}}",
+                {"correct": {channel: {"scale": 1.0 / factor}}})
+    return (forward if alone else both), _error(name, channels, text, 1.0 / r.way, cure)
+
+
+def _misfit(motion: Motion) -> float:
+    """Median distance [m] between change of position and integrated velocity over a second, best turn removed."""
+    over = windows(motion.time, 1.0)
+    east, north = motion.velocity_map
+    derived = over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north))
+    measured = over.change(motion.x) + 1j * over.change(motion.y)
+    turn = np.sum(measured * np.conj(derived))
+    return float(np.median(np.abs(measured - derived * turn / max(abs(turn), 1e-300)))) if len(over) else 0.0
+
+
+def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Yaw against the direction of travel: north for east, or reversed."""
+    over = windows(motion.time, 1.0)
+    east, north = motion.velocity_map
+    derived = over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north))
+    measured = over.change(motion.x) + 1j * over.change(motion.y)
+    total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
+    if len(over) < LEAST_WINDOWS or size < LEAST_WAY or abs(total) < 0.5 * size or abs(np.angle(total)) < 0.35:
+        return motion, None
+    angle = float(np.angle(total))
+    quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
+    exact = quarter if abs(angle - quarter) < 0.1 else angle
+    words = {1: ": is it counted from north?", -1: ": is it counted from north or south?",
+             2: ": does it point backwards?", -2: ": does it point backwards?"}.get(round(exact / (np.pi / 2), 3), "")
+    text = f"yaw is {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) off the direction in which positions move{words}"
+    cure = Cure("run.yaml", f"correct: {{yaw: {{add: {-exact:.6g}}}}}", {"correct": {"yaw": {"add": -float(exact)}}})
+    finding = replace(_error("yaw_offset", ("yaw",), text, angle, cure), unit="rad")
+    return motion.with_(yaw=motion.yaw - exact), finding

@@ -1,0 +1,88 @@
+"""Channels that are derivatives of others, whatever the car.
+
+    r = d(yaw)/dt        a_x = dv_x/dt - v_y r        a_y = dv_y/dt + v_x r
+
+An accelerometer feels gravity as well: a slope is a bias of a_x, a banked road or a mounting angle one of a_y. It may
+sit a metre or two from the point of the velocities; at speed v that looks like a lag of distance / v in a_y.
+"""
+
+import numpy as np
+
+from .channel import Expected, identity, judged
+from .extras import Extras, Series
+from .finding import Finding, Identity
+from .lag import Agreement, agreement
+from .limits import HORIZON, LIMITS
+from .motion import MOVING, Motion
+from .regression import Estimate
+
+G = 9.80665
+GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
+GYRO_SCALE = 0.02  # 1; a gyroscope's scale is known to 1 %
+ACCELERATION_SCALE = 0.35  # 1; a body that rolls and pitches makes up to a third of it
+ACCELERATION_LAG = 0.12  # s; filters of accelerometers take up to 0.1 s
+LEVER = 1.5  # m between accelerometer and INS point
+GRAVE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
+WHEEL_SCALE = 0.03  # 1; tyres wear and are pumped up by that
+WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some turns
+FACTORS = {1.0 / G: "g"}
+SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 once too often"}
+
+Told = tuple[list[Finding], dict[str, Estimate], Identity | None]
+
+
+def yaw_rate(motion: Motion, seed: int) -> tuple[Agreement | None, Expected]:
+    """Against the change of yaw. A model forgets a wrong start of its yaw rate within the settling time."""
+    reach = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
+    least = LIMITS.worth_a_word / max(reach, 1e-9)
+    found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, seed, True)
+    return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, least, reach, digits=4)
+
+
+def mended_yaw_rate(motion: Motion, found: Agreement) -> Motion:
+    """With the lag, scale and bias taken out."""
+    late = found.lag.value if found.lag.sure else 0.0
+    return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time,
+                                           (motion.yaw_rate - found.bias.value) / found.scale.value))
+
+
+def accelerations(motion: Motion, seed: int) -> list[Told]:
+    derivative = {"acceleration_x": _slope(motion.time, motion.velocity_x) - motion.velocity_y * motion.yaw_rate,
+                  "acceleration_y": _slope(motion.time, motion.velocity_y) + motion.velocity_x * motion.yaw_rate}
+    speed = float(np.median(np.abs(motion.velocity_x)))
+    lags = {"acceleration_x": ACCELERATION_LAG,
+            "acceleration_y": max(ACCELERATION_LAG, LEVER / max(speed, MOVING))}
+    told = []
+    for name, derived in derivative.items():
+        measured = getattr(motion, name)
+        if measured is None:
+            continue
+        found = agreement(motion.time, derived, motion.time, measured, ACCELERATION_CUTOFF, seed)
+        expected = Expected(name, "velocity and yaw rate" if name[-1] == "y" else "velocity", "m/s^2", lags[name],
+                            ACCELERATION_SCALE, LIMITS.bias_acceleration, grave=GRAVE_ACCELERATION, factors=FACTORS)
+        title = f"{'lateral' if name[-1] == 'y' else 'forward'} acceleration: sensor against velocity"
+        told.append((*judged(found, expected), identity(found, expected, title)))
+    return told
+
+
+def speeds(motion: Motion, extras: Extras, start_ns: int, seed: int) -> list[Told]:
+    """Other sources of the speed against the INS's forward speed."""
+    told = []
+    for name, series, scale, lag in (("wheel_speed", extras.wheel_speed, WHEEL_SCALE, WHEEL_LAG),
+                                     ("ins_speed", extras.ins_speed, 0.005, 0.03)):
+        if series is None or len(series.time_ns) < 2:
+            continue
+        found = _speed(motion, series, start_ns, seed)
+        expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, factors=SPEED_FACTORS)
+        title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
+        told.append((*judged(found, expected), identity(found, expected, title)))
+    return told
+
+
+def _speed(motion: Motion, series: Series, start_ns: int, seed: int) -> Agreement | None:
+    time = (series.time_ns - start_ns) * 1e-9
+    return agreement(motion.time, motion.velocity_x, time, series.values, SPEED_CUTOFF, seed, biased=False)
+
+
+def _slope(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.gradient(values, time) if len(time) > 1 else np.zeros_like(values)

@@ -1,0 +1,49 @@
+"""Every number a finding depends on, with its meaning and unit. None was chosen to pass a set of drives."""
+
+from dataclasses import dataclass
+
+from .finding import Severity
+
+HORIZON = 5.0  # s, over which effects are told
+
+
+@dataclass(frozen=True)
+class Limits:
+    """worth_a_word [m]: what a fault must move the position after 5 s by; an RTK position is known to 2 cm.
+
+    warning [m]: a quarter metre; the best models are wrong by 0.4 m over such horizons. error [m]: 2 m, what not knowing
+    the driver's next five seconds costs; a fault as large makes every comparison meaningless.
+    unit: factor beyond which a ratio is a unit, a sign or an axis and no calibration; channel_unit: the same of an
+    accelerometer or a wheel, which a rolling body or a tyre may change more. settling [s]: for so long a model
+    remembers a wrong start of its yaw rate. lag [s]: below it is filtering inside a sensor. correlation: two roads to a
+    quantity that agree less have not been shown to be one quantity.
+    bias_acceleration [m/s^2]: 0.1 is 0.6 degrees of mounting or road. tyre [m/s^2]: no road tyre gives more.
+    steering_unit: factor by which steering and curvature of any healthy car may differ (ratio, understeer, wheelbase
+    of another file). steering_lag [s]: what a car itself may need. steering_offset [rad]: at the road wheels.
+    mounting [m]: how well a tape finds the measuring point. heading [rad]: 0.1 degree, what a dual antenna knows.
+    """
+
+    worth_a_word: float = 0.02
+    warning: float = 0.25
+    error: float = 2.0
+    unit: float = 1.33
+    channel_unit: float = 2.0
+    settling: float = 0.2
+    lag: float = 0.015
+    correlation: float = 0.6
+    bias_acceleration: float = 0.1
+    tyre: float = 13.0
+    steering_unit: float = 1.5
+    steering_lag: float = 0.1
+    steering_offset: float = 0.02
+    mounting: float = 0.25
+    heading: float = 0.002
+
+    def severity(self, effect: float) -> Severity:
+        """Of an effect on the position after 5 s [m]."""
+        if effect >= self.error:
+            return Severity.ERROR
+        return Severity.WARNING if effect >= self.warning else Severity.NOTE
+
+
+LIMITS = Limits()

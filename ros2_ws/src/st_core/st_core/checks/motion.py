@@ -1,0 +1,107 @@
+"""The working copy that checks are made on: arrays in seconds, corrected by what was found so far, so that one fault is
+told once. Nothing of it leaves the checks."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..filtering import NANOSECOND
+from ..log import DriveLog
+
+LONGEST_GAP = 0.25  # s between samples; nothing is integrated across a longer one
+MOVING = 1.0  # m/s; below it a car says little
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A drive in seconds after the first INS measurement, signals as DriveLog has them; accelerations may be NaN.
+
+    steering_time [s], steering [rad]: at the road wheels, left +.
+    """
+
+    time: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    yaw: np.ndarray
+    velocity_x: np.ndarray
+    velocity_y: np.ndarray
+    yaw_rate: np.ndarray
+    steering_time: np.ndarray
+    steering: np.ndarray
+    acceleration_x: np.ndarray | None = None
+    acceleration_y: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, log: DriveLog) -> "Motion":
+        start = log.ins_time_ns[:1]
+        return cls((log.ins_time_ns - start) * NANOSECOND, log.x - log.x[:1], log.y - log.y[:1], log.yaw,
+                   log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start) * NANOSECOND,
+                   log.road_wheel_angle, log.acceleration_x, log.acceleration_y)
+
+    def with_(self, **changes) -> "Motion":
+        return replace(self, **changes)
+
+    @property
+    def speed(self) -> np.ndarray:
+        """Over ground [m/s]."""
+        return np.hypot(self.velocity_x, self.velocity_y)
+
+    @property
+    def velocity_map(self) -> tuple[np.ndarray, np.ndarray]:
+        """Body velocity turned into the map [m/s]: R(yaw) v."""
+        cosine, sine = np.cos(self.yaw), np.sin(self.yaw)
+        return (cosine * self.velocity_x - sine * self.velocity_y, sine * self.velocity_x + cosine * self.velocity_y)
+
+    def steering_at_ins(self) -> np.ndarray:
+        """Road wheel angle at the instants of the INS, NaN outside of what was recorded."""
+        if not len(self.steering_time):
+            return np.full(len(self.time), np.nan)
+        return np.interp(self.time, self.steering_time, self.steering, left=np.nan, right=np.nan)
+
+
+def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Trapezoidal integral from the first sample on, (n,)."""
+    return np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Pairs of samples about `length` [s] apart, end to end, without a gap between: first, last are their indices."""
+
+    first: np.ndarray
+    last: np.ndarray
+    time: np.ndarray
+    length: float
+
+    def change(self, values: np.ndarray) -> np.ndarray:
+        return values[self.last] - values[self.first]
+
+    def mean(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Time average over each window."""
+        return self.change(integral(time, values)) / self.change(time)
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+def windows(time: np.ndarray, length: float, longest_gap: float = LONGEST_GAP) -> Windows:
+    """Windows of `length` [s] over the stretches without a gap."""
+    if len(time) < 2:
+        empty = np.zeros(0, np.int64)
+        return Windows(empty, empty, np.zeros(0), length)
+    marks = np.arange(time[0], time[-1], length)
+    places = np.unique(np.searchsorted(time, marks))
+    first, last = places[:-1], places[1:]
+    gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
+    whole = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
+    first, last = first[whole], last[whole]
+    return Windows(first, last, time[first], length)
+
+
+def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    """NaN for nothing."""
+    if not len(values) or not weights.sum() > 0.0:
+        return float("nan")
+    order = np.argsort(values)
+    half = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(half, 0.5 * half[-1])])

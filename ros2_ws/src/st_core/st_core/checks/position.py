@@ -1,0 +1,185 @@
+"""Positions against velocity and yaw: an identity that no vehicle parameter can break.
+
+    p(t2) - p(t1) = integral of R(yaw) v dt
+
+over windows of a second. What is left of it is explained by at most a few causes, each linear in its size:
+
+    x or y scale s        p = s p_true                           s - 1 times the derived way along that axis
+    yaw offset a          yaw = yaw_true + a                     -a times the way, turned to the left
+    position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
+    velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt
+    yaw lag T             yaw(t) = yaw_true(t - T)               +T integral of r (V turned to the left) dt
+    reference a           p is of a point a ahead                (R(yaw2) - R(yaw1)) (a, 0)
+"""
+
+import numpy as np
+
+from .finding import Cure, Finding, Identity
+from .limits import HORIZON, LIMITS
+from .motion import Motion, integral, windows
+from .regression import Estimate, Regression
+
+WINDOW = 1.0  # s
+LEAST = 10  # windows
+ROUNDS = 3
+SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
+TEXT = {
+    "x_scale": "x is {value:.4f} ± {half:.4f} of what velocity says: projected with the cosine of another latitude?",
+    "y_scale": "y is {value:.4f} ± {half:.4f} of what velocity says: another earth radius or scale?",
+    "velocity_scale": "velocity is {value:.4f} ± {half:.4f} times what positions say",
+    "yaw_offset": "yaw is {value:+.4f} ± {half:.4f} rad ({degrees:+.2f} deg) too far left for positions and velocities",
+    "position_lag": "positions lag velocity and yaw by {value:+.3f} ± {half:.3f} s",
+    "velocity_lag": "velocities lag positions and yaw by {value:+.3f} ± {half:.3f} s",
+    "yaw_lag": "yaw lags positions and velocities by {value:+.3f} ± {half:.3f} s",
+    "position_reference": "positions are of a point {value:+.2f} ± {half:.2f} m ahead of the one velocities are of",
+}
+UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "yaw_lag": "s", "position_reference": "m"}
+CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "velocity_scale": ("velocity_x", "velocity_y"), "yaw_offset": ("yaw",),
+            "position_lag": ("x", "y"), "velocity_lag": ("velocity_x", "velocity_y"), "yaw_lag": ("yaw",),
+            "position_reference": ("x", "y")}
+
+
+def regression(motion: Motion, seed: int) -> Regression:
+    """The identity's rest over windows and what each cause would do to it."""
+    over = windows(motion.time, WINDOW)
+    east, north = motion.velocity_map
+    cosine, sine, rate = np.cos(motion.yaw), np.sin(motion.yaw), motion.yaw_rate
+    way = [over.change(integral(motion.time, v)) for v in (east, north)]
+    faster = [over.change(v) for v in (east, north)]
+    turning = [over.change(integral(motion.time, v)) for v in (-north * rate, east * rate)]
+    zero = np.zeros(len(over))
+    columns = {
+        "x_scale": (way[0], zero), "y_scale": (zero, way[1]), "velocity_scale": way, "yaw_offset": (way[1], -way[0]),
+        "position_lag": (-faster[0], -faster[1]),
+        "velocity_lag": (faster[0] - turning[0], faster[1] - turning[1]), "yaw_lag": turning,
+        "position_reference": (over.change(cosine), over.change(sine)),
+    }
+    measured = np.stack([over.change(motion.x) - way[0], over.change(motion.y) - way[1]], axis=1)
+    return Regression(over.time, measured, {name: np.stack(c, axis=1) for name, c in columns.items()}, seed)
+
+
+def position(motion: Motion, seed: int, yaw_late: float = 0.0) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
+    """(motion with the causes taken out, the findings, every cause's estimate in the value of its finding).
+
+    yaw_late: by how much yaw was found to lag the yaw rate [s]; without that the yaw has no lag to be found here.
+    """
+    found: dict[str, Estimate] = {}
+    mended = motion
+    for _ in range(ROUNDS):  # what is not linear in a large cause comes out in the next round
+        problem = regression(mended, seed)
+        if len(problem.time) < LEAST:
+            return motion, [], {}
+        least = {name: max(LIMITS.worth_a_word / max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9), _least(name))
+                 for name in problem.columns if name != "yaw_lag" or abs(yaw_late) >= LIMITS.lag}
+        found = _refined(problem, found, least)
+        mended = _mended(motion, found)
+    return mended, [_finding(name, one, problem) for name, one in found.items()], _all(problem, found)
+
+
+def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float]) -> dict[str, Estimate]:
+    """Values of the causes found before, made finer, and further causes."""
+    axes = {"x_scale", "y_scale"}
+    free = {name: value for name, value in least.items() if name not in found}
+    if axes & found.keys():
+        free.pop("velocity_scale", None)
+    if "velocity_scale" in found:
+        free = {name: value for name, value in free.items() if name not in axes}
+    more = problem.causes({k: v for k, v in free.items() if k != "velocity_scale"}, tuple(found),
+                          () if "velocity_scale" in found else ("x_scale", "y_scale"))
+    if "velocity_scale" in free:
+        more = _one_scale(problem, more, tuple(found))
+    finer = problem.estimates((*found, *more))
+    return {name: one.shifted(found[name].value) if name in found else one for name, one in finer.items()}
+
+
+def _one_scale(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the causes; scales of both axes that are one, or of the only axis that was driven, are the velocity's.
+
+    Positions come from satellites; one factor in both of their axes is far rarer than a wrong speed.
+    """
+    axes = [name for name in ("x_scale", "y_scale") if name in causes]
+    if not axes or max(abs(causes[name].value) for name in axes) < SPHERE:
+        return tuple(causes)
+    others = [name for name in causes if name not in axes]
+    if len(axes) == 2:
+        one = abs(causes["x_scale"].value - causes["y_scale"].value) < SPHERE
+    else:
+        _, scale, _ = problem.fit([*always, *causes])
+        one = problem.loss([*always, *others, "velocity_scale"], scale) <= problem.loss([*always, *causes], scale)
+    return (*others, "velocity_scale") if one else tuple(causes)
+
+
+def _all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]:
+    """Every cause by itself beside those found, in the value of its finding: what these drives tell of it."""
+    told = {}
+    for name in problem.columns:
+        if {name} | found.keys() >= {"x_scale", "y_scale", "velocity_scale"} and name not in found:
+            continue
+        one = problem.estimates((*(k for k in found if k != name), name))[name]
+        told[name] = _shown(name, one.shifted(found[name].value) if name in found else one)
+    return told
+
+
+def _least(name: str) -> float:
+    return {"s": LIMITS.lag, "m": LIMITS.mounting}.get(UNIT.get(name, "1"), 0.0)
+
+
+def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
+    effect = problem.effect(name, one.value, HORIZON, WINDOW)
+    shown = _shown(name, one)
+    half = 0.5 * (shown.interval[1] - shown.interval[0])
+    text = TEXT[name].format(value=shown.value, half=half, degrees=np.rad2deg(shown.value))
+    return Finding(name, LIMITS.severity(effect), CHANNELS[name], text, shown.value, UNIT.get(name, "1"),
+                   shown.interval, (), effect, _cure(name, shown.value))
+
+
+def _shown(name: str, one: Estimate) -> Estimate:
+    """A cause in the value of its finding: a right channel has scale 1."""
+    if name == "velocity_scale":
+        low, high = sorted(1.0 / (1.0 + end) for end in one.interval)
+        return Estimate(1.0 / (1.0 + one.value), one.deviation, (low, high))
+    return one.shifted(1.0) if name.endswith("_scale") else one
+
+
+def _cure(name: str, value: float) -> Cure:
+    channel, entry = {
+        "x_scale": ("x", {"scale": 1.0 / value}), "y_scale": ("y", {"scale": 1.0 / value}),
+        "velocity_scale": ("velocity", {"scale": 1.0 / value}), "yaw_offset": ("yaw", {"add": -value}),
+        "position_lag": ("position", {"earlier": value}), "velocity_lag": ("velocity", {"earlier": value}),
+        "yaw_lag": ("yaw", {"earlier": value}), "position_reference": ("position", {"ahead": -value}),
+    }[name] if value else ("", {})
+    rounded = {key: float(f"{number:.5g}") for key, number in entry.items()}
+    words = ", ".join(f"{key}: {number:g}" for key, number in rounded.items())
+    return Cure("run.yaml", f"correct: {{{channel}: {{{words}}}}}", {"correct": {channel: rounded}})
+
+
+def _mended(motion: Motion, found: dict[str, Estimate]) -> Motion:
+    value = {name: one.value for name, one in found.items()}
+    time = motion.time
+    if "x_scale" in value:
+        motion = motion.with_(x=motion.x / (1.0 + value["x_scale"]))
+    if "y_scale" in value:
+        motion = motion.with_(y=motion.y / (1.0 + value["y_scale"]))
+    if "position_reference" in value:
+        motion = motion.with_(x=motion.x - value["position_reference"] * np.cos(motion.yaw),
+                              y=motion.y - value["position_reference"] * np.sin(motion.yaw))
+    if "velocity_scale" in value:
+        factor = 1.0 + value["velocity_scale"]
+        motion = motion.with_(velocity_x=motion.velocity_x * factor, velocity_y=motion.velocity_y * factor)
+    if "yaw_offset" in value:
+        motion = motion.with_(yaw=motion.yaw - value["yaw_offset"])
+    for cause, names in (("position_lag", ("x", "y")), ("velocity_lag", ("velocity_x", "velocity_y")),
+                         ("yaw_lag", ("yaw",))):
+        if cause in value:
+            motion = motion.with_(**{n: np.interp(time + value[cause], time, getattr(motion, n)) for n in names})
+    return motion
+
+
+def identity(motion: Motion) -> Identity:
+    """Way over a second, along the derived direction of travel: for the eye."""
+    over = windows(motion.time, WINDOW)
+    east, north = motion.velocity_map
+    derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))
+    measured = np.hypot(over.change(motion.x), over.change(motion.y))
+    return Identity("position", "way per second: positions against velocity", "m", "from x, y", "from velocity and yaw",
+                    over.time, measured, derived)

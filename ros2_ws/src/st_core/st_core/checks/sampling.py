@@ -1,0 +1,208 @@
+"""How a recording was sampled: stamps, gaps, values that repeat, stand still or are rounded; each channel's noise."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from .extras import Extras
+from .finding import Channel, Cure, Finding, Severity
+from .limits import HORIZON, LIMITS
+from .motion import LONGEST_GAP, Motion
+
+UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
+         "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
+HELD = 0.7  # share of the changes that come at the same interval in a channel held at a lower rate
+FEW = 0.01  # share of rows below which a fault of single rows is a note
+MISSED = 0.05  # share of the time lost in gaps from which on whole conditions may be missing
+FROZEN = 1.5  # s without any change; quieter channels are given ten times their own usual pause
+EXCUSED = 10.0
+COARSE = 4.0  # roundings are told from noise by runs of equal values: at least so many samples each
+
+
+def channels(motion: Motion, extras: Extras) -> dict[str, Channel]:
+    """Every channel of the drive."""
+    found = {}
+    for name, unit in UNITS.items():
+        time, values = _series(motion, name)
+        if values is None or len(values) < 3:
+            continue
+        spacing = np.diff(time)
+        gaps = spacing[spacing > LONGEST_GAP]
+        found[name] = Channel(
+            unit, len(values), float(1.0 / np.median(spacing)), len(gaps), float(spacing.max()), noise(values),
+            resolution(values), float(np.mean(np.diff(values) == 0.0)), int(extras.missing.get(name, 0)))
+    return found
+
+
+def _series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray | None]:
+    if name == "road_wheel_angle":
+        return motion.steering_time, motion.steering
+    values = getattr(motion, name)
+    if values is None:
+        return motion.time, None
+    known = np.isfinite(values)
+    return motion.time[known], values[known]
+
+
+def noise(values: np.ndarray) -> float:
+    """Standard deviation of what third differences show: motion is smoother than that. sqrt(20): of (1, -3, 3, -1)."""
+    third = np.diff(values, 3)
+    return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)) if len(third) else 0.0
+
+
+def resolution(values: np.ndarray) -> float:
+    """Smallest step of the values, where they lie on a grid; 0 where none is seen."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 0.0]
+    if len(steps) < 20:
+        return 0.0
+    smallest = float(np.percentile(steps, 2))
+    multiples = steps / smallest
+    grid = np.abs(multiples - np.round(multiples)) < 0.1
+    small = multiples < 4.5  # larger multiples fit any grid
+    return smallest if small.sum() >= 10 and grid[small].mean() > 0.95 else 0.0
+
+
+def timing(motion: Motion, extras: Extras) -> list[Finding]:
+    """Stamps and missing rows."""
+    told = []
+    for signal, stamps in extras.stamps.items():
+        told += _stamps(signal, np.asarray(stamps, np.int64))
+    for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
+        told += _gaps(signal, time)
+    for channel, count in extras.missing.items():
+        share = count / max(len(motion.time) + count, 1)
+        if count:
+            severity = Severity.WARNING if share > FEW else Severity.NOTE
+            told.append(Finding("values_missing", severity, (channel,), f"{channel}: {count} rows hold no usable value "
+                                f"({100 * share:.2g} %); they were left out", share, "1", None, (), None,
+                                Cure("look", "look at what the logger writes there")))
+    return told
+
+
+def _stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
+    if len(stamps) < 2:
+        return []
+    step = np.diff(stamps)
+    told = []
+    for name, bad, words in (("time_order", step < 0, "go back"), ("time_duplicates", step == 0, "are there twice")):
+        share = float(bad.mean())
+        if share > 0.0:
+            severity = Severity.WARNING if share > FEW else Severity.NOTE
+            where = tuple((float(t), float(t)) for t in (stamps[1:][bad] - stamps[0])[:20] * 1e-9)
+            told.append(Finding(name, severity, ("time",), f"{int(bad.sum())} of {len(stamps)} stamps of the {signal} "
+                                f"{words}; those rows were left out", share, "1", None, where, None,
+                                Cure("look", "look at how the rows were stamped and merged")))
+    return told
+
+
+def _gaps(signal: str, time: np.ndarray) -> list[Finding]:
+    spacing = np.diff(time)
+    long = np.flatnonzero(spacing > LONGEST_GAP)
+    if not len(long):
+        return []
+    missing = float((spacing[long] - np.median(spacing)).sum())
+    where = tuple((float(time[k]), float(time[k + 1])) for k in long)
+    share = missing / max(float(time[-1] - time[0]), 1e-9)
+    severity = Severity.WARNING if share > MISSED else Severity.NOTE
+    count = f"{len(long)} gap{'s' if len(long) > 1 else ''}"
+    text = f"{count} of the {signal}, {missing:.2f} s in all, longest {spacing[long].max():.2f} s: nothing is scored there"
+    return [Finding("time_gaps", severity, ("time",) if signal == "INS" else ("road_wheel_angle",), text, missing, "s",
+                    None, where, None, Cure("look", "look at the logger: lost packets, a full buffer"))]
+
+
+def values(motion: Motion, known: Mapping[str, Channel]) -> list[Finding]:
+    """Channels that are held, stand still or are rounded."""
+    told = []
+    moving = float(np.median(motion.speed)) if len(motion.time) else 0.0
+    for name in known:
+        time, row = _series(motion, name)
+        held = _held(name, time, row)
+        told += held or _frozen(name, time, row, motion)
+        told += _rounded(name, known[name], moving) if not held else []
+    return told
+
+
+def _pauses(row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(first index, number of samples) of each run of equal values."""
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(row) != 0.0) + 1, [len(row)]))
+    return edges[:-1], np.diff(edges)
+
+
+def _held(name: str, time: np.ndarray, row: np.ndarray) -> list[Finding]:
+    """A channel that changes at every k-th sample only, k the same throughout."""
+    _, lengths = _pauses(row)
+    if len(lengths) < 20:
+        return []
+    usual = float(np.median(lengths))
+    regular = float(lengths[np.abs(lengths - usual) <= max(0.1 * usual, 0.5)].sum() / lengths.sum())
+    if usual < 2.0 or regular < HELD:
+        return []
+    rate = 1.0 / (usual * float(np.median(np.diff(time))))
+    share = 1.0 - len(lengths) / len(row)
+    text = f"{name} changes only at every {usual:g}th sample: it was recorded at {rate:.3g} Hz and held"
+    return [Finding("samples_repeated", Severity.WARNING if rate < 20.0 else Severity.NOTE, (name,), text, share, "1",
+                    None, (), None, Cure("look", f"log {name} at its own rate, or interpolate it before"))]
+
+
+def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion) -> list[Finding]:
+    first, lengths = _pauses(row)
+    last = np.minimum(first + lengths - 1, len(time) - 1)
+    lasted = time[last] - time[first]
+    usual = float(np.sort(lasted)[max(int(0.98 * len(lasted)) - 1, 0)]) if len(lasted) > 5 else 0.0
+    bad = [k for k in np.flatnonzero(lasted > max(FROZEN, EXCUSED * usual))
+           if _should_change(name, time[first[k]], time[last[k]], motion)]
+    if not bad:
+        return []
+    seconds = float(lasted[bad].sum())
+    where = tuple((float(time[first[k]]), float(time[last[k]])) for k in bad)
+    text = f"{name} stands still for {seconds:.1f} s while the car moves"
+    severity = Severity.ERROR if seconds > 0.5 * (time[-1] - time[0]) else Severity.WARNING
+    ins = name != "road_wheel_angle"
+    stretches = [[round(a, 2), round(b, 2)] for a, b in where]
+    cure = (Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches}) if ins else
+            Cure("look", "look at the steering sensor: its frames stand still there"))
+    return [Finding("channel_frozen", severity, (name,), text, seconds, "s", None, where, None, cure)]
+
+
+def _should_change(name: str, begin: float, end: float, motion: Motion) -> bool:
+    """Whether the other channels say that this one changed meanwhile."""
+    inside = (motion.time >= begin) & (motion.time <= end)
+    if inside.sum() < 3:
+        return False
+    if name in ("x", "y", "velocity_x", "velocity_y", "acceleration_x", "acceleration_y"):
+        return bool(np.median(motion.speed[inside]) > 1.0 or np.ptp(motion.x[inside]) > 1.0)
+    turn = motion.yaw_rate if name != "yaw_rate" else np.gradient(motion.yaw, motion.time)
+    rate = turn[inside]
+    if name == "yaw":
+        return bool(np.abs(rate).mean() > 0.01)
+    return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > 0.05 and np.median(motion.speed[inside]) > 2.0)
+
+
+def _rounded(name: str, channel: Channel, speed: float) -> list[Finding]:
+    """Rounding so coarse that the position after 5 s shows it: a start wrong by resolution / sqrt(12)."""
+    reach = {"x": 1.0, "y": 1.0, "yaw": speed * HORIZON, "velocity_x": HORIZON, "velocity_y": LIMITS.settling * HORIZON,
+             "yaw_rate": LIMITS.settling * speed * HORIZON}.get(name)
+    effect = channel.resolution / np.sqrt(12.0) * (reach or 0.0)
+    if reach is None or effect < LIMITS.worth_a_word:
+        return []
+    degrees = f" ({np.rad2deg(channel.resolution):.2g} deg)" if channel.unit.startswith("rad") else ""
+    text = f"{name} is rounded to {channel.resolution:.3g} {channel.unit}{degrees}"
+    return [Finding("resolution_coarse", LIMITS.severity(effect), (name,), text, channel.resolution, channel.unit, None,
+                    (), effect, Cure("look", f"log {name} with more digits"))]
+
+
+def merged(findings: Sequence[Finding]) -> list[Finding]:
+    """x and y, or all channels of the INS, with one and the same fault become one finding."""
+    told: dict[tuple, Finding] = {}
+    for one in findings:
+        key = (one.name, one.value if one.name in ("samples_repeated", "values_missing") else len(told))
+        before = told.get(key)
+        if before is None:
+            told[key] = one
+            continue
+        names = (*before.channels, *one.channels)
+        text = before.text.replace(", ".join(before.channels), ", ".join(names), 1)
+        told[key] = Finding(one.name, before.severity, names, text, before.value, before.unit, before.interval,
+                            before.where, before.effect, before.cure)
+    return list(told.values())

@@ -1,0 +1,204 @@
+"""Identities with the car, within bounds so generous that only a fault of the recording leaves them.
+
+Steering: atan(L r / v_x) is what a car without slip steers; understeer, ratio and wheelbase of a real one change it by
+some ten per cent, a wrong unit by 57. Rear axle: a slow car's rear axle goes where it points, so at the INS point
+
+    v_y = -a v_x + d r - s v_x^2 r      a: heading reported too far left, d: ahead of the rear axle, s: slip of the rear
+"""
+
+import numpy as np
+
+from ..handling import linear_system
+from ..vehicle import VehicleParameters
+from .channel import in_words
+from .finding import Cure, Finding, Identity, Severity
+from .lag import Agreement, agreement
+from .limits import HORIZON, LIMITS
+from .motion import MOVING, Motion, windows
+from .regression import Estimate, Regression
+
+CUTOFF = 1.5  # Hz
+SLOW, GENTLE = 2.0, 4.0  # m/s from which, m/s^2 up to which an axle's slip is linear
+DEGREE = 180.0 / np.pi
+WINDOW = 0.5  # s
+
+
+def steering(motion: Motion, vehicle: VehicleParameters, seed: int,
+             ) -> tuple[list[Finding], dict[str, Estimate], Identity | None]:
+    moving = motion.velocity_x > SLOW
+    curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
+    derived = np.arctan(vehicle.wheelbase * curvature)
+    found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, seed)
+    if found is None or abs(found.correlation) < LIMITS.correlation:
+        return [], {}, None
+    speed = float(np.median(motion.velocity_x[moving]))
+    late = found.lag.shifted(response_time(vehicle, speed))
+    told = [one for one in (_unit(found.scale, vehicle), _late(late, found, speed, vehicle),
+                            _offset(found, speed, vehicle)) if one]
+    shown = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
+                     "from yaw rate and speed", found.time, found.measured, found.derived,
+                     ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
+    estimates = {"steering_scale": found.scale, "steering_lag": late, "steering_offset": found.bias}
+    return told, estimates, shown
+
+
+def response_time(vehicle: VehicleParameters, speed: float) -> float:
+    """By how much the yaw rate of a linear car lags its steering in slow changes [s].
+
+        -d(arg H)/d(omega) at 0,  H = c (i omega - A)^-1 b:   tau = c A^-2 b / -(c A^-1 b)
+    """
+    a, b = linear_system(speed, vehicle)
+    once = np.linalg.solve(a, b)
+    return float(np.linalg.solve(a, once).ravel()[1] / -once.ravel()[1])
+
+
+def _sideways(error: float, speed: float, vehicle: VehicleParameters) -> float:
+    """What a steady error of the road wheel angle [rad] moves the position by after the horizon, across [m]."""
+    a, b = linear_system(max(speed, MOVING), vehicle)
+    gain = -float(np.linalg.solve(a, b).ravel()[1])
+    return abs(0.5 * speed * gain * error) * HORIZON**2
+
+
+def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
+    value = scale.value
+    if 1.0 / LIMITS.steering_unit < value < LIMITS.steering_unit:
+        return None
+    known = {DEGREE: "degrees", vehicle.steering_ratio: "the angle of the steering wheel",
+             DEGREE * vehicle.steering_ratio: "the angle of the steering wheel in degrees",
+             1.0 / DEGREE: "converted to rad twice", 1.0 / vehicle.steering_ratio: "divided by the ratio twice", 1.0: ""}
+    factor = min(known, key=lambda f: abs(np.log(abs(value) / f)))
+    exact = factor if 1.0 / LIMITS.steering_unit < abs(value) / factor < LIMITS.steering_unit else abs(value)
+    reason = known.get(exact, "")
+    signed = float(np.copysign(exact, value))
+    cure = float(f"{1.0 / signed:.6g}")
+    other_way = "it counts the other way (left is positive)" if value < 0.0 else ""
+    words = " and ".join(filter(None, (reason, other_way)))
+    name = "steering_sign" if exact == 1.0 else "steering_scale"
+    text = f"road_wheel_angle is {value:.3g} times what yaw rate and speed say" + (f": {words}?" if words else "")
+    return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", scale.interval, (), None,
+                   Cure("run.yaml", f"correct: {{road_wheel_angle: {{scale: {cure:g}}}}}",
+                        {"correct": {"road_wheel_angle": {"scale": cure}}}))
+
+
+def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters) -> Finding | None:
+    if not late.sure or abs(late.value) < LIMITS.steering_lag:
+        return None
+    # A late input leads the path astray by the turn that is missed meanwhile.
+    missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
+    effect = _sideways(missed / HORIZON * 2.0, speed, vehicle)
+    text = f"the steering lags the car's motion by {in_words(late, 3)} s, its own response allowed for"
+    value = float(f"{late.value:.3g}")
+    return Finding("steering_lag", _at_most_warning(effect), ("road_wheel_angle",), text, late.value, "s",
+                   late.interval, (), effect, Cure(
+                       "run.yaml", f"correct: {{road_wheel_angle: {{earlier: {value:g}}}}}  # or --steering-latency",
+                       {"correct": {"road_wheel_angle": {"earlier": value}}}))
+
+
+def _offset(found: Agreement, speed: float, vehicle: VehicleParameters) -> Finding | None:
+    size = abs(found.scale.value)
+    one = found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias
+    if not one.sure or abs(one.value) < LIMITS.steering_offset:
+        return None
+    text = (f"the road wheels read {in_words(one, 4)} rad ({one.value * DEGREE:+.1f} deg) too far left when the car "
+            "goes straight: the steering offset is wrong")
+    wheel = vehicle.steering_wheel_offset + one.value * vehicle.steering_ratio
+    effect = _sideways(one.value, speed, vehicle)
+    return Finding("steering_offset", _at_most_warning(effect), ("road_wheel_angle",), text, one.value, "rad",
+                   one.interval, (), effect, Cure(
+                       "vehicle", f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
+                                  "  # where the hand wheel was recorded; check with st identify steering-offset",
+                       {"correct": {"road_wheel_angle": {"add": -float(f"{one.value:.4g}")}}}))
+
+
+def _at_most_warning(effect: float) -> Severity:
+    """What may be the car's and no fault of the recording stops nothing."""
+    severity = LIMITS.severity(effect)
+    return Severity.WARNING if severity is Severity.ERROR else severity
+
+
+def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int,
+              ) -> tuple[list[Finding], dict[str, Estimate], Identity | None]:
+    """Heading against the straight-on course, and where the INS point lies."""
+    over = windows(motion.time, WINDOW)
+    columns = [over.mean(motion.time, c) for c in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
+    use = (columns[0] > SLOW) & (np.abs(columns[0] * columns[2]) < GENTLE)
+    if use.sum() < 30:
+        return [], {}, None
+    forward, across, rate = (c[use] for c in columns)
+    problem = Regression(over.time[use], across[:, None], {
+        "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None]}, seed)
+    found = problem.estimates(("heading", "point", "slip"))
+    heading = found["heading"]
+    point = found["point"].shifted(-(vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x))
+    told = [one for one in (_heading(heading, forward), _point(point, motion, vehicle)) if one]
+    theta = {name: one.value for name, one in found.items()}
+    shown = Identity("velocity_y", "lateral velocity: measured against that of a rear axle that follows", "m/s",
+                     "velocity_y", "rear axle at the declared distance", over.time[use], across,
+                     (vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x) * rate - theta["slip"] * forward**2 * rate,
+                     ("heading_misaligned", "measuring_point"))
+    return told, {"heading_misaligned": heading, "measuring_point": point}, shown
+
+
+def _heading(one: Estimate, forward: np.ndarray) -> Finding | None:
+    if not one.sure or abs(one.value) < LIMITS.heading:
+        return None
+    effect = abs(one.value) * float(np.median(forward)) * HORIZON
+    text = (f"the heading points {in_words(one, 4)} rad ({one.value * DEGREE:+.2f} deg) too far left of the straight-on "
+            "course: the INS is mounted askew, or its axes are")
+    value = float(f"{-one.value:.4g}")
+    return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, one.value, "rad",
+                   one.interval, (), effect, Cure("run.yaml", f"correct: {{heading: {{add: {value:g}}}}}",
+                                                  {"correct": {"heading": {"add": value}}}))
+
+
+def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
+    if not one.sure or abs(one.value) < LIMITS.mounting:
+        return None
+    over = windows(motion.time, HORIZON)
+    turn = 2.0 * np.abs(np.sin(0.5 * over.change(motion.yaw))) if len(over) else np.zeros(1)
+    effect = abs(one.value) * float(np.sqrt(np.square(turn).mean()))
+    side = "ahead of" if one.value > 0 else "behind"
+    half = 0.5 * (one.interval[1] - one.interval[0])
+    text = f"the measuring point lies {abs(one.value):.2f} ± {half:.2f} m {side} the declared one"
+    value = vehicle.cg_to_ins_x + one.value
+    return Finding("measuring_point", _at_most_warning(effect), ("velocity_y", "x", "y"), text, one.value, "m",
+                   one.interval, (), effect, Cure(
+                       "vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}"))
+
+
+def believable(motion: Motion) -> list[Finding]:
+    """Lateral acceleration that no tyre gives, where it lasts."""
+    over = windows(motion.time, WINDOW)
+    if not len(over):
+        return []
+    across = over.mean(motion.time, motion.velocity_x * motion.yaw_rate)
+    wild = np.abs(across) > LIMITS.tyre
+    if wild.sum() < 2:
+        return []
+    largest = float(np.abs(across).max())
+    text = f"v_x times yaw rate reaches {largest:.0f} m/s^2; tyres give about 10: speed or yaw rate is wrong there"
+    where = tuple((float(t), float(t) + WINDOW) for t in over.time[wild][:20])
+    return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
+                    "m/s^2", None, where, None, Cure("look", "look at the stretches named"))]
+
+
+def standstill(motion: Motion) -> list[Finding]:
+    """What the INS says moves while its position stands."""
+    over = windows(motion.time, 2.0)
+    if not len(over):
+        return []
+    way = np.hypot(over.change(motion.x), over.change(motion.y))
+    speed = over.mean(motion.time, motion.velocity_x)
+    turn = np.abs(over.change(motion.yaw))
+    still = (way < 0.02) & (turn < 0.002)
+    told = []
+    for name, values, unit, least in (("velocity_x", speed, "m/s", 0.1),
+                                      ("yaw_rate", over.mean(motion.time, motion.yaw_rate), "rad/s", 0.01)):
+        inside = values[still]
+        if len(inside) >= 2 and abs(np.median(inside)) >= least:
+            value = float(np.median(inside))
+            text = f"{name} is {value:.3g} {unit} while position and yaw stand still"
+            where = tuple((float(t), float(t) + 2.0) for t in over.time[still][:20])
+            told.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, None, where, None,
+                                Cure("look", f"look at the bias of {name}")))
+    return told
