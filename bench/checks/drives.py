@@ -12,7 +12,7 @@ from st_offline.paths import config, project_root
 from st_offline.runs.csv import read_drive
 
 from .recording import Recording
-from .virtual import virtual_drive
+from .virtual import drive_name, virtual_drive
 
 REAL = {
     "development": ("cpg_lap_slow", "cpg_lap_fast_controlled", "cpg_low_speed_a", "rfs_turn_b", "rfs_turn_c"),
@@ -20,7 +20,8 @@ REAL = {
 }
 VIRTUAL = {
     "development": (("S1", 11), ("S5", 12), ("S6", 13), ("S7", 14), ("step", 15)),
-    "sealed": (("lane_change", 81), ("sweep", 82), ("brake_in_turn", 83), ("S6", 84), ("ramp_to_limit", 85)),
+    "sealed": (("lane_change", 81), ("sweep", 82), ("brake_in_turn", 83), (str(config("manoeuvres/slalom.yaml")), 84),
+               (str(Path(__file__).with_name("country_road.yaml")), 85)),
 }
 SECONDS = 120.0
 """of a virtual drive."""
@@ -32,14 +33,14 @@ def data_folder() -> Path:
 
 def names(set_: str) -> tuple[str, ...]:
     """Real drives first; those that are not there are left out."""
-    virtual = tuple(f"virtual_{scenario}" for scenario, _ in VIRTUAL[set_])
+    virtual = tuple(drive_name(scenario) for scenario, _ in VIRTUAL[set_])
     return tuple(name for name in REAL[set_] if _file(name).exists()) + virtual
 
 
 @lru_cache(maxsize=4)
 def load(name: str, set_: str) -> Recording:
     for scenario, seed in VIRTUAL[set_]:
-        if name == f"virtual_{scenario}":
+        if name == drive_name(scenario):
             return virtual_drive(scenario, seed, SECONDS)
     return real_drive(_file(name))
 

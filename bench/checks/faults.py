@@ -79,8 +79,12 @@ def jitter(r: Recording, size: float) -> Edited:
     intervals."""
     time = r.log.ins_time_ns
     noise = np.round(size * 1e9 * _generator(r).standard_normal(len(time))).astype(np.int64)
-    late = np.maximum.accumulate(time + noise) + 1000 * np.arange(len(time))
-    return r.with_log(ins_time_ns=late), float(np.std(np.diff(late) - np.diff(time))) * 1e-9
+    apart = 1000 * np.arange(len(time))
+    late = np.maximum.accumulate(time + noise - apart) + apart
+    fields = {"ins_time_ns": late}
+    if np.array_equal(time, r.log.steering_time_ns):
+        fields["steering_time_ns"] = late
+    return r.with_log(**fields), float(np.std(np.diff(late) - np.diff(time))) * 1e-9
 
 
 def rows_missing(r: Recording, share: float) -> Edited:

@@ -33,9 +33,10 @@ def main(seeds: int, seconds: float, jobs: int) -> int:
                 names[text.split()[1]] += 1
                 print(f"{scenario} seed {seed}: {text}", flush=True)
     low, high = wilson(counts["warning"], counts["drives"])
+    share = 100 * counts["warning"] / counts["drives"]
     print(f"{counts['drives']} drives of {seconds:g} s in {time.monotonic() - begin:.0f} s: errors in "
-          f"{counts['error']}, warnings in {counts['warning']} ({100 * counts['warning'] / counts['drives']:.2f} %, 95 % interval "
-          f"{100 * low:.2f} to {100 * high:.2f}); {dict(names)}")
+          f"{counts['error']}, warnings in {counts['warning']} ({share:.2f} %, 95 % interval {100 * low:.2f} to "
+          f"{100 * high:.2f}); {dict(names)}")
     return 1 if counts["error"] else 0
 
 

@@ -1,5 +1,6 @@
 """A drive with all that was recorded beside it, and the edits several corruptions share."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,12 +16,16 @@ STEERING = ("road_wheel_angle", "steering_wheel_angle")
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """real: measured; what it holds of its own is not known. vehicle: the file a user would have beside it."""
+    """real: measured; what it holds of its own is not known. vehicle: the file a user would have beside it.
+
+    own: what right sensors show on a car that is not real: finding -> value, where that is not 1 or 0.
+    """
 
     log: DriveLog
     vehicle: VehicleParameters
     real: bool
     extras: Extras = field(default_factory=Extras)
+    own: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def name(self) -> str:

@@ -2,8 +2,8 @@
 
 Truth of a virtual drive is absolute: its sensors are known. A real drive has offsets of its own, so truth is what the
 same quantity is found to be on the drive as recorded, combined with the edit: times for factors, plus for offsets. Too
-small there to be a finding, it is taken from the drive with the opposite edit instead (`opposite`), which brings it
-out with the other sign; where that says nothing either it is 1 or 0.
+small there to be a finding, it is taken from another edit of the drive that brings it out, the opposite one (`probe`);
+where that says nothing either it is 1 or 0. Shares, counts and lengths are those of the edit, also on real drives.
 """
 
 from dataclasses import replace
@@ -77,16 +77,27 @@ def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple
     """What the value should be, and where that is from: edit, drive, opposite."""
     if kind.how == "named":
         return None, "edit"
-    if kind.how == "is" or not clean.real:
+    if kind.how == "is":
         return change, "edit"
+    if not clean.real:
+        known = [clean.own[name] for name in kind.findings if name in clean.own]
+        return combined(kind.how, known[0], change) if known else change, "edit"
     own = of_kind(as_recorded(clean), kind)
     if own is not None and own.value is not None:
         return combined(kind.how, own.value, change), "drive"
-    opposite = kind.edit(clean, 1 / size.value if kind.how == "times" else -size.value)
-    own = of_kind(checked(opposite[0]), kind)
-    if own is not None and own.value is not None:
-        return combined(kind.how, combined(kind.how, own.value, inverse(kind.how, opposite[1])), change), "opposite"
+    probe, probe_change = kind.edit(clean, probe_size(kind.how, size.value))
+    # A truth must not come from the very drive that is judged.
+    found = None if probe_change == change else of_kind(checked(probe), kind)
+    if found is not None and found.value is not None:
+        return combined(kind.how, found.value, combined(kind.how, inverse(kind.how, probe_change), change)), "probe"
     return change, "edit"
+
+
+def probe_size(how: str, size: float) -> float:
+    """The opposite edit; a sign is its own opposite, a factor of ten is not."""
+    if how == "plus":
+        return -size
+    return 1 / size if size > 0 else 10.0
 
 
 def combined(how: str, own: float, change: float) -> float:

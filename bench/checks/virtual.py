@@ -1,14 +1,15 @@
 """Drives of the virtual Leaf in memory: plant, driver and sensors of st_sim, rounding and axes of the wires."""
 
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
-from st_core.checks import Series
+from st_core.checks import Extras, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_offline.paths import config
 from st_offline.runs.ncom import to_body
-from st_sim.car import Car, read_car
+from st_sim.car import GRAVITY, Car, read_car
 from st_sim.scenarios import load
 from st_sim.sensors import Ins, SteeringSensor, read_wheel_speeds
 from st_sim.settings import resolve
@@ -29,8 +30,15 @@ def leaf() -> tuple[Car, VehicleParameters]:
     return read_car(file), VehicleParameters.from_yaml(file.read_text(), str(file))
 
 
+def drive_name(scenario: str) -> str:
+    return f"virtual_{Path(scenario).stem}"
+
+
 def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
-    """One scenario with the realistic plant: INS at 100 Hz, steering 100 Hz, wheel speeds 50 Hz, RTK all the time."""
+    """One scenario, or the road of a file, with the realistic plant.
+
+    INS and steering at 100 Hz, wheel speeds at 50 Hz, RTK all the time.
+    """
     car, vehicle = leaf()
     settings = resolve("realistic", [])
     source = SimulatedCar(car, settings, load(scenario), seed)
@@ -45,10 +53,13 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
         if now % WHEELS[0] == WHEELS[1]:
             # The rear wheels: they do not travel further than the car in a turn.
             wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings).wheels[2:]) / 2))
-    log = _log(f"virtual_{scenario}", readings, np.array(hand), vehicle)
+    log = _log(drive_name(scenario), readings, np.array(hand), vehicle)
     times, speeds = np.array(wheels).T
-    recording = Recording(log, vehicle, False).with_extras(wheel_speed=Series(_ns(times), _rounded(speeds, "wheel")))
-    return with_good_quality(recording)
+    # The body leans outwards and lifts its nose: accelerometers feel gravity that goes with the acceleration.
+    own = {"acceleration_y_scale": 1 + GRAVITY * settings["roll_gradient"],
+           "acceleration_x_scale": 1 + GRAVITY * settings["pitch_gradient"]}
+    wheel_speed = Series(_ns(times), _rounded(speeds, "wheel"))
+    return with_good_quality(Recording(log, vehicle, False, Extras(wheel_speed=wheel_speed), own))
 
 
 def _log(name: str, readings: list, hand: np.ndarray, vehicle: VehicleParameters) -> DriveLog:

@@ -19,6 +19,14 @@ CORNERING = 0.4
 """m/s^2: standard deviation of r v_x."""
 SLIDING = 0.05
 """m/s: root mean square of v_y."""
+BENDING = 0.005
+"""1/m: standard deviation of the curvature. On a circle the point measured, the heading and the tyres look alike."""
+STRAIGHT, STRAIGHT_SHARE = 0.005, 0.1
+"""1/m, and the least share of the drive below it."""
+SLOW, SLOW_TURNING = 8.0, 0.3
+"""m/s, and rad^2/s of yaw rate squared below it: faster, tyre slip moves the point about which the car turns."""
+SPEEDS = 0.1
+"""Standard deviation of the speed over its mean. At one speed a point further ahead is a sample that came early."""
 ONE_WAY = 0.2
 """Share of the way along the axis that is travelled less."""
 STANDING = 3.0
@@ -33,6 +41,27 @@ def turns(r: Recording, size: float = 0.0) -> bool:
     return moves(r) and float(np.std(r.log.yaw_rate)) > TURNING
 
 
+def bends(r: Recording, size: float = 0.0) -> bool:
+    return turns(r) and float(np.std(_curvature(r))) > BENDING
+
+
+def slides_and_bends(r: Recording, size: float = 0.0) -> bool:
+    return bends(r) and float(np.sqrt(np.mean(r.log.velocity_y**2))) > SLIDING
+
+
+def bends_and_goes_straight(r: Recording, size: float = 0.0) -> bool:
+    return bends(r) and float(np.mean(np.abs(_curvature(r)) < STRAIGHT)) > STRAIGHT_SHARE
+
+
+def bends_at_several_speeds(r: Recording, size: float = 0.0) -> bool:
+    return bends(r) and float(np.std(r.log.velocity_x)) > SPEEDS * float(np.mean(r.log.velocity_x))
+
+
+def bends_slowly(r: Recording, size: float = 0.0) -> bool:
+    slow = (r.log.velocity_x < SLOW)[1:]
+    return bends(r) and float(np.sum((r.log.yaw_rate[1:] ** 2 * np.diff(r.time))[slow])) > SLOW_TURNING
+
+
 def goes_both_ways(r: Recording, size: float = 0.0) -> bool:
     ways = [np.abs(np.diff(r.log.x)).sum(), np.abs(np.diff(r.log.y)).sum()]
     return moves(r) and min(ways) > ONE_WAY * sum(ways)
@@ -44,10 +73,6 @@ def accelerates(r: Recording, size: float = 0.0) -> bool:
 
 def turns_and_accelerates(r: Recording, size: float = 0.0) -> bool:
     return turns(r) and accelerates(r)
-
-
-def slides(r: Recording, size: float = 0.0) -> bool:
-    return turns(r) and float(np.sqrt(np.mean(r.log.velocity_y**2))) > SLIDING
 
 
 def corners(r: Recording, size: float = 0.0) -> bool:
@@ -66,6 +91,10 @@ def steers(r: Recording, size: float = 0.0) -> bool:
     return turns(r) and float(np.std(r.log.road_wheel_angle)) > STEERED
 
 
+def steers_and_bends(r: Recording, size: float = 0.0) -> bool:
+    return steers(r) and bends(r)
+
+
 def stands(r: Recording, size: float = 0.0) -> bool:
     return float(np.mean(standing(r))) * r.log.duration > STANDING
 
@@ -73,6 +102,14 @@ def stands(r: Recording, size: float = 0.0) -> bool:
 def long_enough(channel: str) -> Shows:
     """Has a stretch of that length in which the car moves, and much more than that."""
     return lambda r, seconds: r.log.duration > 2 * seconds and liveliest(r, channel, seconds) is not None
+
+
+def _curvature(r: Recording) -> np.ndarray:
+    """1/m, over half a second, where the car is not slow."""
+    count = max(1, round(0.5 / float(np.median(np.diff(r.time)))))
+    rate = np.convolve(r.log.yaw_rate, np.ones(count) / count, "same")
+    moving = r.log.velocity_x > 2.0
+    return rate[moving] / r.log.velocity_x[moving]
 
 
 def _slope(r: Recording, values: np.ndarray) -> np.ndarray:
