@@ -19,6 +19,7 @@ from .regression import Estimate
 G = 9.80665
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
 GYRO_SCALE = 0.02  # 1; a gyroscope's scale is known to 1 %
+GYRO_BIAS = 0.001  # rad/s; an INS that is in order shows half of it
 ACCELERATION_SCALE = 0.35  # 1; a body that rolls and pitches makes up to a third of it
 ACCELERATION_LAG = 0.12  # s; filters of accelerometers take up to 0.1 s
 LEVER = 1.5  # m between accelerometer and INS point
@@ -34,9 +35,8 @@ Told = tuple[list[Finding], dict[str, Estimate], Identity | None]
 def yaw_rate(motion: Motion, seed: int) -> tuple[Agreement | None, Expected]:
     """Against the change of yaw. A model forgets a wrong start of its yaw rate within the settling time."""
     reach = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
-    least = LIMITS.worth_a_word / max(reach, 1e-9)
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, seed, True)
-    return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, least, reach, digits=4)
+    return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS, reach, digits=4)
 
 
 def mended_yaw_rate(motion: Motion, found: Agreement) -> Motion:

@@ -5,6 +5,7 @@
 over windows of a second. What is left of it is explained by at most a few causes, each linear in its size:
 
     x or y scale s        p = s p_true                           s - 1 times the derived way along that axis
+    map shear h           x = x_true + h y_true                  h times the way north, in x
     yaw offset a          yaw = yaw_true + a                     -a times the way, turned to the left
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt
@@ -26,6 +27,7 @@ SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to
 TEXT = {
     "x_scale": "x is {value:.4f} ± {half:.4f} of what velocity says: projected with the cosine of another latitude?",
     "y_scale": "y is {value:.4f} ± {half:.4f} of what velocity says: another earth radius or scale?",
+    "map_shear": "x grows by {value:+.4f} ± {half:.4f} m for each metre north: projected far from its origin?",
     "velocity_scale": "velocity is {value:.4f} ± {half:.4f} times what positions say",
     "yaw_offset": "yaw is {value:+.4f} ± {half:.4f} rad ({degrees:+.2f} deg) too far left for positions and velocities",
     "position_lag": "positions lag velocity and yaw by {value:+.3f} ± {half:.3f} s",
@@ -34,7 +36,7 @@ TEXT = {
     "position_reference": "positions are of a point {value:+.2f} ± {half:.2f} m ahead of the one velocities are of",
 }
 UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "yaw_lag": "s", "position_reference": "m"}
-CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "velocity_scale": ("velocity_x", "velocity_y"), "yaw_offset": ("yaw",),
+CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "velocity_scale": ("velocity_x", "velocity_y"), "yaw_offset": ("yaw",),
             "position_lag": ("x", "y"), "velocity_lag": ("velocity_x", "velocity_y"), "yaw_lag": ("yaw",),
             "position_reference": ("x", "y")}
 
@@ -49,7 +51,8 @@ def regression(motion: Motion, seed: int) -> Regression:
     turning = [over.change(integral(motion.time, v)) for v in (-north * rate, east * rate)]
     zero = np.zeros(len(over))
     columns = {
-        "x_scale": (way[0], zero), "y_scale": (zero, way[1]), "velocity_scale": way, "yaw_offset": (way[1], -way[0]),
+        "x_scale": (way[0], zero), "y_scale": (zero, way[1]), "map_shear": (way[1], zero), "velocity_scale": way,
+        "yaw_offset": (way[1], -way[0]),
         "position_lag": (-faster[0], -faster[1]),
         "velocity_lag": (faster[0] - turning[0], faster[1] - turning[1]), "yaw_lag": turning,
         "position_reference": (over.change(cosine), over.change(sine)),
@@ -142,6 +145,8 @@ def _shown(name: str, one: Estimate) -> Estimate:
 
 
 def _cure(name: str, value: float) -> Cure:
+    if name == "map_shear":
+        return Cure("look", "project latitude and longitude again, with an origin near the drive")
     channel, entry = {
         "x_scale": ("x", {"scale": 1.0 / value}), "y_scale": ("y", {"scale": 1.0 / value}),
         "velocity_scale": ("velocity", {"scale": 1.0 / value}), "yaw_offset": ("yaw", {"add": -value}),
@@ -160,6 +165,8 @@ def _mended(motion: Motion, found: dict[str, Estimate]) -> Motion:
         motion = motion.with_(x=motion.x / (1.0 + value["x_scale"]))
     if "y_scale" in value:
         motion = motion.with_(y=motion.y / (1.0 + value["y_scale"]))
+    if "map_shear" in value:
+        motion = motion.with_(x=motion.x - value["map_shear"] * motion.y)
     if "position_reference" in value:
         motion = motion.with_(x=motion.x - value["position_reference"] * np.cos(motion.yaw),
                               y=motion.y - value["position_reference"] * np.sin(motion.yaw))

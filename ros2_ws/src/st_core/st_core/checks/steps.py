@@ -2,7 +2,8 @@
 
     d_k = p_k - p_{k-1} - integral of R(yaw) v dt
 
-A jump is one large d; a stale sample is a step back along the track by v h and the same forward again.
+A jump is one large d. A position that is one sample of the receiver old steps back along the track by v h, and forward
+again by as much with the next fresh one.
 """
 
 import numpy as np
@@ -11,68 +12,65 @@ from .finding import Cure, Finding, Severity
 from .limits import LIMITS
 from .motion import LONGEST_GAP, MOVING, Motion, integral
 
-NEAR = 0.5  # s around a sample that tell where it should be
-SIGMAS = 8.0  # robust standard deviations from which on a step is none of the noise
+SIGMAS = 6.0  # robust standard deviations from which on a step is none of the noise
 SMALLEST_JUMP = 0.1  # m; RTK positions wander by 2 cm
-LEAST_STALE = 0.02  # share of samples
+FEWEST, LEAST_STALE = 5, 0.05  # samples, and their share from which on one start in twenty is wrong by it
 ALIKE = 0.35  # spread of the ages of stale samples over their median
+BALANCE = 0.5  # steps forward over steps back, at least
 
 
 def steps(motion: Motion) -> list[Finding]:
     if len(motion.time) < 50:
         return []
-    along, across, rest = _rests(motion)
-    stale = _stale(motion, along)
-    return stale or _jumps(motion, rest) or _jitter(motion, rest)
+    rest, along = _rests(motion)
+    stale, told = _stale(motion, along)
+    return told + (_jumps(motion, rest, stale) or _jitter(motion, along))
 
 
-def _rests(motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(distance of each position from its neighbourhood, along and across the track [m]; complex d_k [m], n - 1)."""
+def _rests(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """(d_k [m], east + i north; its part along the track over the speed [s], NaN where the car stands): n - 1 each."""
     east, north = motion.velocity_map
-    drift = (motion.x - integral(motion.time, east)) + 1j * (motion.y - integral(motion.time, north))
-    count = max(int(round(2 * NEAR / float(np.median(np.diff(motion.time))))) | 1, 5)
-    away = drift - (_running_median(drift.real, count) + 1j * _running_median(drift.imag, count))
-    heading = np.exp(-1j * np.arctan2(north, east))
-    turned = away * heading
-    return turned.real, turned.imag, np.diff(drift)
+    rest = (np.diff(motion.x) - np.diff(integral(motion.time, east))
+            + 1j * (np.diff(motion.y) - np.diff(integral(motion.time, north))))
+    speed = np.hypot(east, north)[1:]
+    heading = np.exp(-1j * np.arctan2(north, east)[1:])
+    return rest, np.where(speed > MOVING, (rest * heading).real / np.maximum(speed, MOVING), np.nan)
 
 
-def _running_median(values: np.ndarray, count: int) -> np.ndarray:
-    from scipy.ndimage import median_filter
-
-    return median_filter(values, size=count, mode="nearest")
-
-
-def _stale(motion: Motion, along: np.ndarray) -> list[Finding]:
-    """Samples late by one and the same time."""
-    speed = motion.speed
-    moving = speed > MOVING
-    age = -along[moving] / speed[moving]
-    spread = 1.4826 * float(np.median(np.abs(age)))
+def _stale(motion: Motion, along: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
+    """(which steps are those of stale samples, the finding)."""
+    known = np.isfinite(along)
+    none = np.zeros(len(along), bool)
+    if known.sum() < 50:
+        return none, []
+    away = along - np.median(along[known])
     spacing = float(np.median(np.diff(motion.time)))
-    old = age > max(4.0 * spread, 0.15 * spacing)
-    share = float(old.mean()) if len(age) else 0.0
-    if share < LEAST_STALE:
-        return []
-    typical = float(np.median(age[old]))
-    alike = 1.4826 * float(np.median(np.abs(age[old] - typical))) < ALIKE * typical
-    if not alike or typical > 2.5 * spacing:
-        return []
-    half = 1.96 * np.sqrt(share * (1.0 - share) / max(moving.sum() / 10.0, 1.0))
-    effect = typical * float(np.median(speed[moving]))
-    text = (f"{100 * share:.0f} % of the positions are {typical * 1e3:.0f} ms old: they repeat what was measured one "
-            "sample before")
-    severity = max(LIMITS.severity(effect), Severity.WARNING, key=lambda s: s is Severity.ERROR)
-    where = _stretches(motion.time[moving][old])
-    return [Finding("position_stale", severity, ("x", "y"), text, share, "1",
-                    (max(share - half, 0.0), min(share + half, 1.0)), where, effect,
-                    Cure("look", "stamp positions with their own time, or drop rows whose position is the old one"))]
+    small = np.abs(away[known]) < 0.15 * spacing
+    spread = 1.4826 * float(np.median(np.abs(away[known][small]))) if small.any() else np.inf
+    large = known & (np.abs(away) > max(SIGMAS * spread, 0.15 * spacing))
+    if large.sum() < FEWEST:
+        return none, []
+    age = float(np.median(np.abs(away[large])))
+    alike = 1.4826 * float(np.median(np.abs(np.abs(away[large]) - age))) < ALIKE * age
+    back, forward = known & (away < -0.5 * age), known & (away > 0.5 * age)
+    if not alike or age > 2.5 * spacing or not BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / BALANCE:
+        return none, []
+    share = float(back.sum() / known.sum())
+    half = 1.96 * float(np.sqrt(share * (1.0 - share) / max(known.sum() * spacing, 1.0)))
+    effect = age * float(np.median(motion.speed[1:][known]))
+    text = (f"positions step back by {age * 1e3:.0f} ms at {100 * share:.2g} % of the rows, and forward again later: in "
+            "between they are one sample of the receiver old")
+    severity = Severity.WARNING if share > LEAST_STALE else Severity.NOTE
+    return back | forward, [Finding(
+        "position_stale", severity, ("x", "y"), text, share, "1", (max(share - half, 0.0), min(share + half, 1.0)),
+        _stretches(motion.time[1:][back]), effect,
+        Cure("look", "stamp positions with their own time, or leave out rows with an old one"))]
 
 
-def _jumps(motion: Motion, rest: np.ndarray) -> list[Finding]:
+def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray) -> list[Finding]:
     size = np.abs(rest - np.median(rest.real) - 1j * np.median(rest.imag))
     scale = 1.4826 * float(np.median(size))
-    within = np.diff(motion.time) <= LONGEST_GAP
+    within = (np.diff(motion.time) <= LONGEST_GAP) & ~stale
     large = within & (size > max(SIGMAS * scale, SMALLEST_JUMP))
     count = int(large.sum())
     if not count:
@@ -83,31 +81,29 @@ def _jumps(motion: Motion, rest: np.ndarray) -> list[Finding]:
     text = (f"positions jump {count} time{'s' if count > 1 else ''}, by {median:.2f} m in the median, {largest:.2f} m at "
             "most, which velocity knows nothing of")
     share = min(count * 5.0 / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
-    effect = median * np.sqrt(share)
-    severity = Severity.ERROR if effect >= LIMITS.error else Severity.WARNING
+    effect = median * float(np.sqrt(share))
+    severity = LIMITS.severity(effect) if largest < LIMITS.warning else max(
+        LIMITS.severity(effect), Severity.WARNING, key=(Severity.NOTE, Severity.WARNING, Severity.ERROR).index)
     stretches = [[round(a - 0.01, 2), round(b + 0.01, 2)] for a, b in where]
     return [Finding("position_jumps", severity, ("x", "y"), text, float(count), "1", None, where, effect,
                     Cure("run.yaml", f"leave_out: {stretches[:3]}" + (" …" if count > 3 else ""),
                          {"leave_out": stretches}))]
 
 
-def _jitter(motion: Motion, rest: np.ndarray) -> list[Finding]:
-    """Uneven stamps of an even motion: d = -v (dt - its mean)."""
+def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
+    """Uneven stamps of an even motion: d / v = -(dt - its mean)."""
     spacing = np.diff(motion.time)
     usual = float(np.median(spacing))
-    inside = (spacing < 3.0 * usual) & (motion.speed[1:] > MOVING)
+    inside = (spacing < 3.0 * usual) & np.isfinite(along)
     if inside.sum() < 50:
         return []
     uneven = (spacing - usual)[inside]
-    speed = motion.speed[1:][inside]
-    east, north = (v[1:][inside] for v in motion.velocity_map)
-    along = (rest[inside] * np.exp(-1j * np.arctan2(north, east))).real
-    power = float(np.sum((speed * uneven) ** 2))
+    power = float(np.sum(uneven**2))
     deviation = float(np.std(uneven))
     if deviation < 0.05 * usual or power <= 0.0:
         return []
-    slope = float(np.sum(along * -speed * uneven) / power)
-    effect = deviation * float(np.median(speed))
+    slope = float(np.sum(along[inside] * -uneven) / power)
+    effect = deviation * float(np.median(motion.speed[1:][inside]))
     if slope < 0.5 or effect < LIMITS.worth_a_word:
         return []
     text = f"the stamps jitter by {deviation * 1e3:.1f} ms, the motion does not: they were made on arrival"
