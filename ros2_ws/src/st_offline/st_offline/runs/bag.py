@@ -1,7 +1,7 @@
 """rosbag2 recordings (directories, bare .mcap and .db3 files): odometry and steering of any recorder, as a drive."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import yaml
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from rosbags.typesys.store import Typestore
+from st_core.checks import Extras
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
@@ -31,12 +32,16 @@ _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", 
 
 @dataclass(frozen=True)
 class BagDrive:
-    """topics: type -> topic that was read. records: what the recording says about itself, name -> {key: text}."""
+    """topics: type -> topic that was read. records: what the recording says about itself, name -> {key: text}.
+
+    extras: what else is in it, for checks.
+    """
 
     log: DriveLog
     topics: Mapping[str, str]
     records: Mapping[str, Mapping[str, str]]
     warnings: tuple[str, ...]
+    extras: Extras = field(default_factory=Extras)
 
 
 def definitions() -> Path:

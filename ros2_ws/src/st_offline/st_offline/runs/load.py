@@ -9,7 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from st_core.checks import Extras
 from st_core.clock_types import Alignment, none_needed
+from st_core.corrections import Correction, corrected, in_words
+from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
@@ -44,7 +47,8 @@ class ReadSettings:
 class LoadedRun:
     """log: the drive on the INS clock. labels: named parts, in seconds after the first INS measurement.
 
-    provenance: files (path -> sha256), reader, settings, alignment: plain values for reports. warnings: sentences.
+    provenance: files (path -> sha256), reader, settings, alignment, corrected: plain values for reports. warnings:
+    sentences. extras: what else was recorded, for checks.
     """
 
     log: DriveLog
@@ -52,6 +56,7 @@ class LoadedRun:
     labels: tuple[Label, ...] = ()
     warnings: tuple[str, ...] = ()
     alignment: Alignment = field(default_factory=none_needed)
+    extras: Extras = field(default_factory=Extras)
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None = None,
@@ -59,7 +64,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     """Read one run.
 
     vehicle: steering ratio and offset for the road wheel angle; without one, the road wheel angle must be in the
-    recording (bag, CSV). Raises RunError, one sentence for the user, for a run that cannot be used.
+    recording (bag, CSV). What its run.yaml corrects is corrected, and said. Raises RunError, one sentence for the
+    user, for a run that cannot be used.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
@@ -71,8 +77,9 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     log = loaded.log
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
-    check_common_time(source, log.ins_time_ns, log.steering_time_ns)
-    return replace(loaded, log=log, provenance={**loaded.provenance, "files": digests.result()})
+    loaded = _treated(source, replace(loaded, log=log), vehicle)
+    check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
+    return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
 
 
 def _loaded(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
@@ -84,9 +91,39 @@ def _loaded(source: RunSource, vehicle: VehicleParameters | None, settings: Read
         drive = bag.read_bag(source.where, source.name)
         recorded = {name: dict(record) for name, record in drive.records.items()}
         about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
-        return LoadedRun(drive.log, about, source.labels or _recorded_labels(drive.records), drive.warnings)
-    log, warnings = csv.read_drive(source.where)
-    return LoadedRun(replace(log, name=source.name), {"reader": "csv"}, source.labels, warnings)
+        labels = source.labels or _recorded_labels(drive.records)
+        return LoadedRun(drive.log, about, labels, drive.warnings, extras=drive.extras)
+    table = csv.read_csv(source.where, vehicle, source.settings.get("layout"), _corrections(source)[1])
+    about = {"reader": "csv", "columns": dict(table.columns)}
+    return LoadedRun(replace(table.log, name=source.name), about, source.labels, table.warnings, extras=table.extras)
+
+
+def _corrections(source: RunSource) -> tuple[dict[str, Correction], float]:
+    """What is left to correct when a run is read, and the scale of yaw that its reader takes (see `csv.read_csv`)."""
+    corrections = dict(source.settings.get("correct", {}))
+    yaw = corrections.get("yaw", Correction())
+    if source.kind != "csv" or yaw.scale == 1.0:
+        return corrections, 1.0
+    return {**corrections, "yaw": replace(yaw, scale=1.0)}, yaw.scale
+
+
+def _treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
+    """The run as its run.yaml corrects it. Labels stay with what they name, though the first samples may go."""
+    left_out = source.settings.get("leave_out", ())
+    phrases = (*in_words(source.settings.get("correct", {})),
+               *(f"INS left out from {start:g} to {end:g} s" for start, end in left_out))
+    if not phrases:
+        return run
+    try:
+        log = corrected(run.log, _corrections(source)[0], vehicle, left_out)
+    except StCoreError as error:
+        raise RunError(source.where, str(error)) from None
+    gone = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0
+    labels = tuple(replace(label, start=label.start - gone, end=label.end - gone) for label in run.labels)
+    return replace(
+        run, log=log, labels=labels, provenance={**run.provenance, "corrected": list(phrases)},
+        warnings=(*run.warnings, f"{source.where}: corrected as its run.yaml says: {'; '.join(phrases)}"),
+        extras=replace(run.extras, corrected=phrases))
 
 
 def _recorded_labels(records: Mapping[str, Mapping[str, str]]) -> tuple[Label, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
-from . import bag, csv, ncom
+from . import bag, csv, ncom, run_keys
 from .errors import RunError
 from .mf4 import session_of
 
@@ -17,7 +17,7 @@ CAN_EXTENSIONS = frozenset((".asc", ".blf", ".candump", ".log", ".trc", ".mf4", 
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
 NO_NAME = ("run", "bag")  # says nothing (run.ncom with run.mf4, bag/ of st live): the folder's name is the run's
-_KEYS = ("name", "ins", "can", "bag", "csv", "offset", "ins_can_latency", "labels", "dbc", "signals")
+_KEYS = ("name", "ins", "can", "bag", "csv", "offset", "ins_can_latency", "labels", "dbc", "signals", *run_keys.KEYS)
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,9 @@ class Label:
 class RunSource:
     """The files of one run. kind: "bag", "ncom" (with CAN logs), "csv", or "" where `problem` says why it is none.
 
-    settings: from run.yaml: offset [s], ins_can_latency (value and deviation [s]), dbc, signals (paths). where: the
-    file or folder to name to the user.
+    settings: from run.yaml: offset [s], ins_can_latency (value and deviation [s]), dbc, signals (paths), layout
+    (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]). where: the file or folder to name
+    to the user.
     """
 
     name: str
@@ -173,6 +174,7 @@ def _parsed(path: Path) -> RunSource:
         settings["offset"] = float(offset)
     if "ins_can_latency" in content:
         settings["ins_can_latency"] = _latency(path, content["ins_can_latency"])
+    settings |= run_keys.understood(path, content, kinds[0])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     name, kind = _plain_name(path, content.get("name", default)), {"ins": "ncom"}.get(kinds[0], kinds[0])
     return RunSource(name, kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
