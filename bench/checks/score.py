@@ -24,6 +24,14 @@ def checked(recording: Recording) -> Checked:
     return check(recording.log, recording.vehicle, recording.extras)
 
 
+def answer(recording: Recording) -> tuple[Checked, str]:
+    """A check that raises is a wrong answer of the product, not the end of the matrix: what it raised is the second."""
+    try:
+        return checked(recording), ""
+    except Exception as error:
+        return Checked((), {}, ()), f"{type(error).__name__}: {error}"[:200]
+
+
 @cache
 def as_recorded(recording: Recording) -> Checked:
     """Of a drive nothing was put into; one object is checked once."""
@@ -51,7 +59,8 @@ def score(drive: Drive, kind: Kind, size: Size) -> Record | None:
     if not kind.shows(clean, size.value):
         return None
     corrupted, change = kind.edit(clean, size.value)
-    said, before = checked(corrupted), as_recorded(clean)
+    said, raised = answer(corrupted)
+    before = as_recorded(clean)
     finding = of_kind(said, kind)
     truth, source = true_value(kind, size, clean, change)
     inside = finding is not None and is_inside(kind, finding, truth)
@@ -60,7 +69,7 @@ def score(drive: Drive, kind: Kind, size: Size) -> Record | None:
     return {
         "drive": clean.name, "real": clean.real, "kind": kind.name, "size": size.label, "truth": truth,
         "truth_from": source, "named": named, "inside": inside, "right": named and inside,
-        "said": None if finding is None else short(finding),
+        "said": raised or (None if finding is None else short(finding)),
         "new": {severity.value: [short(f) for f in collateral if f.severity is severity] for severity in Severity},
     }
 
@@ -87,7 +96,7 @@ def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple
         return combined(kind.how, own.value, change), "drive"
     probe, probe_change = kind.edit(clean, probe_size(kind.how, size.value))
     # A truth must not come from the very drive that is judged.
-    found = None if probe_change == change else of_kind(checked(probe), kind)
+    found = None if probe_change == change else of_kind(answer(probe)[0], kind)
     if found is not None and found.value is not None:
         return combined(kind.how, found.value, combined(kind.how, inverse(kind.how, probe_change), change)), "probe"
     return change, "edit"
