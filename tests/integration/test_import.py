@@ -103,6 +103,45 @@ def test_the_bag_reads_as_the_raw_run(raw: Path, imported: Path, leaf: VehiclePa
     np.testing.assert_array_equal(read(bag).log.road_wheel_angle, before.road_wheel_angle)
 
 
+def test_what_checks_may_use_is_in_raw_files_and_bag_alike(raw: Path, imported: Path, leaf: VehicleParameters) -> None:
+    (source,), (bag,) = find_runs([raw]), find_runs([imported])
+    runs = read(source, leaf), read(bag, leaf)
+    for run in runs:
+        log, extras = run.log, run.extras
+        speed = np.interp(extras.wheel_speed.time_ns, log.ins_time_ns, log.velocity_x)
+        assert np.median(np.abs(extras.wheel_speed.values - speed)) < 0.1
+        speed = np.interp(extras.ins_speed.time_ns, log.ins_time_ns, log.velocity_x)
+        assert np.median(np.abs(extras.ins_speed.values - speed)) < 0.02 and len(speed) > 5000
+        assert set(extras.stamps) == {"INS", "steering"} and len(extras.stamps["INS"]) >= len(log.x)
+        quality = extras.quality
+        assert (quality.navigation_status == 4).all() and len(quality.time_ns) >= len(log.x)
+        assert np.nanmax(quality.position_mode) == 6 and 0 < np.nanmedian(quality.position_accuracy) < 0.1
+        assert 0 < np.nanmedian(quality.heading_accuracy) < 0.01
+        assert run.log.acceleration_y is None or not extras.missing
+    first, second = (run.extras.quality for run in runs)
+    there = np.isin(second.time_ns, first.time_ns)
+    np.testing.assert_array_equal(second.position_accuracy[there], first.position_accuracy)
+    np.testing.assert_array_equal(runs[0].extras.wheel_speed.values, runs[1].extras.wheel_speed.values)
+
+
+def test_packets_without_an_acceleration_cost_that_only(raw: Path, tmp_path: Path, leaf: VehicleParameters) -> None:
+    whole = read(find_runs([raw])[0], leaf).log
+    folder = tmp_path / "holes"
+    shutil.copytree(raw, folder)
+    packets = np.frombuffer((raw / "run.ncom").read_bytes(), np.uint8).reshape(-1, 72).copy()
+    packets[2000:2050, 6:9] = (0, 0, 0x80)  # the mark for "invalid" in acceleration y
+    for at in (22, 61, 71):
+        packets[:, at] = packets[:, 1:at].sum(axis=1, dtype=np.uint8)
+    (folder / "run.ncom").write_bytes(packets.tobytes())
+    (source,) = find_runs([folder])
+    run = read(source, leaf)
+    lost = np.isnan(run.log.acceleration_y)
+    assert lost.sum() == run.extras.missing["acceleration_y"] == 50
+    np.testing.assert_array_equal(run.log.acceleration_y[~lost], whole.acceleration_y[~lost])
+    np.testing.assert_array_equal(run.log.acceleration_x, whole.acceleration_x)
+    assert any("acceleration_y: 50 of" in warning and "it is not known there" in warning for warning in run.warnings)
+
+
 def test_raw_packets_and_frames_are_kept(raw: Path, imported: Path) -> None:
     packets = (raw / "run.ncom").read_bytes()
     log = read_can_logs([raw / "run.mf4"])

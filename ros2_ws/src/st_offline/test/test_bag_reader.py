@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from mcap.writer import IndexType
 from mcap.writer import Writer as McapWriter
+from oxts_bridge.channels import encode_channel
+from oxts_bridge.ncom import Packet, encode
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from st_offline.runs import bag
 from st_offline.runs.bag import ODOMETRY, STEERING, definitions, read_bag
 from st_offline.runs.bag_storage import Mcap, Sqlite
 from st_offline.runs.cdr import Layout, typestore
 from st_offline.runs.errors import RunError
+from st_offline.runs.messages import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS
 from st_predictor.mcap import BagWriter
 
 STORE = typestore(definitions())
@@ -121,7 +124,7 @@ def test_the_quick_way_is_the_way_taken_and_equal(tmp_path: Path, monkeypatch: p
     with monkeypatch.context() as patch:
         patch.delattr(bag, "_one_by_one")
         quick = read_bag(folder).log
-    monkeypatch.setattr(kind, "columns", lambda *_: None)
+    monkeypatch.setattr(kind, "columns", lambda *_: {})
     slow = read_bag(folder).log
     for name in ("ins_time_ns", "x", "y", "yaw", "velocity_x", "yaw_rate", "steering_time_ns", "road_wheel_angle"):
         np.testing.assert_array_equal(getattr(quick, name), getattr(slow, name))
@@ -138,7 +141,91 @@ def test_unusable_messages_are_left_out_and_counted(tmp_path: Path) -> None:
     drive = read_bag(write_ours(tmp_path / "drive", {**OURS, ("/vehicle/steering", STEERING): messages}))
     assert len(drive.log.steering_time_ns) == N - 51
     assert any("50 steering messages hold no usable value" in w for w in drive.warnings)
+    assert drive.extras.missing == {"road_wheel_angle": 50} and len(drive.extras.stamps["steering"]) == N
     assert any("1 steering messages are not newer" in w for w in drive.warnings)
+
+
+def wheels(k: int, front: bool, valid: bool = True) -> tuple[int, bytes]:
+    """Each axle has a frame of its own; what is not in a frame is NaN."""
+    time_ns = START_NS + k * 20_000_000
+    nan = float("nan")
+    message = make(WHEEL_SPEEDS, header=header(time_ns, ""), front_left=20.0 if front else nan,
+                   front_right=21.0 if front else nan, rear_left=nan if front else 9.0 + 0.01 * k,
+                   rear_right=nan if front else 11.0 + 0.01 * k, vehicle_speed=12.0 if front else nan, valid=valid)
+    return time_ns, bytes(STORE.serialize_cdr(message, WHEEL_SPEEDS))
+
+
+def ins_on_can(k: int) -> tuple[int, bytes]:
+    time_ns = START_NS + k * 10_000_000
+    message = make(INS_ON_CAN, header=header(time_ns, ""), velocity_x=float("nan") if k % 2 else 10.0, velocity_y=0.0,
+                   yaw=0.0, yaw_rate=0.0, unix_time=0.0)
+    return time_ns, bytes(STORE.serialize_cdr(message, INS_ON_CAN))
+
+
+def status(k: int) -> tuple[int, bytes]:
+    time_ns = START_NS + k * 10**9
+    numbers = dict.fromkeys((name for name, _ in STORE.fielddefs[INS_STATUS][1]), 0)
+    numbers |= {name: name * (k % 3) for name in numbers if name.endswith("text") or name == "firmware"}
+    numbers |= {name: float(0) for name, (_, kind) in STORE.fielddefs[INS_STATUS][1] if kind and kind[0] == "float64"}
+    message = make(INS_STATUS, **{**numbers, "header": header(time_ns, ""), "navigation_status": 4, "position_mode": 6,
+                                  "position_accuracy_north": 0.03, "position_accuracy_east": 0.04,
+                                  "heading_accuracy": 0.001 * k, "antenna_lever_arm": np.zeros(3),
+                                  "seen_channels": np.arange(k, dtype=np.uint32)})
+    return time_ns, bytes(STORE.serialize_cdr(message, INS_STATUS))
+
+
+AXLES = [wheels(k, front) for k in range(50) for front in (True, False)]
+OTHERS: Topics = {("/vehicle/wheel_speeds", WHEEL_SPEEDS): AXLES,
+                  ("/vehicle/ins_on_can", INS_ON_CAN): [ins_on_can(k) for k in range(N)],
+                  ("/ins/status", INS_STATUS): [status(k) for k in range(5)]}
+
+
+@pytest.mark.parametrize("storage", ["ours", "sqlite3"])
+def test_what_checks_may_use(tmp_path: Path, storage: str) -> None:
+    if storage == "ours":
+        write_ours(tmp_path / "drive", {**OURS, **OTHERS})
+    else:
+        write_rosbags(tmp_path / "drive", {**OURS, **OTHERS}, StoragePlugin.SQLITE3)
+    check(tmp_path / "drive")
+    extras = read_bag(tmp_path / "drive").extras
+    np.testing.assert_allclose(extras.wheel_speed.values, 10.0 + 0.01 * np.arange(50))
+    np.testing.assert_array_equal(extras.wheel_speed.time_ns, START_NS + 20_000_000 * np.arange(50))
+    assert (extras.ins_speed.values == 10.0).all() and len(extras.ins_speed.values) == N // 2
+    quality = extras.quality
+    np.testing.assert_array_equal(quality.time_ns, START_NS + 10**9 * np.arange(5))
+    np.testing.assert_allclose(quality.heading_accuracy, 0.001 * np.arange(5))
+    assert set(quality.navigation_status) == {4} and set(quality.position_mode) == {6}
+    np.testing.assert_allclose(quality.position_accuracy, 0.05)
+    assert [len(extras.stamps[name]) for name in ("INS", "steering")] == [N, N] and extras.missing == {}
+
+
+def test_packets_say_what_no_other_topic_does(tmp_path: Path) -> None:
+    """Driving east at 8 m/s; the accuracies come with packet 10."""
+    messages = []
+    for k in range(100):
+        channel, batch = (3, encode_channel(3, {"NorthAcc": 0.3, "EastAcc": 0.4, "AltAcc": 1.0})) if k == 10 else (
+            0, (23_000_000).to_bytes(4, "little") + bytes((12, 5, 5, 5)))
+        packet = encode(Packet(
+            milliseconds=10 * k, acceleration=(0.0, 0.0, -9.81), angular_rate=(0.0, 0.0, 0.0), navigation_status=4,
+            latitude=0.8, longitude=0.3, altitude=100.0, velocity_ned=(0.0, 8.0, 0.0), heading=np.pi / 2, pitch=0.0,
+            roll=0.0, channel=channel, batch_s=batch))
+        message = make(NCOM, header=header(START_NS, ""), raw_packet=np.frombuffer(packet, np.uint8))
+        messages.append((START_NS + 10_000_000 * k, bytes(STORE.serialize_cdr(message, NCOM))))
+    extras = read_bag(write_ours(tmp_path / "drive", {**OURS, ("/ins/ncom", NCOM): messages})).extras
+    np.testing.assert_allclose(extras.ins_speed.values, np.full(100, 8.0), atol=1e-4)
+    np.testing.assert_array_equal(extras.quality.time_ns, extras.ins_speed.time_ns)
+    assert np.diff(extras.ins_speed.time_ns).tolist() == [10_000_000] * 99
+    assert np.isnan(extras.quality.position_accuracy[:10]).all() and np.isnan(extras.quality.heading_accuracy).all()
+    np.testing.assert_allclose(extras.quality.position_accuracy[10:], 0.5)
+    assert set(extras.quality.position_mode) == {5.0}
+
+
+def test_a_bag_is_no_worse_for_other_topics_that_are_damaged(tmp_path: Path) -> None:
+    bad = {key: [(time_ns, data[: len(data) // 3]) for time_ns, data in messages] for key, messages in OTHERS.items()}
+    bad["/ins/ncom", NCOM] = [(START_NS, b"\0\1")]
+    check(write_ours(tmp_path / "drive", {**OURS, **bad}))
+    extras = read_bag(tmp_path / "drive").extras
+    assert extras.wheel_speed is None and extras.ins_speed is None and extras.quality is None
 
 
 def test_missing_topics_and_doubles_are_named(tmp_path: Path) -> None:

@@ -15,13 +15,14 @@ from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
 from ..paths import project_root
+from .bag_extras import bag_extras, extra_fields
 from .bag_storage import Storage, Topic, open_storage
 from .cdr import typestore
 from .errors import RunError, check_readable
 from .mcap_columns import DAMAGE, summary_of
+from .messages import ODOMETRY, STEERING
 
 EXTENSIONS = (".mcap", ".db3")
-ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
 # Where several topics have the type: the one whose name ends like this.
 PREFERRED = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
@@ -73,16 +74,20 @@ def read_bag(path: Path, name: str | None = None) -> BagDrive:
 
     Raises RunError for what is no bag, was not closed, or lacks one of the two.
     """
-    storage = open_bag(path)
+    storage, store = open_bag(path), typestore(definitions())
     there = storage.topics()
-    columns: dict[str, dict[str, np.ndarray]] = {}
-    topics = {}
-    for type_name, fields in ((ODOMETRY, _ODOMETRY_FIELDS), (STEERING, _STEERING_FIELDS)):
-        topic = _topic(path, there, type_name)
-        topics[type_name] = topic.name
-        columns[type_name] = _numbers(path, storage, topic, fields)
-    log, notes = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
-    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in notes))
+    needed = {_topic(path, there, type_name): fields
+              for type_name, fields in ((ODOMETRY, _ODOMETRY_FIELDS), (STEERING, _STEERING_FIELDS))}
+    others = extra_fields(there)
+    quick = storage.columns({**needed, **others}, store)
+    columns = {topic.type_name: quick.get(topic.name) or _one_by_one(path, storage, topic, fields, store)
+               for topic, fields in needed.items()}
+    log, missing, notes = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
+    stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
+    extras = bag_extras(storage, there, {topic: quick[topic.name] for topic in others if topic.name in quick},
+                        stamps, missing, store)
+    topics = {topic.type_name: topic.name for topic in needed}
+    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in notes), extras)
 
 
 def open_bag(path: Path) -> Storage:
@@ -101,8 +106,7 @@ def numbers(path: Path, storage: Storage, topic: str, fields: Sequence[str]) -> 
 
 def _numbers(path: Path, storage: Storage, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
     store = typestore(definitions())
-    quick = storage.columns(topic, fields, store)
-    return quick if quick is not None else _one_by_one(path, storage, topic, fields, store)
+    return storage.columns({topic: fields}, store).get(topic.name) or _one_by_one(path, storage, topic, fields, store)
 
 
 def records_of(path: Path) -> dict[str, dict[str, str]]:
@@ -158,7 +162,8 @@ def _value(message: Any, path: str) -> Any:
 
 
 def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
-           ) -> tuple[DriveLog, list[str]]:
+           ) -> tuple[DriveLog, dict[str, int], list[str]]:
+    """The log, rows without a usable value by channel, and what is to be said."""
     notes: list[str] = []
     qx, qy, qz, qw = (odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")
     values = {
@@ -167,9 +172,11 @@ def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: 
         "velocity_x": odometry["twist.twist.linear.x"], "velocity_y": odometry["twist.twist.linear.y"],
         "yaw_rate": odometry["twist.twist.angular.z"],
     }
+    missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     good = np.isfinite(np.stack(list(values.values()))).all(axis=0)
     ins_ns, rows = _rising(odometry["header.stamp"], good, "odometry", notes)
     good = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
+    missing["road_wheel_angle"] = int((~good).sum())
     steering_ns, steering_rows = _rising(steering["header.stamp"], good, "steering", notes)
     wheel = steering["steering_wheel_angle"][steering_rows]
     try:
@@ -180,7 +187,7 @@ def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: 
         )
     except StCoreError as error:
         raise RunError(path, str(error)) from None
-    return log, notes
+    return log, missing, notes
 
 
 def _rising(time_ns: np.ndarray, good: np.ndarray, what: str, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:

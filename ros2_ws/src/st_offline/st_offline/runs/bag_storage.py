@@ -5,7 +5,7 @@ one it does not understand; what else rosbag2 can write (compressed files and me
 """
 
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain
@@ -44,8 +44,8 @@ class Storage(Protocol):
     def messages(self, topic: str) -> Iterator[bytes]:
         """Serialised messages, in the order of the file."""
 
-    def columns(self, topic: Topic, fields: Sequence[str], store: Typestore) -> dict[str, np.ndarray] | None:
-        """The quick way to some numbers of all messages (cdr.Layout), None where it cannot be gone."""
+    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        """The quick way to some numbers of all messages (cdr.Layout), by topic; without those it cannot be gone for."""
 
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
@@ -104,14 +104,14 @@ class Mcap:
                 yield from (message.data for _, channel, message in self._stream(file) if channel.topic == topic)
                 continue
             channels = [number for number, channel in summary.channels.items() if channel.topic == topic]
-            for block in chain.from_iterable(self._blocks(file, summary, number) for number in channels):
+            for _, block in chain.from_iterable(self._blocks(file, summary, [number]) for number in channels):
                 for start, size in zip(block.starts.tolist(), block.sizes.tolist(), strict=True):
                     yield block.buffer[start : start + size].tobytes()
 
     @staticmethod
-    def _blocks(file: Path, summary: Summary, channel: int) -> Iterator[Block]:
+    def _blocks(file: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
         try:
-            yield from blocks(file, summary, channel)
+            yield from blocks(file, summary, channels)
         except DAMAGE as error:
             raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
 
@@ -123,27 +123,20 @@ class Mcap:
         except (McapError, *DAMAGE) as error:
             raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
 
-    def columns(self, topic: Topic, fields: Sequence[str], store: Typestore) -> dict[str, np.ndarray] | None:
-        parts: list[dict[str, np.ndarray]] = []
-        layout = None
+    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        gathered = {topic.name: _Gathered(topic.type_name, fields, store) for topic, fields in wanted.items()}
         for file, summary in self._files:
             if summary is None or summary.statistics is None:
-                return None
-            for channel in summary.channels.values():
-                if channel.topic != topic.name or channel.message_encoding != "cdr":
-                    continue
-                seen = 0
-                for block in self._blocks(file, summary, channel.id):
-                    seen += len(block.starts)
-                    if layout is None:
-                        first = block.buffer[block.starts[0] : block.starts[0] + block.sizes[0]].tobytes()
-                        layout = Layout(store, topic.type_name, store.deserialize_cdr(first, topic.type_name))
-                    if not (block.sizes == len(layout)).all() or not layout.fits(block.buffer, block.starts):
-                        return None
-                    parts.append({field: layout.column(block.buffer, block.starts, field) for field in fields})
-                if seen != summary.statistics.channel_message_counts.get(channel.id, 0):
-                    return None
-        return {field: np.concatenate([part[field] for part in parts]) for field in fields} if parts else None
+                return {}
+            channels = {number: gathered[channel.topic] for number, channel in summary.channels.items()
+                        if channel.topic in gathered and channel.message_encoding == "cdr"}
+            left = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
+            for number, block in self._blocks(file, summary, channels):
+                left[number] -= len(block.starts)
+                channels[number].add(block.buffer, block.starts, block.sizes)
+            for number, count in left.items():
+                channels[number].alike &= count == 0
+        return {name: one.columns() for name, one in gathered.items() if one.alike and one.parts}
 
 
 class Sqlite:
@@ -174,18 +167,17 @@ class Sqlite:
             for (data,) in self._query(file, text, topic):
                 yield data
 
-    def columns(self, topic: Topic, fields: Sequence[str], store: Typestore) -> dict[str, np.ndarray] | None:
-        rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
-        if not rows:
-            return None
-        layout = Layout(store, topic.type_name, store.deserialize_cdr(rows[0].tobytes(), topic.type_name))
-        if any(len(row) != len(layout) for row in rows):
-            return None
-        buffer = np.concatenate(rows)
-        starts = np.arange(len(rows)) * len(layout)
-        if not layout.fits(buffer, starts):
-            return None
-        return {field: layout.column(buffer, starts, field) for field in fields}
+    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        found = {}
+        for topic, fields in wanted.items():
+            rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
+            one = _Gathered(topic.type_name, fields, store)
+            if rows:
+                sizes = np.array([len(row) for row in rows])
+                one.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
+            if one.alike and one.parts:
+                found[topic.name] = one.columns()
+        return found
 
 
 class Rosbags:
@@ -204,8 +196,37 @@ class Rosbags:
         chosen = [c for c in self._reader.connections if c.topic == topic]
         return (bytes(data) for _, _, data in self._reader.messages(connections=chosen))
 
-    def columns(self, topic: Topic, fields: Sequence[str], store: Typestore) -> None:
-        return None
+    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        return {}
+
+
+class _Gathered:
+    """Fields of the messages of one topic, part by part. alike: whether all have the layout of the first."""
+
+    def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
+        self._type_name, self._fields, self._store = type_name, fields, store
+        self._layout: Layout | None = None
+        self.alike, self.parts = True, list[dict[str, np.ndarray]]()
+
+    def add(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> None:
+        """Messages that begin at `starts` and are `sizes` bytes long."""
+        if not self.alike or not len(starts):
+            return
+        if self._layout is None:
+            self._layout = self._layout_of(buffer[starts[0] : starts[0] + sizes[0]].tobytes())
+        layout = self._layout
+        self.alike = layout is not None and bool((sizes == len(layout)).all()) and layout.fits(buffer, starts)
+        if layout is not None and self.alike:
+            self.parts.append({field: layout.column(buffer, starts, field) for field in self._fields})
+
+    def _layout_of(self, first: bytes) -> Layout | None:
+        try:
+            return Layout(self._store, self._type_name, self._store.deserialize_cdr(first, self._type_name))
+        except Exception:  # rosbags lets through what struct and numpy run into; read one by one, it is said
+            return None
+
+    def columns(self) -> dict[str, np.ndarray]:
+        return {field: np.concatenate([part[field] for part in self.parts]) for field in self._fields}
 
 
 def _short(error: Exception) -> str:

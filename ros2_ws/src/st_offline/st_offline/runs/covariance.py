@@ -2,14 +2,12 @@
 
 import numpy as np
 from oxts_bridge.batch import Columns
-from oxts_bridge.channels import decode_channel
 
 from .ncom import InsLog
+from .status_channels import ACCURACIES, held, sent
 
 # As in oxts_bridge.convert: large enough that no filter believes it, finite so that none breaks.
 UNKNOWN_VARIANCE = 1e6
-_CHANNELS = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),
-             5: ("RollAcc", "PitchAcc", "HeadingAcc")}
 
 
 class Covariances:
@@ -17,10 +15,8 @@ class Covariances:
 
     def __init__(self, columns: Columns):
         self._held = {}
-        for channel, names in _CHANNELS.items():
-            index = np.nonzero((columns.channel == channel) & columns.has_status)[0]
-            fields = [decode_channel(channel, columns.batch_s(k)) for k in index]
-            values = np.array([[_number(f.get(name)) for name in names] for f in fields]).reshape(-1, 3)
+        for channel, names in ACCURACIES.items():
+            index, values = sent(columns, channel, names)
             self._held[channel] = index, np.radians(values) if channel == 5 else values
 
     def of(self, ins: InsLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
@@ -44,17 +40,9 @@ class Covariances:
 
     def _at(self, channel: int, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(n, 3) standard deviations at packets, and where all three are known."""
-        index, values = self._held[channel]
-        if not len(index):
-            return np.zeros((len(packets), 3)), np.zeros(len(packets), bool)
-        newest = np.searchsorted(index, packets, side="right") - 1
-        found = np.where((newest >= 0)[:, None], values[np.maximum(newest, 0)], np.nan)
+        found = held(*self._held[channel], packets)
         known = np.isfinite(found).all(axis=1)
         return np.where(known[:, None], found, 0.0), known
-
-
-def _number(value: object) -> float:
-    return float("nan") if value is None else float(value)
 
 
 def _diagonal(deviation: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -4,19 +4,23 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from oxts_bridge import batch
+from st_core.checks import Extras
 from st_core.clock_types import Alignment, SharedSignal, Verdict
 from st_core.errors import StCoreError
-from st_core.log import DriveLog
+from st_core.log import OPTIONAL_INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 
 from .can_logs import CanLog, read_can_logs
 from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, steering_of
 from .clocks import INS_ON_CAN, align_clocks
 from .errors import RunError, check_readable
+from .extras import SPEEDS, car_speed, mostly_known, series
 from .frames import empty
 from .load import LoadedRun, ReadSettings, signal_files
 from .ncom import InsLog, read_ncom
 from .sources import RunSource
+from .status_channels import ins_quality
 
 
 @dataclass(frozen=True)
@@ -58,17 +62,27 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
     if vehicle is None:
         raise RunError(source.where, "the steering of a CAN log needs the steering ratio and offset of the car",
                        "give its vehicle file")
-    run = read_raw(source, settings, keep_frames=False)
+    return as_drive(source, vehicle, settings, read_raw(source, settings, keep_frames=False))
+
+
+def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
+    """What was decoded, as a drive on the INS clock. Raises RunError, also for an alignment that must not be used."""
     warnings = [*run.warnings, *alignment_warnings(source, run.alignment, settings)]
     steering_ns = steering_times(run, settings)
     good = run.steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
     wheel = settings.steering_sign * run.steering.values[good]
     ins = run.ins
+    accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
+    missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
+    warnings += [f"{source.where}: {name}: {count} of {len(ins.time_ns)} packets hold no value; "
+                 f"it is not {'known there' if mostly_known(accelerations[name]) else 'used'}"
+                 for name, count in missing.items() if 0 < count < len(ins.time_ns)]
+    missing["road_wheel_angle"] = int((~run.steering.valid).sum())
     try:
         log = DriveLog(
             source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,
             velocity_x=ins.velocity[0], velocity_y=ins.velocity[1], yaw_rate=ins.rate[2],
-            acceleration_x=_known(ins.acceleration[0]), acceleration_y=_known(ins.acceleration[1]),
+            **{name: values for name, values in accelerations.items() if mostly_known(values)},
             steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
             road_wheel_angle=(wheel - vehicle.steering_wheel_offset) / vehicle.steering_ratio,
         )
@@ -77,7 +91,19 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
     about = {"reader": "ncom and CAN log", "origin": list(ins.origin), "alignment": about_alignment(run.alignment),
              "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
                           "ins_can_latency": latency_in_words(source, settings)}}
-    return LoadedRun(log, about, source.labels, tuple(warnings), run.alignment)
+    extras = _extras(run, steering_ns, {name: count for name, count in missing.items() if count})
+    return LoadedRun(log, about, source.labels, tuple(warnings), run.alignment, extras)
+
+
+def _extras(run: RawRun, steering_ns: np.ndarray, missing: dict[str, int]) -> Extras:
+    columns, to_reference, signals = run.ins.columns, run.alignment.to_reference_ns, run.signals
+    timed = (columns.kind == batch.REGULAR) & (columns.utc_ns != batch.UNKNOWN_TIME)
+    found = {name: signal for name in (*SPEEDS, "ins_velocity_x") if (signal := signals.first_of(name)) is not None}
+    speeds = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
+              for name, signal in found.items()}
+    ins_speed = speeds.pop("ins_velocity_x", None)
+    return Extras({"INS": columns.utc_ns[timed], "steering": steering_ns}, missing, car_speed(speeds),
+                  series(*ins_speed) if ins_speed else None, ins_quality(columns, run.ins.rows))
 
 
 def alignment_warnings(source: RunSource, alignment: Alignment, settings: ReadSettings) -> list[str]:
@@ -118,10 +144,6 @@ def latency_in_words(source: RunSource, settings: ReadSettings) -> str:
     latency, deviation = clock_settings(source, settings)["latency"]
     given = settings.ins_can_latency or source.settings.get("ins_can_latency")
     return f"{latency * 1e3:g} ± {deviation * 1e3:g} ms, {'given' if given else 'assumed'}"
-
-
-def _known(values: np.ndarray) -> np.ndarray | None:
-    return values if np.isfinite(values).all() else None
 
 
 def _finite(value: float) -> float | None:

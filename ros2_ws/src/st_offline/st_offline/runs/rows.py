@@ -8,19 +8,15 @@ import numpy as np
 from rosbags.typesys.store import Typestore
 from st_core.vehicle import VehicleParameters
 
-from .bag import ODOMETRY, STEERING
 from .can_signals import CanSignals
 from .cdr import Layout
 from .covariance import Covariances
 from .frames import ERROR, EXTENDED, FD, REMOTE, Frames
+from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS
 from .ncom import InsLog
 
-NCOM, WHEEL_SPEEDS, CAN_FRAMES = "st_msgs/msg/Ncom", "st_msgs/msg/WheelSpeeds", "st_msgs/msg/CanFrames"
 MAP_FRAME, INS_FRAME = "map", "ins_link"
 CAN_PERIOD_NS = 20_000_000  # of one can/frames message, as the live bridge sends them
-WHEEL_FIELDS = {"wheel_speed_front_left": "front_left", "wheel_speed_front_right": "front_right",
-                "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right",
-                "vehicle_speed": "vehicle_speed"}
 
 
 @dataclass(frozen=True)
