@@ -16,8 +16,8 @@ class Expected:
     """What of a channel is worth a word.
 
     against: what it is compared with, in words. unit: of the channel. digits: of its bias. lag [s], bias [unit]: least
-    that is told; scale: least deviation from 1. reach: position after 5 s per unit of error [m]; 0 where no prediction
-    uses the channel, and then a bias from `grave` [unit] on, a lag and a factor are warnings for who does.
+    that is told; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it does
+    to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of error [m].
     factors: names of units by the factor they make.
     """
 
@@ -27,8 +27,8 @@ class Expected:
     lag: float
     scale: float
     bias: float
+    grave: tuple[float, float, float]
     reach: float = 0.0
-    grave: float = np.inf
     digits: int = 2
     factors: Mapping[float, str] = field(default_factory=dict)
 
@@ -46,16 +46,17 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).sure:
         text = f"{name} is {in_words(scale, 3)} times what {expected.against} says"
         told.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
-                             {"scale": 1.0 / scale.value}))
+                             {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
     size = abs(scale.value)
     if lag.sure and abs(lag.value) >= expected.lag:
         rate = float(np.std(np.gradient(found.derived, found.time)))
         text = f"{name} lags {expected.against} by {in_words(lag, 3)} s"
-        told.append(_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value}))
+        told.append(_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
+                             abs(lag.value) >= expected.grave[0]))
     if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
         text = f"{name} is {in_words(bias, expected.digits)} {expected.unit} too high against {expected.against}"
         told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
-                             {"add": -bias.value}))
+                             {"add": -bias.value}, abs(bias.value) / size >= expected.grave[2]))
     return told, {f"{name}_lag": lag, f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
 
 
@@ -84,12 +85,12 @@ def _gross(scale: Estimate, factor: float, expected: Expected) -> Finding:
 
 
 def _finding(kind: str, text: str, one: Estimate, unit: str, error: float, expected: Expected,
-             correct: dict[str, float]) -> Finding:
+             correct: dict[str, float], grave: bool) -> Finding:
     """error: what it makes of the channel, root mean square [unit]."""
     effect = error * expected.reach
     severity = LIMITS.severity(effect)
-    if not expected.reach:
-        severity = Severity.NOTE if kind == "bias" and error < expected.grave else Severity.WARNING
+    if grave and severity is Severity.NOTE:
+        severity = Severity.WARNING
     return Finding(f"{expected.channel}_{kind}", severity, (expected.channel,), text, one.value, unit, one.interval, (),
                    effect if expected.reach else None,
                    _cure(expected.channel, {key: float(f"{value:.5g}") for key, value in correct.items()}))

@@ -39,8 +39,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
     told = [*sampling.timing(motion, extras), *quality(extras.quality, int(log.ins_time_ns[0]))]
     raw = motion
     motion, coarse = gross(motion)
-    told += sampling.merged(sampling.values(raw if not coarse else motion, known))
-    told += steps(motion)
+    stuck = sampling.merged(sampling.values(motion if coarse else raw, known))
+    motion, stepping = steps(sampling.unfrozen(motion, stuck))
+    told += stuck + stepping
     before = _factors(coarse)
     motion, fine, estimates, identities = _sensors(motion, before, extras, int(log.ins_time_ns[0]), seed)
     told += [_with_value(one, estimates) for one in coarse] + fine
@@ -61,7 +62,9 @@ def _factors(coarse: list[Finding]) -> dict[str, float]:
     for one in coarse:
         correct = one.cure.entry.get("correct", {}) if one.cure else {}
         scale = next((entry["scale"] for entry in correct.values() if "scale" in entry), None)
-        if scale:
+        if one.name == "time_unit":
+            found[one.name] = one.value
+        elif scale:
             found[one.name] = 1.0 / scale
     return found
 
@@ -77,7 +80,7 @@ def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns:
     """The identities that no vehicle parameter can break."""
     shown = [position.identity(motion)]
     found, expected = inertial.yaw_rate(motion, seed)
-    late = -found.lag.value if found and found.lag.sure else 0.0
+    late = -found.lag.value if found and found.lag.sure else 0.0  # of the yaw, should the yaw rate be right
     motion, told, estimates = position.position(motion, seed, late)
     if any(one.name in ("yaw_lag", "yaw_offset") for one in told):
         found, expected = inertial.yaw_rate(motion, seed)
@@ -85,28 +88,18 @@ def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns:
     told += [one for one in more if not (one.name == "yaw_rate_scale" and one.name in before)]
     estimates |= those
     for name in ("velocity_scale", "velocity_x_scale", "position_scale"):
-        if name in before:
-            estimates[name] = _rescaled(estimates, name, before[name])
-    if "yaw_scale" in before and found:
-        low, high = (before["yaw_scale"] / end for end in found.scale.interval)
-        estimates["yaw_scale"] = Estimate(before["yaw_scale"] / found.scale.value, 0.0, (min(low, high), max(low, high)))
+        fine = estimates.get("position_scale" if name == "position_scale" else "velocity_scale")
+        if fine is not None:
+            estimates[name] = fine.scaled(before.get(name, 1.0))
+    if found:
+        low, high = sorted(before.get("yaw_scale", 1.0) / end for end in found.scale.interval)
+        estimates["yaw_scale"] = Estimate(before.get("yaw_scale", 1.0) / found.scale.value, 0.0, (low, high))
     shown += [panel for panel in (identity(found, expected, "yaw rate: sensor against change of yaw"),) if panel]
     if found:
         motion = inertial.mended_yaw_rate(motion, found)
     for findings, values, panel in (*inertial.accelerations(motion, seed),
-                                    *inertial.speeds(motion, extras, start_ns, seed)):
+                                    *inertial.speeds(motion, extras, start_ns, before.get("time_unit", 1.0), seed)):
         told += findings
         estimates |= values
         shown += [panel] if panel else []
     return motion, told, estimates, shown
-
-
-def _rescaled(estimates: dict[str, Estimate], name: str, factor: float) -> Estimate:
-    """A unit times what velocity and positions still differ by; positions have the inverse."""
-    fine = estimates.get("velocity_scale")
-    if fine is None:
-        return Estimate(factor, 0.0, (factor, factor))
-    if name == "position_scale":
-        low, high = sorted(factor / end for end in fine.interval)
-        return Estimate(factor / fine.value, 0.0, (low, high))
-    return fine.scaled(factor)

@@ -36,7 +36,8 @@ def yaw_rate(motion: Motion, seed: int) -> tuple[Agreement | None, Expected]:
     """Against the change of yaw. A model forgets a wrong start of its yaw rate within the settling time."""
     reach = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, seed, True)
-    return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS, reach, digits=4)
+    return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
+                           (LIMITS.grave_lag, 0.03, 0.01), reach, digits=4)
 
 
 def mended_yaw_rate(motion: Motion, found: Agreement) -> Motion:
@@ -59,28 +60,29 @@ def accelerations(motion: Motion, seed: int) -> list[Told]:
             continue
         found = agreement(motion.time, derived, motion.time, measured, ACCELERATION_CUTOFF, seed)
         expected = Expected(name, "velocity and yaw rate" if name[-1] == "y" else "velocity", "m/s^2", lags[name],
-                            ACCELERATION_SCALE, LIMITS.bias_acceleration, grave=GRAVE_ACCELERATION, factors=FACTORS)
+                            ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, GRAVE_ACCELERATION),
+                            factors=FACTORS)
         title = f"{'lateral' if name[-1] == 'y' else 'forward'} acceleration: sensor against velocity"
         told.append((*judged(found, expected), identity(found, expected, title)))
     return told
 
 
-def speeds(motion: Motion, extras: Extras, start_ns: int, seed: int) -> list[Told]:
-    """Other sources of the speed against the INS's forward speed."""
+def speeds(motion: Motion, extras: Extras, start_ns: int, time_factor: float, seed: int) -> list[Told]:
+    """Other sources of the speed against the INS's forward speed. time_factor: by which all stamps run too fast."""
     told = []
     for name, series, scale, lag in (("wheel_speed", extras.wheel_speed, WHEEL_SCALE, WHEEL_LAG),
                                      ("ins_speed", extras.ins_speed, 0.005, 0.03)):
         if series is None or len(series.time_ns) < 2:
             continue
-        found = _speed(motion, series, start_ns, seed)
-        expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, factors=SPEED_FACTORS)
+        found = _speed(motion, series, start_ns, time_factor, seed)
+        expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf), factors=SPEED_FACTORS)
         title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
         told.append((*judged(found, expected), identity(found, expected, title)))
     return told
 
 
-def _speed(motion: Motion, series: Series, start_ns: int, seed: int) -> Agreement | None:
-    time = (series.time_ns - start_ns) * 1e-9
+def _speed(motion: Motion, series: Series, start_ns: int, time_factor: float, seed: int) -> Agreement | None:
+    time = (series.time_ns - start_ns) * 1e-9 / time_factor
     return agreement(motion.time, motion.velocity_x, time, series.values, SPEED_CUTOFF, seed, biased=False)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..clock_correlation import STEP, Resampled, resample
 from ..clock_fit import Pair, coarse_offset, fit
+from ..clock_types import LONGEST_SPAN
 from ..identification.result import symmetric_interval
 from .regression import Estimate, Regression
 
@@ -43,6 +44,8 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
     time, measured_time: rising [s]; values NaN where unknown. cutoff [Hz]: of the low-pass on both, so that it shifts
     neither. derived_is_angle: its rate is compared. biased: False where a bias is out of the question.
     """
+    if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > LONGEST_SPAN:
+        return None
     reference = resample(time, derived, cutoff, derived_is_angle)
     other = resample(measured_time, measured, cutoff)
     if min(side.known.sum() for side in (reference, other)) * STEP < LEAST:

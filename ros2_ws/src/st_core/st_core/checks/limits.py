@@ -15,7 +15,8 @@ class Limits:
     the driver's next five seconds costs; a fault as large makes every comparison meaningless.
     unit: factor beyond which a ratio is a unit, a sign or an axis and no calibration; channel_unit: the same of an
     accelerometer or a wheel, which a rolling body or a tyre may change more. settling [s]: for so long a model
-    remembers a wrong start of its yaw rate. lag [s]: below it is filtering inside a sensor. correlation: two roads to a
+    remembers a wrong start of its yaw rate. lag [s]: below it is filtering inside a sensor; from grave_lag on it would
+    pass for a delay of the steering. correlation: two roads to a
     quantity that agree less have not been shown to be one quantity.
     bias_acceleration [m/s^2]: 0.1 is 0.6 degrees of mounting or road. tyre [m/s^2]: no road tyre gives more.
     steering_unit: factor by which steering and curvature of any healthy car may differ (ratio, understeer, wheelbase
@@ -30,6 +31,7 @@ class Limits:
     channel_unit: float = 2.0
     settling: float = 0.2
     lag: float = 0.015
+    grave_lag: float = 0.05
     correlation: float = 0.6
     bias_acceleration: float = 0.1
     tyre: float = 13.0

@@ -15,7 +15,7 @@ over windows of a second. What is left of it is explained by at most a few cause
 
 import numpy as np
 
-from .finding import Cure, Finding, Identity
+from .finding import Cure, Finding, Identity, Severity
 from .limits import HORIZON, LIMITS
 from .motion import Motion, integral, windows
 from .regression import Estimate, Regression
@@ -24,6 +24,7 @@ WINDOW = 1.0  # s
 LEAST = 10  # windows
 ROUNDS = 3
 SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
+AXES = {"x_scale", "y_scale"}
 TEXT = {
     "x_scale": "x is {value:.4f} ± {half:.4f} of what velocity says: projected with the cosine of another latitude?",
     "y_scale": "y is {value:.4f} ± {half:.4f} of what velocity says: another earth radius or scale?",
@@ -64,7 +65,7 @@ def regression(motion: Motion, seed: int) -> Regression:
 def position(motion: Motion, seed: int, yaw_late: float = 0.0) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
     """(motion with the causes taken out, the findings, every cause's estimate in the value of its finding).
 
-    yaw_late: by how much yaw was found to lag the yaw rate [s]; without that the yaw has no lag to be found here.
+    yaw_late: by how much yaw was found to lag the yaw rate [s]; only then can it lag positions and velocities.
     """
     found: dict[str, Estimate] = {}
     mended = motion
@@ -73,7 +74,7 @@ def position(motion: Motion, seed: int, yaw_late: float = 0.0) -> tuple[Motion, 
         if len(problem.time) < LEAST:
             return motion, [], {}
         least = {name: max(LIMITS.worth_a_word / max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9), _least(name))
-                 for name in problem.columns if name != "yaw_lag" or abs(yaw_late) >= LIMITS.lag}
+                 for name in problem.columns if name != "yaw_lag" or yaw_late >= LIMITS.lag}
         found = _refined(problem, found, least)
         mended = _mended(motion, found)
     return mended, [_finding(name, one, problem) for name, one in found.items()], _all(problem, found)
@@ -81,12 +82,11 @@ def position(motion: Motion, seed: int, yaw_late: float = 0.0) -> tuple[Motion, 
 
 def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float]) -> dict[str, Estimate]:
     """Values of the causes found before, made finer, and further causes."""
-    axes = {"x_scale", "y_scale"}
     free = {name: value for name, value in least.items() if name not in found}
-    if axes & found.keys():
+    if AXES & found.keys():
         free.pop("velocity_scale", None)
     if "velocity_scale" in found:
-        free = {name: value for name, value in free.items() if name not in axes}
+        free = {name: value for name, value in free.items() if name not in AXES}
     more = problem.causes({k: v for k, v in free.items() if k != "velocity_scale"}, tuple(found),
                           () if "velocity_scale" in found else ("x_scale", "y_scale"))
     if "velocity_scale" in free:
@@ -116,10 +116,13 @@ def _all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]
     """Every cause by itself beside those found, in the value of its finding: what these drives tell of it."""
     told = {}
     for name in problem.columns:
-        if {name} | found.keys() >= {"x_scale", "y_scale", "velocity_scale"} and name not in found:
-            continue
-        one = problem.estimates((*(k for k in found if k != name), name))[name]
+        twins = AXES if name == "velocity_scale" else {"velocity_scale"} if name in AXES else set()
+        beside = tuple(k for k in found if k != name and k not in twins)
+        one = problem.estimates((*beside, name))[name]
         told[name] = _shown(name, one.shifted(found[name].value) if name in found else one)
+    # By which positions would have to be wrong, if velocity is not.
+    low, high = sorted(1.0 / end for end in told["velocity_scale"].interval)
+    told["position_scale"] = Estimate(1.0 / told["velocity_scale"].value, told["velocity_scale"].deviation, (low, high))
     return told
 
 
@@ -132,7 +135,10 @@ def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
     shown = _shown(name, one)
     half = 0.5 * (shown.interval[1] - shown.interval[0])
     text = TEXT[name].format(value=shown.value, half=half, degrees=np.rad2deg(shown.value))
-    return Finding(name, LIMITS.severity(effect), CHANNELS[name], text, shown.value, UNIT.get(name, "1"),
+    severity = LIMITS.severity(effect)
+    if UNIT.get(name) == "s" and abs(one.value) >= LIMITS.grave_lag and severity is Severity.NOTE:
+        severity = Severity.WARNING
+    return Finding(name, severity, CHANNELS[name], text, shown.value, UNIT.get(name, "1"),
                    shown.interval, (), effect, _cure(name, shown.value))
 
 

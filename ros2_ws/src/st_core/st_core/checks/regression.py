@@ -11,10 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..identification import resampling
+from ..identification.result import symmetric_interval
 
 OUTLIER = 3.0  # robust standard deviations; windows beyond it count less (Huber)
 DRAWS = 200
 BLOCK = 5.0  # s, as in the alignment of clocks; what is alike in neighbouring blocks widens the interval
+FREEDOM = 4.0  # degrees of freedom of Student's t, at least
 RIDGE = 1e-6  # of the whole normal matrix: a draw without excitation stays solvable and counts for nothing otherwise
 
 
@@ -92,7 +94,9 @@ class Regression:
         found = {}
         for k, name in enumerate(names):
             deviation = float(np.sqrt(drawn.covariance[k, k]))
-            found[name] = Estimate(theta[name], deviation, drawn.interval(k, theta[name], deviation))
+            # The covariance is widened by what blocks share already; how well that is known is no worse than FREEDOM.
+            freedom = max(float(drawn.worth[k]) - 1.0, FREEDOM)
+            found[name] = Estimate(theta[name], deviation, symmetric_interval(theta[name], deviation, freedom))
         return found
 
     def effect(self, name: str, value: float, seconds: float, window: float) -> float:

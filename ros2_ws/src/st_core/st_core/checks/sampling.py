@@ -192,6 +192,17 @@ def _rounded(name: str, channel: Channel, speed: float) -> list[Finding]:
                     (), effect, Cure("look", f"log {name} with more digits"))]
 
 
+def unfrozen(motion: Motion, findings: Sequence[Finding]) -> Motion:
+    """Without the steering where it stands still."""
+    for one in findings:
+        if one.name == "channel_frozen" and one.channels == ("road_wheel_angle",):
+            steering = motion.steering.copy()
+            for begin, end in one.where:
+                steering[(motion.steering_time >= begin) & (motion.steering_time <= end)] = np.nan
+            motion = motion.with_(steering=steering)
+    return motion
+
+
 def merged(findings: Sequence[Finding]) -> list[Finding]:
     """x and y, or all channels of the INS, with one and the same fault become one finding."""
     told: dict[tuple, Finding] = {}

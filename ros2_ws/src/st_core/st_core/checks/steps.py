@@ -13,18 +13,29 @@ from .limits import LIMITS
 from .motion import LONGEST_GAP, MOVING, Motion, integral
 
 SIGMAS = 6.0  # robust standard deviations from which on a step is none of the noise
-SMALLEST_JUMP = 0.1  # m; RTK positions wander by 2 cm
+SMALLEST_JUMP = 0.2  # m; what 10 ms are at 20 m/s
 FEWEST, LEAST_STALE = 5, 0.05  # samples, and their share from which on one start in twenty is wrong by it
 ALIKE = 0.35  # spread of the ages of stale samples over their median
 BALANCE = 0.5  # steps forward over steps back, at least
+CROSSWISE = 0.3  # part of a stale sample's step across the track, at most
 
 
-def steps(motion: Motion) -> list[Finding]:
+def steps(motion: Motion) -> tuple[Motion, list[Finding]]:
+    """(motion, with even stamps where they only jitter; what was found)."""
     if len(motion.time) < 50:
-        return []
+        return motion, []
     rest, along = _rests(motion)
-    stale, told = _stale(motion, along)
-    return told + (_jumps(motion, rest, stale) or _jitter(motion, along))
+    jitter = _jitter(motion, along)
+    if jitter:
+        return motion.with_(time=_even(motion.time)), jitter
+    stale, told = _stale(motion, rest, along)
+    return motion, told + _jumps(motion, rest, stale)
+
+
+def _even(time: np.ndarray) -> np.ndarray:
+    """The same stretches without a gap, evenly stamped."""
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(time) > LONGEST_GAP) + 1, [len(time)]))
+    return np.concatenate([np.linspace(time[a], time[b - 1], b - a) for a, b in zip(edges, edges[1:], strict=False)])
 
 
 def _rests(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +48,7 @@ def _rests(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     return rest, np.where(speed > MOVING, (rest * heading).real / np.maximum(speed, MOVING), np.nan)
 
 
-def _stale(motion: Motion, along: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
+def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
     """(which steps are those of stale samples, the finding)."""
     known = np.isfinite(along)
     none = np.zeros(len(along), bool)
@@ -48,20 +59,23 @@ def _stale(motion: Motion, along: np.ndarray) -> tuple[np.ndarray, list[Finding]
     small = np.abs(away[known]) < 0.15 * spacing
     spread = 1.4826 * float(np.median(np.abs(away[known][small]))) if small.any() else np.inf
     large = known & (np.abs(away) > max(SIGMAS * spread, 0.15 * spacing))
-    if large.sum() < FEWEST:
+    # Along the track, whatever its direction: else positions jump.
+    speed = motion.speed[1:]
+    crosswise = np.sqrt(np.maximum(np.abs(rest) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
+    if large.sum() < FEWEST or np.median(crosswise[large]) > CROSSWISE * np.median(np.abs(rest[large])):
         return none, []
     age = float(np.median(np.abs(away[large])))
     alike = 1.4826 * float(np.median(np.abs(np.abs(away[large]) - age))) < ALIKE * age
     back, forward = known & (away < -0.5 * age), known & (away > 0.5 * age)
-    if not alike or age > 2.5 * spacing or not BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / BALANCE:
+    if not alike or age > 1.2 * spacing or not BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / BALANCE:
         return none, []
     share = float(back.sum() / known.sum())
     half = 1.96 * float(np.sqrt(share * (1.0 - share) / max(known.sum() * spacing, 1.0)))
-    effect = age * float(np.median(motion.speed[1:][known]))
+    effect = age * float(np.median(speed[known]))
     text = (f"positions step back by {age * 1e3:.0f} ms at {100 * share:.2g} % of the rows, and forward again later: in "
             "between they are one sample of the receiver old")
     severity = Severity.WARNING if share > LEAST_STALE else Severity.NOTE
-    return back | forward, [Finding(
+    return (back | forward) & (np.abs(away) < 1.6 * age), [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", (max(share - half, 0.0), min(share + half, 1.0)),
         _stretches(motion.time[1:][back]), effect,
         Cure("look", "stamp positions with their own time, or leave out rows with an old one"))]
@@ -94,7 +108,7 @@ def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     """Uneven stamps of an even motion: d / v = -(dt - its mean)."""
     spacing = np.diff(motion.time)
     usual = float(np.median(spacing))
-    inside = (spacing < 3.0 * usual) & np.isfinite(along)
+    inside = (spacing < LONGEST_GAP) & np.isfinite(along)
     if inside.sum() < 50:
         return []
     uneven = (spacing - usual)[inside]

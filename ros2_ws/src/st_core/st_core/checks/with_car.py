@@ -61,7 +61,7 @@ def _sideways(error: float, speed: float, vehicle: VehicleParameters) -> float:
 
 def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
     value = scale.value
-    if 1.0 / LIMITS.steering_unit < value < LIMITS.steering_unit:
+    if scale.interval[1] > 1.0 / LIMITS.steering_unit and scale.interval[0] < LIMITS.steering_unit:
         return None
     known = {DEGREE: "degrees", vehicle.steering_ratio: "the angle of the steering wheel",
              DEGREE * vehicle.steering_ratio: "the angle of the steering wheel in degrees",
@@ -127,7 +127,7 @@ def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int,
     forward, across, rate = (c[use] for c in columns)
     problem = Regression(over.time[use], across[:, None], {
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None]}, seed)
-    found = problem.estimates(("heading", "point", "slip"))
+    found = _rear_axle(problem, vehicle)
     heading = found["heading"]
     point = found["point"].shifted(-(vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x))
     told = [one for one in (_heading(heading, forward), _point(point, motion, vehicle)) if one]
@@ -137,6 +137,30 @@ def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int,
                      (vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x) * rate - theta["slip"] * forward**2 * rate,
                      ("heading_misaligned", "measuring_point"))
     return told, {"heading_misaligned": heading, "measuring_point": point}, shown
+
+
+def _rear_axle(problem: Regression, vehicle: VehicleParameters) -> dict[str, Estimate]:
+    """heading [rad], point [m ahead of the rear axle], slip [s^2/m].
+
+    Where the drive cannot tell the slip of the axle from the point, the slip is that of the vehicle file, give or take
+    half of it.
+    """
+    free = problem.estimates(("heading", "point", "slip"))
+    expected = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
+    if free["slip"].deviation < 0.25 * expected:
+        return free
+    held = []
+    for slip in (expected, 0.5 * expected, 1.5 * expected):
+        rest = problem.rest({"slip": slip})
+        held.append(Regression(problem.time, rest, problem.columns, problem.seed).estimates(("heading", "point")))
+    return {"slip": Estimate(expected, 0.25 * expected, (0.5 * expected, 1.5 * expected)), **{
+        name: _widened(held[0][name], max(abs(other[name].value - held[0][name].value) for other in held[1:]))
+        for name in ("heading", "point")}}
+
+
+def _widened(one: Estimate, systematic: float) -> Estimate:
+    half = float(np.hypot(0.5 * (one.interval[1] - one.interval[0]), systematic))
+    return Estimate(one.value, float(np.hypot(one.deviation, 0.5 * systematic)), (one.value - half, one.value + half))
 
 
 def _heading(one: Estimate, forward: np.ndarray) -> Finding | None:
