@@ -70,11 +70,10 @@ def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: Veh
     nothing.
     """
     check_corrections(corrections)
-    start_ns = log.ins_time_ns[:1]
-    seconds = (log.ins_time_ns - start_ns) * NANOSECOND
-    used = np.ones(len(seconds), bool)
+    since_ns = log.ins_time_ns - log.ins_time_ns[:1]
+    used = np.ones(len(since_ns), bool)
     for begin, end in leave_out:
-        used &= (seconds < begin) | (seconds > end)
+        used &= (since_ns * NANOSECOND < begin - NANOSECOND) | (since_ns * NANOSECOND > end + NANOSECOND)
     if not used.all():
         log = log.with_ins(used)
     log = _ins_corrected(log, corrections)

@@ -77,7 +77,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     log = loaded.log
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
-    loaded = _treated(source, replace(loaded, log=log), vehicle)
+    loaded = treated(source, replace(loaded, log=log), vehicle)
     check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
 
@@ -107,8 +107,11 @@ def _corrections(source: RunSource) -> tuple[dict[str, Correction], float]:
     return {**corrections, "yaw": replace(yaw, scale=1.0)}, yaw.scale
 
 
-def _treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
-    """The run as its run.yaml corrects it. Labels stay with what they name, though the first samples may go."""
+def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
+    """The run as its run.yaml corrects it. Labels stay with what they name, though the first samples may go.
+
+    Raises RunError for a correction that leaves nothing.
+    """
     left_out = source.settings.get("leave_out", ())
     phrases = (*in_words(source.settings.get("correct", {})),
                *(f"INS left out from {start:g} to {end:g} s" for start, end in left_out))
