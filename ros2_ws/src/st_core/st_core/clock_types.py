@@ -12,11 +12,13 @@ LONGEST_SPAN = 48 * 3600.0  # s; a recording that spans more has a clock that wa
 
 
 class Verdict(StrEnum):
-    """good: use it. doubtful: look at the picture first. refused: this is not an alignment."""
+    """good: use it. doubtful: look at the picture first. refused: this is not an alignment. not needed: there was
+    nothing to align, all was recorded on one clock."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"
     REFUSED = "refused"
+    NOT_NEEDED = "not needed"
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class Alignment:
 
 def none_needed(at_ns: int = 0) -> Alignment:
     """Both recordings are on one clock already."""
-    return Alignment(at_ns, 0, 0.0, 0.0, 0.0, "none", Verdict.GOOD)
+    return Alignment(at_ns, 0, 0.0, 0.0, 0.0, "none", Verdict.NOT_NEEDED)
 
 
 def refused(*reasons: str) -> Alignment:

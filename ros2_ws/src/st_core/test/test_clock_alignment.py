@@ -72,6 +72,7 @@ def test_the_mapping_is_exact_to_the_nanosecond() -> None:
     assert (result.to_reference_ns(times) - times).tolist() == [3_217_000_001, 3_217_040_001, 3_216_000_001]
     assert result.to_reference_ns(EPOCH_NS) == EPOCH_NS + 3_217_000_001
     assert none_needed().to_reference_ns(times).tolist() == times.tolist()
+    assert (none_needed().method, none_needed().verdict) == ("none", "not needed")
 
 
 def test_the_deviations_are_honest() -> None:
