@@ -1,9 +1,8 @@
 """Was it right? What `check` says of a corrupted drive against the truth, as plain data.
 
 Truth of a virtual drive is absolute: its sensors are known. A real drive has offsets of its own, so truth is what the
-same quantity is found to be on the drive as recorded, combined with the edit: times for factors, plus for offsets. Too
-small there to be a finding, it is taken from another edit of the drive that brings it out, the opposite one (`probe`);
-where that says nothing either it is 1 or 0. Shares, counts and lengths are those of the edit, also on real drives.
+same quantity is estimated to be on the drive as recorded, combined with the edit: times for factors, plus for offsets.
+Shares, counts and lengths are those of the edit, also on real drives.
 """
 
 from dataclasses import replace
@@ -15,7 +14,6 @@ from st_core.checks import Checked, Finding, Severity, check
 from .corruptions import Kind, Size
 from .recording import Recording, half
 
-SAID = (Severity.ERROR, Severity.WARNING)
 COUNT_TOLERANCE = 1e-6
 Record = dict[str, Any]
 
@@ -64,11 +62,12 @@ def score(drive: Drive, kind: Kind, size: Size) -> Record | None:
     finding = of_kind(said, kind)
     truth, source = true_value(kind, size, clean, change)
     inside = finding is not None and is_inside(kind, finding, truth)
-    named = finding is not None and finding.severity in SAID
+    named = finding is not None
     collateral = new_findings(said, before, kind)
     return {
         "drive": clean.name, "real": clean.real, "kind": kind.name, "size": size.label, "truth": truth,
         "truth_from": source, "named": named, "inside": inside, "right": named and inside,
+        "as_note": named and finding.severity is Severity.NOTE,
         "said": raised or (None if finding is None else short(finding)),
         "new": {severity.value: [short(f) for f in collateral if f.severity is severity] for severity in Severity},
     }
@@ -83,7 +82,7 @@ def of_kind(said: Checked, kind: Kind) -> Finding | None:
 
 
 def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple[float | None, str]:
-    """What the value should be, and where that is from: edit, drive, opposite."""
+    """What the value should be, and where that is from: edit, drive."""
     if kind.how == "named":
         return None, "edit"
     if kind.how == "is":
@@ -91,30 +90,13 @@ def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple
     if not clean.real:
         known = [clean.own[name] for name in kind.findings if name in clean.own]
         return combined(kind.how, known[0], change) if known else change, "edit"
-    own = of_kind(as_recorded(clean), kind)
-    if own is not None and own.value is not None:
-        return combined(kind.how, own.value, change), "drive"
-    probe, probe_change = kind.edit(clean, probe_size(kind.how, size.value))
-    # A truth must not come from the very drive that is judged.
-    found = None if probe_change == change else of_kind(answer(probe)[0], kind)
-    if found is not None and found.value is not None:
-        return combined(kind.how, found.value, combined(kind.how, inverse(kind.how, probe_change), change)), "probe"
-    return change, "edit"
-
-
-def probe_size(how: str, size: float) -> float:
-    """The opposite edit; a sign is its own opposite, a factor of ten is not."""
-    if how == "plus":
-        return -size
-    return 1 / size if size > 0 else 10.0
+    found = as_recorded(clean).estimates
+    own = next((found[name][0] for name in kind.findings if name in found), None)
+    return (change, "edit") if own is None else (combined(kind.how, own, change), "drive")
 
 
 def combined(how: str, own: float, change: float) -> float:
     return own * change if how == "times" else own + change
-
-
-def inverse(how: str, change: float) -> float:
-    return 1 / change if how == "times" else -change
 
 
 def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:

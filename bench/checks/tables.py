@@ -10,7 +10,7 @@ BEGIN, END = "<!-- corruption matrix -->", "<!-- end -->"
 
 
 def row(records: Sequence[Record], **first: object) -> Record:
-    counts = {key: sum(r[key] for r in records) for key in ("named", "inside", "right")}
+    counts = {key: sum(r[key] for r in records) for key in ("named", "as_note", "inside", "right")}
     errors = sum(bool(r["new"]["error"]) for r in records)
     warnings = sum(bool(r["new"]["warning"]) for r in records)
     share = [round(end, 4) for end in wilson(counts["right"], len(records))]
@@ -35,8 +35,8 @@ def share(r: Record) -> str:
 
 
 def as_markdown(document: Record) -> str:
-    head = ("cases", "named", "value inside", "right", "other new errors", "other new warnings")
-    keys = ("cases", "named", "inside", "right", "new_errors", "new_warnings")
+    head = ("cases", "named", "of them as a note", "value inside", "right", "other new errors", "other new warnings")
+    keys = ("cases", "named", "as_note", "inside", "right", "new_errors", "new_warnings")
     kinds = [(r["kind"], *(str(r[key]) for key in keys)) for r in document["kinds"]]
     total = [(r["which"], str(r["cases"]), share(r)) for r in document["total"]]
     where = f"Set {document['set']}, version {document['version']}, {document['date']}."
@@ -51,8 +51,9 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def as_text(document: Record) -> str:
     def lines(rows: Sequence[Record], key: str) -> list[str]:
-        return [f"{r[key]:32} {r['cases']:4} cases  named {r['named']:4}  inside {r['inside']:4}  right "
-                f"{r['right']:4}  new errors in {r['new_errors']}, warnings in {r['new_warnings']}" for r in rows]
+        return [f"{r[key]:32} {r['cases']:4} cases  named {r['named']:4} ({r['as_note']} as a note)  inside "
+                f"{r['inside']:4}  right {r['right']:4}  new errors in {r['new_errors']}, warnings in "
+                f"{r['new_warnings']}" for r in rows]
     total = [f"{r['which']}: {share(r)} of {r['cases']} right" for r in document["total"]]
     return "\n".join([*lines(document["kinds"], "kind"), "", *lines(document["drives"], "drive"), "", *total])
 
