@@ -42,7 +42,8 @@ class Size:
 class Kind:
     """findings: any of them is the right name. shows: whether a drive can show it at all. channel: the finding must be
     about. tolerance: by how much of the truth a value may miss where it is a share, a count, a step or a gross factor.
-    also: further findings that are true of it. before: what the drive is given first, corrupted or not.
+    also: further findings that are true of it. before: what the drive is given first, corrupted or not. either_side: a
+    real drive gets it on the side on which it is off already; on the other it might cure it.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Kind:
     tolerance: float = 0.0
     also: tuple[str, ...] = ()
     before: Callable[[Recording], Recording] | None = None
+    either_side: bool = False
 
 
 def times(*channels: str) -> Edit:
@@ -155,7 +157,8 @@ YAW = (
     Kind("yaw in other units", ("yaw_scale",), "times", times("yaw"), units(("deg", DEG), ("gon", GON)), v.turns),
     Kind("yaw in degrees, wrapped", ("yaw_scale",), "times", f.wrapped_degrees, whole_and_half(DEG), v.turns),
     Kind("compass heading", ("yaw_convention",), "named", f.compass, whole_and_half(1.0), v.turns),
-    Kind("yaw offset", ("yaw_offset",), "plus", plus("yaw"), two(0.02, 0.06, "rad"), v.bends),
+    Kind("yaw offset", ("yaw_offset",), "plus", plus("yaw"), two(0.02, 0.06, "rad"), v.bends,
+         either_side=True),
     Kind("yaw late", ("yaw_lag",), "plus", delay("yaw"), two(0.1, 0.3, "s"), v.turns),
     Kind("yaw rounded", ("resolution_coarse",), "is", f.rounded("yaw"),
          (Size("1 deg", 1 / DEG), Size("2 deg", 2 / DEG)), v.turns, channel="yaw", tolerance=SHARE,
@@ -164,7 +167,8 @@ YAW = (
          units(("deg/s", DEG), ("mrad/s", 1e3)), v.turns),
     Kind("yaw rate sign", ("yaw_rate_scale",), "times", times("yaw_rate"), whole_and_half(-1.0), v.turns),
     Kind("yaw rate scaled", ("yaw_rate_scale",), "times", times("yaw_rate"), two(1.05, 1.15), v.turns),
-    Kind("yaw rate bias", ("yaw_rate_bias",), "plus", plus("yaw_rate"), two(0.01, 0.03, "rad/s"), v.moves),
+    Kind("yaw rate bias", ("yaw_rate_bias",), "plus", plus("yaw_rate"), two(0.01, 0.03, "rad/s"), v.moves,
+         either_side=True),
     Kind("yaw rate late", ("yaw_rate_lag",), "plus", delay("yaw_rate"), two(0.1, 0.3, "s"), v.turns),
     Kind("yaw rate held", ("samples_repeated",), "is", f.held("yaw_rate"), two(5.0, 2.0, "Hz"), v.turns,
          channel="yaw_rate", tolerance=SHARE, also=("yaw_rate_lag", "resolution_coarse")),
@@ -189,12 +193,14 @@ ACCELERATIONS = (
     Kind("a_y in other units", ("acceleration_y_scale",), "times", times("acceleration_y"),
          units(("g", 1 / G), ("ft/s^2", FOOT)), v.corners),
     Kind("a_y sign", ("acceleration_y_scale",), "times", times("acceleration_y"), whole_and_half(-1.0), v.corners),
-    Kind("a_y bias", ("acceleration_y_bias",), "plus", plus("acceleration_y"), two(0.4, 1.0, "m/s^2"), v.has_a_y),
+    Kind("a_y bias", ("acceleration_y_bias",), "plus", plus("acceleration_y"), two(0.4, 1.0, "m/s^2"), v.has_a_y,
+         either_side=True),
     Kind("a_y late", ("acceleration_y_lag",), "plus", delay("acceleration_y"), two(0.15, 0.4, "s"), v.corners),
     Kind("a_x in other units", ("acceleration_x_scale",), "times", times("acceleration_x"),
          units(("g", 1 / G), ("ft/s^2", FOOT)), v.accelerates),
     Kind("a_x sign", ("acceleration_x_scale",), "times", times("acceleration_x"), whole_and_half(-1.0), v.accelerates),
-    Kind("a_x bias", ("acceleration_x_bias",), "plus", plus("acceleration_x"), two(0.3, 0.8, "m/s^2"), v.has_a_x),
+    Kind("a_x bias", ("acceleration_x_bias",), "plus", plus("acceleration_x"), two(0.3, 0.8, "m/s^2"), v.has_a_x,
+         either_side=True),
     Kind("a_x late", ("acceleration_x_lag",), "plus", delay("acceleration_x"), two(0.15, 0.4, "s"), v.accelerates),
 )
 STEERING = (
@@ -205,7 +211,7 @@ STEERING = (
     Kind("steering sign", ("steering_sign",), "is", times(*WHEEL), whole_and_half(-1.0), v.steers, tolerance=GROSS),
     Kind("steering late", ("steering_lag",), "plus", delay(*WHEEL), two(0.3, 0.6, "s"), v.steers_and_bends),
     Kind("steering offset", ("steering_offset",), "plus", road_wheel(plus("road_wheel_angle")),
-         two(0.03, 0.08, "rad"), v.steers_and_bends),
+         two(0.03, 0.08, "rad"), v.steers_and_bends, either_side=True),
     Kind("steering frozen", ("channel_frozen",), "is", f.frozen(*WHEEL), two(10.0, 30.0, "s"),
          v.long_enough("road_wheel_angle"), channel="road_wheel_angle", tolerance=SHARE, also=("samples_repeated",)),
 )
@@ -213,7 +219,7 @@ INS = (
     Kind("measuring point moved back", ("measuring_point",), "plus", reverse(of_log(moved)), two(0.8, 1.5, "m"),
          v.bends_slowly),
     Kind("INS askew", ("heading_misaligned",), "plus", of_log(turned), two(0.02, 0.05, "rad"),
-         v.bends_and_goes_straight),
+         v.bends_and_goes_straight, either_side=True),
     Kind("without RTK", ("ins_mode",), "is", f.without_rtk, two(0.2, 0.6, "of the time"), v.moves, tolerance=SHARE,
          before=with_good_quality),
     Kind("poor accuracy", ("ins_accuracy",), "is", f.poor_accuracy, two(0.5, 2.0, "m"), v.moves, tolerance=SHARE,

@@ -154,7 +154,7 @@ def held(channel: str) -> Callable[[Recording, float], Edited]:
 
 
 def frozen(*channels: str) -> Callable[[Recording, float], Edited]:
-    """The first of them moves most in that stretch. True value: its length, s."""
+    """The first of them moves most in that stretch. True value: for how long it says the same then, s."""
     def edit(r: Recording, seconds: float) -> Edited:
         start = liveliest(r, channels[0], seconds)
         if start is None:
@@ -165,8 +165,19 @@ def frozen(*channels: str) -> Callable[[Recording, float], Edited]:
                 rows = _window(r, channel, start, seconds)
                 fields[channel] = values.copy()
                 fields[channel][rows] = values[rows.start]
-        return r.with_log(**fields), seconds
+        return r.with_log(**fields), _standing_still(r, channels[0], fields[channels[0]], start)
     return edit
+
+
+def _standing_still(r: Recording, channel: str, values: np.ndarray, start: float) -> float:
+    """For how long it has the value it has at start [s]: what is rounded may have had it a little before."""
+    time = r.log.steering_time_ns if channel in STEERING else r.log.ins_time_ns
+    row = _window(r, channel, start, 1.0).start
+    changes = np.flatnonzero(np.diff(values)) + 1
+    after = np.searchsorted(changes, row, "right")
+    first = changes[after - 1] if after else 0
+    last = changes[after] - 1 if after < len(changes) else len(values) - 1
+    return float(time[last] - time[first]) * 1e-9
 
 
 def liveliest(r: Recording, channel: str, seconds: float) -> float | None:

@@ -56,7 +56,8 @@ def score(drive: Drive, kind: Kind, size: Size) -> Record | None:
     clean = drive.clean(kind, size)
     if not kind.shows(clean, size.value):
         return None
-    corrupted, change = kind.edit(clean, size.value)
+    value = size.value * side(kind, clean)
+    corrupted, change = kind.edit(clean, value)
     said, raised = answer(corrupted)
     before = as_recorded(clean)
     finding = of_kind(said, kind)
@@ -65,7 +66,7 @@ def score(drive: Drive, kind: Kind, size: Size) -> Record | None:
     named = finding is not None
     collateral = new_findings(said, before, kind)
     return {
-        "drive": clean.name, "real": clean.real, "kind": kind.name, "size": size.label, "truth": truth,
+        "drive": clean.name, "real": clean.real, "kind": kind.name, "size": size.label, "edit": value, "truth": truth,
         "truth_from": source, "named": named, "inside": inside, "right": named and inside,
         "as_note": named and finding.severity is Severity.NOTE,
         "said": raised or (None if finding is None else short(finding)),
@@ -90,9 +91,18 @@ def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple
     if not clean.real:
         known = [clean.own[name] for name in kind.findings if name in clean.own]
         return combined(kind.how, known[0], change) if known else change, "edit"
-    found = as_recorded(clean).estimates
-    own = next((found[name][0] for name in kind.findings if name in found), None)
+    own = estimated(kind, clean)
     return (change, "edit") if own is None else (combined(kind.how, own, change), "drive")
+
+
+def estimated(kind: Kind, clean: Recording) -> float | None:
+    """Of a drive as recorded."""
+    found = as_recorded(clean).estimates
+    return next((found[name][0] for name in kind.findings if name in found), None)
+
+
+def side(kind: Kind, clean: Recording) -> int:
+    return -1 if kind.either_side and clean.real and (estimated(kind, clean) or 0.0) < 0 else 1
 
 
 def combined(how: str, own: float, change: float) -> float:

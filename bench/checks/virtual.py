@@ -1,5 +1,6 @@
 """Drives of the virtual Leaf in memory: plant, driver and sensors of st_sim, rounding and axes of the wires."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,8 +12,8 @@ from st_offline.paths import config
 from st_offline.runs.ncom import to_body
 from st_sim.car import GRAVITY, Car, read_car
 from st_sim.scenarios import load
-from st_sim.sensors import Ins, SteeringSensor, read_wheel_speeds
-from st_sim.settings import resolve
+from st_sim.sensors import Ins, InsReading, SteeringSensor, read_wheel_speeds
+from st_sim.settings import Settings, resolve
 from st_sim.simulation import SimulatedCar
 from st_sim.stream import STEERING, TICK_MS, WHEELS
 
@@ -43,11 +44,13 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
     settings = resolve("realistic", [])
     source = SimulatedCar(car, settings, load(scenario), seed)
     ins, sensor = Ins(car, settings, INS_MS / 1000, seed), SteeringSensor(car, settings, seed)
-    readings, hand, wheels = [], [], []
+    noiseless = Ins(car, {**settings, "ins_noise": 0.0}, INS_MS / 1000, seed)
+    readings, exact, hand, wheels = [], [], [], []
     for now in range(0, round(seconds * 1000), TICK_MS):
         source.advance(now / 1000)
         if now % INS_MS == 0:
             readings.append(ins.read(source.truth()))
+            exact.append(noiseless.read(source.truth()))
         if now % STEERING[0] == STEERING[1]:
             hand.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.truth())))
         if now % WHEELS[0] == WHEELS[1]:
@@ -55,11 +58,27 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
             wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings).wheels[2:]) / 2))
     log = _log(drive_name(scenario), readings, np.array(hand), vehicle)
     times, speeds = np.array(wheels).T
-    # The body leans outwards and lifts its nose: accelerometers feel gravity that goes with the acceleration.
-    own = {"acceleration_y_scale": 1 + GRAVITY * settings["roll_gradient"],
-           "acceleration_x_scale": 1 + GRAVITY * settings["pitch_gradient"]}
-    wheel_speed = Series(_ns(times), _rounded(speeds, "wheel"))
-    return with_good_quality(Recording(log, vehicle, False, Extras(wheel_speed=wheel_speed), own))
+    extras = Extras(wheel_speed=Series(_ns(times), _rounded(speeds, "wheel")))
+    return with_good_quality(Recording(log, vehicle, False, extras, _own(settings, readings, exact)))
+
+
+def _own(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:
+    """What is true of right sensors: noise wanders, and its mean over the drive is a bias.
+
+    The body leans outwards and lifts its nose, and accelerometers feel the gravity that goes with that.
+    """
+    def mean(value: Callable[[InsReading], float]) -> float:
+        return sum(value(one) - value(other) for one, other in zip(readings, exact, strict=True)) / len(readings)
+    speed = 1 + mean(lambda r: r.velocity_x) * len(exact) / sum(r.velocity_x for r in exact)
+    return {
+        "acceleration_x_scale": 1 + GRAVITY * settings["pitch_gradient"],
+        "acceleration_y_scale": 1 + GRAVITY * settings["roll_gradient"],
+        "acceleration_x_bias": mean(lambda r: r.specific_force[0]),
+        "acceleration_y_bias": mean(lambda r: r.specific_force[1]),
+        "yaw_rate_bias": mean(lambda r: r.rates[2]), "yaw_offset": mean(lambda r: r.yaw),
+        "velocity_x_scale": speed, "velocity_scale": speed,
+        **dict.fromkeys(("x_scale", "y_scale", "position_scale"), 1 / speed),
+    }
 
 
 def _log(name: str, readings: list, hand: np.ndarray, vehicle: VehicleParameters) -> DriveLog:
