@@ -123,7 +123,7 @@ def _rows(file: Path, body: str, delimiter: str, width: int, warnings: list[str]
 
 
 def _parsed(body: str, delimiter: str, width: int) -> np.ndarray:
-    if not body.strip():
+    if all(not line or line.isspace() or line.lstrip().startswith("#") for line in io.StringIO(body)):
         return np.zeros((0, width))
     try:
         rows = np.loadtxt(io.StringIO(body), delimiter=delimiter, ndmin=2)

@@ -18,7 +18,7 @@ _RECORD_HEAD = 9  # opcode, length
 _MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
 _CHUNK, _MESSAGE_INDEX = 0x06, 0x07
 # What a file that contradicts its index, or was damaged, makes `blocks` raise.
-DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError)
+DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError, OverflowError, MemoryError)
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def summary_of(path: Path) -> Summary | None:
     try:
         with path.open("rb") as stream:
             summary = make_reader(stream).get_summary()
-    except (McapError, struct.error, OSError, ValueError):
+    except (McapError, *DAMAGE):
         return None
     return summary if summary is not None and summary.chunk_indexes else None
 
@@ -55,9 +55,11 @@ def blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[
 def _block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray) -> Block:
     times, offsets = _index(stream, chunk.message_index_offsets[channel])
     words = np.ndarray((max(len(buffer) - 7, 0),), "<u8", buffer.data, 0, (1,))
-    if len(offsets) and int(offsets.max()) + _MESSAGE_HEAD > len(buffer):
+    if len(offsets) and not 0 <= int(offsets.min()) <= int(offsets.max()) <= len(buffer) - _MESSAGE_HEAD:
         raise ValueError("a message index points outside its chunk")
     sizes = words[offsets + 1].astype(np.int64) - 22
+    if (sizes < 0).any() or (sizes > len(buffer) - _MESSAGE_HEAD - offsets).any():
+        raise ValueError("a message reaches beyond its chunk")
     return Block(buffer, offsets + _MESSAGE_HEAD, sizes, times)
 
 
