@@ -10,21 +10,25 @@ COLUMNS = "t,x,y,yaw,vx,vy,yaw_rate,ax,ay,delta"
 def weave(seconds: float = 14.0, speed: float = 8.0, curvature: float = 0.03) -> np.ndarray:
     """Rows of COLUMNS at 50 Hz: a kinematic car of 2.7 m wheelbase, measured 1.524 m ahead of its rear axle.
 
-    It weaves with the given largest curvature [1/m]; slip-free, so a kinematic model has next to no error.
+    It weaves with the given largest curvature [1/m], its speed one per cent up and down: a recorded speed never
+    stands still. Slip-free, so a kinematic model has next to no error.
     """
     dt, rear = 0.001, 1.524
     time = np.arange(0.0, seconds, dt)
     bend = curvature * np.sin(2 * np.pi * time / 7.0)  # of the rear axle's path
     delta = np.arctan(2.7 * bend)
     beta = np.arctan(rear * bend)
+    speed = speed * (1.0 + 0.01 * np.sin(2 * np.pi * time / 5.0))
     yaw_rate = speed * bend
     yaw = np.concatenate([[0.0], np.cumsum(yaw_rate[:-1] * dt)])
-    # Speed along body x is constant; the point moves along yaw + beta.
+    # `speed` is along body x; the point moves along yaw + beta.
     course = speed / np.cos(beta)
     x = np.concatenate([[0.0], np.cumsum((course * np.cos(yaw + beta))[:-1] * dt)])
     y = np.concatenate([[0.0], np.cumsum((course * np.sin(yaw + beta))[:-1] * dt)])
-    zero = np.zeros_like(time)
-    columns = [time, x, y, yaw, zero + speed, speed * rear * bend, yaw_rate, zero, speed * yaw_rate, delta]
+    across = speed * rear * bend
+    forward = np.gradient(speed, dt) - across * yaw_rate
+    left = np.gradient(across, dt) + speed * yaw_rate
+    columns = [time, x, y, yaw, speed, across, yaw_rate, forward, left, delta]
     return np.stack(columns, axis=1)[::20]
 
 

@@ -199,6 +199,18 @@ def test_where_it_came_from_is_written_down(raw: Path, imported: Path, leaf: Veh
     assert (imported / "alignment.png").stat().st_size > 20_000
 
 
+def test_a_steering_that_counts_the_other_way_is_not_imported(raw: Path, tmp_path: Path) -> None:
+    arguments = ["import", str(raw), "--steering-sign", "-1", "--output"]
+    run = CliRunner().invoke(app, [*arguments, str(tmp_path / "a")])
+    assert run.exit_code == 2 and "steering_sign" in run.output and "--force" in run.output
+    assert not (tmp_path / "a").exists()
+    forced = CliRunner().invoke(app, [*arguments, str(tmp_path / "b"), "--force"])
+    assert forced.exit_code == 0 and "error: " in forced.output and "steering" in forced.output
+    # What was written is what was asked for, and every other verb sees what is wrong with it.
+    checked = CliRunner().invoke(app, ["check", str(tmp_path / "b"), "--output", str(tmp_path / "c")])
+    assert checked.exit_code == 1 and "steering_sign" in checked.output
+
+
 def test_labels_travel_with_the_bag(raw: Path, tmp_path: Path, leaf: VehicleParameters) -> None:
     text = "ins: run.ncom\ncan: run.mf4\nlabels: [{name: S6, start: 5, end: 30}]\n"
     for name in ("run.ncom", "run.mf4"):

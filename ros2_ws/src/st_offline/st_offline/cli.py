@@ -8,6 +8,7 @@ from . import transport
 from .verbs import (
     align,
     bench,
+    check,
     demo,
     develop,
     discover,
@@ -36,6 +37,7 @@ app = typer.Typer(
 app.command()(demo.demo)
 app.command()(live.live)
 app.command()(ncom.ncom)
+app.command()(check.check)
 app.command()(evaluate.evaluate)
 app.command()(discover.discover)
 app.command()(identify.identify)

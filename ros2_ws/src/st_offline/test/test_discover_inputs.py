@@ -8,9 +8,10 @@ from st_core.log import DriveLog
 from st_core.model_file import ModelFile, Provenance
 from st_core.vehicle import VehicleParameters
 from st_offline.cli import app
-from st_offline.discovery.drives import read_drive, read_drives
+from st_offline.discovery.drives import _key, read_drive, read_drives
 from st_offline.fourth_model import fourth_model
 from st_offline.runs import ReadSettings, find_runs
+from st_offline.runs.load import hashes
 from st_offline.suite import SuiteError
 from support import ROOT
 from typer.testing import CliRunner
@@ -108,7 +109,8 @@ def test_rows_without_a_number_are_left_out_and_said(drive, tmp_path):
         drive.write_text("\n".join([first, *(",".join(row) for row in cells)]) + "\n")
     with_nan(slice(100, 150))
     read = read_drive(find_runs([drive])[0], car(LEAF), ReadSettings(), None)
-    assert "50 rows hold no number somewhere; they were left out" in read.about["warnings"][0]
+    assert "yaw_rate (column yaw_rate): 50 of 400 rows hold no number; these samples of the INS were left out" in (
+        read.about["warnings"][0])
     with_nan(slice(None))
     result = discover(drive, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "fewer than two usable rows" in result.output
@@ -161,3 +163,15 @@ def test_a_run_too_short_says_what_is_needed(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     result = discover(write_drive(tmp_path / "short.csv", weave(3.0)), "--output", tmp_path / "o")
     assert result.exit_code == 2 and "no run is long enough: a run needs 4 s" in result.output
+
+
+def test_what_a_run_file_says_is_part_of_what_is_kept(drive, tmp_path):
+    keys = set()
+    for text in ("", "units: {yaw: deg}\n", "columns: {yaw: x}\n", "correct: {yaw: {scale: 2}}\n",
+                 "correct: {yaw: {scale: 3}}\n", "leave_out: [[1, 2]]\n"):
+        for folder in (tmp_path, tmp_path / "elsewhere"):
+            run_file = write_drive(folder / "drive.csv", weave(8.0)).with_name("run.yaml")
+            run_file.write_text("name: drive\ncsv: drive.csv\n" + text)
+            (source,) = find_runs([run_file])
+            keys.add(_key(source, {"": hashes(source)[str(source.where)]}, car(LEAF), ReadSettings()))
+    assert len(keys) == 6

@@ -50,6 +50,14 @@ def odometry(s: InsSample) -> bytes:
                    twist=t["TwistWithCovariance"](twist, np.zeros(36)))
 
 
+def path(time: float) -> tuple[float, float]:
+    """x and y [m] after driving for `time` [s] at 8 + sin t and -0.1 cos t m/s, yaw 0.3 sin t."""
+    t = np.linspace(0.0, time, 200)
+    yaw, forward, left = 0.3 * np.sin(t), 8.0 + np.sin(t), -0.1 * np.cos(t)
+    return (float(np.trapezoid(forward * np.cos(yaw) - left * np.sin(yaw), t)),
+            float(np.trapezoid(forward * np.sin(yaw) + left * np.cos(yaw), t)))
+
+
 class LiveBag:
     """A weaving drive seen by Predictor and Evaluator tick by tick, written as the nodes write it."""
 
@@ -58,6 +66,7 @@ class LiveBag:
         self.shift_one = 0.0  # m added to one predicted path
         self.score_shift = 0.0  # m added to one score
         self.without_predictions = False
+        self.velocity_factor = 1.0
         self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
         self._count = 0
 
@@ -72,9 +81,8 @@ class LiveBag:
                                       ("/predictor/x/prediction", PREDICTION), ("/evaluator/errors", ERROR))}
         for k in range(round(SECONDS * 100)):
             time, time_ns = 0.01 * k, T0 + 10_000_000 * k
-            yaw = 0.3 * np.sin(time)
-            sample = InsSample(time_ns, 8.0 * time, 1.2 * (1 - np.cos(time)), yaw, 8.0 + np.sin(time), -0.1,
-                               0.3 * np.cos(time))
+            velocity = self.velocity_factor * np.array([8.0 + np.sin(time), -0.1 * np.cos(time)])
+            sample = InsSample(time_ns, *path(time), 0.3 * np.sin(time), *velocity.tolist(), 0.3 * np.cos(time))
             angle = 0.1 * np.cos(time - 0.003)
             steering_ns = time_ns + 3_000_000
             for core in (self._predictor, self._evaluator):
@@ -158,6 +166,17 @@ def test_a_score_of_its_own_is_found(live):
     found = verify(live.write())
     assert found.comparisons[1].error["hindsight"] == pytest.approx(0.005, abs=1e-9)
     assert found.comparisons[1].error["forecast"] < 1e-9 and found.largest == pytest.approx(0.005, abs=1e-9)
+
+
+def test_a_meaningless_recording_is_compared_when_forced(live):
+    """The nodes got km/h too, so live is offline all the same; neither says anything of the car."""
+    live.velocity_factor = 3.6
+    folder = live.write()
+    refused = st_verify(folder)
+    assert refused.exit_code == 2 and "velocity_scale" in refused.output and "--force" in refused.output
+    forced = st_verify(folder, "--force")
+    assert forced.exit_code == 0 and "live equals offline" in forced.output
+    assert "error: " in forced.output and "km/h" in forced.output
 
 
 def test_another_vehicle_is_another_prediction(live, tmp_path):

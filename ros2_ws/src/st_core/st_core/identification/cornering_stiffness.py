@@ -76,7 +76,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, set
     """Both stiffnesses by the paper's regression, with a bootstrap over runs (or blocks of few runs).
 
     vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be right.
-    Raises IdentificationError, with the numbers, for implausible or too thin driving.
+    Raises IdentificationError, with the numbers, for too thin driving.
     """
     settings = settings or StiffnessSettings()
     logs, noticed = prepared(logs, vehicle)

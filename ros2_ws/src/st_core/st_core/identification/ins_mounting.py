@@ -39,7 +39,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters, 
                           seed: int = 0) -> Identification:
     """cg_to_ins_x [m], ins_misalignment [rad, heading reported too far left] and, with tight bends, cg_to_ins_y [m].
 
-    vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for implausible or too thin driving.
+    vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for too thin driving.
     """
     logs, noticed = prepared(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]

@@ -3,13 +3,16 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy.stats import t as student
 
 from ..errors import StCoreError
 from ..vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, Quantity
+
+if TYPE_CHECKING:  # the checks' own intervals come from here
+    from ..checks.finding import Finding
 
 Status = Literal["identified", "doubtful", "unidentifiable"]
 
@@ -74,7 +77,8 @@ class Identification:
 
     what: name of the experiment, as `st identify` calls it. used: data that entered. rejected: (data, why).
     correlation: matrix over the estimates, in their order, or None. coverage: excitation, one entry per signal.
-    warnings: sentences. figure: plain arrays (and numbers, texts) that its picture is drawn from.
+    warnings: sentences. figure: plain arrays (and numbers, texts) that its picture is drawn from. findings: of the
+    checks, by drive, of those used and of those refused.
     """
 
     what: str
@@ -85,6 +89,7 @@ class Identification:
     coverage: tuple[Coverage, ...] = ()
     warnings: tuple[str, ...] = ()
     figure: Mapping[str, Any] = field(default_factory=dict)
+    findings: "Mapping[str, tuple[Finding, ...]]" = field(default_factory=dict)
 
     def __getitem__(self, parameter: str) -> Estimate:
         for estimate in self.estimates:

@@ -11,13 +11,16 @@ from ..frames import ins_to_cg_acceleration
 from ..log import DriveLog
 from ..log_signals import LogSignals
 from ..vehicle import VehicleParameters
-from .plausibility import check_plausible
 from .result import IdentificationError
 
 LateralAcceleration = Literal["velocity", "accelerometer"]
 
 EDGE = 0.2
 """s. The filter starts at rest at both ends of a stretch without gaps; so long its answer is not used."""
+
+
+SHORTEST, FEWEST = 5.0, 50
+"""s of common measurement, and INS samples, below which a drive says nothing."""
 
 
 NOTICED_BIAS = 5.0e-4
@@ -109,7 +112,8 @@ def prepared(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[list
 
     The road wheel angle is that of this vehicle's ratio and offset, where the hand wheel was recorded. The mean yaw
     rate of each drive is made that of its heading: the bias of a gyro would pass for an offset of the steering.
-    Raises IdentificationError for no drive, two of one name, and a drive that is not plausible.
+    Raises IdentificationError for no drive, two of one name, and one that is too short. Whether its signals belong
+    together is for `checks` to say, before.
     """
     names = [log.name for log in logs]
     if not names:
@@ -118,12 +122,18 @@ def prepared(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[list
         raise IdentificationError(f"drives {', '.join(names)}: one is named twice; each may enter once")
     own = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
     for log in own:
-        check_plausible(log, vehicle)
+        _check_length(log)
     biases = [yaw_rate_bias(log) for log in own]
     own = [replace(log, yaw_rate=log.yaw_rate - bias) for log, bias in zip(own, biases, strict=True)]
     noticed = [f"{name} {bias:+.4f}" for name, bias in zip(names, biases, strict=True) if abs(bias) > NOTICED_BIAS]
     words = f"The yaw rate drifts against the heading (taken away, rad/s): {', '.join(noticed)}."
     return own, (words,) if noticed else ()
+
+
+def _check_length(log: DriveLog) -> None:
+    if log.overlap < SHORTEST or len(log.ins_time_ns) < FEWEST:
+        raise IdentificationError(f"{log.name}: too few samples: {len(log.ins_time_ns)} of the INS, {log.overlap:.1f} "
+                                  f"s together with the steering; at least {SHORTEST:g} s and {FEWEST} are needed")
 
 
 def yaw_rate_bias(log: DriveLog, maximum_gap: float = 0.1) -> float:

@@ -25,7 +25,7 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
                       seed: int = 0) -> Identification:
     """Ratio and offset with their uncertainty, and the stiffnesses that go with them.
 
-    Raises IdentificationError for implausible or too thin driving: two bins of speed at least.
+    Raises IdentificationError for too thin driving: two bins of speed at least.
     """
     result = predict_stiffness(logs, vehicle, base, settings, also=(RATIO, OFFSET), bootstrap=bootstrap, seed=seed)
     order = [e.parameter for e in result.estimates]

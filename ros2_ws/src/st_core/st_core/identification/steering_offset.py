@@ -37,8 +37,8 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
                              seed: int = 0) -> Identification:
     """Offset by both ways [rad at the hand wheel, left +]; parameters PAPER and DIRECT.
 
-    vehicle: ratio and all else; its offset is where the search starts. Raises IdentificationError for implausible
-    driving or too little of it straight.
+    vehicle: ratio and all else; its offset is where the search starts. Raises IdentificationError for too little
+    driving straight on.
     """
     logs, noticed = prepared(logs, vehicle)
     runs = [run_samples(log, vehicle) for log in logs]

@@ -33,7 +33,7 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     vehicle: everything else, and where the fit starts. base: linear, nonlinear, or either with effects that are known
     (`augment`: drive force on steered wheels, say). also: further parameters to fit and report, of
     `free_parameters.FREE` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). profiles: add profile
-    likelihoods to the figure, ten more fits each. Raises IdentificationError for implausible or too thin driving.
+    likelihoods to the figure, ten more fits each. Raises IdentificationError for too thin driving.
     """
     settings = settings or PredictionErrorSettings()
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *NUISANCE)))

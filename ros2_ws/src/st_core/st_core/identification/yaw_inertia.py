@@ -39,8 +39,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
                          seed: int = 0) -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported beside.
 
-    Raises IdentificationError for implausible driving, and without transients: half a
-    second of r_dot above 0.3 rad/s^2 to either side.
+    Raises IdentificationError without transients: half a second of r_dot above 0.3 rad/s^2 to either side.
     """
     logs, noticed = prepared(logs, vehicle)
     runs = [run_samples(log, vehicle, cutoff=5.0) for log in logs]

@@ -17,6 +17,8 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.vehicle import VehicleParameters
 
+from ..checking.document import findings_in
+from ..checking.shown import say
 from ..evaluation.command import FORMATS
 from ..evaluation.drawing import Drawn, Place
 from ..output import new_folder
@@ -50,6 +52,7 @@ class Job:
     formats: tuple[str, ...]
     report: bool = True
     cached: bool = True
+    force: bool = False
 
 
 def run_command(job: Job, console: Console) -> int:
@@ -72,6 +75,8 @@ def run_command(job: Job, console: Console) -> int:
     with console.status("drawing, writing the report"):
         drawn = draw(found, question, Place(folder / "figures", job.formats)) if job.report else None
         files = write_results(found, question, folder, drawn, seconds)
+    for drive in (*runs, *reference):
+        say(drive.name, findings_in(drive.about), console)
     show(found, [d for d in (*runs, *reference) if d.problem], files, console)
     return 1 if any(d.problem for d in (*runs, *reference)) else 0
 
@@ -106,7 +111,8 @@ def _read(job: Job, progress: Progress) -> tuple[list[Drive], list[Drive]]:
         raise CommandError("no recording found")
     bar = progress.add_task("reading the runs", total=len(sources) + len(healthy))
     cache = cache_folder() if job.cached else None
-    drives = read_drives([*sources, *healthy], job.vehicle, job.read, job.jobs, cache, lambda: progress.advance(bar))
+    drives = read_drives([*sources, *healthy], job.vehicle, job.read, job.jobs, cache, lambda: progress.advance(bar),
+                         job.force)
     runs, reference = drives[:len(sources)], drives[len(sources):]
     if not _logs(runs):
         raise CommandError("no run can be used: " + "; ".join(d.problem for d in runs))

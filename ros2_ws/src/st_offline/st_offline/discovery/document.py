@@ -1,7 +1,6 @@
 """The files of a discovery: discovery.json (schema in docs/discovery.md), model.yaml, the page and its figures."""
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -12,6 +11,7 @@ from st_core.discovery import Discovery, DiscoverySettings
 from st_core.model_file import Interval, ModelFile, Provenance
 from st_core.vehicle import VehicleParameters
 
+from ..plain_json import finite
 from ..results import versions
 from .drives import Drive
 
@@ -34,7 +34,7 @@ class Question:
 
 def document(found: Discovery, question: Question, seconds: Mapping[str, float]) -> dict[str, Any]:
     """The content of discovery.json."""
-    return {"schema": SCHEMA, **_finite(found.document()), "provenance": _finite(provenance(found, question, seconds))}
+    return {"schema": SCHEMA, **finite(found.document()), "provenance": finite(provenance(found, question, seconds))}
 
 
 def provenance(found: Discovery, question: Question, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -47,6 +47,8 @@ def provenance(found: Discovery, question: Question, seconds: Mapping[str, float
         "settings": asdict(question.settings),
         "runs": {d.name: d.about for d in question.runs if d.log is not None},
         "reference": {d.name: d.about for d in question.reference if d.log is not None},
+        "refused": {d.name: d.about["findings"] for d in (*question.runs, *question.reference)
+                    if d.problem and d.about},
         "not_used": {d.name: d.problem for d in (*question.runs, *question.reference) if d.problem},
         "effects_of_the_user": dict(question.effects),
         "versions": versions(),
@@ -94,15 +96,3 @@ def model_file(found: Discovery, question: Question) -> ModelFile | None:
 
 def write_json(file: Path, content: Mapping[str, Any]) -> None:
     file.write_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no NaN and no infinity: null."""
-    if isinstance(value, Mapping):
-        return {str(k): _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, bool | int | str) or value is None:
-        return value
-    number = float(value)
-    return number if math.isfinite(number) else None

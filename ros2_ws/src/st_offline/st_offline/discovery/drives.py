@@ -7,23 +7,30 @@ import zipfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, fields
+from functools import cache as remembered
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from st_core import checks
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
+from ..checking.document import documents, findings_in
+from ..checking.gate import Refused, checked_log, refuse
 from ..runs import ReadSettings, RunError, RunSource, read
 from ..runs.load import hashes, signal_files
 
-FORMAT = 1  # of what is kept; another number makes older files useless
+FORMAT = 2  # of what is kept; another number makes older files useless
 
 
 @dataclass(frozen=True)
 class Drive:
-    """One run as it was read, or the reason why it cannot be used (then log is None). about: for the report."""
+    """One run as it was read, or the reason why it cannot be used (then log is None).
+
+    about: for the report; its findings are there for a run that was refused as well.
+    """
 
     name: str
     log: DriveLog | None
@@ -32,17 +39,20 @@ class Drive:
 
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
-                cache: Path | None, done: Callable[[], None]) -> list[Drive]:
-    """Every run, in the order of the sources. jobs: processes side by side. cache: folder of what is kept; None: no."""
+                cache: Path | None, done: Callable[[], None], force: bool = False) -> list[Drive]:
+    """Every run, in the order of the sources. jobs: processes side by side. cache: folder of what is kept; None: no.
+
+    force: whether runs are used of which the checks say that it means nothing.
+    """
     if jobs <= 1 or len(sources) < 2:
         drives = []
         for source in sources:
-            drives.append(read_drive(source, vehicle, settings, cache))
+            drives.append(read_drive(source, vehicle, settings, cache, force))
             done()
         return drives
     with ProcessPoolExecutor(min(jobs, len(sources))) as pool:
         # What is no recording at all is answered here: its error does not travel between processes.
-        futures = {number: pool.submit(read_drive, source, vehicle, settings, cache)
+        futures = {number: pool.submit(read_drive, source, vehicle, settings, cache, force)
                    for number, source in enumerate(sources) if source.problem is None}
         for _ in as_completed(futures.values()):
             done()
@@ -50,7 +60,8 @@ def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settin
                 for number, source in enumerate(sources)]
 
 
-def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, cache: Path | None) -> Drive:
+def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, cache: Path | None,
+               force: bool = False) -> Drive:
     """One run, from what is kept of it where its files are still the same. What is wrong becomes its `problem`."""
     try:
         if source.problem is not None:
@@ -61,11 +72,15 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         if drive is None:
             run = read(source, vehicle, settings)
             about = {"files": files, "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
-                     "warnings": list(run.warnings)}
+                     "warnings": list(run.warnings),
+                     "findings": documents(checked_log(run.log, vehicle, run.extras).findings)}
             drive = Drive(source.name, run.log, about)
             if kept:
                 _keep(kept, drive)
+        refuse(source.where, findings_in(drive.about), force)
         return drive
+    except Refused as error:
+        return Drive(source.name, None, {"findings": documents(error.findings)}, str(error))
     except (RunError, StCoreError) as error:
         return Drive(source.name, None, {}, " ".join(str(error).split()))
     except MemoryError:
@@ -87,9 +102,16 @@ def _key(source: RunSource, files: dict[str, str], vehicle: VehicleParameters, s
     table = [] if source.kind != "ncom" else [hashlib.sha256(f.read_bytes()).hexdigest()
                                                for f in signal_files(source, settings)]
     options = {k: v for k, v in asdict(settings).items() if k not in ("dbc", "signals")}
-    content = [FORMAT, source.name, source.kind, sorted(files.values()), table, vehicle.hash, options,
-               source.settings.get("offset")]
+    content = [FORMAT, _checks(), source.name, source.kind, sorted(files.values()), table, vehicle.hash, options,
+               {k: v for k, v in source.settings.items() if k not in ("dbc", "signals")}]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
+
+
+@remembered
+def _checks() -> str:
+    """Of the code of the checks: what another version found is not believed."""
+    files = sorted(Path(checks.__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def _keep(file: Path, drive: Drive) -> None:

@@ -4,25 +4,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
-from markupsafe import Markup
 from st_core.discovery import Discovery
 
-from .. import evaluation
 from ..evaluation.drawing import Drawn
-from ..evaluation.page import DARK
-from ..style import MODEL_COLOUR
+from ..pages import template
 from . import words
 
 
 def write_page(file: Path, found: Discovery, content: dict[str, Any], figures: Sequence[Drawn]) -> None:
     """content: of discovery.json."""
-    folders = [Path(__file__).parent, Path(evaluation.__file__).parent]
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folders), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True)
-    environment.filters.update(drawing=Markup, plain=words.plain, channel=words.channel)
-    text = environment.get_template("discovery.html.jinja").render(
+    about = content["provenance"]
+    refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
+    text = template("discovery", "discovery.html.jinja", plain=words.plain, channel=words.channel).render(
         title=words.title(found), found=found, verdict=words.verdict(found), content=content, figures=figures,
-        size=words.size, value=words.value, condition=words.condition, colours=MODEL_COLOUR, dark=DARK)
+        size=words.size, value=words.value, condition=words.condition,
+        recordings={**refused, **about["runs"], **about["reference"]})
     file.write_text(text, encoding="utf-8")

@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from ..checking.document import findings_in
+from ..checking.shown import say
 from ..output import new_folder
 from ..runs import RunError, RunSource, find_runs
 from . import batch
@@ -49,6 +51,8 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     console.print(terminal_table(good, over, title, console.width))
     for key, value in settings_in_words(choices).items():
         console.print(f"[dim]{key}: {escape(value)}[/dim]", highlight=False, soft_wrap=True)
+    for report in found:
+        say(report.name, findings_in(report.about), console)
     for key, what in WHAT_IS_WHAT.items():
         console.print(f"  {escape(str(files[key]))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
     failed = [report for report in found if report.problem]

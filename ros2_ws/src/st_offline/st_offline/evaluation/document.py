@@ -63,6 +63,7 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
         "manoeuvres_all_runs": pooled_manoeuvres(good),
         "about": {r.name: r.about for r in good},
         "failed": {r.name: r.problem for r in reports if r.problem},
+        "refused": {r.name: r.about["findings"] for r in reports if r.problem and r.about},
     }
 
 

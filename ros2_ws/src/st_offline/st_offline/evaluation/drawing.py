@@ -18,10 +18,11 @@ from matplotlib.transforms import Bbox
 
 from ..style import MEASURED_COLOUR, MODEL_COLOUR, RC
 
-TEXT, GRID = "#1c2126", "#e6e6e6"
+TEXT, GRID, BAD, WARN = "#1c2126", "#e6e6e6", "#b3261e", "#b26a00"
 # Colours as the figures have them -> style sheet variables of the page.
 _VARIABLES = {
-    TEXT: "var(--text)", GRID: "var(--rule)", MEASURED_COLOUR: "var(--measured)",
+    TEXT: "var(--text)", GRID: "var(--rule)", BAD: "var(--bad)", WARN: "var(--warn)",
+    MEASURED_COLOUR: "var(--measured)",
     **{colour: f"var(--{model})" for model, colour in MODEL_COLOUR.items()},
 }
 SETTINGS = {

@@ -4,32 +4,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
-from markupsafe import Markup
-
-from ..style import MODEL_COLOUR
+from ..pages import template
 from . import tables
 from .drawing import Drawn
 from .work import RunReport, slug
 
 BUDGET = 4_500_000  # bytes of figures, so that the page stays below 5 MB
-# The house colours are made for white paper; these are lighter twins for a dark page.
-DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
 
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
                settings: dict[str, str], overview: Drawn | None, over: str) -> None:
     """content: of evaluation.json."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True)
-    environment.globals.update(shown=tables.shown, best=tables.best, values=tables.values, slug=slug)
-    environment.filters["drawing"] = Markup
     good = [r for r in reports if not r.problem]
-    text = environment.get_template("page.html.jinja").render(
+    text = template("evaluation", "page.html.jinja").render(
         title=title, reports=good, failed=[r for r in reports if r.problem], content=content, settings=settings,
+        about={r.name: r.about for r in reports},
         overview=overview, over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS,
-        figures=_within_budget(good), colours=MODEL_COLOUR, dark=DARK)
+        figures=_within_budget(good), shown=tables.shown, best=tables.best, values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")
 
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import yaml
+from st_core.vehicle import VehicleParameters
 
+from ..paths import config
 from ..runs import RunError
 from ..runs.bag import definitions, open_bag
 from ..runs.cdr import Layout, Layouts, typestore
@@ -65,6 +67,21 @@ def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> Recorded
     # Two files of one name are kept with a folder before it.
     named = [text for key, text in texts.items() if file.parts[-len(Path(key).parts):] == Path(key).parts]
     return RecordedConfiguration(named[0] if named else texts.get("vehicle"), nodes)
+
+
+def configuration_of(records: Mapping[str, Mapping[str, str]],
+                     vehicle: Path | None) -> tuple[VehicleParameters, RecordedConfiguration, str]:
+    """(vehicle, recorded configuration, name of where the vehicle comes from): of the file given, else of the
+    recording, else config/vehicle/leaf.yaml. Raises RunError, ConfigurationError.
+    """
+    recorded = recorded_configuration(records)
+    if vehicle is None and recorded.vehicle is not None:
+        return VehicleParameters.from_yaml(recorded.vehicle, "the vehicle in the recording"), recorded, "the recording"
+    file = vehicle or config("vehicle/leaf.yaml")
+    try:
+        return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), recorded, str(file)
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(file, f"cannot be read: {error}") from None
 
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:

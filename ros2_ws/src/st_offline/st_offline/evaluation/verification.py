@@ -13,17 +13,15 @@ from st_core.models import Model, get_model
 from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
 
-from ..paths import config
-from ..runs import RunError
-from ..runs.bag import BagDrive, is_bag, read_bag
+from ..runs.bag import is_bag, read_bag
 from .recorded import (
     Predictions,
     Progress,
     RecordedConfiguration,
     Scores,
+    configuration_of,
     read_predictions,
     read_scores,
-    recorded_configuration,
 )
 
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
@@ -74,23 +72,11 @@ class Verification:
         return sum(c.n_starts for c in self.comparisons)
 
 
-def configuration_of(drive: BagDrive, vehicle: Path | None) -> tuple[VehicleParameters, RecordedConfiguration, str]:
-    """(vehicle, recorded configuration, name of where the vehicle comes from). Raises RunError."""
-    recorded = recorded_configuration(drive.records)
-    if vehicle is None and recorded.vehicle is not None:
-        return VehicleParameters.from_yaml(recorded.vehicle, "the vehicle in the recording"), recorded, "the recording"
-    file = vehicle or config("vehicle/leaf.yaml")
-    try:
-        return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), recorded, str(file)
-    except (OSError, UnicodeDecodeError) as error:
-        raise RunError(file, f"cannot be read: {error}") from None
-
-
 def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console, view=None):
     """(Outcome, name of the vehicle) of playing a recording with its own configuration; see replaying.replay."""
     from ..replaying import node_parameters, replay
 
-    car, recorded, _ = configuration_of(read_bag(bag), vehicle)
+    car, recorded, _ = configuration_of(read_bag(bag).records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
     return replay(bag, folder, node_parameters(folder, file, recorded), rate, console, view), car.name
@@ -113,7 +99,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     if not predictions:
         return None
     drive = read_bag(bag)
-    car, recorded, source = configuration_of(drive, vehicle)
+    car, recorded, source = configuration_of(drive.records, vehicle)
     settings = _settings(recorded)
     scores = read_scores(score_bags, progress)
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)

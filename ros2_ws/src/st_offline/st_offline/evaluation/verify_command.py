@@ -8,6 +8,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
+from ..checking.gate import passed_bag
+from ..checking.shown import say
 from ..output import new_folder
 from ..style import MODEL_COLOUR
 from ..suite import SuiteError
@@ -15,8 +17,12 @@ from .verification import MODES, Verification, recordings_of, replay_bag, verify
 
 
 def verify_command(bag: Path, vehicle: Path | None, tolerance: float, again: bool, output: Path | None,
-                   console: Console) -> int:
-    """Exit status: 0 when nothing differs by more than `tolerance` [m] and every score exists on both sides."""
+                   console: Console, force: bool = False) -> int:
+    """Exit status: 0 when nothing differs by more than `tolerance` [m] and every score exists on both sides.
+
+    force: whether a recording is taken of which the checks say that it means nothing; else Refused is raised.
+    """
+    say(bag.name, passed_bag(recordings_of(bag)[0], vehicle, force), console)
     found = None if again else _verified(bag, vehicle, console)
     if found is None:
         why = "as asked" if again else "it holds no predictions"

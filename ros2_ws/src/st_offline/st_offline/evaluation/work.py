@@ -4,6 +4,7 @@ import csv
 import math
 import re
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,8 +15,11 @@ from st_core.errors import ConfigurationError, StCoreError
 from st_core.log_evaluation import AXES, EvaluationSettings, LogEvaluation, evaluate_log
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
+from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
 
+from ..checking.document import documents
+from ..checking.gate import Refused, passed
 from ..runs import ReadSettings, RunError, RunSource, read
 from . import statistics
 from .drawing import Drawn, Place
@@ -32,6 +36,7 @@ class Task:
     starts: times [s] to look at closely, () for a choice.
 
     folder: gets runs/<name>/ with starts.csv and figures; None: nothing is written. formats: of the figures.
+    force: whether runs are evaluated of which the checks say that it means nothing.
     """
 
     vehicle: VehicleParameters
@@ -41,14 +46,15 @@ class Task:
     starts: tuple[float, ...] = ()
     folder: Path | None = None
     formats: tuple[str, ...] = ("png", "pdf")
+    force: bool = False
 
 
 @dataclass(frozen=True)
 class RunReport:
     """What one run contributes; plain values and drawings, so that it can come from another process.
 
-    problem: why there is nothing else. finding: one sentence. about: provenance, counts, alignment, warnings.
-    seconds: wall time by part.
+    problem: why there is nothing else but, perhaps, the findings that refused it. finding: one sentence. about:
+    provenance, counts, alignment, warnings, findings of the checks. seconds: wall time by part.
     """
 
     name: str
@@ -66,7 +72,12 @@ class RunReport:
 def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None) -> RunReport:
     """Read, evaluate and draw one run. What is wrong with it becomes its `problem`, never an exception."""
     try:
-        return _evaluate(source, task, progress)
+        with warnings.catch_warnings():
+            # It is a finding, with where and cure.
+            warnings.simplefilter("ignore", StepTooLongWarning)
+            return _evaluate(source, task, progress)
+    except Refused as error:
+        return RunReport(source.name, problem=str(error), about={"findings": documents(error.findings)})
     except (RunError, StCoreError) as error:
         return RunReport(source.name, problem=" ".join(str(error).split()))
     except MemoryError:
@@ -80,6 +91,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
     models = load_models(task)
+    findings = passed(source.where, run.log, task.vehicle, run.extras, task.force, models,
+                      task.settings.prediction.step)
     signals = task.settings.signals(run.log)
     evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress)
     marks.append(time.perf_counter())
@@ -97,8 +110,10 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
         "labels": "given" if run.labels else "detected",
-        "alignment": {"verdict": run.alignment.verdict.value, "reasons": list(run.alignment.reasons)},
+        "alignment": {"verdict": run.alignment.verdict.value, "method": run.alignment.method,
+                      "reasons": list(run.alignment.reasons)},
         "warnings": list(run.warnings), "provenance": dict(run.provenance),
+        "findings": findings,
     }
     return RunReport(
         source.name, "", ranking(evaluation, "lateral"), about, statistics.by_model(evaluation),

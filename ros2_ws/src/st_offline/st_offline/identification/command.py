@@ -7,21 +7,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import jinja2
-from markupsafe import Markup
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from st_core.checks import Finding
 from st_core.identification.apply import against_file, apply, stale_scales
 from st_core.identification.result import Identification, IdentificationError
 from st_core.vehicle import VehicleParameters
 
+from ..checking.document import documents
+from ..checking.shown import say
 from ..evaluation.drawing import Drawn, Place
-from ..evaluation.page import DARK
 from ..output import new_folder
+from ..pages import template
 from ..results import versions
 from ..runs.load import file_hashes
-from ..style import MODEL_COLOUR
 from .experiment import Experiment, Setup
 from .experiments import EXPERIMENTS
 from .shown import HEADS, rows
@@ -78,6 +78,8 @@ def _compared(found: Identification, vehicle: VehicleParameters) -> Identificati
 
 def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str], console: Console) -> None:
     """Table and verdicts in the terminal."""
+    for name, findings in checked(found).items():
+        say(name, findings, console)
     for one in found:
         table = Table(title=one.what, title_justify="left", box=None, padding=(0, 1))
         for head in HEADS:
@@ -97,6 +99,11 @@ def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Seq
             console.print(f"  [yellow]{escape(warning)}[/yellow]", highlight=False, soft_wrap=True)
     for sentence in stale:
         console.print(f"  [yellow]{escape(sentence)}[/yellow]", highlight=False, soft_wrap=True)
+
+
+def checked(found: Sequence[Identification]) -> dict[str, tuple[Finding, ...]]:
+    """What the checks found, by drive."""
+    return {name: findings for one in found for name, findings in one.findings.items()}
 
 
 def about(job: Job, now: datetime) -> dict[str, Any]:
@@ -133,6 +140,7 @@ def details(found: Identification) -> dict[str, Any]:
         "status": {e.parameter: e.status for e in found.estimates},
         "correlation": None if matrix is None else [[round(float(x), 6) for x in row] for row in matrix],
         "warnings": list(found.warnings),
+        "findings": {name: documents(findings) for name, findings in found.findings.items()},
         "coverage": [{"signal": c.signal, "unit": c.unit, "edges": [float(x) for x in c.edges],
                       "counts": [int(x) for x in c.counts], "needed": c.needed, "bins_needed": c.bins_needed}
                      for c in found.coverage],
@@ -142,16 +150,12 @@ def details(found: Identification) -> dict[str, Any]:
 def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehicle: VehicleParameters,
          facts: dict[str, Any]) -> str:
     """report.html: one file that loads nothing."""
-    here = Path(__file__).parent
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader([here, here.parent / "evaluation"]), autoescape=True,
-        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["drawing"] = Markup
     names = list(dict.fromkeys(e.parameter for one in found for e in one.estimates))
     title = f"{vehicle.name}: {', '.join(names)}"
-    return environment.get_template("page.html.jinja").render(
+    return template("identification", "page.html.jinja").render(
         title=title, found=list(zip(found, figures, strict=True)), about=facts,
-        heads=HEADS, rows=lambda one: rows(one, vehicle), colours=MODEL_COLOUR, dark=DARK)
+        recordings={name: {"findings": documents(findings)} for name, findings in checked(found).items()},
+        heads=HEADS, rows=lambda one: rows(one, vehicle))
 
 
 def _json(content: dict[str, Any]) -> str:

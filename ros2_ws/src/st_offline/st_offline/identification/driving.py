@@ -1,9 +1,10 @@
 """`st identify` from driving: steering offset, ratio, INS mounting, cornering stiffness, yaw inertia."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from st_core.checks import Finding
 from st_core.errors import StCoreError
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
@@ -14,6 +15,7 @@ from st_core.identification.stiffness_prediction import predict_stiffness
 from st_core.identification.yaw_inertia import identify_yaw_inertia
 from st_core.log import DriveLog
 
+from ..checking.gate import checked_log, refuse
 from ..runs import RunError, find_runs, read
 from . import driving_figures as figures
 from .experiment import Experiment, Setup
@@ -23,31 +25,43 @@ ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` a
 RECORDINGS = "recordings of drives, several are better: folders, .ncom with CAN logs, bags, CSV"
 
 
-def drives(files: Sequence[Path], setup: Setup) -> tuple[list[DriveLog], list[tuple[str, str]], list[str]]:
-    """(logs, (name, why) of what could not be read, warnings). Raises RunError when nothing could be read."""
-    logs, failed, warnings = [], [], []
+@dataclass
+class Drives:
+    """What was read. failed: (name, why) of what could not be or must not be used. findings: of the checks, by name."""
+
+    logs: list[DriveLog] = field(default_factory=list)
+    failed: list[tuple[str, str]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    findings: dict[str, tuple[Finding, ...]] = field(default_factory=dict)
+
+
+def drives(files: Sequence[Path], setup: Setup) -> Drives:
+    """Every drive in the files, checked. Raises RunError when none can be used."""
+    found = Drives()
     first: Exception | None = None
     for source in find_runs(files):
         try:
             run = read(source, setup.vehicle, setup.read)
+            found.findings[source.name] = checked_log(run.log, setup.vehicle, run.extras).findings
+            refuse(source.where, found.findings[source.name], setup.force)
         except (RunError, StCoreError) as error:
             first = first or error
-            failed.append((source.name, str(error)))
+            found.failed.append((source.name, str(error)))
             continue
-        logs.append(run.log)
-        warnings += [warning for warning in run.warnings if warning not in warnings]
-    if not logs:
+        found.logs.append(run.log)
+        found.warnings += [warning for warning in run.warnings if warning not in found.warnings]
+    if not found.logs:
         raise first or IdentificationError("no drives were given; name at least one recording")
-    return logs, failed, warnings
+    return found
 
 
 def experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw) -> Experiment:
     """compute(logs, vehicle, seed=...) -> Identification."""
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-        logs, failed, warnings = drives(files, setup)
-        found = compute(logs, setup.vehicle, seed=setup.seed)
-        return (replace(found, what=name, rejected=(*failed, *found.rejected),
-                        warnings=(*found.warnings, *warnings)),)
+        given = drives(files, setup)
+        found = compute(given.logs, setup.vehicle, seed=setup.seed)
+        return (replace(found, what=name, rejected=(*given.failed, *found.rejected),
+                        warnings=(*found.warnings, *given.warnings), findings=given.findings),)
 
     return Experiment(name, what, f"{RECORDINGS}; {needs}", identify, draw)
 

@@ -13,11 +13,15 @@ from ..runs import ReadSettings
 
 @dataclass(frozen=True)
 class Setup:
-    """What every experiment may use beside its files. seed: of bootstraps. read: how recordings are read."""
+    """What every experiment may use beside its files. seed: of bootstraps. read: how recordings are read.
+
+    force: whether drives are used of which the checks say that it means nothing.
+    """
 
     vehicle: VehicleParameters
     seed: int = 0
     read: ReadSettings = field(default_factory=ReadSettings)
+    force: bool = False
 
     def uncertainty_of(self, parameter: str) -> float:
         """Standard uncertainty of a value of the vehicle file, SI; 0 where the file states none."""

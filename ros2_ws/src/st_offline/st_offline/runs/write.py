@@ -8,17 +8,20 @@ from typing import Any
 
 import numpy as np
 from oxts_bridge import batch
+from st_core.checks import Finding
 from st_core.vehicle import VehicleParameters
 from st_predictor.mcap import BagWriter
 
+from ..checking.gate import checked_log, refuse
 from ..results import versions
 from .bag import definitions
 from .cdr import typestore
 from .covariance import Covariances
 from .errors import RunError
-from .load import ReadSettings, check_common_time, hashes
-from .raw import RawRun, about_alignment, alignment_warnings, latency_in_words, read_raw, steering_times
-from .rows import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, Messages, Serialiser, in_time_order
+from .load import ReadSettings, check_common_time, hashes, treated
+from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS
+from .raw import RawRun, about_alignment, as_drive, latency_in_words, read_raw, steering_times
+from .rows import Messages, Serialiser, in_time_order
 from .sources import RunSource
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
@@ -28,27 +31,32 @@ BLOCK_NS = 20 * 10**9  # of the drive serialised at once
 
 @dataclass(frozen=True)
 class Imported:
-    """directory: of the bag. counts: messages per topic. span: from first to last message [s]."""
+    """directory: of the bag. counts: messages per topic. span: from first to last message [s]. findings: of the
+    checks."""
 
     directory: Path
     counts: dict[str, int]
     span: float
     run: RawRun
     warnings: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
 
 
 def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
-               progress: Callable[[float], None] | None = None) -> Imported:
-    """Read a run of raw files and write it.
+               progress: Callable[[float], None] | None = None, force: bool = False) -> Imported:
+    """Read a run of raw files, check it and write it.
 
     vehicle: for the road wheel angle. directory: of the bag, new. progress: called with the share done, 0 to 1.
-    Raises RunError for a run that cannot be read or aligned, or a bag that cannot be written.
+    force: whether a run is written of which the checks say that it means nothing. Raises RunError for a run that cannot
+    be read or aligned, one that is refused, or a bag that cannot be written.
     """
     if source.problem is None and source.kind != "ncom":
         raise RunError(source.where, f"is a {source.kind} run already", "import is for .ncom and CAN logs")
     run = read_raw(source, settings)
-    warnings = [*run.warnings, *alignment_warnings(source, run.alignment, settings)]
-    check_common_time(source, run.ins.time_ns, steering_times(run, settings))
+    drive = treated(source, as_drive(source, vehicle, settings, run), vehicle)
+    check_common_time(source, drive.log.ins_time_ns, drive.log.steering_time_ns)
+    findings = checked_log(drive.log, vehicle, drive.extras).findings
+    refuse(source.where, findings, force)
     try:
         writer = BagWriter(directory, _records(source, vehicle, settings, run))
     except OSError as error:
@@ -69,7 +77,11 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         writer.close()
     if writer.error:
         raise RunError(directory, writer.error, "make room and import again")
-    return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings))
+    warnings = list(drive.warnings)
+    if drive.extras.corrected:
+        warnings.append(f"{directory}: holds what was recorded, nothing corrected; what its run.yaml corrects goes "
+                        "into a run.yaml of the bag (bag: ...) too")
+    return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
 
 
 class _Blocks:

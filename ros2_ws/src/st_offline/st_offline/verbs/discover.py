@@ -33,6 +33,7 @@ def discover(
     dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
     signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
     steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
+    force: bool = typer.Option(False, "--force", help="Use also runs in which `st check` finds an error."),
     fresh: bool = typer.Option(False, "--fresh", help="Read all files anew, not what is kept of an earlier start."),
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink.
@@ -55,7 +56,7 @@ def discover(
             runs, reference, base, VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), str(file),
             DiscoverySettings(channels=tuple(_parts(channels)), seed=seed),
             ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset),
-            effects, output, jobs, tuple(_parts(figures)), report, not fresh)
+            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force)
         status = run_command(job, Console())
     except (StCoreError, CommandError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st discover: {error}", err=True)

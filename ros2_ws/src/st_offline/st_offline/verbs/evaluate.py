@@ -44,6 +44,7 @@ def evaluate(
     signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
     steering_sign: int = typer.Option(1, help="CAN logs: +1 where the decoded sensor is left positive; -1: right."),
     steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
+    force: bool = typer.Option(False, "--force", help="Evaluate also runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Runs evaluated side by side (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
 ) -> None:
@@ -80,6 +81,7 @@ def evaluate(
                               offset=offset, ins_can_latency=ins_can_latency),
             starts=_numbers(at),
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
+            force=force,
         )
         load_models(task)
         status = run_command(runs, task, output, table, str(vehicle), workers, scheduler, Console())

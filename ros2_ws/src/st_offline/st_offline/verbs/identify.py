@@ -14,6 +14,7 @@ def identify(
         None, help="Vehicle file to start from; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
     ),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
+    force: bool = typer.Option(False, "--force", help="Use also drives in which `st check` finds an error."),
     seed: int = typer.Option(0, help="Of the bootstrap."),
     offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
     dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
@@ -52,7 +53,7 @@ def identify(
         car = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
         read = ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset)
         folder = new_folder(output, f"identify-{what}", create=False)
-        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(car, seed, read), str(file), folder)
+        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(car, seed, read, force), str(file), folder)
         status = run(job, console)
     except (StCoreError, RunError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st identify {what}: {error}", err=True)

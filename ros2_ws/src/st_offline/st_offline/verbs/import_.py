@@ -24,6 +24,7 @@ def import_(
     signals: Path | None = typer.Option(
         None, help="Table from DBC signals to ours; default config/can/leaf_ze0.yaml.", exists=True
     ),
+    force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
     strict: bool = typer.Option(False, "--strict", help="Refuse runs whose alignment is doubtful."),
 ) -> None:
     """Write INS recording and CAN logs as one rosbag2 MCAP: aligned, in one time base, raw packets and frames kept.
@@ -62,7 +63,7 @@ def import_(
         try:
             several = output is not None and len(found) > 1
             folder = new_folder(output / run.name if several else output, f"import-{run.name}", create=False)
-            _import_one(run, parameters, folder, settings, console)
+            _import_one(run, parameters, folder, settings, force, console)
             written += 1
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)
@@ -70,12 +71,13 @@ def import_(
         raise typer.Exit(1 if written else 2)
 
 
-def _import_one(source, parameters, folder: Path, settings, console) -> None:
+def _import_one(source, parameters, folder: Path, settings, force: bool, console) -> None:
     import time
 
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from ..alignment_figure import alignment_figure
+    from ..checking.shown import say
     from ..runs.write import import_run
     from .align import VERDICT_STYLE, sentence
 
@@ -85,10 +87,11 @@ def _import_one(source, parameters, folder: Path, settings, console) -> None:
         task = progress.add_task(f"{source.name}: reading and aligning", total=None)
         done = import_run(source, parameters, folder, settings,
                           lambda share: progress.update(task, description=f"{source.name}: writing", total=1.0,
-                                                        completed=share))
+                                                        completed=share), force)
     seconds = time.perf_counter() - began
     for warning in done.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+    say(source.name, done.findings, console)
     alignment = done.run.alignment
     text = sentence(alignment, done.run.can.start_ns, absolute=True)
     if done.run.shared:

@@ -13,6 +13,7 @@ def replay(
         None, help="Vehicle file; default the one in the recording, else config/vehicle/leaf.yaml.", exists=True,
         dir_okay=False
     ),
+    force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
     view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
     view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/replay-<time>."),
@@ -20,7 +21,11 @@ def replay(
     """Play a recording through predictor, evaluator and recorder on its own clock; record what they say now."""
     # Imported when it runs: the ROS libraries take a second that `st --help` need not wait.
     from rich.console import Console
+    from st_core.errors import StCoreError
 
+    from ..checking.document import documents
+    from ..checking.gate import passed_bag
+    from ..checking.shown import say
     from ..evaluation.verification import replay_bag
     from ..output import OutputError, new_folder
     from ..report import conclude
@@ -31,12 +36,15 @@ def replay(
     console = Console()
     try:
         shown = window(view, view_save)
+        findings = passed_bag(bag, vehicle, force)
+        say(bag.name, findings, console)
         folder = new_folder(output, f"replay-{bag.stem}")
         outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, shown)
-    except (RunError, SuiteError, OutputError) as error:
+    except (RunError, StCoreError, SuiteError, OutputError) as error:
         typer.echo(f"st replay: {error}", err=True)
         raise typer.Exit(2) from None
-    about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name}
+    about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
+             "findings": documents(findings)}
     status = conclude(folder, outcome, about, console)
     finish(shown, console)
     raise typer.Exit(status)

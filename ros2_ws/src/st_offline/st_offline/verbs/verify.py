@@ -14,6 +14,7 @@ def verify(
     ),
     tolerance: float = typer.Option(TOLERANCE, help="m; the largest difference that passes.", min=0.0),
     again: bool = typer.Option(False, "--replay", help="Play it through the nodes, and compare what they say now."),
+    force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
     output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
 ) -> None:
     """Compare every prediction and score of the nodes with the library on the same measurements, start by start.
@@ -30,7 +31,7 @@ def verify(
     from ..suite import SuiteError
 
     try:
-        status = verify_command(bag, vehicle, tolerance, again, output, Console())
+        status = verify_command(bag, vehicle, tolerance, again, output, Console(), force)
     except (RunError, StCoreError, SuiteError, OutputError) as error:
         typer.echo(f"st verify: {error}", err=True)
         raise typer.Exit(2) from None

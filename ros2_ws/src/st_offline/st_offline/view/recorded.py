@@ -5,7 +5,8 @@ from pathlib import Path
 import rerun as rr
 from rosbags.highlevel import AnyReader
 
-from ..evaluation.verification import configuration_of, recordings_of
+from ..evaluation.recorded import configuration_of
+from ..evaluation.verification import recordings_of
 from ..runs.bag import definitions, open_bag, read_bag
 from ..runs.cdr import typestore
 from . import scene
@@ -22,7 +23,7 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
     """
     bag, _ = recordings_of(path)
     open_bag(bag)
-    car, recorded, _ = configuration_of(read_bag(bag), vehicle)
+    car, recorded, _ = configuration_of(read_bag(bag).records, vehicle)
     recording = scene.recording(path.name, FLUSH, rr.FileSink(str(file)))
     feed = Feed(scene.Scene(recording, car), recorded.nodes.get("predictor", {}).get("map_frame", "map"))
     pictures, due_ns = 0, 0

@@ -1,0 +1,44 @@
+"""Signals that do not belong together are errors of the checks, by name: no parameter is fitted to them."""
+
+from dataclasses import replace
+
+import pytest
+from driven import drive, weave
+from st_core.checks import Severity, check
+
+DEGREES = 57.29577951308232
+
+
+@pytest.fixture(scope="module")
+def log(leaf):
+    return drive(leaf, 9.0, weave(0.06), 20.0)
+
+
+def errors(log, car):
+    return {one.name: one for one in check(log, car).of(Severity.ERROR)}
+
+
+def test_a_good_drive_passes(log, leaf):
+    assert errors(log, leaf) == {}
+
+
+@pytest.mark.parametrize(("wrong", "name"), [
+    (lambda d: {"yaw": d.yaw * DEGREES}, "yaw_scale"),
+    (lambda d: {"yaw_rate": d.yaw_rate * DEGREES}, "yaw_rate_scale"),
+    (lambda d: {"yaw_rate": -d.yaw_rate}, "yaw_rate_scale"),
+    (lambda d: {"road_wheel_angle": d.road_wheel_angle * DEGREES}, "steering_scale"),
+    (lambda d: {"road_wheel_angle": d.road_wheel_angle / DEGREES}, "steering_scale"),
+    (lambda d: {"road_wheel_angle": -d.road_wheel_angle}, "steering_sign"),
+    (lambda d: {"road_wheel_angle": d.steering_wheel_angle}, "steering_scale"),
+    (lambda d: {"velocity_x": 3.6 * d.velocity_x, "velocity_y": 3.6 * d.velocity_y}, "velocity_scale"),
+])
+def test_signals_that_do_not_belong_together(log, leaf, wrong, name):
+    assert name in errors(replace(log, **wrong(log)), leaf)
+
+
+@pytest.mark.parametrize("wrong", [
+    lambda d: {"yaw": d.yaw * DEGREES, "yaw_rate": d.yaw_rate * DEGREES},
+    lambda d: {"velocity_x": d.velocity_y, "velocity_y": d.velocity_x},
+])
+def test_several_that_do_not(log, leaf, wrong):
+    assert errors(replace(log, **wrong(log)), leaf)

@@ -1,0 +1,88 @@
+"""check.json, and findings as plain values. The schema: docs/checks.md."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from st_core.checks import SCHEMA, Checked, Cure, Finding, Identity, Severity
+from st_core.vehicle import VehicleParameters
+
+from ..plain_json import finite
+from ..results import versions
+from ..runs import RunSource
+from . import words
+
+
+@dataclass(frozen=True)
+class CheckedRun:
+    """One run of `st check`. problem: why there is nothing else. vehicle_from: file or recording.
+
+    warnings: of the reading, with what was corrected.
+    """
+
+    source: RunSource
+    problem: str = ""
+    checked: Checked | None = None
+    vehicle: VehicleParameters | None = None
+    vehicle_from: str = ""
+    duration: float = 0.0
+    warnings: tuple[str, ...] = ()
+    files: Mapping[str, str] | None = None
+
+    @property
+    def name(self) -> str:
+        return self.source.name
+
+
+def documents(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """Findings as JSON has them."""
+    return [finite(one.as_dict()) for one in findings]
+
+
+def findings_in(about: Mapping[str, Any]) -> list[Finding]:
+    """Findings back from what a report says of a run (its key "findings")."""
+    return [_finding(entry) for entry in about.get("findings", ())]
+
+
+def _finding(entry: Mapping[str, Any]) -> Finding:
+    cure = Cure(**entry["cure"]) if entry["cure"] else None
+    interval = tuple(entry["interval"]) if entry["interval"] else None
+    return Finding(**{**entry, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
+                      "interval": interval, "where": tuple(map(tuple, entry["where"])), "cure": cure})
+
+
+def document(runs: Sequence[CheckedRun]) -> dict[str, Any]:
+    """The content of check.json."""
+    good = [run for run in runs if not run.problem]
+    return {
+        "schema": SCHEMA,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
+        "vehicle": {source: {"name": car.name, "hash": car.hash}
+                    for source, car in {run.vehicle_from: run.vehicle for run in good}.items()},
+        "runs": {run.name: _run(run) for run in good},
+        "failed": {run.name: run.problem for run in runs if run.problem},
+    }
+
+
+def _run(run: CheckedRun) -> dict[str, Any]:
+    return {
+        "verdict": words.verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
+        **finite(run.checked.as_dict()),
+        "identities": [finite(_identity(one)) for one in run.checked.identities],
+        "warnings": list(run.warnings), "files": dict(run.files or {}),
+    }
+
+
+def _identity(one: Identity) -> dict[str, Any]:
+    return {"name": one.name, "title": one.title, "unit": one.unit, "samples": len(one.time),
+            "residual_rms": residual_rms(one), "findings": list(one.findings)}
+
+
+def residual_rms(one: Identity) -> float:
+    """Root mean square of measured minus derived, in the unit of the identity; NaN where nothing is known of both."""
+    apart = np.asarray(one.measured) - np.asarray(one.derived)
+    apart = apart[np.isfinite(apart)]
+    return float(np.sqrt(np.square(apart).mean())) if len(apart) else float("nan")

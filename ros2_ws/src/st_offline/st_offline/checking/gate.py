@@ -1,0 +1,70 @@
+"""The one place where recordings are checked: what was found, and whether an evaluation may go on."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from st_core.checks import Checked, Extras, Finding, Severity, check
+from st_core.checks.step import step_too_long
+from st_core.log import DriveLog
+from st_core.models import MODELS, Model
+from st_core.prediction import PredictionSettings
+from st_core.vehicle import VehicleParameters
+
+from ..evaluation.recorded import configuration_of
+from ..runs import RunError, RunSource, read
+from . import words
+from .document import documents
+
+STEP = PredictionSettings().step
+ADVICE = "mend it as `st check` proposes, or go on all the same with --force"
+
+
+class Refused(RunError):
+    """A recording whose signals are so wrong that an evaluation would be meaningless. findings: all of the run."""
+
+    def __init__(self, where: Path | str, findings: Sequence[Finding]):
+        self.findings = tuple(findings)
+        said = "; ".join(f"{one.name}: {one.text}" for one in findings if one.severity is Severity.ERROR)
+        super().__init__(where, said, ADVICE)
+
+    def __reduce__(self):  # errors travel between processes by their arguments
+        return Refused, (self.path, self.findings)
+
+
+def checked_log(log: DriveLog, vehicle: VehicleParameters, extras: Extras | None,
+                models: Sequence[str | Model] = (), step: float = STEP) -> Checked:
+    """All findings on a drive. models, step [s]: to be predicted with; none where nothing is predicted at that step."""
+    checked = check(log, vehicle, extras)
+    too_long = step_too_long(models, vehicle, log, step) if models else None
+    if too_long is None:
+        return checked
+    return replace(checked, findings=tuple(sorted((*checked.findings, too_long), key=words.gravity)))
+
+
+def refuse(where: Path | str, findings: Sequence[Finding], force: bool) -> None:
+    """Raises Refused where an error is among the findings, unless it is forced."""
+    if not force and any(one.severity is Severity.ERROR for one in findings):
+        raise Refused(where, findings)
+
+
+def passed_bag(bag: Path, vehicle: Path | None, force: bool) -> list[Finding]:
+    """Findings of a recording as it is to be played or compared: with the vehicle, the models and the step it carries,
+    where it carries them. Raises Refused, and RunError for what cannot be read.
+    """
+    run = read(RunSource(bag.stem, "bag", (bag,)))
+    car, recorded, _ = configuration_of(run.provenance["recorded"], vehicle)
+    predictor = recorded.nodes.get("predictor", {})
+    models = [model for model in predictor.get("models", MODELS) if model in MODELS]
+    findings = checked_log(run.log, car, run.extras, models, predictor.get("step", STEP)).findings
+    refuse(bag, findings, force)
+    return list(findings)
+
+
+def passed(where: Path | str, log: DriveLog, vehicle: VehicleParameters, extras: Extras | None, force: bool,
+           models: Sequence[str | Model] = (), step: float = STEP) -> list[dict[str, Any]]:
+    """Findings of a drive that may be used, as plain values for a report. Raises Refused for one that may not."""
+    findings = checked_log(log, vehicle, extras, models, step).findings
+    refuse(where, findings, force)
+    return documents(findings)

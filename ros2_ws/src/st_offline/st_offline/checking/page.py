@@ -1,0 +1,51 @@
+"""The check as one page: what is wrong first, then what it rests on. Nothing is loaded, every name is escaped."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..evaluation.drawing import Drawn, Place
+from ..evaluation.page import BUDGET
+from ..evaluation.work import slug
+from ..pages import template
+from . import words
+from .document import CheckedRun
+from .panels import panel
+
+
+def title(runs: Sequence[CheckedRun]) -> str:
+    """The answer in a sentence."""
+    good = [run for run in runs if not run.problem]
+    if len(good) == 1:
+        return f"{good[0].name}: {words.answer(good[0].checked)}"
+    worst = {severity: [run.name for run in good if run.checked.of(severity)] for severity in words.GRAVITY[:2]}
+    if not any(worst.values()):
+        return f"{len(good)} runs: no error and no warning"
+    said = [f"{severity.value}s in {len(names)} of {len(good)} runs ({', '.join(names)})"
+            for severity, names in worst.items() if names]
+    sentence = "; ".join(said)
+    return sentence[0].upper() + sentence[1:]
+
+
+def write_page(file: Path, runs: Sequence[CheckedRun], content: dict[str, Any]) -> None:
+    """content: of check.json."""
+    good = [run for run in runs if not run.problem]
+    text = template("checking", "check.html.jinja").render(
+        title=title(runs), runs=good, failed=[run for run in runs if run.problem], content=content,
+        figures=_within_budget(good))
+    file.write_text(text, encoding="utf-8")
+
+
+def _within_budget(runs: Sequence[CheckedRun]) -> dict[str, list[Drawn]]:
+    """The panels of each run: all, as long as there is room on the page; then those with findings; then none."""
+    room, shown = BUDGET, {}
+    for run in runs:
+        shown[run.name] = []
+        for identity in run.checked.identities:
+            concerned = any(one.name in identity.findings for one in run.checked.findings)
+            if room < (0 if concerned else BUDGET // 2):
+                continue
+            drawn = panel(identity, run.checked, Place(None, (), f"{slug(run.name)}-"))
+            room -= len(drawn.svg.encode())
+            shown[run.name].append(drawn)
+    return shown

@@ -1,0 +1,137 @@
+"""The run.yaml that cures what was found: what `st check --propose-cure` writes."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+from st_core.checks import Finding
+from st_core.corrections import Correction
+
+from ..output import OutputError
+from ..runs import ReadSettings, RunSource
+from ..runs.errors import printable
+from ..runs.sources import RUN_FILE, RUN_SUFFIX
+from . import words
+
+KINDS = {"csv": "csv", "bag": "bag", "ncom": "ins"}
+HEAD = "# Proposed by st check. What it corrects is said by every verb that reads it.\n"
+
+
+def check_name(file: Path) -> None:
+    """Raises OutputError for a file that no verb would read, or that is there already."""
+    if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
+        raise OutputError(f"--propose-cure {file}: name it run.yaml or NAME.run.yaml, else no verb takes it for a run")
+    if file.exists():
+        raise OutputError(f"--propose-cure {file}: is there already; name another (nothing is ever overwritten)")
+
+
+def proposal(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
+    """Text of a run.yaml at `file`: the run as it was read, and the cures that belong there, each with its finding.
+
+    What else is to be done stands in comments. Paths are relative to the file.
+    """
+    cures: dict[str, Any] = {}
+    lines = [HEAD]
+    for one in findings:
+        taken = one.cure is not None and one.cure.kind == "run.yaml" and merge(cures, one.cure.entry)
+        lines.append(f"# {one.severity.value}: {one.name}: {printable(one.text)}\n")
+        if one.cure is not None and not taken:
+            reason = "not taken, a graver finding asks for another value: " if one.cure.kind == "run.yaml" else ""
+            lines.append(f"#   {reason}{printable(words.cure(one.cure))}\n")
+    if read.steering_sign != 1 or read.steering_latency:
+        lines.append(f"# it was read with --steering-sign {read.steering_sign} --steering-latency "
+                     f"{read.steering_latency:g}\n")
+    content = {"name": source.name, **_files(source, file), **with_cures(_settings(source, file, read), cures)}
+    return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
+
+
+def merge(cures: dict[str, Any], entry: Mapping[str, Any]) -> bool:
+    """Adds an entry in place, lists one after another; False, and nothing is added, where it says something else."""
+    if not _agree(cures, entry):
+        return False
+    _add(cures, plain(entry))
+    return True
+
+
+def with_cures(settings: Mapping[str, Any], cures: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a run.yaml with cures for what it still shows. What was corrected before is corrected further:
+
+        scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
+    """
+    found = {**settings}
+    for key, value in cures.items():
+        before = found.get(key)
+        if key == "correct":
+            found[key] = {channel: _further((before or {}).get(channel, {}), value.get(channel, {}))
+                          for channel in {**(before or {}), **value}}
+        elif isinstance(value, list):
+            found[key] = [*(before or ()), *value]
+        else:
+            found[key] = {**(before or {}), **value} if isinstance(value, Mapping) else value
+    return found
+
+
+def _further(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+    found = {**first, **second}
+    if "scale" in first and "scale" in second:
+        found["scale"] = first["scale"] * second["scale"]
+    if "add" in first:
+        found["add"] = second.get("scale", 1.0) * first["add"] + second.get("add", 0.0)
+    for key in ("earlier", "ahead"):
+        if key in first and key in second:
+            found[key] = first[key] + second[key]
+    return found
+
+
+def _agree(cures: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
+    return all(key not in cures or isinstance(value, list | tuple) or cures[key] == value
+               or (isinstance(value, Mapping) and isinstance(cures[key], Mapping) and _agree(cures[key], value))
+               for key, value in entry.items())
+
+
+def _add(cures: dict[str, Any], entry: Mapping[str, Any]) -> None:
+    for key, value in entry.items():
+        if isinstance(value, Mapping):
+            _add(cures.setdefault(key, {}), value)
+        else:
+            cures[key] = [*cures.get(key, ()), *value] if isinstance(value, list) else value
+
+
+def _files(source: RunSource, file: Path) -> dict[str, Any]:
+    found: dict[str, Any] = {KINDS[source.kind]: _relative(source.where, file)}
+    if source.can:
+        found["can"] = [_relative(path, file) for path in source.can]
+    return found
+
+
+def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
+    """What the run.yaml it was read by said, and the options of the command line, which count more."""
+    given = {"dbc": read.dbc, "signals": read.signals, "offset": read.offset,
+             "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
+    settings = {**source.settings, **{key: value for key, value in given.items() if value is not None}}
+    layout = settings.pop("layout", None)
+    found = {key: _relative(value, file) if isinstance(value, Path) else plain(value)
+             for key, value in settings.items()}
+    if layout is not None:
+        found |= {key: plain(value) for key in ("columns", "units") if (value := getattr(layout, key))}
+    if source.labels:
+        found["labels"] = [{"name": one.name, "start": one.start, "end": one.end} for one in source.labels]
+    return found
+
+
+def plain(value: Any) -> Any:
+    """Mappings, tuples, corrections and numbers of any kind as YAML writes them."""
+    if isinstance(value, Correction):
+        return {one.name: plain(kept) for one in fields(value) if (kept := getattr(value, one.name)) != one.default}
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    return float(f"{value:.9g}") if isinstance(value, float) else value
+
+
+def _relative(path: Path, file: Path) -> str:
+    return Path(os.path.relpath(path.absolute(), file.absolute().parent)).as_posix()

@@ -1,0 +1,46 @@
+"""What a check found, on the terminal."""
+
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.markup import escape
+from st_core.checks import Checked, Finding, Severity
+
+from . import words
+from .document import CheckedRun
+
+STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
+
+
+def show(run: CheckedRun, console: Console) -> None:
+    """The verdict in a line, then what was found."""
+    if run.problem:
+        console.print(f"[red]{escape(run.name)}[/red]: {escape(run.problem)}", highlight=False, soft_wrap=True)
+        return
+    console.print(f"[bold]{escape(run.name)}[/bold]: [{_colour(run.checked)}]{escape(words.verdict(run.checked))}[/]  "
+                  f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]",
+                  highlight=False, soft_wrap=True)
+    for finding in run.checked.findings:
+        _show_finding(finding, console)
+
+
+def _colour(checked: Checked) -> str:
+    gravest = min((words.GRAVITY.index(one.severity) for one in checked.findings), default=None)
+    return "green" if gravest is None or words.GRAVITY[gravest] is Severity.NOTE else STYLE[words.GRAVITY[gravest]]
+
+
+def _show_finding(finding: Finding, console: Console) -> None:
+    console.print(f"  [{STYLE[finding.severity]}]{finding.severity.value}[/] [bold]{escape(finding.name)}[/bold]: "
+                  f"{escape(finding.text)}", highlight=False, soft_wrap=True)
+    about = [words.where(finding), words.effect(finding)]
+    console.print(f"    [dim]{escape('; '.join(filter(None, about)))}[/dim]", highlight=False, soft_wrap=True)
+    if finding.cure:
+        console.print(f"    cure, {escape(words.cure(finding.cure))}" if words.PLACE[finding.cure.kind] else
+                      f"    cure: {escape(finding.cure.line)}", highlight=False, soft_wrap=True)
+
+
+def say(name: str, findings: Sequence[Finding], console: Console) -> None:
+    """The findings of a run a line each, for verbs that speak of other things."""
+    for finding in findings:
+        console.print(f"[{STYLE[finding.severity]}]{escape(name)}: {escape(words.line(finding))}[/]", highlight=False,
+                      soft_wrap=True)

@@ -1,0 +1,184 @@
+"""What a check found, in words, on the page and in a proposed run.yaml: rendering of findings made by hand."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import yaml
+from st_core.checks import Channel, Checked, Cure, Finding, Identity, Severity
+from st_core.vehicle import VehicleParameters
+from st_offline.checking import words
+from st_offline.checking.document import CheckedRun, document, documents, findings_in
+from st_offline.checking.page import title, write_page
+from st_offline.checking.proposal import proposal, with_cures
+from st_offline.checking.shown import say, show
+from st_offline.output import OutputError
+from st_offline.runs import ReadSettings, RunSource
+from support import ROOT
+
+HOSTILE = "<script>alert(1)</script> & [bold]x"
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+
+
+def cure(**entry):
+    return Cure("run.yaml", f"correct: {json.dumps(entry['correct'])}" if "correct" in entry else str(entry), entry)
+
+
+DEGREES = Finding("yaw_rate_scale", Severity.ERROR, ("yaw_rate",), "yaw rate is 57.3 times too large: deg/s?", 57.3,
+                  "1", (57.2, 57.4), (), 130.4, cure(correct={"yaw_rate": {"scale": 0.01745}}))
+JUMPS = Finding("position_jumps", Severity.WARNING, ("x", "y"), f"positions jump {HOSTILE}", 2, "1", None,
+                ((1.0, 1.5), (3.0, 3.25)), 0.31, cure(leave_out=[[1.0, 1.5], [3.0, 3.25]]))
+MOVED = Finding("measuring_point", Severity.WARNING, (), "the measuring point lies 1.50 m behind", -1.5, "m",
+                (-1.53, -1.47), (), 0.2, Cure("vehicle", "cg_to_ins_x: {value: -1.9, unit: m}", {"cg_to_ins_x": -1.9}))
+COARSE = Finding("resolution_coarse", Severity.NOTE, ("yaw",), "yaw comes in steps", np.nan, "rad",
+                 cure=Cure("look", "log more digits"))
+ALL = (DEGREES, JUMPS, MOVED, COARSE)
+
+
+def checked(findings=ALL):
+    time = np.arange(0.0, 10.0, 0.01)
+    rate = np.sin(time)
+    identity = Identity("yaw_rate", "Yaw rate against the change of yaw", "rad/s", "yaw rate", "change of yaw", time,
+                        57.3 * rate, np.where(time < 5.0, rate, np.nan), ("yaw_rate_scale", "position_jumps"))
+    channel = Channel("rad/s", 1000, 100.0, 0, 0.01, 0.001, 0.0, 0.02, 3)
+    return Checked(tuple(findings), {"yaw_rate": channel}, (identity,))
+
+
+def run(name="drive", findings=ALL, folder=ROOT, **settings):
+    source = RunSource(name, "csv", (folder / "drive.csv",), settings=settings)
+    car = VehicleParameters.from_yaml(LEAF.read_text())
+    return CheckedRun(source, "", checked(findings), car, "leaf.yaml", 10.0, (), {"drive.csv": "0" * 64})
+
+
+class Lines:
+    """A console that keeps what it is told, without mark-up being interpreted."""
+
+    def __new__(cls):
+        from io import StringIO
+
+        from rich.console import Console
+        return Console(file=StringIO(), width=60, color_system=None)
+
+
+@pytest.mark.parametrize(("value", "interval", "unit", "text"), [
+    (57.31, (57.20, 57.42), "1", "57.31 ± 0.11"), (-1.5, (-1.53, -1.47), "m", "-1.500 ± 0.030 m"),
+    (0.31, (0.29, 0.35), "s", "0.310 (0.290 to 0.350) s"), (0.0035, None, "rad/s", "0.0035 rad/s"),
+    (1234.5, (1230.0, 1239.0), "m/s^2", "1234.5 ± 4.5 m/s²"), (None, None, "m", ""), (6, (6.0, 6.0), "1", "6"),
+])
+def test_numbers_have_the_digits_their_interval_bears(value, interval, unit, text):
+    assert words.number(value, interval, unit) == text
+
+
+def test_where_and_effect():
+    assert words.where(DEGREES) == "whole run" and words.where(JUMPS) == "1.0 to 1.5 s, 3.0 to 3.2 s"
+    many = tuple((float(k), k + 0.5) for k in range(9))
+    assert words.where(Finding("a", Severity.NOTE, (), "t", where=many)).endswith("3.0 to 3.5 s and 5 more")
+    assert words.effect(DEGREES) == "the 5 s position moves by about 130 m" and words.effect(COARSE) == ""
+
+
+def test_the_verdict_counts_and_says_what_it_means():
+    assert words.verdict(checked()) == "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
+    assert words.verdict(checked([MOVED])) == "1 warning: an evaluation would be biased"
+    assert words.verdict(checked([])) == "nothing found, in 1 comparison"
+    assert "nothing to compare" in words.verdict(Checked((), {}, ()))
+    assert words.answer(checked([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
+
+
+def test_the_gravest_comes_first():
+    assert sorted((COARSE, MOVED, JUMPS, DEGREES), key=words.gravity) == [DEGREES, MOVED, JUMPS, COARSE]
+
+
+def test_the_terminal_holds_everything_and_obeys_no_name():
+    console = Lines()
+    show(run(HOSTILE), console)
+    say(HOSTILE, ALL, console)
+    text = console.file.getvalue()
+    for one in ALL:
+        assert text.count(one.text) == 2 and one.name in text and text.count(one.cure.line) == 2
+    assert HOSTILE in text and "in the vehicle file: cg_to_ins_x" in text and "3.0 to 3.2 s" in text
+
+
+def test_findings_survive_json():
+    about = json.loads(json.dumps({"findings": documents(ALL)}, allow_nan=False))
+    back = findings_in(about)
+    assert back[:3] == list(ALL[:3]) and back[3].value is None and documents(back) == about["findings"]
+    assert findings_in({}) == []
+
+
+def test_the_document_has_no_number_json_lacks():
+    content = json.loads(json.dumps(document([run()]), allow_nan=False))
+    entry = content["runs"]["drive"]
+    assert content["schema"] == 1 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
+    assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "where",
+                                         "effect", "cure"}
+    assert entry["channels"]["yaw_rate"]["missing"] == 3 and entry["identities"][0]["residual_rms"] > 10.0
+
+
+def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
+    runs = [run(HOSTILE), run("second", []), CheckedRun(RunSource("third", "", ()), "it is <b>broken</b>")]
+    write_page(tmp_path / "p.html", runs, document(runs))
+    text = (tmp_path / "p.html").read_text()
+    assert "<script" not in text and "&lt;script&gt;alert(1)" in text and "it is &lt;b&gt;broken" in text
+    assert not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"|url\((?!#)|@import', text)
+    for one in (DEGREES, MOVED, COARSE):
+        assert one.text in text and one.name in text
+    assert "57.30 ± 0.10" in text and "1.0 to 1.5 s, 3.0 to 3.2 s" in text and "moves by about 130 m" in text
+    assert text.count("<figure>") == 2 and "var(--bad)" in text and "prefers-color-scheme: dark" in text
+    assert "correct: {&#34;yaw_rate&#34;: {&#34;scale&#34;: 0.01745}}" in text
+    assert title(runs).startswith("Errors in 1 of 2 runs (<script>")
+
+
+def test_a_page_of_many_runs_stays_small(tmp_path):
+    runs = [run(f"drive {number}") for number in range(60)]
+    write_page(tmp_path / "p.html", runs, document(runs))
+    assert (tmp_path / "p.html").stat().st_size < 6_000_000
+
+
+def test_a_proposal_holds_all_cures_with_their_findings(tmp_path):
+    file = tmp_path / "cured" / "run.yaml"
+    text = proposal(run(folder=tmp_path).source, ALL, file, ReadSettings(steering_sign=-1, offset=1.5))
+    content = yaml.safe_load(text)
+    assert content == {"name": "drive", "csv": "../drive.csv", "offset": 1.5,
+                       "correct": {"yaw_rate": {"scale": 0.01745}}, "leave_out": [[1.0, 1.5], [3.0, 3.25]]}
+    comments = [line for line in text.splitlines() if line.startswith("#")]
+    for one in ALL:
+        assert any(f"{one.severity.value}: {one.name}: " in line for line in comments)
+    assert "#   in the vehicle file: cg_to_ins_x: {value: -1.9, unit: m}" in comments
+    assert "# it was read with --steering-sign -1 --steering-latency 0" in comments
+
+
+def test_a_finding_of_two_lines_cannot_leave_its_comment(tmp_path):
+    odd = Finding("yaw_lag", Severity.NOTE, (), "late\nname: other", cure=Cure("look", "x\ny: 1"))
+    assert yaml.safe_load(proposal(run(folder=tmp_path).source, [odd], tmp_path / "run.yaml", ReadSettings())) == {
+        "name": "drive", "csv": "drive.csv"}
+
+
+def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_path):
+    other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", cure=cure(correct={"yaw_rate": {"scale": 2.0}}))
+    text = proposal(run(folder=tmp_path).source, [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
+    assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
+    assert "#   not taken, a graver finding asks for another value: in its run.yaml: correct:" in text
+
+
+def test_what_was_corrected_before_is_corrected_further():
+    """Applied to a sample: scale, add, earlier, first the old, then the new."""
+    before = {"correct": {"yaw_rate": {"scale": 2.0, "add": 0.5, "earlier": 0.1}, "y": {"scale": -1.0}},
+              "leave_out": [[0.0, 1.0]], "units": {"t": "ms"}}
+    new = {"correct": {"yaw_rate": {"scale": 3.0, "add": 0.25, "earlier": 0.02}, "position": {"ahead": 1.0}},
+           "leave_out": [[5.0, 6.0]], "units": {"yaw": "deg"}}
+    after = with_cures(before, new)
+    assert after["correct"] == {"yaw_rate": {"scale": 6.0, "add": 3.0 * 0.5 + 0.25, "earlier": pytest.approx(0.12)},
+                                "y": {"scale": -1.0}, "position": {"ahead": 1.0}}
+    assert after["leave_out"] == [[0.0, 1.0], [5.0, 6.0]] and after["units"] == {"t": "ms", "yaw": "deg"}
+    only_scaled = with_cures(before, {"correct": {"yaw_rate": {"scale": 3.0}}})["correct"]["yaw_rate"]
+    assert only_scaled == {"scale": 6.0, "add": 1.5, "earlier": 0.1}
+
+
+@pytest.mark.parametrize(("name", "message"), [("cure.yaml", "name it run.yaml"), ("run.yaml", "is there already")])
+def test_a_proposal_nobody_would_read_or_that_overwrites_is_refused(tmp_path, name, message):
+    from st_offline.checking.proposal import check_name
+
+    (tmp_path / name).write_text("name: mine\n")
+    with pytest.raises(OutputError, match=message):
+        check_name(tmp_path / name)
