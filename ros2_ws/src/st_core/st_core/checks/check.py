@@ -7,10 +7,12 @@ import numpy as np
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, with_car
-from .channel import identity, judged
+from .channel import identity, in_words, judged
 from .extras import Extras
-from .finding import Checked, Finding, Identity, Severity
+from .finding import Checked, Cure, Finding, Identity, Severity
 from .gross import gross
+from .lag import Agreement
+from .limits import HOLDS, HORIZON, LIMITS
 from .motion import Motion
 from .quality import quality
 from .regression import Estimate
@@ -52,8 +54,36 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
             identities += [shown] if shown else []
         told += with_car.believable(motion)
     told += with_car.standstill(motion)
+    told = [one if one.interval is None else replace(one, interval=_widened(one.name, one.value, one.interval))
+            for one in told]
     ordered = sorted(told, key=lambda one: (ORDER.index(one.severity), -(one.effect or np.inf)))
-    return Checked(tuple(ordered), known, tuple(identities), {k: (e.value, *e.interval) for k, e in estimates.items()})
+    return Checked(tuple(ordered), known, tuple(identities),
+                   {name: (one.value, *_widened(name, one.value, one.interval)) for name, one in estimates.items()})
+
+
+def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
+    """Where yaw lags the yaw rate: is it the yaw? Then positions say so too."""
+    if found is None or not found.lag.sure or -found.lag.value < LIMITS.lag:
+        return motion, []
+    late = found.lag.scaled(-1.0)
+    earlier = motion.with_(yaw=np.interp(motion.time + late.value, motion.time, motion.yaw))
+    if not position.misfit(earlier) < position.misfit(motion):
+        return motion, []
+    effect = late.value * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
+    severity = max(LIMITS.severity(effect), Severity.WARNING if late.value >= LIMITS.grave_lag else Severity.NOTE,
+                   key=ORDER[::-1].index)
+    value = float(f"{late.value:.4g}")
+    cure = Cure("run.yaml", f"correct: {{yaw: {{earlier: {value:g}}}}}", {"correct": {"yaw": {"earlier": value}}})
+    return earlier, [Finding("yaw_lag", severity, ("yaw",), f"yaw lags yaw rate and positions by {in_words(late, 3)} s",
+                             late.value, "s", late.interval, (), effect, cure)]
+
+
+def _widened(name: str, value: float, interval: tuple[float, float]) -> tuple[float, float]:
+    """With what the identity itself does not know, see limits.HOLDS."""
+    kind = name.rpartition("_")[2]
+    half = HOLDS.get(name, HOLDS.get(kind, 0.0)) * (abs(value) if kind in ("scale", "sign") else 1.0)
+    low, high = interval
+    return value - float(np.hypot(value - low, half)), value + float(np.hypot(high - value, half))
 
 
 def _factors(coarse: list[Finding]) -> dict[str, float]:
@@ -79,10 +109,14 @@ def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns:
              seed: int) -> tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]:
     """The identities that no vehicle parameter can break."""
     shown = [position.identity(motion)]
+    motion, told = position.lateral_sign(motion)
     found, expected = inertial.yaw_rate(motion, seed)
-    late = -found.lag.value if found and found.lag.sure else 0.0  # of the yaw, should the yaw rate be right
-    motion, told, estimates = position.position(motion, seed, late)
-    if any(one.name in ("yaw_lag", "yaw_offset") for one in told):
+    motion, late = _late_yaw(motion, found)
+    motion, causes, estimates = position.position(motion, seed)
+    if found:
+        estimates["yaw_lag"] = found.lag.scaled(-1.0)
+    told += late + causes
+    if late or any(one.name == "yaw_offset" for one in causes):
         found, expected = inertial.yaw_rate(motion, seed)
     more, those = judged(found, expected, before.get("yaw_rate_scale", 1.0))
     told += [one for one in more if not (one.name == "yaw_rate_scale" and one.name in before)]

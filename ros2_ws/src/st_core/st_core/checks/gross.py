@@ -16,7 +16,6 @@ from .limits import LIMITS
 from .motion import MOVING, Motion, Windows, integral, weighted_median, windows
 
 LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m in a window, from which on it says something
-LEAST_ACROSS = 0.05  # m/s root mean square of velocity_y
 LEAST_WINDOWS = 5
 DEGREE = 180.0 / np.pi
 SPEEDS = {3.6: ("km/h", "km/h"), 2.23694: ("mph", "mph"), 1.94384: ("knots", "kn")}
@@ -96,7 +95,7 @@ def _against_course(motion: Motion, over: Windows, way: np.ndarray) -> tuple[flo
 def gross(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion with units, signs and axes mended, what was mended)."""
     found: list[Finding] = []
-    for step in (_time, _turns, _axes, _way, _turned, _across):
+    for step in (_time, _turns, _axes, _way, _turned):
         motion, finding = step(motion)
         found += [finding] if finding else []
     return motion, found
@@ -247,15 +246,3 @@ def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
     cure = Cure("run.yaml", f"correct: {{yaw: {{add: {-exact:.6g}}}}}", {"correct": {"yaw": {"add": -float(exact)}}})
     finding = replace(_error("yaw_offset", ("yaw",), text, angle, cure), unit="rad")
     return motion.with_(yaw=motion.yaw - exact), finding
-
-
-def _across(motion: Motion) -> tuple[Motion, Finding | None]:
-    """The sign of velocity_y: the other way round it would fit positions far better."""
-    if float(np.sqrt(np.mean(motion.velocity_y**2))) < LEAST_ACROSS:
-        return motion, None
-    mirrored = motion.with_(velocity_y=-motion.velocity_y)
-    if not _misfit(mirrored) < 0.6 * _misfit(motion):
-        return motion, None
-    text = "velocity_y counts the other way (left is positive)"
-    cure = Cure("run.yaml", "correct: {velocity_y: {scale: -1}}", {"correct": {"velocity_y": {"scale": -1.0}}})
-    return mirrored, _error("velocity_y_scale", ("velocity_y",), text, -1.0, cure)

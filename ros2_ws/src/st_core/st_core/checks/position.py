@@ -9,7 +9,6 @@ over windows of a second. What is left of it is explained by at most a few cause
     yaw offset a          yaw = yaw_true + a                     -a times the way, turned to the left
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt
-    yaw lag T             yaw(t) = yaw_true(t - T)               +T integral of r (V turned to the left) dt
     reference a           p is of a point a ahead                (R(yaw2) - R(yaw1)) (a, 0)
 """
 
@@ -23,6 +22,8 @@ from .regression import Estimate, Regression
 WINDOW = 1.0  # s
 LEAST = 10  # windows
 ROUNDS = 3
+LEAST_ACROSS = 0.05  # m/s root mean square of velocity_y
+FARTHEST_POINT = 2.0  # m between the points of positions and velocities
 SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
 AXES = {"x_scale", "y_scale"}
 TEXT = {
@@ -33,12 +34,11 @@ TEXT = {
     "yaw_offset": "yaw is {value:+.4f} ± {half:.4f} rad ({degrees:+.2f} deg) too far left for positions and velocities",
     "position_lag": "positions lag velocity and yaw by {value:+.3f} ± {half:.3f} s",
     "velocity_lag": "velocities lag positions and yaw by {value:+.3f} ± {half:.3f} s",
-    "yaw_lag": "yaw lags positions and velocities by {value:+.3f} ± {half:.3f} s",
     "position_reference": "positions are of a point {value:+.2f} ± {half:.2f} m ahead of the one velocities are of",
 }
-UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "yaw_lag": "s", "position_reference": "m"}
+UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "position_reference": "m"}
 CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "velocity_scale": ("velocity_x", "velocity_y"), "yaw_offset": ("yaw",),
-            "position_lag": ("x", "y"), "velocity_lag": ("velocity_x", "velocity_y"), "yaw_lag": ("yaw",),
+            "position_lag": ("x", "y"), "velocity_lag": ("velocity_x", "velocity_y"),
             "position_reference": ("x", "y")}
 
 
@@ -55,17 +55,15 @@ def regression(motion: Motion, seed: int) -> Regression:
         "x_scale": (way[0], zero), "y_scale": (zero, way[1]), "map_shear": (way[1], zero), "velocity_scale": way,
         "yaw_offset": (way[1], -way[0]),
         "position_lag": (-faster[0], -faster[1]),
-        "velocity_lag": (faster[0] - turning[0], faster[1] - turning[1]), "yaw_lag": turning,
+        "velocity_lag": (faster[0] - turning[0], faster[1] - turning[1]),
         "position_reference": (over.change(cosine), over.change(sine)),
     }
     measured = np.stack([over.change(motion.x) - way[0], over.change(motion.y) - way[1]], axis=1)
     return Regression(over.time, measured, {name: np.stack(c, axis=1) for name, c in columns.items()}, seed)
 
 
-def position(motion: Motion, seed: int, yaw_late: float = 0.0) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
+def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
     """(motion with the causes taken out, the findings, every cause's estimate in the value of its finding).
-
-    yaw_late: by how much yaw was found to lag the yaw rate [s]; only then can it lag positions and velocities.
     """
     found: dict[str, Estimate] = {}
     mended = motion
@@ -74,10 +72,37 @@ def position(motion: Motion, seed: int, yaw_late: float = 0.0) -> tuple[Motion, 
         if len(problem.time) < LEAST:
             return motion, [], {}
         least = {name: max(LIMITS.worth_a_word / max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9), _least(name))
-                 for name in problem.columns if name != "yaw_lag" or yaw_late >= LIMITS.lag}
+                 for name in problem.columns}
         found = _refined(problem, found, least)
         mended = _mended(motion, found)
     return mended, [_finding(name, one, problem) for name, one in found.items()], _all(problem, found)
+
+
+def misfit(motion: Motion) -> float:
+    """Median distance over a second between positions and what velocity and yaw say [m], scales of the map aside."""
+    problem = regression(motion, 0)
+    return problem.fit(("x_scale", "y_scale"))[1] if len(problem.time) >= LEAST else np.inf
+
+
+def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
+    """The sign of velocity_y: the other way round it fits positions better than any other cause could."""
+    if float(np.sqrt(np.mean(motion.velocity_y**2))) < LEAST_ACROSS:
+        return motion, []
+    mirrored = motion.with_(velocity_y=-motion.velocity_y)
+    problem = regression(motion, 0)
+    if len(problem.time) < LEAST:
+        return motion, []
+    rivals = []
+    for name in (name for name in problem.columns if name not in (*AXES, "velocity_scale")):
+        theta, scale, _ = problem.fit(("x_scale", "y_scale", name))
+        # The lateral velocity is mostly distance times yaw rate: its sign looks like a point twice that far away.
+        if name != "position_reference" or abs(theta[name]) < FARTHEST_POINT:
+            rivals.append(scale)
+    if not misfit(mirrored) < 0.8 * min(rivals):
+        return motion, []
+    text = "velocity_y counts the other way (left is positive)"
+    cure = Cure("run.yaml", "correct: {velocity_y: {scale: -1}}", {"correct": {"velocity_y": {"scale": -1.0}}})
+    return mirrored, [Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), text, -1.0, "1", None, (), None, cure)]
 
 
 def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float]) -> dict[str, Estimate]:
@@ -157,7 +182,7 @@ def _cure(name: str, value: float) -> Cure:
         "x_scale": ("x", {"scale": 1.0 / value}), "y_scale": ("y", {"scale": 1.0 / value}),
         "velocity_scale": ("velocity", {"scale": 1.0 / value}), "yaw_offset": ("yaw", {"add": -value}),
         "position_lag": ("position", {"earlier": value}), "velocity_lag": ("velocity", {"earlier": value}),
-        "yaw_lag": ("yaw", {"earlier": value}), "position_reference": ("position", {"ahead": -value}),
+        "position_reference": ("position", {"ahead": -value}),
     }[name] if value else ("", {})
     rounded = {key: float(f"{number:.5g}") for key, number in entry.items()}
     words = ", ".join(f"{key}: {number:g}" for key, number in rounded.items())
@@ -181,8 +206,7 @@ def _mended(motion: Motion, found: dict[str, Estimate]) -> Motion:
         motion = motion.with_(velocity_x=motion.velocity_x * factor, velocity_y=motion.velocity_y * factor)
     if "yaw_offset" in value:
         motion = motion.with_(yaw=motion.yaw - value["yaw_offset"])
-    for cause, names in (("position_lag", ("x", "y")), ("velocity_lag", ("velocity_x", "velocity_y")),
-                         ("yaw_lag", ("yaw",))):
+    for cause, names in (("position_lag", ("x", "y")), ("velocity_lag", ("velocity_x", "velocity_y"))):
         if cause in value:
             motion = motion.with_(**{n: np.interp(time + value[cause], time, getattr(motion, n)) for n in names})
     return motion

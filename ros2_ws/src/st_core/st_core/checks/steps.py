@@ -75,7 +75,8 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray) -> tuple[np.ndar
     text = (f"positions step back by {age * 1e3:.0f} ms at {100 * share:.2g} % of the rows, and forward again later: in "
             "between they are one sample of the receiver old")
     severity = Severity.WARNING if share > LEAST_STALE else Severity.NOTE
-    return (back | forward) & (np.abs(away) < 1.6 * age), [Finding(
+    its = (back | forward) & (np.abs(away) < 1.6 * age) & (crosswise < CROSSWISE * np.abs(rest))
+    return its, [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", (max(share - half, 0.0), min(share + half, 1.0)),
         _stretches(motion.time[1:][back]), effect,
         Cure("look", "stamp positions with their own time, or leave out rows with an old one"))]

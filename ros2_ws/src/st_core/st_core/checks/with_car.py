@@ -21,6 +21,7 @@ CUTOFF = 1.5  # Hz
 SLOW, GENTLE = 2.0, 4.0  # m/s from which, m/s^2 up to which an axle's slip is linear
 DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
+LEAST_ANGLE = 0.01  # rad, root mean square
 
 
 def steering(motion: Motion, vehicle: VehicleParameters, seed: int,
@@ -29,17 +30,32 @@ def steering(motion: Motion, vehicle: VehicleParameters, seed: int,
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
     found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, seed)
+    scale = _scale(motion, derived, seed)
     if found is None or abs(found.correlation) < LIMITS.correlation:
-        return [], {}, None
+        unit = scale and _unit(scale, vehicle)
+        return [unit] if unit else [], {}, None
+    # One bend throughout: its size and an offset look alike.
+    if scale is None or found.scale.deviation < 0.2 * abs(found.scale.value):
+        scale = found.scale
     speed = float(np.median(motion.velocity_x[moving]))
     late = found.lag.shifted(response_time(vehicle, speed))
-    told = [one for one in (_unit(found.scale, vehicle), _late(late, found, speed, vehicle),
+    told = [one for one in (_unit(scale, vehicle), _late(late, found, speed, vehicle),
                             _offset(found, speed, vehicle)) if one]
     shown = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
                      "from yaw rate and speed", found.time, found.measured, found.derived,
                      ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
-    estimates = {"steering_scale": found.scale, "steering_lag": late, "steering_offset": found.bias}
+    estimates = {"steering_scale": scale, "steering_sign": scale, "steering_lag": late, "steering_offset": found.bias}
     return told, estimates, shown
+
+
+def _scale(motion: Motion, derived: np.ndarray, seed: int) -> Estimate | None:
+    """Of the road wheel angle over that of the curvature, without an offset; None where the car hardly turns."""
+    angle = motion.steering_at_ins()
+    known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
+    if len(known) < 50 or float(np.sqrt(np.mean(derived[known] ** 2))) < LEAST_ANGLE:
+        return None
+    problem = Regression(motion.time[known], angle[known, None], {"scale": derived[known, None]}, seed)
+    return problem.estimates(("scale",))["scale"]
 
 
 def response_time(vehicle: VehicleParameters, speed: float) -> float:
