@@ -6,10 +6,11 @@ from pathlib import Path
 import can
 from canedge_bridge.decode import Decoder
 from canedge_bridge.table_reader import TableError
+from drives import weave, write_drive
 from st_core.errors import StCoreError
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
-from st_offline.runs.sources import find_runs
+from st_offline.runs import RunError, RunSource, find_runs, read
 from st_sim import scenarios
 from st_sim.car import read_car
 from st_sim.errors import SimulationError
@@ -90,11 +91,21 @@ def _model(data: bytes, folder: Path) -> str:
 def _run_file(data: bytes, folder: Path) -> str:
     (folder / "drive.ncom").write_bytes(b"x")
     (folder / "drive.log").write_bytes(b"x")
+    write_drive(folder / "drive.csv", weave(1.0))
     file = folder / "run.yaml"
     file.write_bytes(data)
-    outcomes = [one_line(run.problem, data) if run.problem else "taken" for run in find_runs([file])]
+    outcomes = [one_line(run.problem, data) if run.problem else _read(run, data) for run in find_runs([file])]
     assert outcomes
     return "; ".join(outcomes)
+
+
+def _read(run: RunSource, data: bytes) -> str:
+    if run.kind != "csv":
+        return "taken"
+    try:
+        return f"read, {len(read(run).warnings)} warnings"
+    except RunError as error:
+        return one_line(error, data)
 
 
 def _simulated(read: Callable[[Path], object]) -> Callable[[bytes, Path], str]:
@@ -135,13 +146,23 @@ offset: 0.25
 labels:
   - {name: circle, start: 1.0, end: 20.5}
 """
+RUN_OF_COLUMNS = b"""csv: drive.csv
+columns: {yaw: yaw, road_wheel_angle: delta}
+units: {yaw: deg, t: s, velocity_x: km/h}
+correct:
+  yaw_rate: {scale: 0.01745, add: -0.004, earlier: 0.31}
+  position: {earlier: -0.02, ahead: -1.5}
+  steering: {scale: -1}
+  heading: {add: 0.01}
+leave_out: [[0.1, 0.3]]
+"""
 
 TARGETS = (
     Target("dbc", lambda: _bytes(CAN / "leaf_ze0.dbc"), _dbc, DBC_WORDS, text=True),
     Target("signal_table", lambda: _bytes(CAN / "leaf_ze0.yaml"), _signal_table, YAML_WORDS, text=True),
     Target("vehicle", lambda: _bytes(*sorted(VEHICLES.glob("*.yaml"))), _vehicle, YAML_WORDS, text=True),
     Target("model", lambda: [MODEL], _model, YAML_WORDS, text=True),
-    Target("run_file", lambda: [RUN, b"bag: drive.log\n"], _run_file, YAML_WORDS, text=True),
+    Target("run_file", lambda: [RUN, RUN_OF_COLUMNS, b"bag: drive.log\n"], _run_file, YAML_WORDS, text=True),
     Target("sim_vehicle", lambda: _bytes(VEHICLES / "leaf.yaml"), _simulated(read_car), YAML_WORDS, text=True),
     Target("sim_plant", lambda: [PLANT], _simulated(lambda file: resolve(str(file))), YAML_WORDS, text=True),
     Target("sim_road", lambda: _bytes(*sorted(ROADS.glob("*.yaml"))), _simulated(_road), YAML_WORDS, text=True),

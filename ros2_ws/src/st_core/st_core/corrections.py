@@ -21,6 +21,9 @@ from .vehicle import VehicleParameters
 MAXIMUM_GAP = 0.25
 """s. A signal moved in time is not interpolated between samples further apart."""
 
+LARGEST = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}
+"""More is a slip of the finger; a channel that is a minute late belongs to another recording."""
+
 STEERING = ("road_wheel_angle", "steering")
 _PAIRS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
 _ALL = ("scale", "add", "earlier")
@@ -66,7 +69,7 @@ def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: Veh
     corrected road wheel angle; without a vehicle it is left out of the result.
 
     leave_out: INS samples that are not used, (start, end) [s] after the first recorded one, both included.
-    Raises StCoreError for what CHANNELS does not know, a value that is not finite, and a correction that leaves
+    Raises StCoreError for what CHANNELS does not know, a value beyond LARGEST, and a correction that leaves
     nothing.
     """
     check_corrections(corrections)
@@ -85,19 +88,19 @@ def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: Veh
     for name in STEERING:
         log = _steered(log, corrections.get(name, Correction()), vehicle)
     if used.any() and not len(log.ins_time_ns):
-        raise StCoreError(f"{log.name}: the corrections in time leave no INS sample")
+        raise StCoreError(f"{log.name}: the corrections leave no INS sample")
     return log
 
 
 def check_corrections(corrections: Mapping[str, Correction]) -> None:
-    """Raises StCoreError for an unknown channel, a field that means nothing for it, and a value that is not finite."""
+    """Raises StCoreError for an unknown channel, a field that means nothing for it, and a value beyond LARGEST."""
     for channel, correction in corrections.items():
         if channel not in CHANNELS:
             raise StCoreError(f"{channel}: no such channel; there are {', '.join(CHANNELS)}")
         for name, neutral in vars(Correction()).items():
             value = getattr(correction, name)
-            if not np.isfinite(value):
-                raise StCoreError(f"{channel}: {name}: {value!r} is not a finite number")
+            if not abs(value) <= LARGEST[name]:
+                raise StCoreError(f"{channel}: {name}: {value!r} is not within +-{LARGEST[name]:g}")
             if value != neutral and name not in CHANNELS[channel]:
                 raise StCoreError(f"{channel}: {name} means nothing here; there are {', '.join(CHANNELS[channel])}")
         if correction.scale == 0.0:

@@ -157,7 +157,8 @@ def test_without_a_vehicle_the_hand_wheel_is_not_passed_on_uncorrected() -> None
     ({"speed": Correction()}, "speed: no such channel; there are x, y, position"),
     ({"yaw": Correction(ahead=1.0)}, "yaw: ahead means nothing here; there are scale, add, earlier"),
     ({"heading": Correction(scale=2.0)}, "heading: scale means nothing here; there are add"),
-    ({"x": Correction(scale=float("nan"))}, "x: scale: nan is not a finite number"),
+    ({"x": Correction(scale=float("nan"))}, "x: scale: nan is not within"),
+    ({"x": Correction(earlier=61.0)}, "x: earlier: 61.0 is not within .-60"),
     ({"x": Correction(scale=0.0)}, "x: scale: 0 leaves nothing of it"),
     ({"steering": Correction(), "road_wheel_angle": Correction()}, "are the same channel"),
 ])

@@ -106,6 +106,7 @@ def test_labels_stay_with_what_they_name(tmp_path: Path) -> None:
     ("correct: {yaw: {scale: much}}", "correct: yaw: scale: 'much' is not a number"),
     ("correct: {yaw: {scale: true}}", "correct: yaw: scale: 'True' is not a number"),
     ("correct: {yaw: {scale: .inf}}", "correct: yaw: scale: 'inf' is not a number"),
+    ("correct: {yaw: {earlier: 1.0e+20}}", r"correct: yaw: earlier: 1e\+20 is not within .-60"),
     ("correct: {yaw: {scale: 0}}", "correct: yaw: scale: 0 leaves nothing of it"),
     ("correct: {heading: {scale: 2}}", "correct: heading: scale is not known; known are add"),
     ("correct: {steering: {add: 1}, road_wheel_angle: {add: 1}}", "correct: .* are the same channel"),
