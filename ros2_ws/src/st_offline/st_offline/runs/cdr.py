@@ -123,9 +123,8 @@ class Layout:
     def column(self, buffer: np.ndarray, starts: np.ndarray, path: str) -> np.ndarray:
         """One field of the messages that begin at `starts` in a uint8 buffer: (n,), or (n, count); times in ns."""
         field = self.fields[path]
-        size = np.dtype(field.dtype).itemsize
-        words = np.ndarray((max(len(buffer) - size + 1, 0),), field.dtype, buffer.data, 0, (1,))
-        values = np.stack([words[starts + field.offset + size * k] for k in range(field.count)], axis=1)
+        windows = np.ndarray((max(len(buffer) - field.width + 1, 0), field.width), np.uint8, buffer.data, 0, (1, 1))
+        values = windows[starts + field.offset].view(field.dtype)
         if path.endswith("stamp"):
             return values[:, 0].astype(np.int64) * 1_000_000_000 + values[:, 1].astype(np.uint32).astype(np.int64)
         return values if field.count > 1 else values[:, 0]
