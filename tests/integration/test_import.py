@@ -142,6 +142,26 @@ def test_packets_without_an_acceleration_cost_that_only(raw: Path, tmp_path: Pat
     assert any("acceleration_y: 50 of" in warning and "it is not known there" in warning for warning in run.warnings)
 
 
+def test_the_bag_of_a_corrected_run_holds_what_was_recorded(raw: Path, imported: Path, leaf: VehicleParameters,
+                                                            tmp_path: Path) -> None:
+    said = "correct: {yaw_rate: {earlier: 0.02}, x: {add: 3}}\n"
+    for name in ("run.ncom", "run.mf4"):
+        shutil.copy(raw / name, tmp_path / name)
+    (tmp_path / "raw.run.yaml").write_text("ins: run.ncom\ncan: run.mf4\n" + said)
+    bag = tmp_path / "bag"
+    run = CliRunner().invoke(app, ["import", str(tmp_path / "raw.run.yaml"), "--output", str(bag)])
+    assert run.exit_code == 0 and "nothing corrected" in " ".join(run.output.split()), run.output
+    recorded = read(find_runs([imported])[0], leaf).log
+    np.testing.assert_array_equal(read(find_runs([bag])[0], leaf).log.x, recorded.x)
+    (tmp_path / "bag.run.yaml").write_text("bag: bag\n" + said)
+    (source,) = find_runs([tmp_path / "bag.run.yaml"])
+    corrected = read(source, leaf)
+    np.testing.assert_allclose(corrected.log.x, recorded.x[: len(corrected.log.x)] + 3.0)
+    assert corrected.extras.corrected == ("yaw_rate, 0.02 s earlier", "x + 3 m")
+    (source,) = find_runs([tmp_path / "raw.run.yaml"])
+    np.testing.assert_array_equal(read(source, leaf).log.yaw_rate, corrected.log.yaw_rate)
+
+
 def test_raw_packets_and_frames_are_kept(raw: Path, imported: Path) -> None:
     packets = (raw / "run.ncom").read_bytes()
     log = read_can_logs([raw / "run.mf4"])
