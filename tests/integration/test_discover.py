@@ -41,7 +41,8 @@ HIDDEN = [
 
 
 def drives(folder: Path) -> list[Drive]:
-    read = read_drives(find_runs([folder]), CAR, ReadSettings(), 1, None, lambda: None)
+    # By force: some of the hidden effects are faults of a sensor, which the checks refuse and discovery must name too.
+    read = read_drives(find_runs([folder]), CAR, ReadSettings(), 1, None, lambda: None, force=True)
     assert not [d.problem for d in read if d.problem]
     return read
 

@@ -34,6 +34,19 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return base / "S6_bag"
 
 
+def test_a_recording_that_means_nothing_is_not_played(recording, tmp_path):
+    done = st("import", recording.parent / "S6", "--steering-sign", "-1", "--force", "--output", tmp_path / "bag")
+    assert done.returncode == 0, done.stdout + done.stderr
+    for verb in ("replay", "verify"):
+        refused = st(verb, tmp_path / "bag", "--output", tmp_path / verb)
+        assert refused.returncode == 2 and "steering_sign" in refused.stderr and "--force" in refused.stderr
+        assert not (tmp_path / verb).exists()
+    played = st("replay", tmp_path / "bag", "--fast", "--force", "--output", tmp_path / "played")
+    assert played.returncode == 0 and "error: " in played.stdout, played.stdout + played.stderr
+    findings = json.loads((tmp_path / "played" / "summary.json").read_text())["findings"]
+    assert "steering_sign" in {one["name"] for one in findings if one["severity"] == "error"}
+
+
 def test_live_equals_offline_to_a_millimetre(recording, tmp_path):
     done = st("verify", recording, "--output", tmp_path / "played")
     assert done.returncode == 0, done.stdout + done.stderr

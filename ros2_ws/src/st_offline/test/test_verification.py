@@ -1,5 +1,6 @@
 """Live equals offline, without ROS: the live classes' words in a bag against the library; and when they differ."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -177,6 +178,23 @@ def test_a_meaningless_recording_is_compared_when_forced(live):
     forced = st_verify(folder, "--force")
     assert forced.exit_code == 0 and "live equals offline" in forced.output
     assert "error: " in forced.output and "km/h" in forced.output
+
+
+def test_the_vehicle_in_the_recording_is_that_of_the_check(live, tmp_path):
+    folder = live.write()
+
+    def vehicle(output, *more):
+        result = CliRunner().invoke(app, ["check", str(folder), "--output", str(tmp_path / output), *map(str, more)])
+        assert result.exit_code == 0, result.output
+        content = json.loads((tmp_path / output / "check.json").read_text())
+        (run,), (source,) = content["runs"].values(), content["vehicle"]
+        assert run["vehicle"] == source and source in result.output
+        return source
+
+    assert vehicle("a") == "the recording"
+    given = tmp_path / "given.yaml"
+    given.write_text(LEAF)
+    assert vehicle("b", "--vehicle", given) == str(given)
 
 
 def test_another_vehicle_is_another_prediction(live, tmp_path):

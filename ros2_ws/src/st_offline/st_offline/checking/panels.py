@@ -49,10 +49,11 @@ def resting_on(identity: Identity, checked: Checked) -> list[Finding]:
 
 def title(identity: Identity, findings: Sequence[Finding]) -> str:
     """What the panel shows: the gravest finding, or that both agree."""
+    what = identity.title[0].upper() + identity.title[1:]
     if findings:
-        return f"{identity.title}: {findings[0].text}"
-    size = words.number(residual_rms(identity), None, identity.unit)
-    return f"{identity.title}: nothing found; they differ by {size} (root mean square)"
+        return f"{what}: {findings[0].text}"
+    size = f"{residual_rms(identity):.2g} {words.unit(identity.unit)}".strip()
+    return f"{what}: nothing found; they differ by {size} (root mean square)"
 
 
 def caption(identity: Identity, findings: Sequence[Finding]) -> str:

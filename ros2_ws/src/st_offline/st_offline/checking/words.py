@@ -58,7 +58,7 @@ def number(value: float | None, interval: Sequence[float] | None = None, of: str
     decimals = min(max(1 - math.floor(math.log10(0.5 * (low + high)) + 1e-6), 0), 6)
     if min(low, high) <= 0.0 or max(low, high) > 1.5 * min(low, high):
         return f"{value:.{decimals}f} ({interval[0]:.{decimals}f} to {interval[1]:.{decimals}f}){ending}"
-    return f"{value:.{decimals}f} ± {max(low, high):.{decimals}f}{ending}"
+    return f"{value:.{decimals}f} ± {0.5 * (low + high):.{decimals}f}{ending}"
 
 
 def estimate(finding: Finding) -> str:
