@@ -1,5 +1,6 @@
 """Drives of the virtual Leaf in memory: plant, driver and sensors of st_sim, rounding and axes of the wires."""
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -65,17 +66,22 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
 def _own(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:
     """What is true of right sensors: noise wanders, and its mean over the drive is a bias.
 
-    The body leans outwards and lifts its nose, and accelerometers feel the gravity that goes with that.
+    The body leans outwards and lifts its nose: accelerometers feel the gravity that goes with that, and the yaw rate
+    is that about an axis of the leaning body, cos(roll) cos(pitch) of the true one.
     """
     def mean(value: Callable[[InsReading], float]) -> float:
         return sum(value(one) - value(other) for one, other in zip(readings, exact, strict=True)) / len(readings)
-    speed = 1 + mean(lambda r: r.velocity_x) * len(exact) / sum(r.velocity_x for r in exact)
+    forward = sum(r.velocity_x for r in exact) / len(exact)
+    speed, course = 1 + mean(lambda r: r.velocity_x) / forward, mean(lambda r: r.velocity_y) / forward
+    turning = np.array([(r.rates[2], math.cos(r.roll) * math.cos(r.pitch)) for r in exact]).T
+    tilted = float(np.sum(turning[0] ** 2) / np.sum(turning[0] ** 2 / turning[1]))
     return {
         "acceleration_x_scale": 1 + GRAVITY * settings["pitch_gradient"],
         "acceleration_y_scale": 1 + GRAVITY * settings["roll_gradient"],
         "acceleration_x_bias": mean(lambda r: r.specific_force[0]),
         "acceleration_y_bias": mean(lambda r: r.specific_force[1]),
-        "yaw_rate_bias": mean(lambda r: r.rates[2]), "yaw_offset": mean(lambda r: r.yaw),
+        "yaw_rate_bias": mean(lambda r: r.rates[2]), "yaw_rate_scale": tilted,
+        "yaw_offset": mean(lambda r: r.yaw) + course, "heading_misaligned": -course,
         "velocity_x_scale": speed, "velocity_scale": speed,
         **dict.fromkeys(("x_scale", "y_scale", "position_scale"), 1 / speed),
     }
