@@ -122,7 +122,8 @@ def stale_positions(r: Recording, share: float) -> Edited:
     old = _generator(r).random(len(r.log.x)) < share
     old[0] = False
     rows = np.arange(len(old)) - old
-    return r.with_log(x=r.log.x[rows], y=r.log.y[rows]), float(old.mean())
+    # What is told is how often positions step back: at an old row behind a fresh one.
+    return r.with_log(x=r.log.x[rows], y=r.log.y[rows]), float(np.mean(old[1:] & ~old[:-1]))
 
 
 def jumps_every_second(r: Recording, size: float) -> Edited:

@@ -29,6 +29,8 @@ SPEEDS = 0.1
 """Standard deviation of the speed over its mean. At one speed a point further ahead is a sample that came early."""
 ONE_WAY = 0.2
 """Share of the way along the axis that is travelled less."""
+LEVER = 1.5
+"""m."""
 STANDING = 3.0
 """s."""
 
@@ -77,6 +79,11 @@ def turns_and_accelerates(r: Recording, size: float = 0.0) -> bool:
 
 def corners(r: Recording, size: float = 0.0) -> bool:
     return has_a_y(r) and float(np.std(r.log.yaw_rate * r.log.velocity_x)) > CORNERING
+
+
+def corners_fast(r: Recording, size: float = 0.0) -> bool:
+    """An accelerometer LEVER away from the INS point shows a lag of LEVER / v of its own; a smaller one is none."""
+    return corners(r) and size > 1.1 * LEVER / float(np.median(r.log.velocity_x))
 
 
 def has_a_y(r: Recording, size: float = 0.0) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from .finding import Cure, Finding, Identity, Severity
 from .lag import Agreement
 from .limits import LIMITS
-from .regression import Estimate
+from .regression import Estimate, held
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,7 @@ class Expected:
     against: what it is compared with, in words. unit: of the channel. digits: of its bias. lag [s], bias [unit]: least
     that is told; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it does
     to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of error [m].
+    least_spread: standard deviation of the channel below which no lag is told [unit].
     factors: names of units by the factor they make.
     """
 
@@ -29,6 +30,7 @@ class Expected:
     bias: float
     grave: tuple[float, float, float]
     reach: float = 0.0
+    least_spread: float = 0.0
     digits: int = 2
     factors: Mapping[float, str] = field(default_factory=dict)
 
@@ -39,7 +41,7 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     if found is None or abs(found.correlation) < LIMITS.correlation:
         return [], {}
     name, told = expected.channel, []
-    scale, lag, bias = found.scale, found.lag, found.bias
+    scale, lag, bias = (held(f"{name}_{kind}", getattr(found, kind)) for kind in ("scale", "lag", "bias"))
     factor = _factor(scale.value, expected)
     if factor is not None:
         told.append(_gross(scale, factor, expected))
@@ -48,13 +50,14 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
         told.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
                              {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
     size = abs(scale.value)
-    if lag.sure and abs(lag.value) >= expected.lag:
+    if lag.sure and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread:
         rate = float(np.std(np.gradient(found.derived, found.time)))
-        text = f"{name} lags {expected.against} by {in_words(lag, 3)} s"
+        text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag, 3)} s"
         told.append(_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
                              abs(lag.value) >= expected.grave[0]))
     if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
-        text = f"{name} is {in_words(bias, expected.digits)} {expected.unit} too high against {expected.against}"
+        side = "high" if bias.value > 0.0 else "low"
+        text = f"{name} is {size_of(bias, expected.digits)} {expected.unit} too {side} against {expected.against}"
         told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
                              {"add": -bias.value}, abs(bias.value) / size >= expected.grave[2]))
     return told, {f"{name}_lag": lag, f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
@@ -63,6 +66,11 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
 def in_words(one: Estimate, digits: int) -> str:
     """value ± half of the 95 % interval."""
     return f"{one.value:.{digits}f} ± {0.5 * (one.interval[1] - one.interval[0]):.{digits}f}"
+
+
+def size_of(one: Estimate, digits: int) -> str:
+    """As in_words, without the sign."""
+    return in_words(one, digits).removeprefix("-")
 
 
 def _factor(scale: float, expected: Expected) -> float | None:
@@ -104,7 +112,9 @@ def _cure(channel: str, correct: dict[str, float]) -> Cure:
     return Cure("run.yaml", f"correct: {{{channel}: {{{words}}}}}", {"correct": {channel: correct}})
 
 
-def identity(found: Agreement | None, expected: Expected, title: str) -> Identity | None:
+def identity(found: Agreement | None, expected: Expected, title: str, measured: float = 1.0,
+             derived: float = 1.0) -> Identity | None:
+    """measured, derived: units that were taken out before, put in again: the picture is of what was recorded."""
     return found and Identity(expected.channel, title, expected.unit, expected.channel, f"from {expected.against}",
-                              found.time, found.measured, found.derived,
+                              found.time, measured * found.measured, derived * found.derived,
                               tuple(f"{expected.channel}_{kind}" for kind in ("scale", "bias", "lag")))

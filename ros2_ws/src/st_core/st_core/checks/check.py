@@ -12,10 +12,10 @@ from .extras import Extras
 from .finding import Checked, Cure, Finding, Identity, Severity
 from .gross import gross
 from .lag import Agreement
-from .limits import HOLDS, HORIZON, LIMITS
+from .limits import HORIZON, LIMITS
 from .motion import Motion
 from .quality import quality
-from .regression import Estimate
+from .regression import Estimate, held
 from .steps import steps
 
 SHORTEST = 50  # INS samples; less than a few seconds says nothing
@@ -54,18 +54,16 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
             identities += [shown] if shown else []
         told += with_car.believable(motion)
     told += with_car.standstill(motion)
-    told = [one if one.interval is None else replace(one, interval=_widened(one.name, one.value, one.interval))
-            for one in told]
     ordered = sorted(told, key=lambda one: (ORDER.index(one.severity), -(one.effect or np.inf)))
     return Checked(tuple(ordered), known, tuple(identities),
-                   {name: (one.value, *_widened(name, one.value, one.interval)) for name, one in estimates.items()})
+                   {name: (one.value, *one.interval) for name, one in estimates.items()})
 
 
 def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
     """Where yaw lags the yaw rate: is it the yaw? Then positions say so too."""
     if found is None or not found.lag.sure or -found.lag.value < LIMITS.lag:
         return motion, []
-    late = found.lag.scaled(-1.0)
+    late = held("yaw_lag", found.lag.scaled(-1.0))
     earlier = motion.with_(yaw=np.interp(motion.time + late.value, motion.time, motion.yaw))
     if not position.misfit(earlier) < position.misfit(motion):
         return motion, []
@@ -76,14 +74,6 @@ def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Fin
     cure = Cure("run.yaml", f"correct: {{yaw: {{earlier: {value:g}}}}}", {"correct": {"yaw": {"earlier": value}}})
     return earlier, [Finding("yaw_lag", severity, ("yaw",), f"yaw lags yaw rate and positions by {in_words(late, 3)} s",
                              late.value, "s", late.interval, (), effect, cure)]
-
-
-def _widened(name: str, value: float, interval: tuple[float, float]) -> tuple[float, float]:
-    """With what the identity itself does not know, see limits.HOLDS."""
-    kind = name.rpartition("_")[2]
-    half = HOLDS.get(name, HOLDS.get(kind, 0.0)) * (abs(value) if kind in ("scale", "sign") else 1.0)
-    low, high = interval
-    return value - float(np.hypot(value - low, half)), value + float(np.hypot(high - value, half))
 
 
 def _factors(coarse: list[Finding]) -> dict[str, float]:
@@ -108,13 +98,13 @@ def _with_value(one: Finding, estimates: dict[str, Estimate]) -> Finding:
 def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns: int,
              seed: int) -> tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]:
     """The identities that no vehicle parameter can break."""
-    shown = [position.identity(motion)]
+    shown = [position.identity(motion, before)]
     motion, told = position.lateral_sign(motion)
     found, expected = inertial.yaw_rate(motion, seed)
     motion, late = _late_yaw(motion, found)
     motion, causes, estimates = position.position(motion, seed)
     if found:
-        estimates["yaw_lag"] = found.lag.scaled(-1.0)
+        estimates["yaw_lag"] = held("yaw_lag", found.lag.scaled(-1.0))
     told += late + causes
     if late or any(one.name == "yaw_offset" for one in causes):
         found, expected = inertial.yaw_rate(motion, seed)
@@ -127,8 +117,11 @@ def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns:
             estimates[name] = fine.scaled(before.get(name, 1.0))
     if found:
         low, high = sorted(before.get("yaw_scale", 1.0) / end for end in found.scale.interval)
-        estimates["yaw_scale"] = Estimate(before.get("yaw_scale", 1.0) / found.scale.value, 0.0, (low, high))
-    shown += [panel for panel in (identity(found, expected, "yaw rate: sensor against change of yaw"),) if panel]
+        estimates["yaw_scale"] = held("yaw_scale", Estimate(
+            before.get("yaw_scale", 1.0) / found.scale.value, 0.0, (low, high)))
+    panel = identity(found, expected, "yaw rate: sensor against change of yaw", before.get("yaw_rate_scale", 1.0),
+                     before.get("yaw_scale", before.get("yaw_convention", 1.0)))
+    shown += [panel] if panel else []
     if found:
         motion = inertial.mended_yaw_rate(motion, found)
     for findings, values, panel in (*inertial.accelerations(motion, seed),

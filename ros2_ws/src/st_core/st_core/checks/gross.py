@@ -17,6 +17,7 @@ from .motion import MOVING, Motion, Windows, integral, weighted_median, windows
 
 LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m in a window, from which on it says something
 LEAST_WINDOWS = 5
+LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; share of the way by which positions may miss velocity and yaw
 DEGREE = 180.0 / np.pi
 SPEEDS = {3.6: ("km/h", "km/h"), 2.23694: ("mph", "mph"), 1.94384: ("knots", "kn")}
 LENGTHS = {1000.0: ("millimetres", "mm"), 100.0: ("centimetres", "cm"), 3.28084: ("feet", "ft"),
@@ -132,13 +133,25 @@ def _turns(motion: Motion) -> tuple[Motion, Finding | None]:
     r = ratios(motion)
     if not np.isfinite(r.yaw_rate) or 1 / LIMITS.unit < r.yaw_rate < LIMITS.unit:
         return motion, None
-    if near(r.yaw_course, 1.0, LIMITS.unit) or near(1.0 / r.yaw_rate, DEGREE) or near(
+    if near(r.yaw_course, 1.0, LIMITS.unit) or _follows(motion) or near(1.0 / r.yaw_rate, DEGREE) or near(
             r.rate_course, 1.0 / r.yaw_rate, LIMITS.unit):
         return _yaw_rate(motion, 1.0 / r.yaw_rate)
     if near(r.rate_course, -1.0, LIMITS.unit) and not near(r.yaw_course, -1.0, LIMITS.unit) and near(
             r.yaw_rate, -1.0, LIMITS.unit):
         return _yaw_rate(motion, -1.0)
     return _yaw(motion, r.yaw_rate)
+
+
+def _follows(motion: Motion) -> bool:
+    """Whether positions go where yaw and velocity say, but for a turn and the unit of one of them."""
+    over = windows(motion.time, 1.0)
+    way = np.hypot(over.change(motion.x), over.change(motion.y))
+    run = over.change(integral(motion.time, motion.speed))
+    if len(over) < LEAST_WINDOWS or not np.ptp(motion.yaw) > LEAST_FOLLOWED:
+        return False
+    factor = float(np.sum(way) / max(np.sum(run), 1e-12))
+    scaled = motion.with_(velocity_x=factor * motion.velocity_x, velocity_y=factor * motion.velocity_y)
+    return _misfit(scaled) < FOLLOWS * float(np.median(way))
 
 
 def _yaw_rate(motion: Motion, factor: float) -> tuple[Motion, Finding]:

@@ -25,6 +25,7 @@ ACCELERATION_LAG = 0.12  # s; filters of accelerometers take up to 0.1 s
 LEVER = 1.5  # m between accelerometer and INS point
 GRAVE_ACCELERATION = 0.3  # m/s^2; a road's crossfall of 2.5 % is 0.25
 WHEEL_SCALE = 0.03  # 1; tyres wear and are pumped up by that
+SPEED_SPREAD = 0.5  # m/s; at one speed only slip and noise would be compared
 WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some turns
 FACTORS = {1.0 / G: "g"}
 SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 once too often"}
@@ -75,7 +76,8 @@ def speeds(motion: Motion, extras: Extras, start_ns: int, time_factor: float, se
         if series is None or len(series.time_ns) < 2:
             continue
         found = _speed(motion, series, start_ns, time_factor, seed)
-        expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf), factors=SPEED_FACTORS)
+        expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
+                            least_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
         title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
         told.append((*judged(found, expected), identity(found, expected, title)))
     return told

@@ -18,7 +18,9 @@ from .regression import Estimate, Regression
 
 LONGEST = 1.5  # s of lag that is looked for
 LEAST = 15.0  # s in common
-NOTHING = Estimate(0.0, 0.0, (0.0, 0.0))
+NOTHING, UNITY = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
+CLEARLY = 1.25  # factor by which a bias must leave less than a scale before it is told instead
+CERTAIN = 0.98  # correlation from which on noise makes less than 4 % of a scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +66,25 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
         return None
     at, there = other.time[rows], other.values[rows]
     problem = Regression(at, there[:, None], {"scale": derived_there[:, None], "bias": np.ones((len(at), 1))}, seed)
-    values = problem.estimates(("scale", "bias") if biased else ("scale",))
     correlation = float(np.corrcoef(derived_there, there)[0, 1]) if float(np.std(there)) > 0.0 else 0.0
-    return Agreement(lag, values["scale"], values.get("bias", NOTHING), correlation, float(np.std(derived_there)), at, there,
-                     derived_there)
+    scale, bias = _line(problem, derived_there, correlation, biased)
+    return Agreement(lag, scale, bias, correlation, float(np.std(derived_there)), at, there, derived_there)
+
+
+def _line(problem: Regression, derived: np.ndarray, correlation: float, biased: bool) -> tuple[Estimate, Estimate]:
+    """(scale, bias). On one long bend a factor and a bias look alike, and noise makes the one of the other: then the
+    one that explains more is told, the other taken as right."""
+    alike = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < CERTAIN
+    if biased and not alike:
+        both = problem.estimates(("scale", "bias"))
+        return both["scale"], both["bias"]
+    scale = problem.estimates(("scale",))["scale"]
+    if not biased:
+        return scale, NOTHING
+    shifted = Regression(problem.time, problem.y - derived[:, None], problem.columns, problem.seed)
+    if problem.fit(("scale",))[1] <= CLEARLY * shifted.fit(("bias",))[1]:
+        return scale, NOTHING
+    return UNITY, shifted.estimates(("bias",))["bias"]
 
 
 def _lag(value: float, deviation: float, seconds: float) -> Estimate:

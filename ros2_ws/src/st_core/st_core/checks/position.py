@@ -12,16 +12,19 @@ over windows of a second. What is left of it is explained by at most a few cause
     reference a           p is of a point a ahead                (R(yaw2) - R(yaw1)) (a, 0)
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from .finding import Cure, Finding, Identity, Severity
 from .limits import HORIZON, LIMITS
 from .motion import Motion, integral, windows
-from .regression import Estimate, Regression
+from .regression import Estimate, Regression, held
 
 WINDOW = 1.0  # s
 LEAST = 10  # windows
 ROUNDS = 3
+CLEARLY = 1.1  # factor of loss by which the scale of one axis must explain more than that of the velocity
 LEAST_ACROSS = 0.05  # m/s root mean square of velocity_y
 FARTHEST_POINT = 2.0  # m between the points of positions and velocities
 SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
@@ -29,12 +32,13 @@ AXES = {"x_scale", "y_scale"}
 TEXT = {
     "x_scale": "x is {value:.4f} ± {half:.4f} of what velocity says: projected with the cosine of another latitude?",
     "y_scale": "y is {value:.4f} ± {half:.4f} of what velocity says: another earth radius or scale?",
+    "sphere": "{axis} is {value:.4f} ± {half:.4f} of what velocity says: projected with one radius of the earth?",
     "map_shear": "x grows by {value:+.4f} ± {half:.4f} m for each metre north: projected far from its origin?",
     "velocity_scale": "velocity is {value:.4f} ± {half:.4f} times what positions say",
-    "yaw_offset": "yaw is {value:+.4f} ± {half:.4f} rad ({degrees:+.2f} deg) too far left for positions and velocities",
-    "position_lag": "positions lag velocity and yaw by {value:+.3f} ± {half:.3f} s",
-    "velocity_lag": "velocities lag positions and yaw by {value:+.3f} ± {half:.3f} s",
-    "position_reference": "positions are of a point {value:+.2f} ± {half:.2f} m ahead of the one velocities are of",
+    "yaw_offset": "yaw is {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too far {side} for positions and velocities",
+    "position_lag": "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s",
+    "velocity_lag": "velocities {lag} positions and yaw by {size:.3f} ± {half:.3f} s",
+    "position_reference": "positions are of a point {size:.2f} ± {half:.2f} m {ahead} the one velocities are of",
 }
 UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "position_reference": "m"}
 CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "velocity_scale": ("velocity_x", "velocity_y"), "yaw_offset": ("yaw",),
@@ -133,7 +137,9 @@ def _one_scale(problem: Regression, causes: dict[str, Estimate], always: tuple[s
         one = abs(causes["x_scale"].value - causes["y_scale"].value) < SPHERE
     else:
         _, scale, _ = problem.fit([*always, *causes])
-        one = problem.loss([*always, *others, "velocity_scale"], scale) <= problem.loss([*always, *causes], scale)
+        # A drive along one axis tells them apart by what it moved along the other.
+        one = (problem.loss([*always, *others, "velocity_scale"], scale)
+               <= CLEARLY * problem.loss([*always, *causes], scale))
     return (*others, "velocity_scale") if one else tuple(causes)
 
 
@@ -159,7 +165,11 @@ def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
     effect = problem.effect(name, one.value, HORIZON, WINDOW)
     shown = _shown(name, one)
     half = 0.5 * (shown.interval[1] - shown.interval[0])
-    text = TEXT[name].format(value=shown.value, half=half, degrees=np.rad2deg(shown.value))
+    more = shown.value > 0.0
+    small = name in AXES and abs(one.value) < SPHERE
+    text = TEXT["sphere" if small else name].format(
+        axis=name[0], value=shown.value, size=abs(shown.value), half=half, degrees=np.rad2deg(abs(shown.value)),
+        side="left" if more else "right", lag="lag" if more else "lead", ahead="ahead of" if more else "behind")
     severity = LIMITS.severity(effect)
     if UNIT.get(name) == "s" and abs(one.value) >= LIMITS.grave_lag and severity is Severity.NOTE:
         severity = Severity.WARNING
@@ -171,8 +181,8 @@ def _shown(name: str, one: Estimate) -> Estimate:
     """A cause in the value of its finding: a right channel has scale 1."""
     if name == "velocity_scale":
         low, high = sorted(1.0 / (1.0 + end) for end in one.interval)
-        return Estimate(1.0 / (1.0 + one.value), one.deviation, (low, high))
-    return one.shifted(1.0) if name.endswith("_scale") else one
+        return held(name, Estimate(1.0 / (1.0 + one.value), one.deviation, (low, high)))
+    return held(name, one.shifted(1.0) if name.endswith("_scale") else one)
 
 
 def _cure(name: str, value: float) -> Cure:
@@ -212,11 +222,13 @@ def _mended(motion: Motion, found: dict[str, Estimate]) -> Motion:
     return motion
 
 
-def identity(motion: Motion) -> Identity:
-    """Way over a second, along the derived direction of travel: for the eye."""
+def identity(motion: Motion, before: Mapping[str, float]) -> Identity:
+    """Way over a second, for the eye. before: units that were taken out, put in again for the picture."""
     over = windows(motion.time, WINDOW)
     east, north = motion.velocity_map
     derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))
     measured = np.hypot(over.change(motion.x), over.change(motion.y))
     return Identity("position", "way per second: positions against velocity", "m", "from x, y", "from velocity and yaw",
-                    over.time, measured, derived)
+                    over.time, measured * before.get("position_scale", 1.0),
+                    derived * before.get("velocity_scale", before.get("velocity_x_scale", 1.0)),
+                    (*TEXT, "position_scale", "velocity_x_scale", "velocity_y_scale"))

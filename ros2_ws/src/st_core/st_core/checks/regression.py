@@ -12,6 +12,7 @@ import numpy as np
 
 from ..identification import resampling
 from ..identification.result import symmetric_interval
+from .limits import HOLDS
 
 OUTLIER = 3.0  # robust standard deviations; windows beyond it count less (Huber)
 DRAWS = 200
@@ -131,6 +132,15 @@ class Regression:
                     break
         joint = self.estimates([*always, *chosen])
         return {name: joint[name] for name in chosen}
+
+
+def held(name: str, one: Estimate) -> Estimate:
+    """With what the identity itself does not know, see limits.HOLDS; name: of the finding it is the value of."""
+    kind = name.rpartition("_")[2]
+    half = HOLDS.get(name, HOLDS.get(kind, 0.0)) * (abs(one.value) if kind in ("scale", "sign") else 1.0)
+    low, high = (one.value + sign * float(np.hypot(end - one.value, half))
+                 for sign, end in zip((-1.0, 1.0), one.interval, strict=True))
+    return Estimate(one.value, float(np.hypot(one.deviation, 0.5 * half)), (low, high))
 
 
 def blocks(time: np.ndarray) -> resampling.Pieces:

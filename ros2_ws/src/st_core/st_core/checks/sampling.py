@@ -1,6 +1,6 @@
 """How a recording was sampled: stamps, gaps, values that repeat, stand still or are rounded; each channel's noise."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -16,7 +16,11 @@ FEW = 0.01  # share of rows below which a fault of single rows is a note
 MISSED = 0.05  # share of the time lost in gaps from which on whole conditions may be missing
 FROZEN = 1.5  # s without any change; quieter channels are given ten times their own usual pause
 EXCUSED = 10.0
-COARSE = 4.0  # roundings are told from noise by runs of equal values: at least so many samples each
+# What changes with a channel, whatever the sensor, and by how much it must before the channel is called frozen.
+TWINS: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
+    "velocity_x": (lambda m: _smooth_speed(m), 0.3), "velocity_y": (lambda m: m.yaw_rate, 0.05),
+    "acceleration_x": (lambda m: m.velocity_x, 0.5), "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
+}
 
 
 def channels(motion: Motion, extras: Extras) -> dict[str, Channel]:
@@ -58,6 +62,9 @@ def resolution(values: np.ndarray) -> float:
         return 0.0
     smallest = float(np.percentile(steps, 2))
     multiples = steps / smallest
+    # An even motion without noise has even steps, too; rounded values also repeat, or step by different multiples.
+    if len(steps) == len(values) - 1 and float(np.ptp(multiples)) < 0.5:
+        return 0.0
     grid = np.abs(multiples - np.round(multiples)) < 0.1
     small = multiples < 4.5  # larger multiples fit any grid
     return smallest if small.sum() >= 10 and grid[small].mean() > 0.95 else 0.0
@@ -170,13 +177,25 @@ def _should_change(name: str, begin: float, end: float, motion: Motion) -> bool:
     inside = (motion.time >= begin) & (motion.time <= end)
     if inside.sum() < 3:
         return False
-    if name in ("x", "y", "velocity_x", "velocity_y", "acceleration_x", "acceleration_y"):
-        return bool(np.median(motion.speed[inside]) > 1.0 or np.ptp(motion.x[inside]) > 1.0)
+    if name in ("x", "y"):
+        return bool(np.median(motion.speed[inside]) > 1.0)
+    if name in TWINS:
+        other, least = TWINS[name]
+        rate = other(motion)[inside]
+        return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > least)
     turn = motion.yaw_rate if name != "yaw_rate" else np.gradient(motion.yaw, motion.time)
     rate = turn[inside]
     if name == "yaw":
         return bool(np.abs(rate).mean() > 0.01)
     return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > 0.05 and np.median(motion.speed[inside]) > 2.0)
+
+
+def _smooth_speed(motion: Motion) -> np.ndarray:
+    """From positions, over half a second [m/s]."""
+    count = max(int(round(0.5 / float(np.median(np.diff(motion.time))))), 1)
+    way = np.hypot(motion.x[count:] - motion.x[:-count], motion.y[count:] - motion.y[:-count])
+    speed = way / (motion.time[count:] - motion.time[:-count])
+    return np.concatenate([speed, np.full(len(motion.time) - len(speed), speed[-1] if len(speed) else 0.0)])
 
 
 def _rounded(name: str, channel: Channel, speed: float) -> list[Finding]:

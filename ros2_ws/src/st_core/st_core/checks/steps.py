@@ -101,8 +101,7 @@ def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray) -> list[Finding]
         LIMITS.severity(effect), Severity.WARNING, key=(Severity.NOTE, Severity.WARNING, Severity.ERROR).index)
     stretches = [[round(a - 0.01, 2), round(b + 0.01, 2)] for a, b in where]
     return [Finding("position_jumps", severity, ("x", "y"), text, float(count), "1", None, where, effect,
-                    Cure("run.yaml", f"leave_out: {stretches[:3]}" + (" …" if count > 3 else ""),
-                         {"leave_out": stretches}))]
+                    Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches}))]
 
 
 def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:

@@ -6,16 +6,18 @@ some ten per cent, a wrong unit by 57. Rear axle: a slow car's rear axle goes wh
     v_y = -a v_x + d r - s v_x^2 r      a: heading reported too far left, d: ahead of the rear axle, s: slip of the rear
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..handling import linear_system
 from ..vehicle import VehicleParameters
-from .channel import in_words
+from .channel import size_of
 from .finding import Cure, Finding, Identity, Severity
-from .lag import Agreement, agreement
+from .lag import NOTHING, Agreement, agreement
 from .limits import HORIZON, LIMITS
 from .motion import MOVING, Motion, windows
-from .regression import Estimate, Regression
+from .regression import Estimate, Regression, held
 
 CUTOFF = 1.5  # Hz
 SLOW, GENTLE = 2.0, 4.0  # m/s from which, m/s^2 up to which an axle's slip is linear
@@ -35,16 +37,20 @@ def steering(motion: Motion, vehicle: VehicleParameters, seed: int,
         unit = scale and _unit(scale, vehicle)
         return [unit] if unit else [], {}, None
     # One bend throughout: its size and an offset look alike.
-    if scale is None or found.scale.deviation < 0.2 * abs(found.scale.value):
-        scale = found.scale
+    one_bend = scale is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
+                                      or abs(float(found.derived.mean())) > found.spread)
+    if one_bend:
+        found = replace(found, scale=scale, bias=NOTHING)
+    scale = held("steering_scale", found.scale)
     speed = float(np.median(motion.velocity_x[moving]))
-    late = found.lag.shifted(response_time(vehicle, speed))
+    late = held("steering_lag", found.lag.shifted(response_time(vehicle, speed)))
     told = [one for one in (_unit(scale, vehicle), _late(late, found, speed, vehicle),
                             _offset(found, speed, vehicle)) if one]
     shown = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
                      "from yaw rate and speed", found.time, found.measured, found.derived,
                      ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
-    estimates = {"steering_scale": scale, "steering_sign": scale, "steering_lag": late, "steering_offset": found.bias}
+    estimates = {"steering_scale": scale, "steering_sign": scale, "steering_lag": late,
+                 "steering_offset": held("steering_offset", found.bias)}
     return told, estimates, shown
 
 
@@ -102,7 +108,8 @@ def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParame
     # A late input leads the path astray by the turn that is missed meanwhile.
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
     effect = _sideways(missed / HORIZON * 2.0, speed, vehicle)
-    text = f"the steering lags the car's motion by {in_words(late, 3)} s, its own response allowed for"
+    verb = "lags" if late.value > 0.0 else "leads"
+    text = f"the steering {verb} the car's motion by {size_of(late, 3)} s, the car's own response allowed for"
     value = float(f"{late.value:.3g}")
     return Finding("steering_lag", _at_most_warning(effect), ("road_wheel_angle",), text, late.value, "s",
                    late.interval, (), effect, Cure(
@@ -112,11 +119,11 @@ def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParame
 
 def _offset(found: Agreement, speed: float, vehicle: VehicleParameters) -> Finding | None:
     size = abs(found.scale.value)
-    one = found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias
+    one = held("steering_offset", found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias)
     if not one.sure or abs(one.value) < LIMITS.steering_offset:
         return None
-    text = (f"the road wheels read {in_words(one, 4)} rad ({one.value * DEGREE:+.1f} deg) too far left when the car "
-            "goes straight: the steering offset is wrong")
+    text = (f"the road wheels read {size_of(one, 4)} rad ({abs(one.value) * DEGREE:.1f} deg) too far {side(one)} when the "
+            "car goes straight: the steering offset is wrong")
     wheel = vehicle.steering_wheel_offset + one.value * vehicle.steering_ratio
     effect = _sideways(one.value, speed, vehicle)
     return Finding("steering_offset", _at_most_warning(effect), ("road_wheel_angle",), text, one.value, "rad",
@@ -124,6 +131,10 @@ def _offset(found: Agreement, speed: float, vehicle: VehicleParameters) -> Findi
                        "vehicle", f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
                                   "  # where the hand wheel was recorded; check with st identify steering-offset",
                        {"correct": {"road_wheel_angle": {"add": -float(f"{one.value:.4g}")}}}))
+
+
+def side(one: Estimate) -> str:
+    return "left" if one.value > 0.0 else "right"
 
 
 def _at_most_warning(effect: float) -> Severity:
@@ -144,8 +155,8 @@ def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int,
     problem = Regression(over.time[use], across[:, None], {
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None]}, seed)
     found = _rear_axle(problem, vehicle)
-    heading = found["heading"]
-    point = found["point"].shifted(-(vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x))
+    heading = held("heading_misaligned", found["heading"])
+    point = held("measuring_point", found["point"].shifted(-(vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x)))
     told = [one for one in (_heading(heading, forward), _point(point, motion, vehicle)) if one]
     theta = {name: one.value for name, one in found.items()}
     shown = Identity("velocity_y", "lateral velocity: measured against that of a rear axle that follows", "m/s",
@@ -183,8 +194,8 @@ def _heading(one: Estimate, forward: np.ndarray) -> Finding | None:
     if not one.sure or abs(one.value) < LIMITS.heading:
         return None
     effect = abs(one.value) * float(np.median(forward)) * HORIZON
-    text = (f"the heading points {in_words(one, 4)} rad ({one.value * DEGREE:+.2f} deg) too far left of the straight-on "
-            "course: the INS is mounted askew, or its axes are")
+    text = (f"the heading points {size_of(one, 4)} rad ({abs(one.value) * DEGREE:.2f} deg) to the {side(one)} of where the "
+            "car goes when it goes straight: the INS is mounted askew, or the road is banked")
     value = float(f"{-one.value:.4g}")
     return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, one.value, "rad",
                    one.interval, (), effect, Cure("run.yaml", f"correct: {{heading: {{add: {value:g}}}}}",
@@ -197,9 +208,8 @@ def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding
     over = windows(motion.time, HORIZON)
     turn = 2.0 * np.abs(np.sin(0.5 * over.change(motion.yaw))) if len(over) else np.zeros(1)
     effect = abs(one.value) * float(np.sqrt(np.square(turn).mean()))
-    side = "ahead of" if one.value > 0 else "behind"
-    half = 0.5 * (one.interval[1] - one.interval[0])
-    text = f"the measuring point lies {abs(one.value):.2f} ± {half:.2f} m {side} the declared one"
+    where = "ahead of" if one.value > 0 else "behind"
+    text = f"the measuring point lies {size_of(one, 2)} m {where} the declared one"
     value = vehicle.cg_to_ins_x + one.value
     return Finding("measuring_point", _at_most_warning(effect), ("velocity_y", "x", "y"), text, one.value, "m",
                    one.interval, (), effect, Cure(

@@ -20,7 +20,7 @@ from .document import CheckedRun, document
 from .gate import checked_log
 from .page import write_page
 from .proposal import check_name, proposal
-from .shown import show
+from .shown import show, show_together
 
 MODELS = ("linear", "nonlinear")
 
@@ -59,6 +59,7 @@ def run_command(job: Job, console: Console) -> int:
     new_folder(folder, "")
     for run in runs:
         show(run, console)
+    show_together([run.checked for run in runs if not run.problem], console)
     for file, what in write(runs, job, folder, console).items():
         console.print(f"  {escape(str(file))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
     return int(any(run.problem or run.checked.of(Severity.ERROR) for run in runs))

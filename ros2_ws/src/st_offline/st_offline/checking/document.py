@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from st_core.checks import SCHEMA, Checked, Cure, Finding, Identity, Severity
+from st_core.checks import SCHEMA, Checked, Cure, Finding, Identity, Severity, together
 from st_core.vehicle import VehicleParameters
 
 from ..plain_json import finite
@@ -63,6 +63,7 @@ def document(runs: Sequence[CheckedRun]) -> dict[str, Any]:
         "vehicle": {source: {"name": car.name, "hash": car.hash}
                     for source, car in {run.vehicle_from: run.vehicle for run in good}.items()},
         "runs": {run.name: _run(run) for run in good},
+        "together": [finite(one.as_dict()) for one in together([run.checked for run in good])],
         "failed": {run.name: run.problem for run in runs if run.problem},
     }
 

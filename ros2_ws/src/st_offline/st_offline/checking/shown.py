@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.checks import Checked, Finding, Severity
+from st_core.checks import Checked, Finding, Severity, together
 
 from . import words
 from .document import CheckedRun
@@ -37,6 +37,15 @@ def _show_finding(finding: Finding, console: Console) -> None:
     if finding.cure:
         console.print(f"    cure, {escape(words.cure(finding.cure))}" if words.PLACE[finding.cure.kind] else
                       f"    cure: {escape(finding.cure.line)}", highlight=False, soft_wrap=True)
+
+
+def show_together(runs: Sequence[Checked], console: Console) -> None:
+    """What several runs say together: which of it may be believed."""
+    found = together(runs)
+    if found:
+        console.print("[bold]all runs together[/bold]", highlight=False)
+    for one in found:
+        console.print(f"  {escape(one.text)}", highlight=False, soft_wrap=True)
 
 
 def say(name: str, findings: Sequence[Finding], console: Console) -> None:

@@ -1,0 +1,79 @@
+"""The same quantity over several runs: what belongs to the sensor is alike in all of them, what differs is of the place."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from ..identification.result import symmetric_interval
+from .finding import Checked
+
+FEWEST = 3  # runs
+SURE = 0.95
+ALIKE = 0.25  # part of the mean by which runs may differ and still be called alike
+
+
+@dataclass(frozen=True)
+class Together:
+    """mean, interval: over the runs, between-run variance included (random effects, DerSimonian and Laird 1986), in
+    `unit`. between: standard deviation between runs beyond their own intervals. told: in how many runs it is a finding.
+    """
+
+    name: str
+    unit: str
+    runs: int
+    told: int
+    mean: float
+    interval: tuple[float, float]
+    between: float
+    lowest: float
+    highest: float
+    alike: bool
+
+    @property
+    def text(self) -> str:
+        half = 0.5 * (self.interval[1] - self.interval[0])
+        digits = max(1 - math.floor(math.log10(max(half, 1e-9))), 0)
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        if self.alike:
+            return (f"{self.name} is alike in all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}{unit}: it "
+                    "belongs to the sensor, its mounting, the projection or the car, and may be believed")
+        return (f"{self.name} differs between the {self.runs} runs by more than their intervals allow, "
+                f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it belongs to the place, the load or "
+                "the day")
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"name": self.name, "unit": self.unit, "runs": self.runs, "told": self.told, "mean": self.mean,
+                "interval": list(self.interval), "between": self.between, "lowest": self.lowest,
+                "highest": self.highest, "alike": self.alike, "text": self.text}
+
+
+def together(runs: Sequence[Checked]) -> list[Together]:
+    """Every quantity that is a finding in one run at least and was measured in FEWEST, the most frequent first."""
+    units = {one.name: one.unit for run in runs for one in run.findings if one.interval is not None}
+    found = []
+    for name, unit in units.items():
+        rows = np.array([run.estimates[name] for run in runs if name in run.estimates])
+        if len(rows) >= FEWEST:
+            told = sum(any(one.name == name for one in run.findings) for run in runs)
+            found.append(_pooled(name, unit, rows, told))
+    return sorted(found, key=lambda one: -one.told)
+
+
+def _pooled(name: str, unit: str, rows: np.ndarray, told: int) -> Together:
+    values, deviation = rows[:, 0], np.maximum((rows[:, 2] - rows[:, 1]) / (2 * 1.96), 1e-12)
+    weights = deviation**-2.0
+    mean = float(weights @ values / weights.sum())
+    excess = float(weights @ (values - mean) ** 2)
+    freedom = len(values) - 1
+    variance = max(excess - freedom, 0.0) / (weights.sum() - (weights**2).sum() / weights.sum())
+    weights = 1.0 / (deviation**2 + variance)
+    mean = float(weights @ values / weights.sum())
+    null = 1.0 if name.endswith("_scale") else 0.0
+    alike = excess <= chi2.ppf(SURE, freedom) or np.sqrt(variance) < ALIKE * abs(mean - null)
+    interval = symmetric_interval(mean, float(weights.sum() ** -0.5), freedom)
+    return Together(name, unit, len(values), told, mean, interval, float(np.sqrt(variance)), float(values.min()),
+                    float(values.max()), bool(alike))
