@@ -1,4 +1,4 @@
-"""Is a recording what it says it is? Signals first: what breaks an identity is a sensor, a unit, a clock or a projection.
+"""Is a recording what it says it is? What breaks an identity is a sensor, a unit, a clock or a projection.
 
     checked = check(log, vehicle, extras)
     for finding in checked.findings: print(finding.severity, finding.text, finding.cure)

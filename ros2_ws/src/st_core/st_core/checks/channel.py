@@ -16,8 +16,8 @@ class Expected:
     """What of a channel is worth a word.
 
     against: what it is compared with, in words. unit: of the channel. digits: of its bias. lag [s], bias [unit]: least
-    that is told; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it does
-    to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of error [m].
+    that is told; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it
+    does to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of error [m].
     least_spread: standard deviation of the channel below which no lag is told [unit].
     factors: names of units by the factor they make.
     """
@@ -83,8 +83,8 @@ def _factor(scale: float, expected: Expected) -> float | None:
 
 
 def _gross(scale: Estimate, factor: float, expected: Expected) -> Finding:
-    words = [expected.factors.get(abs(factor), "")] + ["it counts the other way" if factor < 0.0 else ""]
-    reason = " and ".join(word for word in words if word)
+    other_way = "it counts the other way" if factor < 0.0 else ""
+    reason = " and ".join(filter(None, (expected.factors.get(abs(factor), ""), other_way)))
     text = (f"{expected.channel} is {in_words(scale, 3)} times what {expected.against} says"
             + (f": {reason}?" if reason else ""))
     exact = float(f"{1.0 / factor:.6g}")

@@ -13,7 +13,7 @@ import numpy as np
 
 from .finding import Cure, Finding, Severity
 from .limits import LIMITS
-from .motion import MOVING, Motion, Windows, integral, weighted_median, windows
+from .motion import Motion, Windows, integral, weighted_median, windows
 
 LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m in a window, from which on it says something
 LEAST_WINDOWS = 5
@@ -212,7 +212,7 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
         return motion, None
     speed, length = unit_of(1.0 / r.way, SPEEDS), unit_of(r.way, LENGTHS)
     if length and not speed:
-        factor, (name, symbol) = length
+        factor, (name, _) = length
         text = f"x and y are {r.way:.4g} times what velocity says: {name}?"
         entry = {"correct": {"position": {"scale": 1.0 / factor}}}
         finding = _error("position_scale", ("x", "y"), text, r.way,

@@ -41,8 +41,8 @@ TEXT = {
     "position_reference": "positions are of a point {size:.2f} ± {half:.2f} m {ahead} the one velocities are of",
 }
 UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "position_reference": "m"}
-CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "velocity_scale": ("velocity_x", "velocity_y"), "yaw_offset": ("yaw",),
-            "position_lag": ("x", "y"), "velocity_lag": ("velocity_x", "velocity_y"),
+CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "yaw_offset": ("yaw",),
+            "velocity_scale": ("velocity_x", "velocity_y"), "position_lag": ("x", "y"), "velocity_lag": ("velocity_x", "velocity_y"),
             "position_reference": ("x", "y")}
 
 
@@ -106,7 +106,7 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
         return motion, []
     text = "velocity_y counts the other way (left is positive)"
     cure = Cure("run.yaml", "correct: {velocity_y: {scale: -1}}", {"correct": {"velocity_y": {"scale": -1.0}}})
-    return mirrored, [Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), text, -1.0, "1", None, (), None, cure)]
+    return mirrored, [Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), text, -1.0, cure=cure)]
 
 
 def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float]) -> dict[str, Estimate]:

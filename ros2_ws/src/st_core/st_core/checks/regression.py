@@ -102,7 +102,7 @@ class Regression:
 
     def effect(self, name: str, value: float, seconds: float, window: float) -> float:
         """Root mean square over windows of what a cause moves in `seconds`, where windows of `window` [s] add up."""
-        count = max(int(round(seconds / window)), 1)
+        count = max(round(seconds / window), 1)
         column = self.columns[name]
         if len(column) < count:
             return float(np.sqrt(np.square(value * column).sum(axis=1).mean())) * count

@@ -16,11 +16,6 @@ FEW = 0.01  # share of rows below which a fault of single rows is a note
 MISSED = 0.05  # share of the time lost in gaps from which on whole conditions may be missing
 FROZEN = 1.5  # s without any change; quieter channels are given ten times their own usual pause
 EXCUSED = 10.0
-# What changes with a channel, whatever the sensor, and by how much it must before the channel is called frozen.
-TWINS: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
-    "velocity_x": (lambda m: _smooth_speed(m), 0.3), "velocity_y": (lambda m: m.yaw_rate, 0.05),
-    "acceleration_x": (lambda m: m.velocity_x, 0.5), "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
-}
 
 
 def channels(motion: Motion, extras: Extras) -> dict[str, Channel]:
@@ -113,7 +108,8 @@ def _gaps(signal: str, time: np.ndarray) -> list[Finding]:
     share = missing / max(float(time[-1] - time[0]), 1e-9)
     severity = Severity.WARNING if share > MISSED else Severity.NOTE
     count = f"{len(long)} gap{'s' if len(long) > 1 else ''}"
-    text = f"{count} of the {signal}, {missing:.2f} s in all, longest {spacing[long].max():.2f} s: nothing is scored there"
+    longest = spacing[long].max()
+    text = f"{count} of the {signal}, {missing:.2f} s in all, longest {longest:.2f} s: nothing is scored there"
     return [Finding("time_gaps", severity, ("time",) if signal == "INS" else ("road_wheel_angle",), text, missing, "s",
                     None, where, None, Cure("look", "look at the logger: lost packets, a full buffer"))]
 
@@ -192,10 +188,17 @@ def _should_change(name: str, begin: float, end: float, motion: Motion) -> bool:
 
 def _smooth_speed(motion: Motion) -> np.ndarray:
     """From positions, over half a second [m/s]."""
-    count = max(int(round(0.5 / float(np.median(np.diff(motion.time))))), 1)
+    count = max(round(0.5 / float(np.median(np.diff(motion.time)))), 1)
     way = np.hypot(motion.x[count:] - motion.x[:-count], motion.y[count:] - motion.y[:-count])
     speed = way / (motion.time[count:] - motion.time[:-count])
     return np.concatenate([speed, np.full(len(motion.time) - len(speed), speed[-1] if len(speed) else 0.0)])
+
+
+# What changes with a channel, whatever the sensor, and by how much it must before the channel is called frozen.
+TWINS: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
+    "velocity_x": (_smooth_speed, 0.3), "velocity_y": (lambda m: m.yaw_rate, 0.05),
+    "acceleration_x": (lambda m: m.velocity_x, 0.5), "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
+}
 
 
 def _rounded(name: str, channel: Channel, speed: float) -> list[Finding]:

@@ -6,6 +6,8 @@ A jump is one large d. A position that is one sample of the receiver old steps b
 again by as much with the next fresh one.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from .finding import Cure, Finding, Severity
@@ -35,7 +37,7 @@ def steps(motion: Motion) -> tuple[Motion, list[Finding]]:
 def _even(time: np.ndarray) -> np.ndarray:
     """The same stretches without a gap, evenly stamped."""
     edges = np.concatenate(([0], np.flatnonzero(np.diff(time) > LONGEST_GAP) + 1, [len(time)]))
-    return np.concatenate([np.linspace(time[a], time[b - 1], b - a) for a, b in zip(edges, edges[1:], strict=False)])
+    return np.concatenate([np.linspace(time[a], time[b - 1], b - a) for a, b in pairwise(edges)])
 
 
 def _rests(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
@@ -72,8 +74,8 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray) -> tuple[np.ndar
     share = float(back.sum() / known.sum())
     half = 1.96 * float(np.sqrt(share * (1.0 - share) / max(known.sum() * spacing, 1.0)))
     effect = age * float(np.median(speed[known]))
-    text = (f"positions step back by {age * 1e3:.0f} ms at {100 * share:.2g} % of the rows, and forward again later: in "
-            "between they are one sample of the receiver old")
+    text = (f"positions step back by {age * 1e3:.0f} ms at {100 * share:.2g} % of the rows, and forward again later: "
+            "in between they are one sample of the receiver old")
     severity = Severity.WARNING if share > LEAST_STALE else Severity.NOTE
     its = (back | forward) & (np.abs(away) < 1.6 * age) & (crosswise < CROSSWISE * np.abs(rest))
     return its, [Finding(
@@ -93,8 +95,8 @@ def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray) -> list[Finding]
     sizes = size[large]
     where = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large)[:50])
     median, largest = float(np.median(sizes)), float(sizes.max())
-    text = (f"positions jump {count} time{'s' if count > 1 else ''}, by {median:.2f} m in the median, {largest:.2f} m at "
-            "most, which velocity knows nothing of")
+    text = (f"positions jump {count} time{'s' if count > 1 else ''}, by {median:.2f} m in the median, {largest:.2f} m "
+            "at most, which velocity knows nothing of")
     share = min(count * 5.0 / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
     severity = LIMITS.severity(effect) if largest < LIMITS.warning else max(

@@ -1,4 +1,4 @@
-"""The same quantity over several runs: what belongs to the sensor is alike in all of them, what differs is of the place."""
+"""One quantity over several runs: what belongs to the sensor is alike in all of them, what differs is of the place."""
 
 import math
 from collections.abc import Sequence
@@ -39,11 +39,11 @@ class Together:
         digits = max(1 - math.floor(math.log10(max(half, 1e-9))), 0)
         unit = "" if self.unit == "1" else f" {self.unit}"
         if self.alike:
-            return (f"{self.name} is alike in all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}{unit}: it "
-                    "belongs to the sensor, its mounting, the projection or the car, and may be believed")
+            return (f"{self.name} is alike in all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}{unit}: "
+                    "it belongs to the sensor, its mounting, the projection or the car, and may be believed")
         return (f"{self.name} differs between the {self.runs} runs by more than their intervals allow, "
-                f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it belongs to the place, the load or "
-                "the day")
+                f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it belongs to the place, the load "
+                "or the day")
 
     def as_dict(self) -> dict[str, Any]:
         return {"name": self.name, "unit": self.unit, "runs": self.runs, "told": self.told, "mean": self.mean,

@@ -87,7 +87,8 @@ def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
         return None
     known = {DEGREE: "degrees", vehicle.steering_ratio: "the angle of the steering wheel",
              DEGREE * vehicle.steering_ratio: "the angle of the steering wheel in degrees",
-             1.0 / DEGREE: "converted to rad twice", 1.0 / vehicle.steering_ratio: "divided by the ratio twice", 1.0: ""}
+             1.0 / DEGREE: "converted to rad twice", 1.0 / vehicle.steering_ratio: "divided by the ratio twice",
+             1.0: ""}
     factor = min(known, key=lambda f: abs(np.log(abs(value) / f)))
     exact = factor if 1.0 / LIMITS.steering_unit < abs(value) / factor < LIMITS.steering_unit else abs(value)
     reason = known.get(exact, "")
@@ -122,8 +123,8 @@ def _offset(found: Agreement, speed: float, vehicle: VehicleParameters) -> Findi
     one = held("steering_offset", found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias)
     if not one.sure or abs(one.value) < LIMITS.steering_offset:
         return None
-    text = (f"the road wheels read {size_of(one, 4)} rad ({abs(one.value) * DEGREE:.1f} deg) too far {side(one)} when the "
-            "car goes straight: the steering offset is wrong")
+    text = (f"the road wheels read {size_of(one, 4)} rad ({abs(one.value) * DEGREE:.1f} deg) too far {side(one)} when "
+            "the car goes straight: the steering offset is wrong")
     wheel = vehicle.steering_wheel_offset + one.value * vehicle.steering_ratio
     effect = _sideways(one.value, speed, vehicle)
     return Finding("steering_offset", _at_most_warning(effect), ("road_wheel_angle",), text, one.value, "rad",
@@ -194,8 +195,8 @@ def _heading(one: Estimate, forward: np.ndarray) -> Finding | None:
     if not one.sure or abs(one.value) < LIMITS.heading:
         return None
     effect = abs(one.value) * float(np.median(forward)) * HORIZON
-    text = (f"the heading points {size_of(one, 4)} rad ({abs(one.value) * DEGREE:.2f} deg) to the {side(one)} of where the "
-            "car goes when it goes straight: the INS is mounted askew, or the road is banked")
+    text = (f"the heading points {size_of(one, 4)} rad ({abs(one.value) * DEGREE:.2f} deg) to the {side(one)} of where "
+            "the car goes when it goes straight: the INS is mounted askew, or the road is banked")
     value = float(f"{-one.value:.4g}")
     return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, one.value, "rad",
                    one.interval, (), effect, Cure("run.yaml", f"correct: {{heading: {{add: {value:g}}}}}",
