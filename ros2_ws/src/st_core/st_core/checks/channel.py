@@ -17,7 +17,8 @@ class Expected:
 
     against: what it is compared with, in words. unit: of the channel. digits: of its bias. lag [s], bias [unit]: least
     that is told; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it
-    does to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of error [m].
+    does to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of
+    error [m].
     least_spread: standard deviation of the channel below which no lag is told [unit].
     factors: names of units by the factor they make.
     """
@@ -115,6 +116,7 @@ def _cure(channel: str, correct: dict[str, float]) -> Cure:
 def identity(found: Agreement | None, expected: Expected, title: str, measured: float = 1.0,
              derived: float = 1.0) -> Identity | None:
     """measured, derived: units that were taken out before, put in again: the picture is of what was recorded."""
-    return found and Identity(expected.channel, title, expected.unit, expected.channel, f"from {expected.against}",
-                              found.time, measured * found.measured, derived * found.derived,
-                              tuple(f"{expected.channel}_{kind}" for kind in ("scale", "bias", "lag")))
+    return None if found is None else Identity(
+        expected.channel, title, expected.unit, expected.channel, f"from {expected.against}", found.time,
+        measured * found.measured, derived * found.derived,
+        tuple(f"{expected.channel}_{kind}" for kind in ("scale", "bias", "lag")))

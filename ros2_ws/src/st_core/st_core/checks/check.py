@@ -82,7 +82,7 @@ def _factors(coarse: list[Finding]) -> dict[str, float]:
     for one in coarse:
         correct = one.cure.entry.get("correct", {}) if one.cure else {}
         scale = next((entry["scale"] for entry in correct.values() if "scale" in entry), None)
-        if one.name == "time_unit":
+        if one.name == "time_unit" and one.value:
             found[one.name] = one.value
         elif scale:
             found[one.name] = 1.0 / scale

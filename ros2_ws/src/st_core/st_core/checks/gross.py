@@ -8,6 +8,7 @@ of position, integrated velocity). Who of three stands alone is wrong:
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -192,13 +193,14 @@ def _axes(motion: Motion) -> tuple[Motion, Finding | None]:
     measured = over.change(motion.x) + 1j * over.change(motion.y)
     angle = np.angle(np.sum(measured * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
-    text, x, y, entry = {
+    axes: dict[int, tuple[str, np.ndarray, np.ndarray, dict[str, Any]]] = {
         0: ("y is mirrored (it should count north)", motion.x, -motion.y, {"correct": {"y": {"scale": -1.0}}}),
         1: ("x and y are exchanged (x is east, y north)", motion.y, motion.x, {"columns": {"x": "y", "y": "x"}}),
         2: ("x is mirrored (it should count east)", -motion.x, motion.y, {"correct": {"x": {"scale": -1.0}}}),
         3: ("x and y are exchanged and mirrored", -motion.y, -motion.x,
             {"columns": {"x": "y", "y": "x"}, "correct": {"x": {"scale": -1.0}, "y": {"scale": -1.0}}}),
-    }[quarter]
+    }
+    text, x, y, entry = axes[quarter]
     key = "columns: {x: y, y: x}" if quarter == 1 else f"correct: {entry.get('correct')}".replace("'", "")
     finding = _error("position_axes", ("x", "y"), f"positions turn the other way than the car: {text}", None,
                      Cure("run.yaml", key, entry))

@@ -42,7 +42,8 @@ TEXT = {
 }
 UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "position_reference": "m"}
 CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "yaw_offset": ("yaw",),
-            "velocity_scale": ("velocity_x", "velocity_y"), "position_lag": ("x", "y"), "velocity_lag": ("velocity_x", "velocity_y"),
+            "velocity_scale": ("velocity_x", "velocity_y"), "position_lag": ("x", "y"),
+            "velocity_lag": ("velocity_x", "velocity_y"),
             "position_reference": ("x", "y")}
 
 
@@ -116,10 +117,9 @@ def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, f
         free.pop("velocity_scale", None)
     if "velocity_scale" in found:
         free = {name: value for name, value in free.items() if name not in AXES}
-    more = problem.causes({k: v for k, v in free.items() if k != "velocity_scale"}, tuple(found),
-                          () if "velocity_scale" in found else ("x_scale", "y_scale"))
-    if "velocity_scale" in free:
-        more = _one_scale(problem, more, tuple(found))
+    causes = problem.causes({k: v for k, v in free.items() if k != "velocity_scale"}, tuple(found),
+                            () if "velocity_scale" in found else ("x_scale", "y_scale"))
+    more = _one_scale(problem, causes, tuple(found)) if "velocity_scale" in free else tuple(causes)
     finer = problem.estimates((*found, *more))
     return {name: one.shifted(found[name].value) if name in found else one for name, one in finer.items()}
 

@@ -122,7 +122,7 @@ class Regression:
         while left:
             _, scale, _ = self.fit([*always, *chosen])
             losses = {name: self.loss([*always, *chosen, name], scale) for name in left}
-            best = min(losses, key=losses.get)
+            best = min(losses, key=losses.__getitem__)
             left.remove(best)
             # A cause that takes the certainty from those found before is one of them in other words.
             for extra in ((), [name for name in beside if name not in (*always, *chosen, best)]):

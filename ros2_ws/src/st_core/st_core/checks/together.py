@@ -42,8 +42,8 @@ class Together:
             return (f"{self.name} is alike in all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}{unit}: "
                     "it belongs to the sensor, its mounting, the projection or the car, and may be believed")
         return (f"{self.name} differs between the {self.runs} runs by more than their intervals allow, "
-                f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it belongs to the place, the load "
-                "or the day")
+                f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it belongs to the place, the "
+                "load or the day")
 
     def as_dict(self) -> dict[str, Any]:
         return {"name": self.name, "unit": self.unit, "runs": self.runs, "told": self.told, "mean": self.mean,

@@ -37,9 +37,8 @@ def steering(motion: Motion, vehicle: VehicleParameters, seed: int,
         unit = scale and _unit(scale, vehicle)
         return [unit] if unit else [], {}, None
     # One bend throughout: its size and an offset look alike.
-    one_bend = scale is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
-                                      or abs(float(found.derived.mean())) > found.spread)
-    if one_bend:
+    if scale is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
+                              or abs(float(found.derived.mean())) > found.spread):
         found = replace(found, scale=scale, bias=NOTHING)
     scale = held("steering_scale", found.scale)
     speed = float(np.median(motion.velocity_x[moving]))
