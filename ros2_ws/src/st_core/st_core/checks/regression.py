@@ -127,7 +127,7 @@ class Regression:
             # A cause that takes the certainty from those found before is one of them in other words.
             for extra in ((), [name for name in beside if name not in (*always, *chosen, best)]):
                 joint = self.estimates([*always, *chosen, best, *extra])
-                if all(_matters(joint[name], candidates[name]) for name in (*chosen, best)):
+                if all(matters(joint[name], candidates[name]) for name in (*chosen, best)):
                     chosen.append(best)
                     break
         joint = self.estimates([*always, *chosen])
@@ -149,5 +149,5 @@ def blocks(time: np.ndarray) -> resampling.Pieces:
     return resampling.Pieces(of, np.zeros(len(found), np.int64), found, f"{len(found)} blocks of {BLOCK:g} s")
 
 
-def _matters(estimate: Estimate, least: float) -> bool:
+def matters(estimate: Estimate, least: float) -> bool:
     return estimate.sure and abs(estimate.value) >= least
