@@ -18,7 +18,7 @@ class Expected:
     against: what it is compared with, in words. unit: of the channel. digits: of its bias. lag [s], bias [unit]: least
     that is told; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it
     does to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of
-    error [m].
+    error [m]. correlation: below which the two are not compared.
     least_spread: standard deviation of the channel below which no lag is told [unit].
     factors: names of units by the factor they make.
     """
@@ -32,6 +32,7 @@ class Expected:
     grave: tuple[float, float, float]
     reach: float = 0.0
     least_spread: float = 0.0
+    correlation: float = LIMITS.correlation
     digits: int = 2
     factors: Mapping[float, str] = field(default_factory=dict)
 
@@ -39,7 +40,7 @@ class Expected:
 def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.0,
            ) -> tuple[list[Finding], dict[str, Estimate]]:
     """(findings, estimates by the name of their finding). scale_before: factor that was taken out already."""
-    if found is None or abs(found.correlation) < LIMITS.correlation:
+    if found is None or abs(found.correlation) < expected.correlation:
         return [], {}
     name, told = expected.channel, []
     scale, lag, bias = (held(f"{name}_{kind}", getattr(found, kind)) for kind in ("scale", "lag", "bias"))
@@ -50,7 +51,8 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
         text = f"{name} is {in_words(scale, 3)} times what {expected.against} says"
         told.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
                              {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
-    size = abs(scale.value)
+    # A scale that is told is divided out before the bias is taken off.
+    size, divided = abs(scale.value), scale.value if told else 1.0
     if lag.sure and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread:
         rate = float(np.std(np.gradient(found.derived, found.time)))
         text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag, 3)} s"
@@ -60,7 +62,7 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
         side = "high" if bias.value > 0.0 else "low"
         text = f"{name} is {size_of(bias, expected.digits)} {expected.unit} too {side} against {expected.against}"
         told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
-                             {"add": -bias.value}, abs(bias.value) / size >= expected.grave[2]))
+                             {"add": -bias.value / divided}, abs(bias.value) / size >= expected.grave[2]))
     return told, {f"{name}_lag": lag, f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
 
 

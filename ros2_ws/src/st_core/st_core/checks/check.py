@@ -10,7 +10,7 @@ from . import inertial, position, sampling, with_car
 from .channel import identity, in_words, judged
 from .extras import Extras
 from .finding import Checked, Cure, Finding, Identity, Severity
-from .gross import gross
+from .gross import gross, time_unit
 from .lag import Agreement
 from .limits import HORIZON, LIMITS
 from .motion import Motion
@@ -39,14 +39,16 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
         return Checked((), sampling.channels(motion, extras), ())
     known = sampling.channels(motion, extras)
     told = [*sampling.timing(motion, extras), *quality(extras.quality, int(log.ins_time_ns[0]))]
-    raw = motion
-    motion, coarse = gross(motion)
-    stuck = sampling.merged(sampling.values(motion if coarse else raw, known))
-    motion, stepping = steps(sampling.unfrozen(motion, stuck))
-    told += stuck + stepping
+    motion, unit = time_unit(motion)
+    stuck = sampling.stuck(motion, known)
+    motion, coarse = gross(sampling.unfrozen(motion, stuck))
+    coarse = [unit, *coarse] if unit else coarse
+    told += stuck + sampling.rounded(motion, stuck)
+    motion, stepping = steps(motion)
+    told += stepping
     before = _factors(coarse)
     motion, fine, estimates, identities = _sensors(motion, before, extras, int(log.ins_time_ns[0]), seed)
-    told += [_with_value(one, estimates) for one in coarse] + fine
+    told += _once(coarse, fine, estimates)
     if vehicle is not None:
         for found, more, shown in (with_car.steering(motion, vehicle, seed), with_car.rear_axle(motion, vehicle, seed)):
             told += found
@@ -77,22 +79,38 @@ def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Fin
 
 
 def _factors(coarse: list[Finding]) -> dict[str, float]:
-    """What gross() has divided out, by the name of the finding."""
+    """What gross() has divided out, of a turned yaw what it has taken off, by the name of the finding."""
     found = {}
     for one in coarse:
         correct = one.cure.entry.get("correct", {}) if one.cure else {}
         scale = next((entry["scale"] for entry in correct.values() if "scale" in entry), None)
         if one.name == "time_unit" and one.value:
             found[one.name] = one.value
+        elif one.name == "yaw_offset":
+            found[one.name] = -correct["yaw"]["add"]
         elif scale:
             found[one.name] = 1.0 / scale
     return found
 
 
-def _with_value(one: Finding, estimates: dict[str, Estimate]) -> Finding:
-    """A unit or sign with the value that the finer identity gives it."""
-    found = estimates.get(one.name)
-    return one if found is None else replace(one, value=found.value, interval=found.interval)
+def _once(coarse: list[Finding], fine: list[Finding], estimates: dict[str, Estimate]) -> list[Finding]:
+    """Units, signs and turns with the values that the finer identities give them; what is left of one is part of it."""
+    left = {one.name for one in fine}
+    told = []
+    for one in coarse:
+        found = estimates.get(one.name)
+        if found is not None:
+            cure = _of_all(one.cure, found.value) if one.cure and one.name in left else one.cure
+            one = replace(one, value=found.value, interval=found.interval, cure=cure)
+        told.append(one)
+    return told + [one for one in fine if one.name not in {other.name for other in coarse}]
+
+
+def _of_all(cure: Cure, value: float) -> Cure:
+    """That of a unit or a turn, where the whole value is more than it."""
+    (channel, (key,)), = cure.entry["correct"].items()
+    number = float(f"{1.0 / value if key == 'scale' else -value:.6g}")
+    return Cure("run.yaml", f"correct: {{{channel}: {{{key}: {number:g}}}}}", {"correct": {channel: {key: number}}})
 
 
 def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns: int,
@@ -109,8 +127,10 @@ def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns:
     if late or any(one.name == "yaw_offset" for one in causes):
         found, expected = inertial.yaw_rate(motion, seed)
     more, those = judged(found, expected, before.get("yaw_rate_scale", 1.0))
-    told += [one for one in more if not (one.name == "yaw_rate_scale" and one.name in before)]
+    told += more
     estimates |= those
+    if "yaw_offset" in estimates:
+        estimates["yaw_offset"] = estimates["yaw_offset"].shifted(before.get("yaw_offset", 0.0))
     for name in ("velocity_scale", "velocity_x_scale", "position_scale"):
         fine = estimates.get("position_scale" if name == "position_scale" else "velocity_scale")
         if fine is not None:

@@ -19,11 +19,13 @@ from .motion import Motion, Windows, integral, weighted_median, windows
 LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m in a window, from which on it says something
 LEAST_WINDOWS = 5
 LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; share of the way by which positions may miss velocity and yaw
-DEGREE = 180.0 / np.pi
+DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
+ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
 SPEEDS = {3.6: ("km/h", "km/h"), 2.23694: ("mph", "mph"), 1.94384: ("knots", "kn")}
 LENGTHS = {1000.0: ("millimetres", "mm"), 100.0: ("centimetres", "cm"), 3.28084: ("feet", "ft"),
            0.001: ("kilometres", "km")}
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
+SMALLEST_WRAP = 0.01  # rad; 360 degrees are 1.86 degrees more than a whole number of 2 pi
 ALIKE = 1.2  # two ratios that differ by less than this factor are one
 
 
@@ -95,9 +97,9 @@ def _against_course(motion: Motion, over: Windows, way: np.ndarray) -> tuple[flo
 
 
 def gross(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion with units, signs and axes mended, what was mended)."""
+    """(motion with units, signs and axes mended, what was mended). Its stamps are in seconds: see time_unit."""
     found: list[Finding] = []
-    for step in (_time, _turns, _axes, _way, _turned):
+    for step in (_turns, _axes, _way, _turned):
         motion, finding = step(motion)
         found += [finding] if finding else []
     return motion, found
@@ -107,7 +109,8 @@ def _error(name: str, channels: tuple[str, ...], text: str, value: float | None,
     return Finding(name, Severity.ERROR, channels, text, value, "1", None, (), None, cure)
 
 
-def _time(motion: Motion) -> tuple[Motion, Finding | None]:
+def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Stamps against positions and yaw: milliseconds taken for seconds."""
     if len(motion.time) < 20:
         return motion, None
     spacing = float(np.median(np.diff(motion.time)))
@@ -156,9 +159,10 @@ def _follows(motion: Motion) -> bool:
 
 
 def _yaw_rate(motion: Motion, factor: float) -> tuple[Motion, Finding]:
-    exact = DEGREE * np.sign(factor) if near(abs(factor), DEGREE, 1.06) else -1.0 if near(factor, -1.0, 1.1) else factor
-    reason = {True: ": deg/s?"}.get(abs(exact) == DEGREE, ": it counts the other way (left is positive)"
-                                    if exact == -1.0 else "")
+    size = _angle(factor)
+    exact = float(np.copysign(size, factor))
+    reason = (f": {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
+              ": it counts the other way (left is positive)" if exact == -1.0 else "")
     text = f"yaw_rate is {factor:.3g} times what yaw says{reason}"
     cure = Cure("run.yaml", f"correct: {{yaw_rate: {{scale: {1.0 / exact:.6g}}}}}",
                 {"correct": {"yaw_rate": {"scale": 1.0 / exact}}})
@@ -167,19 +171,36 @@ def _yaw_rate(motion: Motion, factor: float) -> tuple[Motion, Finding]:
 
 
 def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
-    size = DEGREE if near(abs(factor), DEGREE, 1.06) else 1.0 if near(abs(factor), 1.0, 1.1) else abs(factor)
+    size = _angle(factor)
     if factor > 0.0:
-        text = f"yaw is {factor:.3g} times what yaw rate and course say" + (": degrees?" if size == DEGREE else "")
+        text = (f"yaw is {factor:.3g} times what yaw rate and course say"
+                + (f": {ANGLES[size]}?" if size in ANGLES else ""))
         cure = Cure("run.yaml", f"correct: {{yaw: {{scale: {1.0 / size:.6g}}}}}",
                     {"correct": {"yaw": {"scale": 1.0 / size}}})
-        return (motion.with_(yaw=motion.yaw / size), _error("yaw_scale", ("yaw",), text, factor, cure))
-    unit = " in degrees" if size == DEGREE else ""
+        mended = motion.with_(yaw=_without_wraps(motion, motion.yaw / size))
+        return mended, _error("yaw_scale", ("yaw",), text, factor, cure)
+    unit = f" in {ANGLES[size]}" if size in ANGLES else ""
     text = f"yaw counts clockwise{unit}: a compass heading from north? Yaw is from east, counter-clockwise"
     scale = -1.0 / size
     cure = Cure("run.yaml", f"correct: {{yaw: {{scale: {scale:.6g}, add: {np.pi / 2:.6g}}}}}",
                 {"correct": {"yaw": {"scale": scale, "add": np.pi / 2}}})
-    mended = motion.with_(yaw=scale * motion.yaw + np.pi / 2)
+    mended = motion.with_(yaw=_without_wraps(motion, scale * motion.yaw + np.pi / 2))
     return mended, _error("yaw_convention", ("yaw",), text, factor, cure)
+
+
+def _angle(factor: float) -> float:
+    """The unit of angles, or 1, that a factor is in size; its own size where it is none."""
+    return min((one for one in (*ANGLES, 1.0) if near(abs(factor), one, 1.06)),
+               key=lambda one: abs(np.log(abs(factor) / one)), default=abs(factor))
+
+
+def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
+    """A yaw that was unwrapped as if it were in rad still steps where it was wrapped: such steps are left out."""
+    step = np.diff(yaw)
+    meant = 0.5 * (motion.yaw_rate[1:] + motion.yaw_rate[:-1]) * np.diff(motion.time)
+    away = np.abs(step - meant)
+    wrapped = away > max(8.0 * 1.4826 * float(np.median(away)), SMALLEST_WRAP)
+    return np.concatenate((yaw[:1], yaw[0] + np.cumsum(np.where(wrapped, meant, step))))
 
 
 def _axes(motion: Motion) -> tuple[Motion, Finding | None]:
@@ -201,7 +222,7 @@ def _axes(motion: Motion) -> tuple[Motion, Finding | None]:
             {"columns": {"x": "y", "y": "x"}, "correct": {"x": {"scale": -1.0}, "y": {"scale": -1.0}}}),
     }
     text, x, y, entry = axes[quarter]
-    key = "columns: {x: y, y: x}" if quarter == 1 else f"correct: {entry.get('correct')}".replace("'", "")
+    key = ", ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
     finding = _error("position_axes", ("x", "y"), f"positions turn the other way than the car: {text}", None,
                      Cure("run.yaml", key, entry))
     return motion.with_(x=x, y=y), finding

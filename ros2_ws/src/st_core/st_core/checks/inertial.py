@@ -18,6 +18,7 @@ from .regression import Estimate
 
 G = 9.80665
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
+GYRO_CORRELATION = 0.9  # two outputs of one unit; less is a yaw too coarse to be differentiated
 GYRO_SCALE = 0.02  # 1; a gyroscope's scale is known to 1 %
 GYRO_BIAS = 0.001  # rad/s; an INS that is in order shows half of it
 ACCELERATION_SCALE = 0.35  # 1; a body that rolls and pitches makes up to a third of it
@@ -38,11 +39,13 @@ def yaw_rate(motion: Motion, seed: int) -> tuple[Agreement | None, Expected]:
     reach = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, seed, True)
     return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
-                           (LIMITS.grave_lag, 0.03, 0.01), reach, digits=4)
+                           (LIMITS.grave_lag, 0.03, 0.01), reach, correlation=GYRO_CORRELATION, digits=4)
 
 
 def mended_yaw_rate(motion: Motion, found: Agreement) -> Motion:
-    """With the lag, scale and bias taken out."""
+    """With the lag, scale and bias taken out, where they are known."""
+    if found.correlation < GYRO_CORRELATION:
+        return motion
     late = found.lag.value if found.lag.sure else 0.0
     return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time,
                                            (motion.yaw_rate - found.bias.value) / found.scale.value))

@@ -41,6 +41,16 @@ class Motion:
     def with_(self, **changes) -> "Motion":
         return replace(self, **changes)
 
+    def where(self, keep: np.ndarray) -> "Motion":
+        """With these samples of the INS only, (n,) bool."""
+        names = ("time", "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y")
+        kept = {name: value[keep] for name in names if (value := getattr(self, name)) is not None}
+        return replace(self, **kept)
+
+    def steering_where(self, keep: np.ndarray) -> "Motion":
+        """With these samples of the steering only, (n,) bool."""
+        return replace(self, steering_time=self.steering_time[keep], steering=self.steering[keep])
+
     @property
     def speed(self) -> np.ndarray:
         """Over ground [m/s]."""

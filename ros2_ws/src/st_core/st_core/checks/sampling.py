@@ -16,6 +16,7 @@ FEW = 0.01  # share of rows below which a fault of single rows is a note
 MISSED = 0.05  # share of the time lost in gaps from which on whole conditions may be missing
 FROZEN = 1.5  # s without any change; quieter channels are given ten times their own usual pause
 EXCUSED = 10.0
+WORST_GYRO = 0.02  # rad/s of bias that must not make a yaw look frozen
 
 
 def channels(motion: Motion, extras: Extras) -> dict[str, Channel]:
@@ -114,16 +115,20 @@ def _gaps(signal: str, time: np.ndarray) -> list[Finding]:
                     None, where, None, Cure("look", "look at the logger: lost packets, a full buffer"))]
 
 
-def values(motion: Motion, known: Mapping[str, Channel]) -> list[Finding]:
-    """Channels that are held, stand still or are rounded."""
+def stuck(motion: Motion, known: Mapping[str, Channel]) -> list[Finding]:
+    """Channels that are held at a lower rate, or stand still while the car moves."""
     told = []
-    moving = float(np.median(motion.speed)) if len(motion.time) else 0.0
     for name in known:
         time, row = _series(motion, name)
-        held = _held(name, time, row)
-        told += held or _frozen(name, time, row, motion)
-        told += _rounded(name, known[name], moving) if not held else []
-    return told
+        told += _held(name, time, row) or _frozen(name, time, row, motion, known[name].resolution)
+    return merged(told)
+
+
+def rounded(motion: Motion, told: Sequence[Finding]) -> list[Finding]:
+    """Channels that are rounded so coarsely that it matters; told: those that are held have steps of another kind."""
+    held = {channel for one in told if one.name == "samples_repeated" for channel in one.channels}
+    speed = float(np.median(motion.speed))
+    return merged([one for name in REACH if name not in held for one in _rounded(name, motion, speed)])
 
 
 def _pauses(row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -148,13 +153,13 @@ def _held(name: str, time: np.ndarray, row: np.ndarray) -> list[Finding]:
                     None, (), None, Cure("look", f"log {name} at its own rate, or interpolate it before"))]
 
 
-def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion) -> list[Finding]:
+def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion, step: float) -> list[Finding]:
     first, lengths = _pauses(row)
     last = np.minimum(first + lengths - 1, len(time) - 1)
     lasted = time[last] - time[first]
     usual = float(np.sort(lasted)[max(int(0.98 * len(lasted)) - 1, 0)]) if len(lasted) > 5 else 0.0
     bad = [k for k in np.flatnonzero(lasted > max(FROZEN, EXCUSED * usual))
-           if _should_change(name, time[first[k]], time[last[k]], motion)]
+           if _should_change(name, time[first[k]], time[last[k]], motion, step)]
     if not bad:
         return []
     seconds = float(lasted[bad].sum())
@@ -168,22 +173,19 @@ def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion) -> lis
     return [Finding("channel_frozen", severity, (name,), text, seconds, "s", None, where, None, cure)]
 
 
-def _should_change(name: str, begin: float, end: float, motion: Motion) -> bool:
-    """Whether the other channels say that this one changed meanwhile."""
+def _should_change(name: str, begin: float, end: float, motion: Motion, step: float) -> bool:
+    """Whether the other channels say that this one changed meanwhile, by more than its own rounding `step`."""
     inside = (motion.time >= begin) & (motion.time <= end)
     if inside.sum() < 3:
         return False
-    if name in ("x", "y"):
-        return bool(np.median(motion.speed[inside]) > 1.0)
-    if name in TWINS:
-        other, least = TWINS[name]
-        rate = other(motion)[inside]
-        return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > least)
-    turn = motion.yaw_rate if name != "yaw_rate" else np.gradient(motion.yaw, motion.time)
-    rate = turn[inside]
-    if name == "yaw":
-        return bool(np.abs(rate).mean() > 0.01)
-    return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > 0.05 and np.median(motion.speed[inside]) > 2.0)
+    if name in ("x", "y", "yaw"):
+        rate = {"x": motion.velocity_map[0], "y": motion.velocity_map[1], "yaw": motion.yaw_rate}[name][inside]
+        biased = WORST_GYRO if name == "yaw" else 0.0
+        moved = max(abs(float(rate.mean())) - biased, 0.0) * (end - begin)
+        return moved > max(3.0 * step, 0.05 if name == "yaw" else 1.0)
+    other, least = TWINS[name]
+    rate = other(motion)[inside]
+    return bool(np.percentile(rate, 95) - np.percentile(rate, 5) > least)
 
 
 def _smooth_speed(motion: Motion) -> np.ndarray:
@@ -194,34 +196,42 @@ def _smooth_speed(motion: Motion) -> np.ndarray:
     return np.concatenate([speed, np.full(len(motion.time) - len(speed), speed[-1] if len(speed) else 0.0)])
 
 
+# Position after 5 s per unit of a wrong start [m], and whether it grows with the speed [s].
+REACH = {"x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
+         "velocity_y": (LIMITS.settling * HORIZON, False), "yaw_rate": (LIMITS.settling * HORIZON, True)}
 # What changes with a channel, whatever the sensor, and by how much it must before the channel is called frozen.
 TWINS: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (_smooth_speed, 0.3), "velocity_y": (lambda m: m.yaw_rate, 0.05),
     "acceleration_x": (lambda m: m.velocity_x, 0.5), "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
+    "yaw_rate": (lambda m: np.gradient(m.yaw, m.time), 0.05),
+    "road_wheel_angle": (lambda m: np.where(m.velocity_x > 2.0, m.yaw_rate, 0.0), 0.05),
 }
 
 
-def _rounded(name: str, channel: Channel, speed: float) -> list[Finding]:
-    """Rounding so coarse that the position after 5 s shows it: a start wrong by resolution / sqrt(12)."""
-    reach = {"x": 1.0, "y": 1.0, "yaw": speed * HORIZON, "velocity_x": HORIZON, "velocity_y": LIMITS.settling * HORIZON,
-             "yaw_rate": LIMITS.settling * speed * HORIZON}.get(name)
-    effect = channel.resolution / np.sqrt(12.0) * (reach or 0.0)
-    if reach is None or effect < LIMITS.worth_a_word:
+def _rounded(name: str, motion: Motion, speed: float) -> list[Finding]:
+    """A start wrong by resolution / sqrt(12)."""
+    step = resolution(getattr(motion, name))
+    distance, while_driving = REACH[name]
+    effect = step / np.sqrt(12.0) * distance * (speed if while_driving else 1.0)
+    if effect < LIMITS.worth_a_word:
         return []
-    degrees = f" ({np.rad2deg(channel.resolution):.2g} deg)" if channel.unit.startswith("rad") else ""
-    text = f"{name} is rounded to {channel.resolution:.3g} {channel.unit}{degrees}"
-    return [Finding("resolution_coarse", LIMITS.severity(effect), (name,), text, channel.resolution, channel.unit, None,
-                    (), effect, Cure("look", f"log {name} with more digits"))]
+    unit = UNITS[name]
+    degrees = f" ({np.rad2deg(step):.2g} deg)" if unit.startswith("rad") else ""
+    text = f"{name} is rounded to {step:.3g} {unit}{degrees}"
+    return [Finding("resolution_coarse", LIMITS.severity(effect), (name,), text, step, unit, effect=effect,
+                    cure=Cure("look", f"log {name} with more digits"))]
 
 
 def unfrozen(motion: Motion, findings: Sequence[Finding]) -> Motion:
-    """Without the steering where it stands still."""
+    """Without the samples of what stands still; what is left out is a gap."""
     for one in findings:
-        if one.name == "channel_frozen" and one.channels == ("road_wheel_angle",):
-            steering = motion.steering.copy()
-            for begin, end in one.where:
-                steering[(motion.steering_time >= begin) & (motion.steering_time <= end)] = np.nan
-            motion = motion.with_(steering=steering)
+        if one.name != "channel_frozen":
+            continue
+        steering = one.channels == ("road_wheel_angle",)
+        time = motion.steering_time if steering else motion.time
+        keep = ~np.any([(time >= begin) & (time <= end) for begin, end in one.where], axis=0)
+        if keep.sum() > 0.5 * len(keep):
+            motion = motion.steering_where(keep) if steering else motion.where(keep)
     return motion
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from .finding import Cure, Finding, Severity
 from .limits import LIMITS
 from .motion import LONGEST_GAP, MOVING, Motion, integral
+from .sampling import resolution
 
 SIGMAS = 6.0  # robust standard deviations from which on a step is none of the noise
 SMALLEST_JUMP = 0.2  # m; what 10 ms are at 20 m/s
@@ -27,11 +28,12 @@ def steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     if len(motion.time) < 50:
         return motion, []
     rest, along = _rests(motion)
+    rounding = max(resolution(motion.x), resolution(motion.y))
     jitter = _jitter(motion, along)
     if jitter:
         return motion.with_(time=_even(motion.time)), jitter
-    stale, told = _stale(motion, rest, along)
-    return motion, told + _jumps(motion, rest, stale)
+    stale, told = _stale(motion, rest, along, rounding)
+    return motion, told + _jumps(motion, rest, stale, rounding)
 
 
 def _even(time: np.ndarray) -> np.ndarray:
@@ -50,7 +52,7 @@ def _rests(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     return rest, np.where(speed > MOVING, (rest * heading).real / np.maximum(speed, MOVING), np.nan)
 
 
-def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
+def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray, rounding: float) -> tuple[np.ndarray, list[Finding]]:
     """(which steps are those of stale samples, the finding)."""
     known = np.isfinite(along)
     none = np.zeros(len(along), bool)
@@ -69,7 +71,9 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray) -> tuple[np.ndar
     age = float(np.median(np.abs(away[large])))
     alike = 1.4826 * float(np.median(np.abs(np.abs(away[large]) - age))) < ALIKE * age
     back, forward = known & (away < -0.5 * age), known & (away > 0.5 * age)
-    if not alike or age > 1.2 * spacing or not BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / BALANCE:
+    far = float(np.median(np.abs(rest[large])))
+    balanced = BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / BALANCE
+    if not alike or not balanced or age > 1.2 * spacing or far < 3.0 * rounding:
         return none, []
     share = float(back.sum() / known.sum())
     half = 1.96 * float(np.sqrt(share * (1.0 - share) / max(known.sum() * spacing, 1.0)))
@@ -84,11 +88,11 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray) -> tuple[np.ndar
         Cure("look", "stamp positions with their own time, or leave out rows with an old one"))]
 
 
-def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray) -> list[Finding]:
+def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:
     size = np.abs(rest - np.median(rest.real) - 1j * np.median(rest.imag))
     scale = 1.4826 * float(np.median(size))
     within = (np.diff(motion.time) <= LONGEST_GAP) & ~stale
-    large = within & (size > max(SIGMAS * scale, SMALLEST_JUMP))
+    large = within & (size > max(SIGMAS * scale, SMALLEST_JUMP, 2.0 * rounding))
     count = int(large.sum())
     if not count:
         return []

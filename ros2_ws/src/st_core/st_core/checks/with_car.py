@@ -130,7 +130,7 @@ def _offset(found: Agreement, speed: float, vehicle: VehicleParameters) -> Findi
                    one.interval, (), effect, Cure(
                        "vehicle", f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
                                   "  # where the hand wheel was recorded; check with st identify steering-offset",
-                       {"correct": {"road_wheel_angle": {"add": -float(f"{one.value:.4g}")}}}))
+                       {"steering_wheel_offset": wheel}))
 
 
 def side(one: Estimate) -> str:
@@ -213,7 +213,8 @@ def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding
     value = vehicle.cg_to_ins_x + one.value
     return Finding("measuring_point", _at_most_warning(effect), ("velocity_y", "x", "y"), text, one.value, "m",
                    one.interval, (), effect, Cure(
-                       "vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}"))
+                       "vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}",
+                       {"cg_to_ins_x": round(value, 2)}))
 
 
 def believable(motion: Motion) -> list[Finding]:
