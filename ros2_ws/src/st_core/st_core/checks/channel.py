@@ -36,6 +36,10 @@ class Expected:
     digits: int = 2
     factors: Mapping[float, str] = field(default_factory=dict)
 
+    @property
+    def say(self) -> str:
+        return f"{self.against} say{'' if ' and ' in self.against else 's'}"
+
 
 def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.0,
            ) -> tuple[list[Finding], dict[str, Estimate]]:
@@ -48,7 +52,7 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     if factor is not None:
         told.append(_gross(scale, factor, expected))
     elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).sure:
-        text = f"{name} is {in_words(scale, 3)} times what {expected.against} says"
+        text = f"{name} is {in_words(scale, 3)} times what {expected.say}"
         told.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
                              {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
     # A scale that is told is divided out before the bias is taken off.
@@ -88,7 +92,7 @@ def _factor(scale: float, expected: Expected) -> float | None:
 def _gross(scale: Estimate, factor: float, expected: Expected) -> Finding:
     other_way = "it counts the other way" if factor < 0.0 else ""
     reason = " and ".join(filter(None, (expected.factors.get(abs(factor), ""), other_way)))
-    text = (f"{expected.channel} is {in_words(scale, 3)} times what {expected.against} says"
+    text = (f"{expected.channel} is {in_words(scale, 3)} times what {expected.say}"
             + (f": {reason}?" if reason else ""))
     exact = float(f"{1.0 / factor:.6g}")
     return Finding(f"{expected.channel}_scale", Severity.WARNING, (expected.channel,), text, scale.value, "1",

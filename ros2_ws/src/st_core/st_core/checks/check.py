@@ -95,15 +95,16 @@ def _factors(coarse: list[Finding]) -> dict[str, float]:
 
 def _once(coarse: list[Finding], fine: list[Finding], estimates: dict[str, Estimate]) -> list[Finding]:
     """Units, signs and turns with the values that the finer identities give them; what is left of one is part of it."""
-    left = {one.name for one in fine}
+    known, left = {one.name for one in coarse}, {one.name for one in fine}
     told = []
     for one in coarse:
         found = estimates.get(one.name)
-        if found is not None:
-            cure = _of_all(one.cure, found.value) if one.cure and one.name in left else one.cure
-            one = replace(one, value=found.value, interval=found.interval, cure=cure)
-        told.append(one)
-    return told + [one for one in fine if one.name not in {other.name for other in coarse}]
+        if found is None:
+            told.append(one)
+            continue
+        cure = _of_all(one.cure, found.value) if one.cure and one.name in left else one.cure
+        told.append(replace(one, value=found.value, interval=found.interval, cure=cure))
+    return told + [one for one in fine if one.name not in known]
 
 
 def _of_all(cure: Cure, value: float) -> Cure:
