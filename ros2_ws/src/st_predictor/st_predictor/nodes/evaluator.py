@@ -1,5 +1,7 @@
-"""Node evaluator: scores every prediction once its horizon has passed, publishes the errors and records them."""
+"""Node evaluator: scores every prediction once its horizon has passed, publishes the errors and records them; says
+whether the measurements agree with each other."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from st_ros.diagnostics import Check, Diagnostics
 from st_ros.polling import PolledSubscription
 
 from .. import convert, params
+from ..consistency import Consistency
 from ..mcap import BagWriter, Qos
 from ._bag import open_bag, recording_check
 from ._inputs import Inputs
@@ -23,6 +26,7 @@ from ._inputs import Inputs
 WORK_PERIOD = 0.05
 SUMMARY_PERIOD = 1.0
 MODES = ("forecast", "hindsight")
+LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
 # Measurements kept [s]: the longest horizon a predictor may be set to, and the wait for late signals.
 SPAN = 65.0
 # Scores at the end of a run come all at once: the last horizon of every model, twice.
@@ -41,6 +45,7 @@ class EvaluatorNode(Node):
         self._models = params.checked(values, lambda: [get_model(m).name for m in (*values.models, *own)])
         settings = params.prediction_settings(values)
         self._core = Evaluator(self._vehicle, settings, SPAN, own)
+        self._consistency = Consistency(self._vehicle)
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
@@ -88,6 +93,7 @@ class EvaluatorNode(Node):
         self._publish_scores(self._core.poll())
         if self._bag:
             self._bag.flush_when_due()
+        self._consistency.poll(self._core.history, time.monotonic())
 
     def _add(self, model: str, message: Prediction) -> None:
         content = convert.read_prediction(message)
@@ -147,7 +153,9 @@ class EvaluatorNode(Node):
             text = f"predictions of {', '.join(others)} were made with another vehicle or model than this node has"
         off = Check("recording", diagnostics.OK, "off (output_directory is empty)")
         recording = recording_check(self._bag) if self._bag else off
-        return [Check("scoring", level, text, values), recording, *self._inputs.checks()]
+        found = self._consistency.verdict
+        consistency = Check("consistency", LEVELS.get(found.severity, diagnostics.OK), found.message, found.values)
+        return [Check("scoring", level, text, values), recording, consistency, *self._inputs.checks()]
 
     @property
     def exit_status(self) -> int:

@@ -1,0 +1,124 @@
+"""Do the measurements agree with each other? What `st_core.checks` finds in the newest driving, for /diagnostics."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from st_core.alignment import MeasurementHistory
+from st_core.filtering import NANOSECOND
+from st_core.log import INS_SIGNALS, DriveLog
+from st_core.timeseries import TimeSeries
+from st_core.vehicle import VehicleParameters
+
+if TYPE_CHECKING:
+    from st_core.checks import Finding
+
+MINUTE = 60.0  # s, the oldest that is looked at
+RECENT = 30.0  # s that are judged where the car moves all the time: a fault is told, and gone again, within that
+ENOUGH, MOVING = 20.0, 1.0  # s of driving above so many m/s, without which nothing is said
+LONGEST_STEP = 0.25  # s between samples; what is missing is no driving
+SAMPLE_NS = 20_000_000  # one sample of so much time is used
+PERIOD = 12.0  # s of measurement from one check to the next
+SHARE = 0.018  # of a core: where a check costs more than PERIOD allows, it comes less often
+# On one bend heading and measuring point look alike: only a whole drive tells them. Gaps are told where they arise.
+NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps"))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """severity: "", "note", "warning" or "error", that of the gravest finding. values: finding -> value ± half."""
+
+    severity: str
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+class Consistency:
+    """Judges a history again and again: the newest 30 s, or as much of the last minute as holds 20 s of driving.
+
+    `verdict` is the newest; seconds: processor time that all checks took together. share: of a core they may take.
+    """
+
+    def __init__(self, vehicle: VehicleParameters, share: float = SHARE):
+        self._vehicle, self._share = vehicle, share
+        self.verdict = _waiting(0.0)
+        self.seconds = 0.0
+        self._judged_ns: int | None = None
+        self._at = self._not_before = -math.inf
+
+    def poll(self, history: MeasurementHistory, now: float) -> bool:
+        """Judge if it is time to; returns whether it was. now: of a steady clock [s].
+
+        Never raises for what was measured: a check that fails is a warning of its own.
+        """
+        newest = history.ins.newest
+        if newest is None or now < self._not_before:
+            return False
+        if self._judged_ns is not None and 0 <= newest - self._judged_ns < PERIOD / NANOSECOND:
+            if now - self._at > MINUTE:
+                self.verdict = _waiting(0.0)
+            return False
+        self._judged_ns, self._at = newest, now
+        log = recent(history)
+        if isinstance(log, float):
+            self.verdict = _waiting(log)
+            return True
+        from st_core.checks import check  # loads scipy: a second and 70 MB that a start need not wait for
+
+        begin = time.thread_time()
+        try:
+            self.verdict = _verdict(check(log, self._vehicle).findings, log.duration)
+        except Exception as error:  # whatever it is, predictions are scored on
+            self.verdict = Verdict("warning", f"could not be judged: {type(error).__name__}: {error}")
+        took = time.thread_time() - begin
+        self.seconds += took
+        self._not_before = now + took / self._share
+        return True
+
+
+def recent(history: MeasurementHistory) -> DriveLog | float:
+    """What is to be judged, thinned out; the seconds of driving in the last minute [s] where those are too few."""
+    newest = history.ins.newest or 0
+    times, rows = _since(history.ins, newest - round(MINUTE / NANOSECOND))
+    step = np.minimum(np.diff(times, append=newest) * NANOSECOND, LONGEST_STEP)
+    driven = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MOVING))[::-1])[::-1]
+    if not len(driven) or driven[0] < ENOUGH:
+        return float(driven[0]) if len(driven) else 0.0
+    start = min(newest - round(RECENT / NANOSECOND), int(times[np.flatnonzero(driven >= ENOUGH)[-1]]))
+    times, rows = _since(history.ins, start)
+    columns = dict(zip(INS_SIGNALS, rows.T, strict=False))
+    steering_times, angles = _since(history.steering, start)
+    return DriveLog("live", times, **columns | {"yaw": np.unwrap(columns["yaw"])},
+                    steering_time_ns=steering_times, road_wheel_angle=angles[:, 0])
+
+
+def _since(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
+    """(times, rows) from an instant on, the first of each SAMPLE_NS."""
+    first = int(np.searchsorted(series.times, start_ns))
+    times = series.times[first:]
+    kept = np.flatnonzero(np.diff(times // SAMPLE_NS, prepend=-1))
+    return times[kept], series.rows[first:][kept]
+
+
+def _waiting(driven: float) -> Verdict:
+    return Verdict("", f"not judged: {driven:.0f} s of driving in the last minute, {ENOUGH:g} s above {MOVING:g} m/s "
+                   "wanted")
+
+
+def _verdict(findings: "Sequence[Finding]", seconds: float) -> Verdict:
+    told = [one for one in findings if one.name not in NOT_LIVE]
+    values = {one.name: _value(one) for one in told}
+    severity = told[0].severity.value if told else ""  # the gravest come first
+    if severity in ("", "note"):
+        return Verdict(severity, f"signals agree in the newest {seconds:.0f} s", values)
+    return Verdict(severity, "; ".join(one.text for one in told if one.severity.value == severity), values)
+
+
+def _value(finding: "Finding") -> str:
+    if finding.value is None:
+        return finding.severity.value
+    spread = "" if finding.interval is None else f" ± {0.5 * (finding.interval[1] - finding.interval[0]):.2g}"
+    return f"{finding.value:.4g}{spread}" + (f" {finding.unit}" if finding.unit not in ("1", "-") else "")

@@ -1,0 +1,150 @@
+"""Do the measurements agree? A minute of a winding road, right and wrong, as the evaluator hands it on."""
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from st_core.alignment import MeasurementHistory
+from st_core.types import InsSample
+from st_core.vehicle import VehicleParameters
+from st_predictor.consistency import ENOUGH, PERIOD, RECENT, SHARE, Consistency, Verdict
+from support import ROOT
+from winding_road import RATE, Truth, winding_road
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+CAR = VehicleParameters.from_yaml(LEAF.read_text(), str(LEAF))
+START_NS = 1_756_900_800_000_000_000
+YAW_RATE, STEERING = 6, 7
+LATE = 0.3  # s
+BEGIN, END, LAST = 35.0, 75.0, 125.0  # s in which a fault is in, and of the drive
+SLOWEST = RECENT + PERIOD
+
+Change = Callable[[np.ndarray], np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def road() -> np.ndarray:
+    """Rows of (t, x, y, yaw, v_x, v_y, yaw rate, road wheel angle)."""
+    rows = winding_road(CAR, Truth(0.0, CAR.steering_ratio, 1.0), LAST, 3)
+    rows[:, STEERING] /= CAR.steering_ratio
+    return rows
+
+
+class Live:
+    """The check and its history in a node that polls ten times a second.
+
+    said: (s, verdict) of each time it judged; spent [s]: processor time until then. share: by default a check may cost
+    as much as it likes, so that a busy machine changes nothing.
+    """
+
+    def __init__(self, vehicle: Any = CAR, share: float = 1.0):
+        self.consistency = Consistency(vehicle, share)
+        self.history = MeasurementHistory(65.0, 0.1, 5.0)
+        self.now = 0.0
+        self.said: list[tuple[float, Verdict]] = []
+        self.spent: list[float] = []
+
+    def drive(self, rows: np.ndarray) -> "Live":
+        for k, (t, *ins, steering) in enumerate(rows.tolist()):
+            time_ns = START_NS + round(t * 1e9)
+            self.history.add_ins(InsSample(time_ns, *ins))
+            self.history.add_steering(time_ns, steering)
+            self.now += 1.0 / RATE
+            if k % 10 == 0 and self.consistency.poll(self.history, self.now):
+                self.said.append((t, self.consistency.verdict))
+                self.spent.append(self.consistency.seconds)
+        return self
+
+
+def degrees_per_second(rows: np.ndarray) -> np.ndarray:
+    return np.rad2deg(rows[:, YAW_RATE])
+
+
+def late(rows: np.ndarray) -> np.ndarray:
+    return np.roll(rows[:, YAW_RATE], round(LATE * RATE))
+
+
+def flipped(rows: np.ndarray) -> np.ndarray:
+    return -rows[:, STEERING]
+
+
+def test_a_right_minute_is_well(road: np.ndarray) -> None:
+    said = Live().drive(road).said
+    judged = [verdict for _, verdict in said if "agree" in verdict.message]
+    assert len(judged) > (LAST - ENOUGH) / (2.0 * PERIOD)
+    assert {verdict.severity for _, verdict in said} <= {"", "note"}
+    assert {"agree" in verdict.message for t, verdict in said if t > ENOUGH + 1.0} == {True}
+
+
+@pytest.mark.parametrize(("column", "change", "name", "severity", "words"), [
+    (YAW_RATE, degrees_per_second, "yaw_rate_scale", "error", "yaw_rate is 57"),
+    (YAW_RATE, late, "yaw_rate_lag", "warning", "yaw_rate lags yaw by 0.3"),
+    (STEERING, flipped, "steering_sign", "error", "it counts the other way"),
+])
+def test_a_fault_is_told_and_clears(road: np.ndarray, column: int, change: Change, name: str, severity: str,
+                                    words: str) -> None:
+    rows = road.copy()
+    inside = (rows[:, 0] >= BEGIN) & (rows[:, 0] < END)
+    rows[inside, column] = change(road)[inside]
+    said = Live().drive(rows).said
+    told = [t for t, verdict in said if name in verdict.values and words in verdict.message]
+    assert told and BEGIN < told[0] <= BEGIN + SLOWEST
+    assert {verdict.severity for t, verdict in said if t in told} == {severity}
+    after = [verdict for t, verdict in said if t > END + SLOWEST]
+    assert after and all("agree" in verdict.message for verdict in after)
+
+
+def test_a_car_that_stands_is_not_judged(road: np.ndarray) -> None:
+    parked = np.repeat(road[:1], 3000, axis=0)
+    parked[:, 0] = np.arange(3000) / RATE
+    parked[:, 4:7] = 0.0
+    verdict = Live().drive(parked).said[-1][1]
+    assert verdict == Verdict("", "not judged: 0 s of driving in the last minute, 20 s above 1 m/s wanted")
+
+
+def test_halts_reach_further_back(road: np.ndarray) -> None:
+    """Twelve seconds of driving, a halt, twelve seconds: less than 20 s in the newest 30, enough in the minute."""
+    halt = road[1200:1201].repeat(2500, axis=0)
+    halt[:, 0] += np.arange(2500) / RATE
+    halt[:, 4:7] = 0.0
+    later = road[1200:2400].copy()
+    later[:, 0] += 2500 / RATE
+    said = Live().drive(np.concatenate((road[:1200], halt, later))).said
+    assert "agree in the newest 4" in said[-1][1].message
+
+
+def test_time_that_jumps_back_begins_anew(road: np.ndarray) -> None:
+    live = Live().drive(road[:4000])
+    assert "agree" in live.consistency.verdict.message
+    live.drive(road[:100])
+    assert "not judged: 0 s" in live.consistency.verdict.message
+
+
+def test_nothing_new_for_a_minute_is_no_verdict(road: np.ndarray) -> None:
+    live = Live().drive(road[:4000])
+    assert not live.consistency.poll(live.history, live.now + 1.0)
+    assert "agree" in live.consistency.verdict.message
+    live.consistency.poll(live.history, live.now + 80.0)
+    assert "not judged: 0 s" in live.consistency.verdict.message
+
+
+def test_no_steering_is_no_obstacle(road: np.ndarray) -> None:
+    rows = road[:4000].copy()
+    rows[:, STEERING] = np.nan  # refused by the history
+    assert "agree" in Live().drive(rows).said[-1][1].message
+
+
+def test_a_check_that_fails_is_a_warning(road: np.ndarray) -> None:
+    verdict = Live(vehicle="no car").drive(road[:4000]).said[-1][1]
+    assert verdict.severity == "warning"
+    assert verdict.message.startswith("could not be judged: AttributeError: ")
+
+
+@pytest.mark.parametrize("share", [SHARE, 0.5 * SHARE, 0.002])
+def test_it_takes_no_more_than_its_share_of_a_core(road: np.ndarray, share: float) -> None:
+    live = Live(share=share).drive(road)
+    times = [t for t, _ in live.said]
+    assert min(b - a for a, b in pairwise(times)) > PERIOD - 0.2
+    assert 0.0 < live.spent[-2] <= 1.01 * share * times[-1]  # the last is paid for later
