@@ -99,7 +99,7 @@ def _against_course(motion: Motion, over: Windows, way: np.ndarray) -> tuple[flo
 def gross(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion with units, signs and axes mended, what was mended). Its stamps are in seconds: see time_unit."""
     found: list[Finding] = []
-    for step in (_turns, _axes, _way, _turned):
+    for step in (_both_turns, _turns, _axes, _way, _turned):
         motion, finding = step(motion)
         found += [finding] if finding else []
     return motion, found
@@ -132,6 +132,15 @@ def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
     return mended, _error("time_unit", ("time",), text, factor, cure)
 
 
+def _both_turns(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Yaw and yaw rate in one and the same unit: the course tells. Here the rate is mended, next the yaw."""
+    r = ratios(motion)
+    if (_angle(r.rate_course) in ANGLES and near(r.yaw_rate, 1.0, LIMITS.unit)
+            and near(r.yaw_course, r.rate_course, LIMITS.unit)):
+        return _yaw_rate(motion, r.rate_course, "the course of the positions")
+    return motion, None
+
+
 def _turns(motion: Motion) -> tuple[Motion, Finding | None]:
     """Yaw and yaw rate, each against the other two."""
     r = ratios(motion)
@@ -158,12 +167,12 @@ def _follows(motion: Motion) -> bool:
     return _misfit(scaled) < FOLLOWS * float(np.median(way))
 
 
-def _yaw_rate(motion: Motion, factor: float) -> tuple[Motion, Finding]:
+def _yaw_rate(motion: Motion, factor: float, against: str = "yaw") -> tuple[Motion, Finding]:
     size = _angle(factor)
     exact = float(np.copysign(size, factor))
     reason = (f": {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
               ": it counts the other way (left is positive)" if exact == -1.0 else "")
-    text = f"yaw_rate is {factor:.3g} times what yaw says{reason}"
+    text = f"yaw_rate is {factor:.3g} times what {against} says{reason}"
     cure = Cure("run.yaml", f"correct: {{yaw_rate: {{scale: {1.0 / exact:.6g}}}}}",
                 {"correct": {"yaw_rate": {"scale": 1.0 / exact}}})
     return (motion.with_(yaw_rate=motion.yaw_rate / exact),
