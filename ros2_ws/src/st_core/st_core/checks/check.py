@@ -7,7 +7,7 @@ import numpy as np
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, with_car
-from .channel import identity, in_words, judged
+from .channel import identity, judged, size_of
 from .extras import Extras
 from .finding import Checked, Cure, Finding, Identity, Severity
 from .gross import gross, time_unit
@@ -19,6 +19,7 @@ from .regression import Estimate, held
 from .steps import steps
 
 SHORTEST = 50  # INS samples; less than a few seconds says nothing
+FAR_BETTER = 0.7  # part of the misfit of positions that may be left
 ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 
 
@@ -62,20 +63,21 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
 
 
 def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
-    """Where yaw lags the yaw rate: is it the yaw? Then positions say so too."""
-    if found is None or not found.lag.sure or -found.lag.value < LIMITS.lag:
+    """Where yaw lags or leads the yaw rate: is it the yaw? Then positions say so too. A yaw that leads is rare: what
+    else positions suffer from must not pass for it."""
+    if found is None or not found.lag.sure or abs(found.lag.value) < LIMITS.lag:
         return motion, []
     late = held("yaw_lag", found.lag.scaled(-1.0))
     earlier = motion.with_(yaw=np.interp(motion.time + late.value, motion.time, motion.yaw))
-    if not position.misfit(earlier) < position.misfit(motion):
+    if not position.misfit(earlier) < (1.0 if late.value > 0.0 else FAR_BETTER) * position.misfit(motion):
         return motion, []
-    effect = late.value * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
-    severity = max(LIMITS.severity(effect), Severity.WARNING if late.value >= LIMITS.grave_lag else Severity.NOTE,
-                   key=ORDER[::-1].index)
+    effect = abs(late.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
+    grave = Severity.WARNING if abs(late.value) >= LIMITS.grave_lag else Severity.NOTE
+    severity = max(LIMITS.severity(effect), grave, key=ORDER[::-1].index)
     value = float(f"{late.value:.4g}")
     cure = Cure("run.yaml", f"correct: {{yaw: {{earlier: {value:g}}}}}", {"correct": {"yaw": {"earlier": value}}})
-    return earlier, [Finding("yaw_lag", severity, ("yaw",), f"yaw lags yaw rate and positions by {in_words(late, 3)} s",
-                             late.value, "s", late.interval, (), effect, cure)]
+    text = f"yaw {'lags' if value > 0.0 else 'leads'} yaw rate and positions by {size_of(late, 3)} s"
+    return earlier, [Finding("yaw_lag", severity, ("yaw",), text, late.value, "s", late.interval, (), effect, cure)]
 
 
 def _factors(coarse: list[Finding]) -> dict[str, float]:
