@@ -8,7 +8,7 @@ from pathlib import Path
 
 from st_offline.paths import project_root, source_version
 
-from . import drives, healthy, speed, tables
+from . import drives, healthy, real, speed, tables
 from .corruptions import KINDS
 from .run import matrix
 from .score import Drive, Record, as_recorded, checked, short
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         "every finding in full")
     parser.add_argument("--list", action="store_true", help="print kinds, sizes, findings and drives")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--write", action="store_true", help="write results.json and the table in docs/checks.md")
+    parser.add_argument("--write", action="store_true", help="write the table of it into docs/checks.md")
     parser.add_argument("--healthy", type=int, metavar="SEEDS", help="drives of all scenarios without a fault instead")
     parser.add_argument("--seconds", type=float, default=35.0, help="of a healthy drive")
     parser.add_argument("--speed", action="store_true", help="time of 1, 10 and 60 minutes instead")
@@ -36,11 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.list:
         return _list()
     if chosen.healthy:
-        return healthy.main(chosen.healthy, chosen.seconds, chosen.jobs)
+        text, status = healthy.main(chosen.healthy, chosen.seconds, chosen.jobs)
+        return _page("healthy drives", text, chosen.write, status)
     if chosen.speed:
-        return speed.main()
+        return _page("time", speed.main(), chosen.write)
     if chosen.real:
-        return _real()
+        return _page("real drives", real.main(), chosen.write)
     return _matrix(parser, chosen)
 
 
@@ -71,8 +72,16 @@ def _write(document: Record, records: Sequence[Record]) -> None:
     results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     results[document["set"]] = {**document, "wrong": [tables.failure(r) for r in records if not r["right"]]}
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
-    tables.put_into(project_root() / PAGE, "\n\n".join(
-        tables.as_markdown(results[name]) for name in ("development", "sealed") if name in results))
+    _page("corruption matrix", "\n\n".join(
+        tables.as_markdown(results[name]) for name in ("development", "sealed") if name in results), True)
+
+
+def _page(mark: str, text: str, write: bool, status: int = 0) -> int:
+    """Put a text into the page."""
+    if write:
+        when = f"Version {source_version()}, {time.strftime('%Y-%m-%d', time.gmtime())}."
+        tables.put_into(project_root() / PAGE, mark, text if mark == "corruption matrix" else f"{text}\n\n{when}")
+    return status
 
 
 def _in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
@@ -90,14 +99,6 @@ def _in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
                 for finding in said.findings:
                     cure = finding.cure.line if finding.cure else "-"
                     print(f"{short(finding)}\n    {finding.text}\n    where {finding.where}; cure: {cure}")
-    return 0
-
-
-def _real() -> int:
-    for file in drives.real_files():
-        print(f"{file.parent.name}/{file.stem}")
-        for finding in checked(drives.real_drive(file)).findings:
-            print(f"    {short(finding)}\n        {finding.text}")
     return 0
 
 

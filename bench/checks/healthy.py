@@ -18,8 +18,8 @@ BATCH = 5
 Said = tuple[str, int, list[tuple[str, str]]]
 
 
-def main(seeds: int, seconds: float, jobs: int) -> int:
-    """Every scenario with that many seeds; exit status 1 with an error among what is said."""
+def main(seeds: int, seconds: float, jobs: int) -> tuple[str, int]:
+    """Every scenario with that many seeds: (what was found, exit status 1 with an error among what is said)."""
     tasks = [(scenario, range(FIRST_SEED + first, FIRST_SEED + min(first + BATCH, seeds)), seconds)
              for scenario in SCENARIOS for first in range(0, seeds, BATCH)]
     begin, counts, names = time.monotonic(), Counter(), Counter()
@@ -34,10 +34,11 @@ def main(seeds: int, seconds: float, jobs: int) -> int:
                 print(f"{scenario} seed {seed}: {text}", flush=True)
     low, high = wilson(counts["warning"], counts["drives"])
     share = 100 * counts["warning"] / counts["drives"]
-    print(f"{counts['drives']} drives of {seconds:g} s in {time.monotonic() - begin:.0f} s: errors in "
-          f"{counts['error']}, warnings in {counts['warning']} ({share:.2f} %, 95 % interval {100 * low:.2f} to "
-          f"{100 * high:.2f}); {dict(names)}")
-    return 1 if counts["error"] else 0
+    text = (f"{counts['drives']} drives of {seconds:g} s, {len(SCENARIOS)} scenarios: errors in {counts['error']}, "
+            f"warnings in {counts['warning']} ({share:.2f} %, 95 % interval {100 * low:.2f} to {100 * high:.2f} %)"
+            + "".join(f"; `{name}` {count}" for name, count in names.items()) + ".")
+    print(f"{text} {time.monotonic() - begin:.0f} s")
+    return text, int(bool(counts["error"]))
 
 
 def _said(task: tuple[str, range, float]) -> list[Said]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from ..discovery.score import wilson
 from .score import Record
 
-BEGIN, END = "<!-- corruption matrix -->", "<!-- end -->"
+END = "<!-- end -->"
 
 
 def row(records: Sequence[Record], **first: object) -> Record:
@@ -40,11 +40,11 @@ def as_markdown(document: Record) -> str:
     kinds = [(r["kind"], *(str(r[key]) for key in keys)) for r in document["kinds"]]
     total = [(r["which"], str(r["cases"]), share(r)) for r in document["total"]]
     where = f"Set {document['set']}, version {document['version']}, {document['date']}."
-    return "\n\n".join((where, _table(("drives", "cases", "right (95 % interval)"), total),
-                        _table(("kind", *head), kinds)))
+    return "\n\n".join((where, table(("drives", "cases", "right (95 % interval)"), total),
+                        table(("kind", *head), kinds)))
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
@@ -64,12 +64,11 @@ def failure(r: Record) -> str:
     return f"{r['drive']}: {r['kind']} {r['size']}{truth}: said {r['said'] or 'not its name'}; beside it {others}"
 
 
-def put_into(page: Path, text: str) -> None:
-    """Between the marks; a page that is not there is made. Raises ValueError where it has no marks."""
-    if not page.exists():
-        page.write_text(f"# Checks\n\n{BEGIN}\n{END}\n")
-    before, begin, rest = page.read_text().partition(BEGIN)
+def put_into(page: Path, mark: str, text: str) -> None:
+    """Between the comment `mark` and the next end. Raises ValueError where the page has no such mark."""
+    begin = f"<!-- {mark} -->"
+    before, found, rest = page.read_text().partition(begin)
     _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"{page}: the marks {BEGIN} and {END} are not there")
-    page.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
+    if not found or not end:
+        raise ValueError(f"{page}: the marks {begin} and {END} are not there")
+    page.write_text(f"{before}{begin}\n\n{text}\n\n{END}{after}")

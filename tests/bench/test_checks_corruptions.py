@@ -166,9 +166,9 @@ def test_truth_of_a_virtual_car_knows_its_leaning_body(car):
 
 def test_the_table_goes_between_its_marks(tmp_path):
     page = tmp_path / "checks.md"
-    page.write_text(f"before\n{tables.BEGIN}\nold\n{tables.END}\nafter\n")
-    tables.put_into(page, "new")
-    assert page.read_text() == f"before\n{tables.BEGIN}\n\nnew\n\n{tables.END}\nafter\n"
+    page.write_text(f"before\n<!-- here -->\nold\n{tables.END}\nafter\n")
+    tables.put_into(page, "here", "new")
+    assert page.read_text() == f"before\n<!-- here -->\n\nnew\n\n{tables.END}\nafter\n"
     page.write_text("no marks")
     with pytest.raises(ValueError, match="marks"):
-        tables.put_into(page, "new")
+        tables.put_into(page, "there", "new")
