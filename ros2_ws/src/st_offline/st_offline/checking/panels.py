@@ -12,7 +12,7 @@ from . import words
 from .document import residual_rms
 
 HEIGHT = 3.1  # inch
-GAP = 1.0  # s; no line across
+GAP = 1.5  # s; no line across
 LEAST_SHADE = 0.004  # of the width: what is shorter must be seen too
 SHADE = {Severity.ERROR: BAD, Severity.WARNING: WARN, Severity.NOTE: MEASURED_COLOUR}
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
