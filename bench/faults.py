@@ -1,6 +1,6 @@
 """Faults put into the running suite, one after another: noticed, survived, lost; writes docs/reliability.md's table.
 
-Eight minutes; ST_FAULTS=long adds an INS silent for two minutes, ST_FAULTS=short leaves most of them out, parts of
+Fourteen minutes; ST_FAULTS=long adds an INS silent for two minutes, ST_FAULTS=short leaves most of them out, parts of
 names (a,b) put in only what is called so and renew those lines of the table.
 """
 
@@ -12,7 +12,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from faults.catalogue import FAULTS, LONG, Fault
+from faults.car import Drive, WindingRoad
+from faults.catalogue import DRIVING, FAULTS, LONG, Fault
 from faults.measure import Recorded, Row, row
 from faults.measure import run as put_all
 from faults.rig import running
@@ -20,31 +21,43 @@ from faults.rig import running
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "reliability.md"
 BEGIN, END = "<!-- fault table: written by `st bench faults` -->\n", "<!-- end of fault table -->\n"
 
+ALL = (*FAULTS, *DRIVING, *LONG)
+ROAD = 900.0  # s
+
 
 def chosen() -> tuple[Fault, ...]:
     choice = os.environ.get("ST_FAULTS", "")
     if choice in ("", "long"):
-        return (*FAULTS, *(LONG if choice else ()))
+        return tuple(f for f in ALL if choice or f not in LONG)
     parts = choice.split(",")
-    return tuple(f for f in (*FAULTS, *LONG) if (f.short if choice == "short" else any(p in f.name for p in parts)))
+    return tuple(f for f in ALL if (f.short if choice == "short" else any(p in f.name for p in parts)))
 
 
 def run() -> dict:
     faults = chosen()
+    rows = measured(tuple(f for f in faults if f not in DRIVING), None)
+    rows += measured(tuple(f for f in faults if f in DRIVING), WindingRoad(ROAD))
+    write(rows)
+    return {r.fault.name: {"notice": r.notice, "clear": r.clear, "recover": r.recover, "ticks lost": r.ticks_lost,
+                           "packets not recorded": r.packets_lost, "verdict": verdict(r)} for r in rows}
+
+
+def measured(faults: tuple[Fault, ...], drive: Drive | None) -> list[Row]:
+    if not faults:
+        return []
     with tempfile.TemporaryDirectory(prefix="st-faults-") as name:
         folder = Path(name)
-        with running(folder) as rig:
+        with running(folder, drive=drive) as rig:
             windows = put_all(rig, faults, lambda text: print(text, file=sys.stderr, flush=True))
         recorded = Recorded(folder)
-        rows = [row(window, rig, recorded) for window in windows]
-    write(rows)
-    return {r.fault.name: {"notice": r.notice, "recover": r.recover, "ticks lost": r.ticks_lost,
-                           "packets not recorded": r.packets_lost, "verdict": verdict(r)} for r in rows}
+        return [row(window, rig, recorded) for window in windows]
 
 
 def verdict(found: Row) -> str:
     if found.problems:
         return "open: " + "; ".join(found.problems)
+    if found.fault in DRIVING:
+        return f"as promised; gone {found.clear:.0f} s after its end"
     return f"open: {found.fault.open}" if found.fault.open else "as promised"
 
 
@@ -57,7 +70,7 @@ def table(rows: list[Row], before: dict[str, str]) -> str:
         what = verdict(r).replace("|", "/")
         cells = (r.fault.name, r.fault.promise, notice, f"{r.recover:.1f}", r.ticks_lost, r.packets_lost, what)
         before[r.fault.name] = "| " + " | ".join(map(str, cells)) + " |"
-    kept = [before[fault.name] for fault in (*FAULTS, *LONG) if fault.name in before]
+    kept = [before[fault.name] for fault in ALL if fault.name in before]
     return "\n".join([*lines, *kept]) + "\n"
 
 

@@ -1,45 +1,86 @@
-"""A car on a circle, as it looks on the wires: NCOM at the rate of the unit, CAN frames with counters and checksums.
+"""A car as it looks on the wires: NCOM at the rate of the unit, CAN frames with counters and checksums.
 
-It costs a few per cent of a core, so that what is measured is the suite. The circle is exact and never ends.
+It costs a few per cent of a core, so that what is measured is the suite.
 """
 
 import math
 import threading
 import time
 from collections.abc import Iterator
+from typing import Protocol
 
 from canedge_bridge.decode import Decoder
+from st_core.vehicle import VehicleParameters
 from st_offline.paths import config
 from st_sim.can_wire import Background, CanWire, Frame
 from st_sim.geodesy import Origin
 from st_sim.ncom_wire import NcomWire
 from st_sim.sensors import InsReading, WheelSpeeds
+from winding_road import RATE, Truth, winding_road
 
 from .wires import Wire, pack
 
-RADIUS, SPEED = 30.0, 8.0  # m, m/s
-STEERING_WHEEL = 1.55  # rad, about what the circle takes
 GRAVITY = 9.81
 TICK = 0.002  # s
 STEERING_PERIOD, WHEEL_PERIOD = 10, 20  # ms
-COUNTERS = 256  # values of the widest counter; the others go round several times
 
 
-def reading(t: float) -> InsReading:
-    """The INS point t seconds after the start, a left turn from the origin towards east."""
-    angle = SPEED / RADIUS * t
-    place = (RADIUS * math.sin(angle), RADIUS - RADIUS * math.cos(angle), 0.0)
-    rates = (0.0, 0.0, SPEED / RADIUS)
-    return InsReading(t, *place, SPEED, 0.0, 0.0, math.remainder(angle, math.tau), 0.0, 0.0, rates,
-                      (0.0, SPEED**2 / RADIUS, GRAVITY))
+class Drive(Protocol):
+    """t: seconds after the start."""
+
+    def reading(self, t: float) -> InsReading:
+        """At the INS point."""
+
+    def steering_wheel(self, t: float) -> float:
+        """As the sensor says, left + [rad]."""
+
+
+class Circle:
+    """A left turn from the origin towards east, exact, that never ends."""
+
+    RADIUS, SPEED = 30.0, 8.0  # m, m/s
+    STEERING_WHEEL = 1.55  # rad, about what the circle takes
+
+    def reading(self, t: float) -> InsReading:
+        radius, speed = self.RADIUS, self.SPEED
+        angle = speed / radius * t
+        place = (radius * math.sin(angle), radius - radius * math.cos(angle), 0.0)
+        return InsReading(t, *place, speed, 0.0, 0.0, math.remainder(angle, math.tau), 0.0, 0.0,
+                          (0.0, 0.0, speed / radius), (0.0, speed**2 / radius, GRAVITY))
+
+    def steering_wheel(self, t: float) -> float:
+        return self.STEERING_WHEEL
+
+
+class WindingRoad:
+    """Straights and bends to both sides at 6 to 15 m/s with the noise of an INS with RTK: ordinary driving."""
+
+    def __init__(self, seconds: float, seed: int = 1):
+        file = config("vehicle/leaf.yaml")
+        vehicle = VehicleParameters.from_yaml(file.read_text(), str(file))
+        truth = Truth(vehicle.steering_wheel_offset, vehicle.steering_ratio, 1.0)
+        self._rows = winding_road(vehicle, truth, seconds, seed)
+
+    def _at(self, t: float) -> list[float]:
+        whole, part = divmod(t * RATE, 1.0)
+        before, after = self._rows[int(whole)], self._rows[int(whole) + 1]
+        return (before + part * (after - before)).tolist()
+
+    def reading(self, t: float) -> InsReading:
+        _, x, y, yaw, v_x, v_y, rate, _ = self._at(t)
+        return InsReading(t, x, y, 0.0, v_x, v_y, 0.0, math.remainder(yaw, math.tau), 0.0, 0.0, (0.0, 0.0, rate),
+                          (0.0, v_x * rate, GRAVITY))
+
+    def steering_wheel(self, t: float) -> float:
+        return self._at(t)[-1]
 
 
 class Car(threading.Thread):
     """Sends until it is closed. extra: more CAN datagrams every tick. `behind`: the latest departure so far [s]."""
 
-    def __init__(self, ins: Wire, can: Wire, ncom_rate: int = 100, full_bus: bool = False):
+    def __init__(self, ins: Wire, can: Wire, drive: Drive, ncom_rate: int = 100, full_bus: bool = False):
         super().__init__(name="car", daemon=True)
-        self.ins, self.can = ins, can
+        self.ins, self.can, self._drive = ins, can, drive
         self.extra: tuple[bytes, ...] = ()
         self.behind = 0.0
         self._ncom_period = round(1000 / ncom_rate)
@@ -52,7 +93,7 @@ class Car(threading.Thread):
         origin = Origin(51.0, 4.0, 50.0)
         unit = NcomWire(origin, start_ns, self._ncom_rate)
         wires = CanWire(Decoder(config("can/leaf_ze0.dbc"), config("can/leaf_ze0.yaml")), origin, start_ns)
-        frames = _Frames(wires, self._full_bus)
+        frames = _Frames(wires, self._drive, self._full_bus)
         now = 0
         while not self._ending.is_set():
             wait = began + now / 1000 - time.monotonic()
@@ -60,7 +101,7 @@ class Car(threading.Thread):
                 time.sleep(wait)
             self.behind = max(self.behind, -wait)
             if now % self._ncom_period == 0:
-                self.ins.send(unit.packet(reading(now / 1000)))
+                self.ins.send(unit.packet(self._drive.reading(now / 1000)))
             for data in frames.at(now):
                 self.can.send(data)
             for data in self.extra:
@@ -76,24 +117,24 @@ class Car(threading.Thread):
 
 
 class _Frames:
-    """All frames of the bus, packed once: nothing but the counters changes."""
+    """All frames of the bus. What else is on it is packed once: nothing in it changes."""
 
-    def __init__(self, wires: CanWire, full: bool):
-        def packed(frames: list[Frame]) -> list[bytes]:
-            return [pack(frame.message) for frame in frames]
-
-        speeds = WheelSpeeds((SPEED,) * 4, SPEED)
-        self._steering = [packed(wires.steering(STEERING_WHEEL, 0.0)) for _ in range(COUNTERS)]
-        self._wheels = [packed(wires.wheel_speeds(speeds)) for _ in range(COUNTERS)]
+    def __init__(self, wires: CanWire, drive: Drive, full: bool):
+        self._wires, self._drive = wires, drive
         background = Background(0) if full else None
-        self._others = [packed(background.frames(ms)) for ms in range(100)] if background else []
+        self._others = [_packed(background.frames(ms)) for ms in range(100)] if background else []
 
     def at(self, now: int) -> Iterator[bytes]:
         """now: even milliseconds since the start; what is due in this one and the next."""
         if now % STEERING_PERIOD == 2:
-            yield from self._steering[now // STEERING_PERIOD % COUNTERS]
+            yield from _packed(self._wires.steering(self._drive.steering_wheel(now / 1000), 0.0))
         if now % WHEEL_PERIOD == 6:
-            yield from self._wheels[now // WHEEL_PERIOD % COUNTERS]
+            speed = self._drive.reading(now / 1000).velocity_x
+            yield from _packed(self._wires.wheel_speeds(WheelSpeeds((speed,) * 4, speed)))
         if self._others:
             yield from self._others[now % 100]
             yield from self._others[(now + 1) % 100]
+
+
+def _packed(frames: list[Frame]) -> list[bytes]:
+    return [pack(frame.message) for frame in frames]

@@ -1,5 +1,6 @@
 """The faults: how each is put in and taken away again, and what the suite is to do about it."""
 
+import math
 import os
 import resource
 import shutil
@@ -26,6 +27,7 @@ class Fault:
 
     check: the line of the terminal that has to tell it, "" where none needs to; words: that have to stand there.
     predictions: what they do meanwhile. short: also in the quick run. restarts: a node that is started again.
+    settles [s]: for everything to be well again afterwards.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Fault:
     short: bool = False
     restarts: str = ""
     open: str = ""
+    settles: float = 30.0
 
 
 def on_ins(make: Callable[[], Change]) -> Callable[[Rig], Undo]:
@@ -225,4 +228,13 @@ MACHINE = (
           "recording stopped", ANY, short=True),
 )
 LONG = (Fault("INS silent 120 s", 120.0, on_ins(changes.silent), "as 1 s", STREAM, "no packet", STOP),)
+CONSISTENCY, WITHIN = "evaluator: consistency", "told within 60 s of ordinary driving, gone within 90 s"
+DRIVING = (
+    Fault("yaw rate in deg/s", 60.0, on_ins(lambda: changes.yaw_rate_times(math.degrees(1.0))), WITHIN, CONSISTENCY,
+          "yaw_rate is 57.", settles=90.0),
+    Fault("yaw rate 0.3 s late", 60.0, on_ins(lambda: changes.yaw_rate_late(30)), WITHIN, CONSISTENCY,
+          "yaw_rate lags yaw by 0.3", settles=90.0),
+    Fault("steering counts the other way", 60.0, on_can(lambda: changes.Steering().flipped), WITHIN, CONSISTENCY,
+          "it counts the other way", settles=90.0),
+)
 FAULTS = (*INS, *CAN, *KILLED, *HANGING, *MACHINE)

@@ -3,6 +3,7 @@
 import random
 import struct
 import time
+from collections import deque
 from collections.abc import Sequence
 from functools import cache
 
@@ -50,6 +51,32 @@ def moved(latitude: float) -> Change:
     def change(data: bytes) -> Sequence[bytes]:
         packet = bytearray(data)
         packet[23:31] = struct.pack("<d", struct.unpack_from("<d", packet, 23)[0] + latitude)
+        return (signed(packet),)
+
+    return change
+
+
+YAW_RATE = slice(18, 21)  # 24 bits, little endian, right turn +
+
+
+def yaw_rate_times(factor: float) -> Change:
+    def change(data: bytes) -> Sequence[bytes]:
+        packet = bytearray(data)
+        value = int.from_bytes(packet[YAW_RATE], "little", signed=True)
+        packet[YAW_RATE] = round(factor * value).to_bytes(3, "little", signed=True)
+        return (signed(packet),)
+
+    return change
+
+
+def yaw_rate_late(packets: int) -> Change:
+    """That of so many packets before; until there are as many, the first."""
+    rates: deque[bytes] = deque(maxlen=packets + 1)
+
+    def change(data: bytes) -> Sequence[bytes]:
+        packet = bytearray(data)
+        rates.append(bytes(packet[YAW_RATE]))
+        packet[YAW_RATE] = rates[0]
         return (signed(packet),)
 
     return change
@@ -176,6 +203,12 @@ class Steering:
         frame = frame_data(data)
         self._first = self._first or frame
         return (self._encoded(self._angle(self._first), self._spec.counter.field.read(frame)),)
+
+    def flipped(self, data: bytes) -> Sequence[bytes]:
+        if identifier(data) != STEERING:
+            return (data,)
+        frame = frame_data(data)
+        return (self._encoded(-self._angle(frame), self._spec.counter.field.read(frame)),)
 
     def jump(self, data: bytes) -> Sequence[bytes]:
         if self._jumped or identifier(data) != STEERING:

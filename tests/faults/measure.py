@@ -18,7 +18,7 @@ GRACE = 0.1
 # Where predictions are to go on there has to be one so soon, whatever else the machine does [s].
 LATEST = 3.0
 AFTER, AFTER_RESTART = 1.5, 4.0  # s
-SETTLED = 30.0  # s for everything to be well again
+RESTART = 30.0  # s
 
 
 @dataclass(frozen=True)
@@ -35,28 +35,29 @@ class Window:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table; times in s, NaN: none."""
+    """One line of the table; times in s, NaN: none. clear: from the end of the fault until its check is well."""
 
     fault: Fault
     notice: float
+    clear: float
     recover: float
     ticks_lost: int
     packets_lost: int
     problems: tuple[str, ...]
 
 
-def put(rig: Rig, fault: Fault) -> Window:
+def put(rig: Rig, fault: Fault, until_told: bool = False) -> Window:
     before = dict(rig.supervisor.restarts)
     undo = fault.put(rig)
     begin = time.time_ns()
-    rig.run(fault.seconds)
+    rig.run(fault.seconds, lambda: until_told and rig.says(fault.check, fault.words))
     undo()
     end = time.time_ns()
     wanted = before.get(fault.restarts, 0) + 1
-    rig.run(SETTLED, lambda: not fault.restarts or rig.supervisor.restarts.get(fault.restarts, 0) >= wanted)
+    rig.run(RESTART, lambda: not fault.restarts or rig.supervisor.restarts.get(fault.restarts, 0) >= wanted)
     # Checks speak once a second; a recorder that was started again has to find its topics first.
     rig.run(AFTER_RESTART if fault.restarts else AFTER)
-    is_well = rig.run(SETTLED, rig.is_well)
+    is_well = rig.run(fault.settles, rig.is_well)
     rig.run(AFTER)
     well = time.time_ns()
     new = {name: n - before.get(name, 0) for name, n in rig.supervisor.restarts.items() if n > before.get(name, 0)}
@@ -92,6 +93,8 @@ def row(window: Window, rig: Rig, recorded: Recorded) -> Row:
     if fault.check and np.isnan(notice):
         said = [s for s in rig.seen if window.begin_ns <= s.time_ns <= window.well_ns and s.level]
         problems.append(f"{fault.check} did not say {fault.words!r}; said: {[(s.name, s.message) for s in said][:6]}")
+    clear = next(((s.time_ns - window.end_ns) * 1e-9 for s in rig.seen
+                  if s.time_ns >= window.end_ns and s.name == fault.check and not s.level), float("nan"))
     after = recorded.issued[recorded.issued >= window.end_ns]
     first_after = int(after[0]) if len(after) else window.well_ns
     if not len(after):
@@ -115,7 +118,8 @@ def row(window: Window, rig: Rig, recorded: Recorded) -> Row:
     sent = np.array(rig.car.ins.sent_ns)
     handed_on = between(sent, window.begin_ns, window.well_ns - 10**9)
     kept = between(recorded.packets, window.begin_ns, window.well_ns - 10**9)
-    return Row(fault, notice, (first_after - window.end_ns) * 1e-9, lost, max(0, handed_on - kept), tuple(problems))
+    recover_after = (first_after - window.end_ns) * 1e-9
+    return Row(fault, notice, clear, recover_after, lost, max(0, handed_on - kept), tuple(problems))
 
 
 def run(rig: Rig, faults: tuple[Fault, ...], said=lambda text: None) -> list[Window]:

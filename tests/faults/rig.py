@@ -14,7 +14,7 @@ from st_offline.suite import Suite, claimed_domain, free_udp_port
 from st_offline.supervision import Supervisor
 from st_offline.wires import bridge_parameters
 
-from .car import Car
+from .car import Car, Circle, Drive
 from .wires import LOOPBACK, Wire, can_wire
 
 LOOK_PERIOD = 0.1
@@ -60,8 +60,10 @@ class Rig:
         """Of the node itself: its child is started through a helper that becomes it."""
         return next(c.process.pid for c in self.suite.children if c.name == name)
 
-    def level(self, name: str) -> int:
-        return self._known.get(name, (0, ""))[0]
+    def says(self, name: str, words: str) -> bool:
+        """Whether a check is not well and has these words, as last heard."""
+        level, message = self._known.get(name, (0, ""))
+        return bool(level) and words in message
 
     def ill(self) -> list[str]:
         now = time.monotonic()
@@ -82,12 +84,15 @@ class Rig:
 
 
 @contextmanager
-def running(folder: Path, ncom_rate: int = 100, full_bus: bool = False) -> Iterator[Rig]:
-    """All nodes up and predicting. Leave the block and everything has ended, in the order of a real run."""
+def running(folder: Path, ncom_rate: int = 100, full_bus: bool = False, drive: Drive | None = None) -> Iterator[Rig]:
+    """All nodes up and predicting; drive: a circle unless another is given.
+
+    Leave the block and everything has ended, in the order of a real run.
+    """
     with ExitStack() as stack:
         port = free_udp_port()
         channel = f"239.74.163.3:{port}"
-        car = Car(Wire((LOOPBACK, port)), can_wire(channel), ncom_rate, full_bus)
+        car = Car(Wire((LOOPBACK, port)), can_wire(channel), drive or Circle(), ncom_rate, full_bus)
         stack.callback(car.close)
         domain = stack.enter_context(claimed_domain())
         monitor = stack.enter_context(Monitor(domain))
