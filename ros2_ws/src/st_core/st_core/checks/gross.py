@@ -231,7 +231,7 @@ def _axes(motion: Motion) -> tuple[Motion, Finding | None]:
             {"columns": {"x": "y", "y": "x"}, "correct": {"x": {"scale": -1.0}, "y": {"scale": -1.0}}}),
     }
     text, x, y, entry = axes[quarter]
-    key = ", ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
+    key = "  # and ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
     finding = _error("position_axes", ("x", "y"), f"positions turn the other way than the car: {text}", None,
                      Cure("run.yaml", key, entry))
     return motion.with_(x=x, y=y), finding

@@ -1,0 +1,179 @@
+"""A fault put into a drive in closed form: it is named, its value lies inside its interval, its cure removes it.
+
+The cure is applied as run.yaml and vehicle file would be: a wrong sign of an estimate or of a cure doubles the fault.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from exact_drive import exact_drive
+from exact_faults import (
+    askew,
+    compass,
+    counted,
+    cured,
+    delayed,
+    exchanged,
+    mounted,
+    plus,
+    point_of_positions,
+    steered,
+    times,
+    wheel_turned,
+)
+from st_core.checks import Severity, check
+
+DEGREE, G = 180.0 / np.pi, 9.80665
+RATIO = 17.3  # of the Leaf's steering
+POSITION, VELOCITY, STEERING = ("x", "y"), ("velocity_x", "velocity_y"), ("road_wheel_angle",)
+# (finding, its true value, the fault); late, left, high, ahead and too large are positive or above 1.
+FAULTS = [
+    ("x_scale", 0.964, times(0.964, "x")),
+    ("y_scale", 1.03, times(1.03, "y")),
+    ("x_scale", 1.003, times(1.003, "x")),
+    ("position_scale", 3.28084, times(3.28084, *POSITION)),
+    ("position_scale", 0.001, times(0.001, *POSITION)),
+    ("position_lag", 0.1, delayed(0.1, *POSITION)),
+    ("position_lag", -0.05, delayed(-0.05, *POSITION)),
+    ("position_reference", 1.5, point_of_positions(1.5)),
+    ("position_reference", -0.6, point_of_positions(-0.6)),
+    ("velocity_scale", 3.6, times(3.6, *VELOCITY)),
+    ("velocity_scale", 1.0 / 3.6, times(1.0 / 3.6, *VELOCITY)),
+    ("velocity_scale", 1.02 * 3.6, times(1.02 * 3.6, *VELOCITY)),
+    ("velocity_scale", 0.97, times(0.97, *VELOCITY)),
+    ("velocity_x_scale", 3.6, times(3.6, "velocity_x")),
+    ("velocity_lag", 0.2, delayed(0.2, *VELOCITY)),
+    ("velocity_lag", -0.1, delayed(-0.1, *VELOCITY)),
+    ("yaw_scale", DEGREE, times(DEGREE, "yaw")),
+    ("yaw_offset", 0.02, plus(0.02, "yaw")),
+    ("yaw_offset", -0.15, plus(-0.15, "yaw")),
+    ("yaw_offset", 0.5 * np.pi + 0.05, plus(0.5 * np.pi + 0.05, "yaw")),
+    ("yaw_offset", -0.6, plus(-0.6, "yaw")),
+    ("yaw_lag", 0.2, delayed(0.2, "yaw")),
+    ("yaw_lag", -0.2, delayed(-0.2, "yaw")),
+    ("yaw_rate_scale", DEGREE, times(DEGREE, "yaw_rate")),
+    ("yaw_rate_scale", -1.0, times(-1.0, "yaw_rate")),
+    ("yaw_rate_scale", -1.05 * DEGREE, times(-1.05 * DEGREE, "yaw_rate")),
+    ("yaw_rate_scale", 0.9, times(0.9, "yaw_rate")),
+    ("yaw_rate_bias", 0.012, plus(0.012, "yaw_rate")),
+    ("yaw_rate_bias", -0.004, plus(-0.004, "yaw_rate")),
+    ("yaw_rate_lag", 0.31, delayed(0.31, "yaw_rate")),
+    ("yaw_rate_lag", -0.08, delayed(-0.08, "yaw_rate")),
+    ("acceleration_y_scale", 1.0 / G, times(1.0 / G, "acceleration_y")),
+    ("acceleration_x_scale", 1.6, times(1.6, "acceleration_x")),
+    ("acceleration_y_bias", -0.6, plus(-0.6, "acceleration_y")),
+    ("acceleration_x_bias", 0.4, plus(0.4, "acceleration_x")),
+    ("acceleration_y_lag", 0.3, delayed(0.3, "acceleration_y")),
+    ("acceleration_x_lag", -0.3, delayed(-0.3, "acceleration_x")),
+    ("steering_scale", DEGREE, steered(DEGREE)),
+    ("steering_scale", RATIO, steered(RATIO)),
+    ("steering_scale", -1.0 / DEGREE, steered(-1.0 / DEGREE)),
+    ("steering_sign", -1.0, steered(-1.0)),
+    ("steering_lag", 0.25, delayed(0.25, *STEERING)),
+    ("steering_lag", -0.3, delayed(-0.3, *STEERING)),
+    ("heading_misaligned", 0.0098, askew(0.0098)),
+]
+# Those that have no estimate, or none but the factor.
+FORMS = [
+    ("time_unit", counted(10**3)), ("position_axes", exchanged()), ("position_axes", exchanged(-1.0)),
+    ("position_axes", times(-1.0, "x")), ("position_axes", times(-1.0, "y")),
+    ("velocity_y_scale", times(-1.0, "velocity_y")), ("yaw_convention", compass(DEGREE)),
+]
+
+
+@pytest.fixture(scope="module")
+def log(leaf):
+    return exact_drive(leaf)
+
+
+def findings(log, car):
+    found = check(log, car).findings
+    assert len({one.name for one in found}) == len(found)
+    return {one.name: one for one in found}
+
+
+def same_to_print(line, entry):
+    """A line to be pasted says what the entry holds, to five digits."""
+    if isinstance(entry, dict):
+        return set(line) == set(entry) and all(same_to_print(line[key], entry[key]) for key in entry)
+    return line == (entry if isinstance(entry, str) else pytest.approx(entry, rel=1e-4))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_is_found_on_a_healthy_drive(car, seed):
+    assert check(exact_drive(car, seed=seed), car).findings == ()
+
+
+@pytest.mark.parametrize(("name", "value", "fault"), FAULTS, ids=[f"{name} {value:.4g}" for name, value, _ in FAULTS])
+def test_a_fault_is_measured_and_its_cure_removes_it(log, leaf, name, value, fault):
+    wrong = fault(log)
+    found = findings(wrong, leaf)
+    assert list(found) == [name]
+    low, high = found[name].interval
+    assert low <= value <= high and low <= found[name].value <= high
+    assert high - low < 0.35 * abs(value)
+    cure = found[name].cure
+    assert cure.kind == "run.yaml" and same_to_print(yaml.safe_load(cure.line), cure.entry)
+    assert findings(cured(wrong, cure.entry, leaf), leaf) == {}
+
+
+@pytest.mark.parametrize(("name", "fault"), FORMS)
+def test_a_wrong_form_is_an_error_and_its_cure_removes_it(log, leaf, name, fault):
+    wrong = fault(log)
+    found = findings(wrong, leaf)
+    assert list(found) == [name] and found[name].severity is Severity.ERROR
+    cure = found[name].cure
+    assert same_to_print(yaml.safe_load(cure.line.replace("  # and ", "\n")), cure.entry)
+    assert findings(cured(wrong, cure.entry, leaf), leaf) == {}
+
+
+@pytest.mark.parametrize("angle", [0.5, -0.7])
+def test_a_hand_wheel_that_is_turned_is_cured_in_the_vehicle_file(log, leaf, angle):
+    wrong = wheel_turned(angle)(log).with_steering(leaf)
+    one = findings(wrong, leaf)["steering_offset"]
+    low, high = one.interval
+    assert one.cure.kind == "vehicle" and low <= angle / RATIO <= high
+    mended = replace(leaf, **one.cure.entry)
+    assert findings(wrong.with_steering(mended), mended) == {}
+
+
+@pytest.mark.parametrize("ahead", [1.5, -0.8])
+def test_a_measuring_point_elsewhere_is_cured_in_the_vehicle_file(log, leaf, ahead):
+    wrong = mounted(ahead)(log)
+    one = findings(wrong, leaf)["measuring_point"]
+    low, high = one.interval
+    assert one.cure.kind == "vehicle" and low <= ahead <= high
+    assert f"value: {one.cure.entry['cg_to_ins_x']:.2f}" in one.cure.line
+    assert findings(wrong, replace(leaf, **one.cure.entry)) == {}
+
+
+@pytest.mark.parametrize(("first", "second"), [
+    (times(1.05, "yaw_rate"), plus(0.05, "yaw_rate")), (times(DEGREE, "yaw_rate"), delayed(0.3, "yaw_rate")),
+    (times(DEGREE, "yaw"), times(DEGREE, "yaw_rate")), (times(1.01 * 3.28084, *POSITION), plus(0.05, "yaw")),
+    (plus(0.02, "yaw"), delayed(0.1, *POSITION)), (steered(-1.0), times(-1.0, "acceleration_y")),
+])
+def test_two_faults_are_two_findings_and_their_cures_go_together(log, leaf, first, second):
+    wrong = second(first(log))
+    found = findings(wrong, leaf)
+    assert len(found) >= 2
+    entry = {}
+    for one in found.values():
+        for channel, fields in one.cure.entry["correct"].items():
+            entry.setdefault(channel, {}).update(fields)
+    assert findings(cured(wrong, {"correct": entry}, leaf), leaf) == {}
+
+
+@pytest.mark.parametrize(("name", "fault", "least"), [
+    ("x_scale", times(1.003, "x"), "note"), ("x_scale", times(0.964, "x"), "warning"),
+    ("yaw_rate_bias", plus(0.004, "yaw_rate"), "note"), ("yaw_rate_bias", plus(0.012, "yaw_rate"), "warning"),
+    ("velocity_scale", times(3.6, *VELOCITY), "error"),
+])
+def test_severity_goes_by_what_it_does_to_the_position(log, leaf, name, fault, least):
+    one = findings(fault(log), leaf)[name]
+    assert one.severity == least
+    if name == "x_scale":
+        error = abs(one.value - 1.0)
+        # Five seconds at 12 m/s, along both axes in turn.
+        assert 0.4 * error * 60.0 < one.effect < error * 60.0

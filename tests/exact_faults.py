@@ -1,0 +1,85 @@
+"""Faults put into a recorded drive, and the cures that a finding proposes, applied as a run.yaml would be."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from exact_drive import late
+from st_core.corrections import Correction, corrected
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+Fault = Callable[[DriveLog], DriveLog]
+COUNTS = {"ms": 10**3, "us": 10**6}
+"""Of each unit of time in a second."""
+
+
+def times(factor: float, *channels: str) -> Fault:
+    return lambda log: replace(log, **{name: factor * getattr(log, name) for name in channels})
+
+
+def plus(value: float, *channels: str) -> Fault:
+    return lambda log: replace(log, **{name: getattr(log, name) + value for name in channels})
+
+
+def delayed(seconds: float, *channels: str) -> Fault:
+    return lambda log: late(log, seconds, *channels)
+
+
+def steered(factor: float, offset: float = 0.0) -> Fault:
+    """Of a recording that holds the road wheel angle alone."""
+    return lambda log: replace(log, road_wheel_angle=factor * log.road_wheel_angle + offset, steering_wheel_angle=None)
+
+
+def wheel_turned(angle: float) -> Fault:
+    """The hand wheel reads so much too far left; the road wheel angle is made of it with the ratio of the file."""
+    return lambda log: replace(log, steering_wheel_angle=log.steering_wheel_angle + angle)
+
+
+def point_of_positions(ahead: float) -> Fault:
+    return lambda log: replace(log, x=log.x + ahead * np.cos(log.yaw), y=log.y + ahead * np.sin(log.yaw))
+
+
+def mounted(ahead: float) -> Fault:
+    """The whole INS, so much further forward."""
+    return lambda log: replace(point_of_positions(ahead)(log), velocity_y=log.velocity_y + ahead * log.yaw_rate)
+
+
+def askew(angle: float) -> Fault:
+    """The whole INS, turned to the left."""
+    def turned(log: DriveLog) -> DriveLog:
+        parts = {"yaw": log.yaw + angle}
+        for kind in ("velocity", "acceleration"):
+            body = (getattr(log, f"{kind}_x") + 1j * getattr(log, f"{kind}_y")) * np.exp(-1j * angle)
+            parts |= {f"{kind}_x": body.real, f"{kind}_y": body.imag}
+        return replace(log, **parts)
+    return turned
+
+
+def compass(size: float = 1.0) -> Fault:
+    """Heading from north, clockwise."""
+    return lambda log: replace(log, yaw=size * (0.5 * np.pi - log.yaw))
+
+
+def exchanged(sign: float = 1.0) -> Fault:
+    return lambda log: replace(log, x=sign * log.y, y=sign * log.x)
+
+
+def counted(per_second: int) -> Fault:
+    """Stamps in a smaller unit, read as seconds."""
+    def faster(time: np.ndarray) -> np.ndarray:
+        return time[0] + (time - time[0]) * per_second
+    return lambda log: replace(log, ins_time_ns=faster(log.ins_time_ns), steering_time_ns=faster(log.steering_time_ns))
+
+
+def cured(log: DriveLog, entry: Mapping[str, Any], car: VehicleParameters) -> DriveLog:
+    """The drive read again with a run.yaml that holds `entry`: first columns, then units, then corrections."""
+    assert set(entry) <= {"columns", "units", "correct", "leave_out"} and set(entry.get("units", ())) <= {"t"}
+    log = replace(log, **{name: getattr(log, column) for name, column in entry.get("columns", {}).items()})
+    if "units" in entry:
+        count, start = COUNTS[entry["units"]["t"]], log.ins_time_ns[0]
+        log = replace(log, **{name: start + (getattr(log, name) - start) // count
+                              for name in ("ins_time_ns", "steering_time_ns")})
+    corrections = {channel: Correction(**fields) for channel, fields in entry.get("correct", {}).items()}
+    return corrected(log, corrections, car, entry.get("leave_out", ()))
