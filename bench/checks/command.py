@@ -8,7 +8,7 @@ from pathlib import Path
 
 from st_offline.paths import project_root, source_version
 
-from . import drives, healthy, real, speed, tables
+from . import ablation, drives, healthy, real, speed, tables
 from .corruptions import KINDS
 from .run import matrix
 from .score import Drive, Record, as_recorded, checked, short
@@ -31,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--healthy", type=int, metavar="SEEDS", help="drives of all scenarios without a fault instead")
     parser.add_argument("--seconds", type=float, default=35.0, help="of a healthy drive")
     parser.add_argument("--speed", action="store_true", help="time of 1, 10 and 60 minutes instead")
+    parser.add_argument("--ablation", action="store_true", help="each limit at half and at twice its value instead")
     parser.add_argument("--real", action="store_true", help="what is said of every recorded drive instead")
     chosen = parser.parse_args(arguments)
     if chosen.list:
@@ -40,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _page("healthy drives", text, chosen.write, status)
     if chosen.speed:
         return _page("time", speed.main(), chosen.write)
+    if chosen.ablation:
+        return _page("ablation", ablation.main(chosen.jobs), chosen.write)
     if chosen.real:
         return _page("real drives", real.main(), chosen.write)
     return _matrix(parser, chosen)

@@ -1,0 +1,66 @@
+"""What becomes of the matrix and of healthy drives with each limit of the checks at half and at twice its value."""
+
+from dataclasses import fields
+from functools import lru_cache
+
+from st_core.checks import Severity
+from st_core.checks.limits import LIMITS
+from st_sim.scenarios import SCENARIOS
+
+from . import drives
+from .corruptions import KINDS
+from .run import over
+from .recording import Recording
+from .score import Drive, as_recorded, checked, score
+from .tables import table
+from .virtual import virtual_drive
+
+DRIVES = ("cpg_low_speed_a", "rfs_turn_b", "virtual_S6", "virtual_S7")
+SEED, SECONDS = 2000, 40.0
+"""Of the healthy drives, one of each scenario."""
+
+Setting = tuple[str, float]
+
+
+def main(jobs: int) -> str:
+    """Prints as it goes; the page's table."""
+    settings: list[Setting] = [("as it is", 1.0)]
+    settings += [(field.name, factor) for field in fields(LIMITS) for factor in (0.5, 2.0)]
+    found: dict[Setting, str] = {}
+    for setting, words in zip(settings, over(_scored, settings, jobs), strict=True):
+        found[setting] = words
+        print(*setting, words, flush=True)
+    rows = [("as it is", "", found["as it is", 1.0], "")]
+    rows += [(field.name, f"{getattr(LIMITS, field.name):g}", found[field.name, 0.5], found[field.name, 2.0])
+             for field in fields(LIMITS)]
+    return table(("limit", "value", "at half", "at twice"), rows)
+
+
+def _scored(setting: Setting) -> str:
+    """Right cases of the smaller sizes; healthy drives with an error or a warning; new errors beside a fault."""
+    name, factor = setting
+    before = None if factor == 1.0 else getattr(LIMITS, name)
+    as_recorded.cache_clear()
+    try:
+        if before is not None:
+            object.__setattr__(LIMITS, name, factor * before)  # frozen for everybody else
+        records = [record for drive in map(Drive, _loaded()) for kind in KINDS.values()
+                   if (record := score(drive, kind, kind.sizes[0])) is not None]
+        alarms = sum(any(one.severity is not Severity.NOTE for one in checked(_healthy(scenario)).findings)
+                     for scenario in SCENARIOS)
+    finally:
+        if before is not None:
+            object.__setattr__(LIMITS, name, before)
+    right = 100.0 * sum(r["right"] for r in records) / len(records)
+    beside = sum(bool(r["new"]["error"] or r["new"]["warning"]) for r in records)
+    return f"{right:.1f} % right, {beside} with others beside, {alarms} alarms"
+
+
+@lru_cache
+def _healthy(scenario: str) -> Recording:
+    return virtual_drive(scenario, SEED, SECONDS)
+
+
+def _loaded() -> list[Recording]:
+    there = drives.names("development")
+    return [drives.load(name, "development") for name in DRIVES if name in there]
