@@ -190,11 +190,15 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
 
 
 def _smooth_speed(motion: Motion) -> np.ndarray:
-    """From positions, over half a second [m/s]."""
-    count = max(round(0.5 / float(np.median(np.diff(motion.time)))), 1)
-    way = np.hypot(motion.x[count:] - motion.x[:-count], motion.y[count:] - motion.y[:-count])
-    speed = way / (motion.time[count:] - motion.time[:-count])
-    return np.concatenate([speed, np.full(len(motion.time) - len(speed), speed[-1] if len(speed) else 0.0)])
+    """From positions [m/s]."""
+    return np.hypot(_smooth_rate(motion.time, motion.x), _smooth_rate(motion.time, motion.y))
+
+
+def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Over the half second that follows; at the end the last one."""
+    count = max(round(0.5 / float(np.median(np.diff(time)))), 1)
+    rate = (values[count:] - values[:-count]) / (time[count:] - time[:-count])
+    return np.concatenate([rate, np.full(len(time) - len(rate), rate[-1] if len(rate) else 0.0)])
 
 
 # Position after 5 s per unit of a wrong start [m], and whether it grows with the speed [s].
@@ -204,7 +208,7 @@ REACH = {"x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity
 TWINS: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (_smooth_speed, 0.3), "velocity_y": (lambda m: m.yaw_rate, 0.05),
     "acceleration_x": (lambda m: m.velocity_x, 0.5), "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
-    "yaw_rate": (lambda m: np.gradient(m.yaw, m.time), 0.05),
+    "yaw_rate": (lambda m: _smooth_rate(m.time, m.yaw), 0.05),
     "road_wheel_angle": (lambda m: np.where(m.velocity_x > 2.0, m.yaw_rate, 0.0), 0.05),
 }
 
@@ -237,10 +241,10 @@ def unfrozen(motion: Motion, findings: Sequence[Finding]) -> Motion:
 
 
 def merged(findings: Sequence[Finding]) -> list[Finding]:
-    """x and y, or all channels of the INS, with one and the same fault become one finding."""
+    """x and y, or all channels of the INS, held at one and the same rate become one finding."""
     told: dict[tuple, Finding] = {}
     for one in findings:
-        key = (one.name, one.value if one.name in ("samples_repeated", "values_missing") else len(told))
+        key = (one.name, one.value if one.name == "samples_repeated" else len(told))
         before = told.get(key)
         if before is None:
             told[key] = one

@@ -1,0 +1,164 @@
+"""How a recording was sampled: rounding, held and frozen channels, stamps, gaps, rows without a value, jumps, age."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_drive import SPEED, Noise, Sines, exact_drive
+from st_core.checks import Extras, Severity, check
+from st_core.checks.sampling import noise, resolution
+
+
+@pytest.fixture(scope="module")
+def log(leaf):
+    return exact_drive(leaf, 40.0)
+
+
+def found(log, car=None, extras=None):
+    return {one.name: one for one in check(log, car, extras).findings}
+
+
+@pytest.mark.parametrize("step", [1e-4, 0.02, 3.0])
+def test_resolution_of_rounded_values(step):
+    time = np.arange(0.0, 20.0, 0.01)
+    values = 30.0 * step * np.sin(time) + step * np.random.default_rng(0).standard_normal(len(time))
+    assert resolution(np.round(values / step) * step) == pytest.approx(step, rel=1e-6)
+    assert resolution(values) == 0.0
+
+
+def test_an_even_motion_is_not_rounded():
+    time = np.arange(0.0, 20.0, 0.01)
+    assert resolution(12.3 * time) == 0.0
+    assert resolution(np.sin(time)) == 0.0
+    assert resolution(np.zeros(100)) == 0.0
+
+
+def test_noise_is_what_a_smooth_motion_does_not_have():
+    time = np.arange(0.0, 60.0, 0.01)
+    white = np.random.default_rng(1).standard_normal(len(time))
+    assert noise(5.0 * np.sin(0.8 * time) + 0.02 * white) == pytest.approx(0.02, rel=0.05)
+    assert noise(5.0 * np.sin(0.8 * time)) < 1e-5
+
+
+def test_channels_say_what_was_recorded(leaf):
+    drive = exact_drive(leaf, 40.0, rate=50.0, noise=Noise(yaw_rate=0.004))
+    known = check(drive, extras=Extras(missing={"yaw_rate": 7})).channels
+    assert known["yaw_rate"].rate == pytest.approx(50.0) and known["yaw_rate"].samples == 2000
+    assert known["yaw_rate"].noise == pytest.approx(0.004, rel=0.1) and known["yaw_rate"].missing == 7
+    assert known["x"].gaps == 0 and known["x"].longest_gap == pytest.approx(0.02)
+    assert known["yaw_rate"].unit == "rad/s" and known["road_wheel_angle"].repeated < 0.01
+
+
+@pytest.mark.parametrize(("channel", "coarse", "fine"), [
+    ("x", 0.5, 0.01), ("yaw", np.deg2rad(1.0), np.deg2rad(0.01)), ("velocity_x", 0.2, 0.005)])
+def test_rounding_that_matters_is_told(log, channel, coarse, fine):
+    def rounded(step):
+        return replace(log, **{channel: np.round(getattr(log, channel) / step) * step})
+    one = found(rounded(coarse))["resolution_coarse"]
+    assert one.channels == (channel,) and one.value == pytest.approx(coarse, rel=1e-6)
+    assert "resolution_coarse" not in found(rounded(fine))
+
+
+@pytest.mark.parametrize(("every", "severity"), [(4, Severity.NOTE), (10, Severity.WARNING)])
+def test_a_channel_held_at_a_lower_rate(log, every, severity):
+    rows = np.arange(len(log.x)) // every * every
+    one = found(replace(log, acceleration_y=log.acceleration_y[rows]))["samples_repeated"]
+    assert one.channels == ("acceleration_y",) and one.severity is severity
+    assert one.value == pytest.approx(1.0 - 1.0 / every, abs=0.01)
+    assert f"{100.0 / every:.3g} Hz" in one.text
+
+
+def frozen(log, channel, begin, end):
+    values = getattr(log, channel).copy()
+    steering = channel == "road_wheel_angle"
+    time_ns = log.steering_time_ns if steering else log.ins_time_ns
+    since = (time_ns - log.ins_time_ns[0]) * 1e-9
+    inside = (since >= begin) & (since <= end)
+    values[inside] = values[inside][0]
+    return replace(log, **{channel: values}, **({"steering_wheel_angle": None} if steering else {}))
+
+
+@pytest.mark.parametrize("channel", ["x", "yaw", "velocity_x", "yaw_rate", "acceleration_y", "road_wheel_angle"])
+def test_a_channel_that_stands_still_while_the_car_moves(log, leaf, channel):
+    one = found(frozen(log, channel, 10.0, 16.0), leaf)["channel_frozen"]
+    assert one.channels == (channel,) and one.value == pytest.approx(6.0, abs=0.05)
+    assert one.where == (pytest.approx((10.0, 16.0), abs=0.05),)
+    if channel != "road_wheel_angle":
+        assert one.cure.entry == {"leave_out": [[pytest.approx(10.0, abs=0.05), pytest.approx(16.0, abs=0.05)]]}
+
+
+def test_a_channel_may_stand_still_when_nothing_changes(leaf):
+    straight = exact_drive(leaf, 40.0, turning=Sines(0.0, ()))
+    assert found(frozen(straight, "yaw_rate", 10.0, 16.0)) == {}
+    assert found(frozen(straight, "yaw", 10.0, 16.0)) == {}
+    even = exact_drive(leaf, 40.0, speed=Sines(SPEED.mean, ()))
+    assert found(frozen(even, "velocity_x", 10.0, 16.0)) == {}
+
+
+def test_stamps_that_go_back_or_are_there_twice(log):
+    stamps = log.ins_time_ns.copy()
+    stamps[100:200:10] = stamps[99:199:10]
+    stamps[1000] = stamps[990]
+    told = found(log, extras=Extras(stamps={"INS": stamps}))
+    assert told["time_duplicates"].value == pytest.approx(10 / (len(stamps) - 1))
+    assert told["time_order"].value == pytest.approx(1 / (len(stamps) - 1))
+    assert {one.severity for one in told.values()} == {Severity.NOTE}
+    assert told["time_order"].where == (pytest.approx((9.9, 9.9)),)
+    assert found(log, extras=Extras(stamps={"INS": log.ins_time_ns, "steering": log.steering_time_ns})) == {}
+
+
+@pytest.mark.parametrize(("seconds", "severity"), [(1.0, Severity.NOTE), (4.0, Severity.WARNING)])
+def test_gaps(log, leaf, seconds, severity):
+    since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    told = found(log.with_ins((since < 15.0) | (since >= 15.0 + seconds)), leaf)
+    assert list(told) == ["time_gaps"]
+    assert told["time_gaps"].severity is severity and told["time_gaps"].value == pytest.approx(seconds, abs=0.02)
+    assert told["time_gaps"].where == (pytest.approx((15.0, 15.0 + seconds), abs=0.02),)
+
+
+@pytest.mark.parametrize(("rows", "severity"), [(3, Severity.NOTE), (400, Severity.WARNING)])
+def test_rows_without_a_value(log, rows, severity):
+    one = found(log, extras=Extras(missing={"yaw_rate": rows}))["values_missing"]
+    assert one.channels == ("yaw_rate",) and one.severity is severity
+    assert one.value == pytest.approx(rows / (len(log.x) + rows))
+
+
+@pytest.mark.parametrize("size", [0.3, 2.0])
+def test_positions_that_jump(log, size):
+    since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    away = size * ((since >= 12.345) & (since < 20.0))
+    one = found(replace(log, x=log.x + 0.6 * away, y=log.y - 0.8 * away))["position_jumps"]
+    assert one.value == 2.0
+    assert float(re.search(r"([\d.]+) m at most", one.text)[1]) == pytest.approx(size, abs=0.02)
+    assert one.where == (pytest.approx((12.34, 12.35)), pytest.approx((19.99, 20.0)))
+    left_out = np.ravel(one.cure.entry["leave_out"])
+    assert left_out == pytest.approx([12.33, 12.36, 19.98, 20.01], abs=0.011)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7])
+def test_positions_one_sample_old(log, share):
+    old = np.random.default_rng(3).random(len(log.x)) < share
+    old[0] = False
+    rows = np.arange(len(old)) - old
+    one = found(replace(log, x=log.x[rows], y=log.y[rows]))["position_stale"]
+    steps_back = np.mean(old[1:] & ~old[:-1])
+    assert one.interval[0] <= steps_back <= one.interval[1] and one.severity is Severity.WARNING
+    # By one interval of 10 ms, whatever the speed.
+    assert one.effect == pytest.approx(0.01 * np.median(log.velocity_x), rel=0.3)
+
+
+@pytest.mark.parametrize("deviation", [0.003, 0.01])
+def test_stamps_that_jitter_against_the_motion(leaf, deviation):
+    drive = exact_drive(leaf, 40.0, rate=20.0)
+    late_ns = np.round(1e9 * np.clip(deviation * np.random.default_rng(5).standard_normal(len(drive.x)), -0.02, 0.02))
+    one = found(replace(drive, ins_time_ns=drive.ins_time_ns + late_ns.astype(np.int64)))["time_jitter"]
+    assert one.value == pytest.approx(float(np.std(np.diff(late_ns))) * 1e-9, rel=0.1)
+    assert "time_jitter" not in found(drive)
+
+
+def test_uneven_stamps_of_an_uneven_recording_are_right(leaf):
+    """Samples left out here and there: the motion between them is as long as the stamps say."""
+    drive = exact_drive(leaf, 40.0)
+    kept = np.random.default_rng(7).random(len(drive.x)) < 0.7
+    assert found(drive.with_ins(kept), leaf) == {}
