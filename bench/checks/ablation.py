@@ -9,8 +9,8 @@ from st_sim.scenarios import SCENARIOS
 
 from . import drives
 from .corruptions import KINDS
-from .run import over
 from .recording import Recording
+from .run import over
 from .score import Drive, as_recorded, checked, score
 from .tables import table
 from .virtual import virtual_drive

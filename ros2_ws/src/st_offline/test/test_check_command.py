@@ -71,7 +71,7 @@ def test_it_names_the_wrong_unit_and_exits_with_1(checked):
 
 def test_the_schema(checked):
     content = checked[2]
-    assert set(content) == {"schema", "created", "versions", "vehicle", "runs", "failed"}
+    assert set(content) == {"schema", "created", "versions", "vehicle", "runs", "together", "failed"}
     assert content["vehicle"] == {str(CAR): {"name": "Hyundai Genesis", "hash": content["vehicle"][str(CAR)]["hash"]}}
     for run in content["runs"].values():
         assert set(run) >= {"findings", "channels", "identities", "verdict", "vehicle", "duration", "warnings", "files"}

@@ -74,7 +74,7 @@ def test_where_and_effect():
     assert words.where(DEGREES) == "whole run" and words.where(JUMPS) == "1.0 to 1.5 s, 3.0 to 3.2 s"
     many = tuple((float(k), k + 0.5) for k in range(9))
     assert words.where(Finding("a", Severity.NOTE, (), "t", where=many)).endswith("3.0 to 3.5 s and 5 more")
-    assert words.effect(DEGREES) == "the 5 s position moves by about 130 m" and words.effect(COARSE) == ""
+    assert words.effect(DEGREES) == "shifts the position after 5 s by about 130 m" and words.effect(COARSE) == ""
 
 
 def test_the_verdict_counts_and_says_what_it_means():
@@ -123,7 +123,7 @@ def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
     assert not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"|url\((?!#)|@import', text)
     for one in (DEGREES, MOVED, COARSE):
         assert one.text in text and one.name in text
-    assert "57.30 ± 0.10" in text and "1.0 to 1.5 s, 3.0 to 3.2 s" in text and "moves by about 130 m" in text
+    assert "57.30 ± 0.10" in text and "1.0 to 1.5 s, 3.0 to 3.2 s" in text and "after 5 s by about 130 m" in text
     assert text.count("<figure>") == 2 and "var(--bad)" in text and "prefers-color-scheme: dark" in text
     assert "correct: {&#34;yaw_rate&#34;: {&#34;scale&#34;: 0.01745}}" in text
     assert title(runs).startswith("Errors in 1 of 2 runs (<script>")
@@ -182,3 +182,10 @@ def test_a_proposal_nobody_would_read_or_that_overwrites_is_refused(tmp_path, na
     (tmp_path / name).write_text("name: mine\n")
     with pytest.raises(OutputError, match=message):
         check_name(tmp_path / name)
+
+
+def test_a_quantity_has_the_unit_of_its_finding():
+    assert words.quantity("yaw_rate_lag", (0.31, 0.29, 0.33)) == "0.310 ± 0.020 s"
+    assert words.quantity("yaw_rate_bias", (0.004, 0.003, 0.005)) == "0.0040 ± 0.0010 rad/s"
+    assert words.quantity("acceleration_y_bias", (-0.6, -0.8, -0.4)) == "-0.60 ± 0.20 m/s²"
+    assert words.quantity("x_scale", (0.97, 0.96, 0.98)) == "0.970 ± 0.010"

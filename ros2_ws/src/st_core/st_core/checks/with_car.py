@@ -84,8 +84,9 @@ def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
     value = scale.value
     if scale.interval[1] > 1.0 / LIMITS.steering_unit and scale.interval[0] < LIMITS.steering_unit:
         return None
-    known = {DEGREE: "degrees", vehicle.steering_ratio: "the angle of the steering wheel",
-             DEGREE * vehicle.steering_ratio: "the angle of the steering wheel in degrees",
+    ratio = f"steering ratio {vehicle.steering_ratio:g} of the vehicle file"
+    known = {DEGREE: "degrees", vehicle.steering_ratio: f"the angle of the steering wheel ({ratio})",
+             DEGREE * vehicle.steering_ratio: f"the angle of the steering wheel in degrees ({ratio})",
              1.0 / DEGREE: "converted to rad twice", 1.0 / vehicle.steering_ratio: "divided by the ratio twice",
              1.0: ""}
     factor = min(known, key=lambda f: abs(np.log(abs(value) / f)))
@@ -209,7 +210,8 @@ def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding
     turn = 2.0 * np.abs(np.sin(0.5 * over.change(motion.yaw))) if len(over) else np.zeros(1)
     effect = abs(one.value) * float(np.sqrt(np.square(turn).mean()))
     where = "ahead of" if one.value > 0 else "behind"
-    text = f"the measuring point lies {size_of(one, 2)} m {where} the declared one"
+    text = (f"the measuring point lies {size_of(one, 2)} m {where} the declared one (cg_to_ins_x "
+            f"{vehicle.cg_to_ins_x:.2f} m)")
     value = vehicle.cg_to_ins_x + one.value
     return Finding("measuring_point", _at_most_warning(effect), ("velocity_y", "x", "y"), text, one.value, "m",
                    one.interval, (), effect, Cure(

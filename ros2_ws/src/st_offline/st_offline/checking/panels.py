@@ -53,7 +53,7 @@ def title(identity: Identity, findings: Sequence[Finding]) -> str:
     if findings:
         return f"{what}: {findings[0].text}"
     size = f"{residual_rms(identity):.2g} {words.unit(identity.unit)}".strip()
-    return f"{what}: nothing found; they differ by {size} (root mean square)"
+    return f"{what}: no finding; they differ by {size} (root mean square)"
 
 
 def caption(identity: Identity, findings: Sequence[Finding]) -> str:

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from st_core.checks import Checked, Cure, Finding, Severity
 
 MOST_STRETCHES = 4
+MOST_TOLD = 3  # findings in a headline
 GRAVITY = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {
     Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
     Severity.NOTE: "harmless here",
 }
+QUANTITIES = {"yaw_rate_bias": "rad/s", "yaw_offset": "rad", "heading_misaligned": "rad", "steering_offset": "rad",
+              "position_reference": "m", "measuring_point": "m"}
 PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ", "look": ""}
 
 
@@ -35,12 +38,13 @@ def verdict(checked: Checked) -> str:
 
 
 def answer(checked: Checked) -> str:
-    """The verdict as a reader of the page wants it: what is wrong, the gravest first."""
+    """The verdict as a reader of the page wants it: what is most seriously wrong."""
     if not checked.findings:
         return verdict(checked)
-    first = min(checked.findings, key=gravity)
-    gravest = ". The gravest" if len(checked.findings) > 1 else ""
-    return f"{counts(checked.findings)}{gravest}: {first.text}"
+    worst = min(checked.findings, key=gravity).severity
+    told = [one.text for one in checked.findings if one.severity is worst]
+    more = f"; and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
+    return f"{counts(checked.findings)}: {'; '.join(told[:MOST_TOLD])}{more}"
 
 
 def unit(text: str) -> str:
@@ -65,6 +69,13 @@ def estimate(finding: Finding) -> str:
     return number(finding.value, finding.interval, finding.unit)
 
 
+def quantity(name: str, value: Sequence[float]) -> str:
+    """An estimate (value, low, high) by the name of the finding it would be."""
+    kind = name.rpartition("_")[2]
+    of = QUANTITIES.get(name, {"lag": "s", "bias": "m/s^2"}.get(kind, "1"))
+    return number(value[0], value[1:], of)
+
+
 def where(finding: Finding) -> str:
     """The stretches of the run, or "whole run"."""
     if not finding.where:
@@ -76,10 +87,12 @@ def where(finding: Finding) -> str:
 
 def effect(finding: Finding) -> str:
     """What it does to a position after 5 s; empty where that means nothing."""
+    if finding.effect is None and any(channel.startswith("acceleration") for channel in finding.channels):
+        return "none on a prediction; identify and discover are misled"
     if finding.effect is None:
-        return ""
+        return "no prediction would mean anything" if finding.severity is Severity.ERROR else ""
     size = f"{finding.effect:.0f}" if finding.effect >= 10.0 else f"{finding.effect:.2g}"
-    return f"the 5 s position moves by about {size} m"
+    return f"shifts the position after 5 s by about {size} m"
 
 
 def cure(found: Cure | None) -> str:
