@@ -1,0 +1,115 @@
+"""What an INS says of itself, and what several runs say together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_drive import T0, exact_drive
+from exact_faults import plus
+from st_core.checks import Checked, Extras, Finding, InsQuality, Severity, check, together
+
+RTK_INTEGER, RTK_FLOAT, DIFFERENTIAL, LOCKED, LOCKING = 6.0, 5.0, 4.0, 4.0, 3.0
+
+
+@pytest.fixture(scope="module")
+def log(leaf):
+    return exact_drive(leaf, 30.0)
+
+
+def said(log, **fields):
+    """Findings of a unit that says all is well but for `fields`, at 10 Hz."""
+    time = np.arange(0, 300)
+    good = InsQuality(T0 + time * 10**8, np.full(300, LOCKED), np.full(300, RTK_INTEGER), np.full(300, 0.01),
+                      np.full(300, 0.002))
+    return check(log, None, Extras(quality=replace(good, **fields))).findings
+
+
+def part(usual, other, rows):
+    values = np.full(300, usual)
+    values[rows] = other
+    return values
+
+
+def test_a_unit_that_is_well_says_nothing(log):
+    assert said(log) == ()
+    assert said(log, position_mode=part(RTK_INTEGER, RTK_FLOAT, slice(50, 90))) == ()
+    unknown = np.full(300, np.nan)
+    assert said(log, navigation_status=unknown, position_mode=unknown, position_accuracy=unknown) == ()
+    assert said(log, position_mode=np.full(300, -1.0)) == ()
+
+
+@pytest.mark.parametrize(("field", "usual", "bad", "words"), [
+    ("position_mode", RTK_INTEGER, DIFFERENTIAL, "without RTK"), ("navigation_status", LOCKED, LOCKING, "not locked")])
+def test_modes_by_their_share_and_place(log, field, usual, bad, words):
+    one, = said(log, **{field: part(usual, bad, slice(50, 95))})
+    assert (one.name, one.severity, one.value) == ("ins_mode", Severity.WARNING, pytest.approx(0.15))
+    assert words in one.text and one.where == (pytest.approx((5.0, 9.4)),)
+    few, = said(log, **{field: part(usual, bad, slice(50, 52))})
+    assert few.severity is Severity.NOTE
+
+
+@pytest.mark.parametrize(("metres", "severity"), [(0.3, Severity.WARNING), (8.0, Severity.ERROR)])
+def test_poor_accuracy(log, metres, severity):
+    one, = said(log, position_accuracy=part(0.01, metres, slice(100, 300)))
+    assert (one.name, one.severity, one.value) == ("ins_accuracy", severity, metres)
+    assert one.where == (pytest.approx((10.0, 29.9)),)
+    assert said(log, position_accuracy=part(0.01, metres, slice(0, 100))) == ()
+
+
+def measured(value, half, name="yaw_rate_bias", told=True, unit="rad/s"):
+    """A run of which nothing but this is known."""
+    interval = (value - half, value + half)
+    one = Finding(name, Severity.NOTE, ("yaw_rate",), "", value, unit, interval)
+    return Checked((one,) if told else (), {}, (), {name: (value, *interval)})
+
+
+def test_runs_that_agree_are_alike_and_know_the_mean_better():
+    draw = np.random.default_rng(0).standard_normal(8)
+    one, = together([measured(0.004 + 0.0005 * d, 1.96 * 0.0005) for d in draw])
+    assert one.alike and (one.runs, one.told) == (8, 8)
+    assert one.mean == pytest.approx(0.004, abs=0.0005) and one.interval[0] < 0.004 < one.interval[1]
+    assert one.interval[1] - one.interval[0] < 0.002
+    assert "alike in all 8 runs" in one.text and "rad/s" in one.text
+
+
+def test_runs_that_differ_say_so_and_by_how_much():
+    values = (-0.01, 0.0, 0.01, 0.02)
+    one, = together([measured(value, 0.0002) for value in values])
+    assert not one.alike and (one.lowest, one.highest) == (-0.01, 0.02)
+    assert one.between == pytest.approx(np.std(values, ddof=1), rel=0.02)
+    assert one.interval[0] < 0.0 < one.interval[1] and "differs" in one.text
+
+
+def test_a_difference_that_is_small_beside_the_mean_is_alike():
+    """Of a scale the mean is how far it is from 1, of a bias from 0."""
+    one, = together([measured(v, 1e-5, "x_scale", unit="1") for v in (0.960, 0.964, 0.968)])
+    assert one.alike and one.mean == pytest.approx(0.964, abs=1e-4)
+    other, = together([measured(v, 1e-5, "x_scale", unit="1") for v in (0.998, 1.002, 1.006)])
+    assert not other.alike
+
+
+def test_a_run_counts_by_how_well_it_knows():
+    one, = together([measured(0.004, 0.0001), measured(0.004, 0.0001), measured(0.02, 0.05)])
+    assert one.mean == pytest.approx(0.004, abs=1e-5)
+
+
+def test_what_was_measured_counts_also_where_it_was_not_told():
+    one, = together([measured(0.004, 0.002), measured(0.003, 0.002, told=False), measured(0.005, 0.002, told=False)])
+    assert (one.runs, one.told) == (3, 1)
+    assert together([measured(0.004, 0.002, told=False)] * 3) == []
+    assert together([measured(0.004, 0.002)] * 2) == []
+
+
+def test_the_most_frequent_first():
+    both = Checked((*measured(1.0, 0.1, "a", unit="m").findings, *measured(1.0, 0.1, "b", unit="m").findings), {}, (),
+                   {"a": (1.0, 0.9, 1.1), "b": (1.0, 0.9, 1.1)})
+    only_b = replace(both, findings=both.findings[1:])
+    assert [(one.name, one.told) for one in together([both, only_b, only_b])] == [("b", 3), ("a", 1)]
+
+
+def test_drives_of_one_unit_together(leaf):
+    biased = plus(0.005, "yaw_rate")
+    runs = [check(biased(exact_drive(leaf, 30.0, seed=seed)), leaf) for seed in range(3)]
+    one, = together(runs)
+    assert one.name == "yaw_rate_bias" and one.alike
+    assert one.interval[0] < 0.005 < one.interval[1] and one.as_dict()["text"] == one.text
