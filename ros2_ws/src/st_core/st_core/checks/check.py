@@ -18,7 +18,7 @@ from .quality import quality
 from .regression import Estimate, held
 from .steps import steps
 
-SHORTEST = 50  # INS samples; less than a few seconds says nothing
+SHORTEST = 50  # INS samples; less than a few seconds says nothing but how they were stamped
 FAR_BETTER = 0.7  # part of the misfit of positions that may be left
 ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 
@@ -36,11 +36,11 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
     """
     extras = extras or Extras()
     motion = Motion.of(log)
-    if len(log.ins_time_ns) < SHORTEST:
-        return Checked((), sampling.channels(motion, extras), ())
     known = sampling.channels(motion, extras)
-    told = [*sampling.timing(motion, extras), *quality(extras.quality, int(log.ins_time_ns[0]))]
+    if len(log.ins_time_ns) < SHORTEST:
+        return Checked(_ordered(sampling.timing(motion, extras)), known, ())
     motion, unit = time_unit(motion)
+    told = [*sampling.timing(motion, extras), *quality(extras.quality, int(log.ins_time_ns[0]))]
     stuck = sampling.stuck(motion, known)
     motion, coarse = gross(sampling.unfrozen(motion, stuck))
     coarse = [unit, *coarse] if unit else coarse
@@ -57,9 +57,13 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
             identities += [shown] if shown else []
         told += with_car.believable(motion)
     told += with_car.standstill(motion)
-    ordered = sorted(told, key=lambda one: (ORDER.index(one.severity), -(one.effect or np.inf)))
-    return Checked(tuple(ordered), known, tuple(identities),
+    return Checked(_ordered(told), known, tuple(identities),
                    {name: (one.value, *one.interval) for name, one in estimates.items()})
+
+
+def _ordered(told: list[Finding]) -> tuple[Finding, ...]:
+    """The gravest first."""
+    return tuple(sorted(told, key=lambda one: (ORDER.index(one.severity), -(one.effect or np.inf))))
 
 
 def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
@@ -138,7 +142,7 @@ def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns:
         fine = estimates.get("position_scale" if name == "position_scale" else "velocity_scale")
         if fine is not None:
             estimates[name] = fine.scaled(before.get(name, 1.0))
-    if found:
+    if found and all(found.scale.interval):  # a yaw rate that stands still says nothing
         low, high = sorted(before.get("yaw_scale", 1.0) / end for end in found.scale.interval)
         estimates["yaw_scale"] = held("yaw_scale", Estimate(
             before.get("yaw_scale", 1.0) / found.scale.value, 0.0, (low, high)))

@@ -18,6 +18,7 @@ from .motion import Motion, Windows, integral, weighted_median, windows
 
 LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m in a window, from which on it says something
 LEAST_WINDOWS = 5
+NOTHING = 1e-10  # a ratio of two channels below it: nanoseconds make 1e-9
 LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; share of the way by which positions may miss velocity and yaw
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
 ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
@@ -62,7 +63,12 @@ def _way_ratio(way: np.ndarray, run: np.ndarray) -> float:
     enough = (way > LEAST_WAY) | (run > LEAST_WAY)
     if enough.sum() < LEAST_WINDOWS:
         return float("nan")
-    return weighted_median(way[enough] / np.maximum(run[enough], 1e-12), run[enough])
+    return _moving(weighted_median(way[enough] / np.maximum(run[enough], 1e-12), run[enough]))
+
+
+def _moving(ratio: float) -> float:
+    """NaN where one of the two stands still: that is no unit."""
+    return ratio if NOTHING < abs(ratio) < 1.0 / NOTHING else float("nan")
 
 
 def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
@@ -77,7 +83,7 @@ def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
         slope, constant = np.linalg.solve(rows + 1e-300, [weights @ (bottom * top), weights @ top])
         rest = np.abs(top - slope * bottom - constant)
         weights = 1.0 / np.maximum(1.0, rest / (3.0 * max(float(np.median(rest)), 1e-12)))
-    return float(slope)
+    return _moving(float(slope))
 
 
 def _against_course(motion: Motion, over: Windows, way: np.ndarray) -> tuple[float, float]:

@@ -103,7 +103,7 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     for name in (name for name in problem.columns if name not in (*AXES, "velocity_scale")):
         theta, scale, _ = problem.fit(("x_scale", "y_scale", name))
         # The lateral velocity is mostly distance times yaw rate: its wrong sign looks like a point twice that far away.
-        if name != "position_reference" or not 0.75 < theta[name] / twice < 1.33:
+        if name != "position_reference" or not 0.75 * abs(twice) < theta[name] * np.sign(twice) < 1.33 * abs(twice):
             rivals.append(scale)
     if not misfit(mirrored) < 0.8 * min(rivals):
         return motion, []

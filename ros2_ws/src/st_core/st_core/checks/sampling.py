@@ -169,7 +169,8 @@ def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion, step: 
     severity = Severity.ERROR if seconds > 0.5 * (time[-1] - time[0]) else Severity.WARNING
     ins = name != "road_wheel_angle"
     stretches = [[round(a, 2), round(b, 2)] for a, b in where]
-    cure = (Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches}) if ins else
+    cure = (Cure("look", f"nothing can be made of it: record {name}") if severity is Severity.ERROR else
+            Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches}) if ins else
             Cure("look", "look at the steering sensor: its frames stand still there"))
     return [Finding("channel_frozen", severity, (name,), text, seconds, "s", None, where, None, cure)]
 

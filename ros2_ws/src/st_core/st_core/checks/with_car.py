@@ -24,6 +24,7 @@ SLOW, GENTLE = 2.0, 4.0  # m/s from which, m/s^2 up to which an axle's slip is l
 DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
 LEAST_ANGLE = 0.01  # rad, root mean square
+STOPPED = 1e-6  # of what curvature says; a steering that reads nothing has stopped, which is told elsewhere
 
 
 def steering(motion: Motion, vehicle: VehicleParameters, seed: int,
@@ -82,6 +83,8 @@ def _sideways(error: float, speed: float, vehicle: VehicleParameters) -> float:
 
 def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
     value = scale.value
+    if abs(value) < STOPPED:
+        return None
     if scale.interval[1] > 1.0 / LIMITS.steering_unit and scale.interval[0] < LIMITS.steering_unit:
         return None
     ratio = f"steering ratio {vehicle.steering_ratio:g} of the vehicle file"

@@ -1,0 +1,49 @@
+"""A channel that reads one number throughout, and recordings of which stamps leave next to nothing."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from exact_drive import exact_drive
+from st_core.checks import Extras, Severity, check
+
+CHANNELS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y",
+            "road_wheel_angle")
+
+
+@pytest.fixture(scope="module")
+def log(leaf):
+    return replace(exact_drive(leaf), steering_wheel_angle=None)
+
+
+def stopped(log, *names, at=0.0):
+    return replace(log, **{name: np.full_like(getattr(log, name), at) for name in names})
+
+
+@pytest.mark.parametrize("at", [0.0, 0.3])
+@pytest.mark.parametrize("name", CHANNELS)
+def test_one_channel_stands_still(log, leaf, name, at):
+    found, = (one for one in check(stopped(log, name, at=at), leaf).findings if one.name == "channel_frozen")
+    assert found.severity is Severity.ERROR and found.channels == (name,)
+    # Leaving out all of the drive is no cure.
+    assert found.cure.kind == "look"
+
+
+@pytest.mark.parametrize("names", list(combinations(CHANNELS, 2)), ids=" and ".join)
+def test_two_channels_stand_still(log, leaf, names):
+    assert any(one.severity is Severity.ERROR for one in check(stopped(log, *names), leaf).findings)
+
+
+def test_what_is_wrong_with_the_stamps_of_a_few_samples_is_told(log, leaf):
+    stamps = np.repeat(log.ins_time_ns[:30], 20)
+    found, = check(log.with_ins(np.arange(30)), leaf, Extras({"INS": stamps})).findings
+    assert found.name == "time_duplicates" and found.value == pytest.approx(0.95, abs=0.01)
+
+
+def test_gaps_are_those_of_the_mended_time(log, leaf):
+    slow = replace(log, ins_time_ns=1000 * log.ins_time_ns, steering_time_ns=1000 * log.steering_time_ns)
+    assert [one.name for one in check(slow, leaf).of(Severity.ERROR)] == ["time_unit"]
+    kept = np.ones(len(log.x), bool)
+    kept[100:101] = False
+    assert "time_gaps" not in {one.name for one in check(slow.with_ins(kept), leaf).findings}
