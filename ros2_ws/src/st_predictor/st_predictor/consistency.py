@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ RECENT = 30.0  # s that are judged where the car moves all the time: a fault is 
 ENOUGH, MOVING = 20.0, 1.0  # s of driving above so many m/s, without which nothing is said
 LONGEST_STEP = 0.25  # s between samples; what is missing is no driving
 SAMPLE_NS = 20_000_000  # one sample of so much time is used
-PERIOD = 12.0  # s of measurement from one check to the next
+PERIOD = 10.0  # s of measurement from one check to the next
 SHARE = 0.018  # of a core: where a check costs more than PERIOD allows, it comes less often
 # On one bend heading and measuring point look alike: only a whole drive tells them. Gaps are told where they arise.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps"))
@@ -39,6 +39,7 @@ class Verdict:
 class Consistency:
     """Judges a history again and again: the newest 30 s, or as much of the last minute as holds 20 s of driving.
 
+    A fault is told when it is found twice in a row, because half a minute may mislead once, and forgotten at once.
     `verdict` is the newest; seconds: processor time that all checks took together. share: of a core they may take.
     """
 
@@ -46,6 +47,7 @@ class Consistency:
         self._vehicle, self._share = vehicle, share
         self.verdict = _waiting(0.0)
         self.seconds = 0.0
+        self._found: frozenset[str] = frozenset()  # faults of the last check
         self._judged_ns: int | None = None
         self._at = self._not_before = -math.inf
 
@@ -64,13 +66,15 @@ class Consistency:
         self._judged_ns, self._at = newest, now
         log = recent(history)
         if isinstance(log, float):
-            self.verdict = _waiting(log)
+            self.verdict, self._found = _waiting(log), frozenset()
             return True
         from st_core.checks import check  # loads scipy: a second and 70 MB that a start need not wait for
 
         begin = time.thread_time()
         try:
-            self.verdict = _verdict(check(log, self._vehicle).findings, log.duration)
+            findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_LIVE]
+            self.verdict = _verdict(findings, self._found, log.duration)
+            self._found = frozenset(one.name for one in findings if one.severity != "note")
         except Exception as error:  # whatever it is, predictions are scored on
             self.verdict = Verdict("warning", f"could not be judged: {type(error).__name__}: {error}")
         took = time.thread_time() - begin
@@ -108,13 +112,15 @@ def _waiting(driven: float) -> Verdict:
                    "wanted")
 
 
-def _verdict(findings: "Sequence[Finding]", seconds: float) -> Verdict:
-    told = [one for one in findings if one.name not in NOT_LIVE]
-    values = {one.name: _value(one) for one in told}
-    severity = told[0].severity.value if told else ""  # the gravest come first
-    if severity in ("", "note"):
-        return Verdict(severity, f"signals agree in the newest {seconds:.0f} s", values)
-    return Verdict(severity, "; ".join(one.text for one in told if one.severity.value == severity), values)
+def _verdict(findings: "Sequence[Finding]", before: Set[str], seconds: float) -> Verdict:
+    """findings: the gravest first. before: names of what was wrong at the check before."""
+    values = {one.name: _value(one) for one in findings}
+    wrong = [one for one in findings if one.severity != "note"]
+    if told := [one for one in wrong if one.name in before]:
+        severity = told[0].severity
+        return Verdict(severity.value, "; ".join(one.text for one in told if one.severity is severity), values)
+    new = f", to be confirmed: {', '.join(one.name for one in wrong)}" if wrong else ""
+    return Verdict("note" if findings else "", f"signals agree in the newest {seconds:.0f} s{new}", values)
 
 
 def _value(finding: "Finding") -> str:

@@ -18,8 +18,9 @@ CAR = VehicleParameters.from_yaml(LEAF.read_text(), str(LEAF))
 START_NS = 1_756_900_800_000_000_000
 YAW_RATE, STEERING = 6, 7
 LATE = 0.3  # s
-BEGIN, END, LAST = 35.0, 75.0, 125.0  # s in which a fault is in, and of the drive
-SLOWEST = RECENT + PERIOD
+BEGIN, END, LAST = 35.0, 85.0, 140.0  # s in which a fault is in, and of the drive
+SLOWEST = RECENT + PERIOD + 0.2
+TWICE = SLOWEST + PERIOD
 
 Change = Callable[[np.ndarray], np.ndarray]
 
@@ -90,9 +91,11 @@ def test_a_fault_is_told_and_clears(road: np.ndarray, column: int, change: Chang
     rows[inside, column] = change(road)[inside]
     said = Live().drive(rows).said
     told = [t for t, verdict in said if name in verdict.values and words in verdict.message]
-    assert told and BEGIN < told[0] <= BEGIN + SLOWEST
+    assert told and BEGIN < told[0] <= BEGIN + TWICE
     assert {verdict.severity for t, verdict in said if t in told} == {severity}
     after = [verdict for t, verdict in said if t > END + SLOWEST]
+    first = next(k for k, (_, verdict) in enumerate(said) if name in verdict.values)
+    assert said[first][1].severity in ("", "note") and name in said[first][1].message  # once may mislead
     assert after and all("agree" in verdict.message for verdict in after)
 
 
@@ -105,11 +108,11 @@ def test_a_car_that_stands_is_not_judged(road: np.ndarray) -> None:
 
 
 def test_halts_reach_further_back(road: np.ndarray) -> None:
-    """Twelve seconds of driving, a halt, twelve seconds: less than 20 s in the newest 30, enough in the minute."""
+    """12 s of driving, a halt of 25, 13 s of driving: less than 20 s in the newest 30, enough in the minute."""
     halt = road[1200:1201].repeat(2500, axis=0)
     halt[:, 0] += np.arange(2500) / RATE
     halt[:, 4:7] = 0.0
-    later = road[1200:2400].copy()
+    later = road[1200:2600].copy()
     later[:, 0] += 2500 / RATE
     said = Live().drive(np.concatenate((road[:1200], halt, later))).said
     assert "agree in the newest 4" in said[-1][1].message
