@@ -8,6 +8,7 @@ import pytest
 from exact_drive import SPEED, Noise, Sines, exact_drive
 from st_core.checks import Extras, Severity, check
 from st_core.checks.sampling import noise, resolution
+from st_core.corrections import corrected
 
 
 @pytest.fixture(scope="module")
@@ -124,16 +125,26 @@ def test_rows_without_a_value(log, rows, severity):
     assert one.value == pytest.approx(rows / (len(log.x) + rows))
 
 
-@pytest.mark.parametrize("size", [0.3, 2.0])
-def test_positions_that_jump(log, size):
+@pytest.mark.parametrize(("size", "end", "stretches"), [
+    (0.3, 20.0, [12.205, 12.485, 19.855, 20.135]), (2.0, 20.0, [12.205, 12.485, 19.855, 20.135]),
+    (5.0, 12.40, [12.205, 12.535])])  # to and fro within a moment: what is between is wrong too
+def test_positions_that_jump(log, size, end, stretches):
     since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
-    away = size * ((since >= 12.345) & (since < 20.0))
-    one = found(replace(log, x=log.x + 0.6 * away, y=log.y - 0.8 * away))["position_jumps"]
+    away = size * ((since >= 12.345) & (since < end - 0.001))
+    wrong = replace(log, x=log.x + 0.6 * away, y=log.y - 0.8 * away)
+    one = found(wrong)["position_jumps"]
     assert one.value == 2.0
     assert float(re.search(r"([\d.]+) m at most", one.text)[1]) == pytest.approx(size, abs=0.02)
-    assert one.where == (pytest.approx((12.34, 12.35)), pytest.approx((19.99, 20.0)))
-    left_out = np.ravel(one.cure.entry["leave_out"])
-    assert left_out == pytest.approx([12.33, 12.36, 19.98, 20.01], abs=0.011)
+    assert one.where == (pytest.approx((12.34, 12.35)), pytest.approx((end - 0.01, end)))
+    left_out = one.cure.entry["leave_out"]
+    assert np.ravel(left_out) == pytest.approx(stretches, abs=0.011)
+    assert "position_jumps" not in found(corrected(wrong, {}, None, left_out))
+
+
+def test_positions_that_jump_all_the_time(log):
+    since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    one = found(replace(log, x=log.x + 0.5 * (np.floor(2.0 * since) % 2)))["position_jumps"]
+    assert one.value > 50 and one.cure.kind == "look"
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7])

@@ -6,6 +6,7 @@ A jump is one large d. A position that is one sample of the receiver old steps b
 again by as much with the next fresh one.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +18,8 @@ from .sampling import resolution
 
 SIGMAS = 6.0  # robust standard deviations from which on a step is none of the noise
 SMALLEST_JUMP = 0.2  # m; what 10 ms are at 20 m/s
+MOST_JUMPS = 50  # that are listed one by one
+ASIDE = 0.5 * LONGEST_GAP + 0.01  # s to both sides that make a gap, rounded to 10 ms
 FEWEST, LEAST_STALE = 5, 0.05  # samples, and their share from which on one start in twenty is wrong by it
 ALIKE = 0.35  # spread of the ages of stale samples over their median
 BALANCE = 0.5  # steps forward over steps back, at least
@@ -97,7 +100,7 @@ def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray, rounding: float)
     if not count:
         return []
     sizes = size[large]
-    where = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large)[:50])
+    where = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large))
     median, largest = float(np.median(sizes)), float(sizes.max())
     text = (f"positions jump {count} time{'s' if count > 1 else ''}, by {median:.2f} m in the median, {largest:.2f} m "
             "at most, which velocity knows nothing of")
@@ -105,9 +108,22 @@ def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray, rounding: float)
     effect = median * float(np.sqrt(share))
     severity = LIMITS.severity(effect) if largest < LIMITS.warning else max(
         LIMITS.severity(effect), Severity.WARNING, key=(Severity.NOTE, Severity.WARNING, Severity.ERROR).index)
-    stretches = [[round(a - 0.01, 2), round(b + 0.01, 2)] for a, b in where]
-    return [Finding("position_jumps", severity, ("x", "y"), text, float(count), "1", None, where, effect,
-                    Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches}))]
+    return [Finding("position_jumps", severity, ("x", "y"), text, float(count), "1", None, where[:MOST_JUMPS], effect,
+                    _without(where))]
+
+
+def _without(where: Sequence[tuple[float, float]]) -> Cure:
+    """A gap at each jump: nothing is compared, and no prediction scored, across one."""
+    if len(where) > MOST_JUMPS:
+        return Cure("look", "these positions cannot be mended: use those of one receiver, with RTK, or post-process")
+    stretches: list[list[float]] = []
+    for first, last in where:
+        begin, end = round(first - ASIDE, 2), round(last + ASIDE, 2)
+        if stretches and begin <= stretches[-1][1]:
+            stretches[-1][1] = end
+        else:
+            stretches.append([begin, end])
+    return Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches})
 
 
 def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
