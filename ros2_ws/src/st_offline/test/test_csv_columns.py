@@ -168,6 +168,18 @@ def test_a_steering_angle_of_neither_wheel_is_asked_for(tmp_path: Path) -> None:
     assert_whole(read_csv(file, layout=Layout({"road_wheel_angle": "steering_angle_rad"})).log)
 
 
+@pytest.mark.parametrize(("x", "y"), [("x", "y"), ("east", "Northing [km]")])
+def test_exchanged_axes_are_exchanged_back_whatever_their_columns_are_called(tmp_path: Path, x: str, y: str) -> None:
+    file = write(tmp_path / "d.csv", {**PLAIN, "x": y, "y": x}, {"x": "km"} if "km" in y else None)
+    assert_whole(read_csv(file, layout=Layout({"x": "y", "y": "x"})).log)
+
+
+def test_a_unit_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
+    file = write(tmp_path / "d.csv", {c: n for c, n in PLAIN.items() if c != "yaw"} | {"compass_heading": "heading"})
+    with pytest.raises(RunError, match=r"units: yaw: d\.csv has no column for it; it has one for t, .*compass_heading"):
+        read_csv(file, layout=Layout(units={"yaw": "deg"}))
+
+
 BAD = ("", "nan", "n/a", "inf", "-inf", "1e999", "--")
 
 

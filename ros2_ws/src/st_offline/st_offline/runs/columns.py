@@ -113,7 +113,8 @@ class Place:
 
 
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, Place]:
-    """The channels a header names. Raises RunError for a column of the layout that is not there."""
+    """The channels a header names. Raises RunError for a column of the layout that is not there, and for a unit of
+    what is not there."""
     found: dict[str, tuple[int, Place]] = {}
     for number, name in enumerate(names):
         for channel, rank, unit in _meanings(name):
@@ -121,13 +122,17 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
                 found[channel] = rank, _place(number, name, channel, unit)
     places = {channel: place for channel, (_, place) in found.items()}
     for channel, wanted in layout.columns.items():
-        number = _number_of(file, names, wanted, channel, layout)
+        # What is no name of a column may be a channel: the cure of exchanged axes says {x: y, y: x}.
+        taken = found.get(wanted) if wanted not in names else None
+        number = taken[1].column if taken else _number_of(file, names, wanted, channel, layout)
         places[channel] = _place(number, names[number], channel, _unit_in(names[number], COLUMNS[channel].kind))
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         places.pop("yaw", None)
     for channel, unit in layout.units.items():
-        if channel in places:
-            places[channel] = replace(places[channel], unit=unit, said=True)
+        if channel not in places:
+            raise RunError(layout.said_by or file, f"units: {channel}: {file.name} has no column for it",
+                           f"it has one for {', '.join(places)}")
+        places[channel] = replace(places[channel], unit=unit, said=True)
     return places
 
 
