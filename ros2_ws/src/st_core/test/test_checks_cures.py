@@ -139,6 +139,20 @@ def test_a_hand_wheel_that_is_turned_is_cured_in_the_vehicle_file(log, leaf, ang
     assert findings(wrong.with_steering(mended), mended) == {}
 
 
+@pytest.mark.parametrize("factor", [1.0, -1.0, DEGREE])
+@pytest.mark.parametrize("angle", [0.04, -0.03])
+def test_road_wheels_that_are_not_straight_are_cured_in_the_run(log, leaf, factor, angle):
+    wrong = steered(factor, factor * angle)(log)
+    found = findings(wrong, leaf)
+    assert "steering_offset" in found
+    entry = {}
+    for one in found.values():
+        assert one.cure.kind == "run.yaml" and same_to_print(yaml.safe_load(one.cure.line), one.cure.entry)
+        entry |= one.cure.entry["correct"]["road_wheel_angle"]
+    assert entry["add"] == pytest.approx(-angle, abs=0.002)
+    assert findings(cured(wrong, {"correct": {"road_wheel_angle": entry}}, leaf), leaf) == {}
+
+
 @pytest.mark.parametrize("ahead", [1.5, -0.8])
 def test_a_measuring_point_elsewhere_is_cured_in_the_vehicle_file(log, leaf, ahead):
     wrong = mounted(ahead)(log)

@@ -51,7 +51,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
     motion, fine, estimates, identities = _sensors(motion, before, extras, int(log.ins_time_ns[0]), seed)
     told += _once(coarse, fine, estimates)
     if vehicle is not None:
-        for found, more, shown in (with_car.steering(motion, vehicle, seed), with_car.rear_axle(motion, vehicle, seed)):
+        hand_wheel = log.steering_wheel_angle is not None
+        for found, more, shown in (with_car.steering(motion, vehicle, hand_wheel, seed),
+                                   with_car.rear_axle(motion, vehicle, seed)):
             told += found
             estimates |= more
             identities += [shown] if shown else []

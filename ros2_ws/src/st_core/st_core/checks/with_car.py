@@ -27,8 +27,10 @@ LEAST_ANGLE = 0.01  # rad, root mean square
 STOPPED = 1e-6  # of what curvature says; a steering that reads nothing has stopped, which is told elsewhere
 
 
-def steering(motion: Motion, vehicle: VehicleParameters, seed: int,
+def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed: int,
              ) -> tuple[list[Finding], dict[str, Estimate], Identity | None]:
+    """Curvature against steering. hand_wheel: whether its angle was recorded, so that the vehicle file has its offset.
+    """
     moving = motion.velocity_x > SLOW
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
@@ -45,7 +47,7 @@ def steering(motion: Motion, vehicle: VehicleParameters, seed: int,
     speed = float(np.median(motion.velocity_x[moving]))
     late = held("steering_lag", found.lag.shifted(response_time(vehicle, speed)))
     told = [one for one in (_unit(scale, vehicle), _late(late, found, speed, vehicle),
-                            _offset(found, speed, vehicle)) if one]
+                            _offset(found, speed, vehicle, hand_wheel)) if one]
     shown = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
                      "from yaw rate and speed", found.time, found.measured, found.derived,
                      ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
@@ -121,20 +123,29 @@ def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParame
                        {"correct": {"road_wheel_angle": {"earlier": value}}}))
 
 
-def _offset(found: Agreement, speed: float, vehicle: VehicleParameters) -> Finding | None:
+def _offset(found: Agreement, speed: float, vehicle: VehicleParameters, hand_wheel: bool) -> Finding | None:
     size = abs(found.scale.value)
     one = held("steering_offset", found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias)
     if not one.sure or abs(one.value) < LIMITS.steering_offset:
         return None
     text = (f"the road wheels read {size_of(one, 4)} rad ({abs(one.value) * DEGREE:.1f} deg) too far {side(one)} when "
             "the car goes straight: the steering offset is wrong")
-    wheel = vehicle.steering_wheel_offset + one.value * vehicle.steering_ratio
     effect = _sideways(one.value, speed, vehicle)
+    # Once the sign is mended, where that is wrong too.
+    left = one.value * float(np.sign(found.scale.value))
     return Finding("steering_offset", _at_most_warning(effect), ("road_wheel_angle",), text, one.value, "rad",
-                   one.interval, (), effect, Cure(
-                       "vehicle", f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
-                                  "  # where the hand wheel was recorded; check with st identify steering-offset",
-                       {"steering_wheel_offset": wheel}))
+                   one.interval, (), effect, _straight(left, vehicle, hand_wheel))
+
+
+def _straight(left: float, vehicle: VehicleParameters, hand_wheel: bool) -> Cure:
+    """left: what the road wheels read when the car goes straight [rad]."""
+    if not hand_wheel:
+        add = float(f"{-left:.4g}")
+        return Cure("run.yaml", f"correct: {{road_wheel_angle: {{add: {add:g}}}}}",
+                    {"correct": {"road_wheel_angle": {"add": add}}})
+    wheel = vehicle.steering_wheel_offset + left * vehicle.steering_ratio
+    return Cure("vehicle", f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
+                           "  # check with st identify steering-offset", {"steering_wheel_offset": wheel})
 
 
 def side(one: Estimate) -> str:
