@@ -79,8 +79,10 @@ FAULTS = [
 FORMS = [
     ("time_unit", counted(10**3)), ("position_axes", exchanged()), ("position_axes", exchanged(-1.0)),
     ("position_axes", times(-1.0, "x")), ("position_axes", times(-1.0, "y")),
-    ("velocity_y_scale", times(-1.0, "velocity_y")), ("yaw_convention", compass(DEGREE)),
+    ("velocity_x_scale", times(-1.0, "velocity_x")), ("velocity_y_scale", times(-1.0, "velocity_y")),
+    ("yaw_convention", compass(DEGREE)), ("yaw_convention", times(-1.0, "yaw")),
 ]
+
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +129,20 @@ def test_a_wrong_form_is_an_error_and_its_cure_removes_it(log, leaf, name, fault
     cure = found[name].cure
     assert same_to_print(yaml.safe_load(cure.line.replace("  # and ", "\n")), cure.entry)
     assert findings(cured(wrong, cure.entry, leaf), leaf) == {}
+
+
+def of_map(log):
+    over_ground = (log.velocity_x + 1j * log.velocity_y) * np.exp(1j * log.yaw)
+    return replace(log, velocity_x=over_ground.real, velocity_y=over_ground.imag)
+
+
+@pytest.mark.parametrize(("name", "fault"), [
+    ("velocity_axes", of_map), ("position_scale", times(1.0 / 111e3, *POSITION))])
+def test_what_no_run_yaml_mends_is_an_error_all_the_same(log, leaf, name, fault):
+    found = findings(fault(log), leaf)
+    assert list(found) == [name] and found[name].severity is Severity.ERROR and found[name].cure.kind == "look"
+    if name == "position_scale":
+        assert found[name].value == pytest.approx(1.0 / 111e3, rel=1e-3)
 
 
 @pytest.mark.parametrize("angle", [0.5, -0.7])

@@ -64,7 +64,8 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
                              abs(lag.value) >= expected.grave[0]))
     if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
         side = "high" if bias.value > 0.0 else "low"
-        text = f"{name} is {size_of(bias, expected.digits)} {expected.unit.replace('^2', '²')} too {side} against {expected.against}"
+        unit = expected.unit.replace("^2", "²")
+        text = f"{name} is {size_of(bias, expected.digits)} {unit} too {side} against {expected.against}"
         told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
                              {"add": -bias.value / divided}, abs(bias.value) / size >= expected.grave[2]))
     return told, {f"{name}_lag": lag, f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}

@@ -92,7 +92,7 @@ def _factors(coarse: list[Finding]) -> dict[str, float]:
     for one in coarse:
         correct = one.cure.entry.get("correct", {}) if one.cure else {}
         scale = next((entry["scale"] for entry in correct.values() if "scale" in entry), None)
-        if one.name == "time_unit" and one.value:
+        if not correct and one.value:
             found[one.name] = one.value
         elif one.name == "yaw_offset":
             found[one.name] = -correct["yaw"]["add"]

@@ -7,43 +7,26 @@ of position, integrated velocity). Who of three stands alone is wrong:
     position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times too fast
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from .finding import Cure, Finding, Severity
 from .limits import LIMITS
-from .motion import Motion, Windows, integral, weighted_median, windows
+from .motion import Motion, integral, windows
+from .ratios import LEAST_WAY, LEAST_WINDOWS, near, ratios
 
-LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m in a window, from which on it says something
-LEAST_WINDOWS = 5
-NOTHING = 1e-10  # a ratio of two channels below it: nanoseconds make 1e-9
 LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; share of the way by which positions may miss velocity and yaw
+ALONG = 0.1  # of the way, and of what yaw leaves: velocities that miss positions by less are those of the map
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
 ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
 SPEEDS = {3.6: ("km/h", "km/h"), 2.23694: ("mph", "mph"), 1.94384: ("knots", "kn")}
 LENGTHS = {1000.0: ("millimetres", "mm"), 100.0: ("centimetres", "cm"), 3.28084: ("feet", "ft"),
            0.001: ("kilometres", "km")}
+FARTHEST = 1e-4  # below it positions are angles: a degree of the earth is 111 km
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
 SMALLEST_WRAP = 0.01  # rad; 360 degrees are 1.86 degrees more than a whole number of 2 pi
-ALIKE = 1.2  # two ratios that differ by less than this factor are one
-
-
-@dataclass(frozen=True)
-class Ratios:
-    """Medians over the windows, NaN where there is too little motion. way: position over velocity. Turns: yaw over
-    integrated yaw rate, yaw over course, yaw rate over course.
-    """
-
-    way: float
-    yaw_rate: float
-    yaw_course: float
-    rate_course: float
-
-
-def near(value: float, target: float, factor: float = ALIKE) -> bool:
-    return bool(np.isfinite(value) and value * target > 0.0 and 1.0 / factor < value / target < factor)
 
 
 def unit_of(factor: float, table: dict[float, tuple[str, str]]) -> tuple[float, tuple[str, str]] | None:
@@ -51,64 +34,27 @@ def unit_of(factor: float, table: dict[float, tuple[str, str]]) -> tuple[float, 
     return next(((known, words) for known, words in table.items() if near(factor, known, 1.06)), None)
 
 
-def ratios(motion: Motion, length: float = 1.0) -> Ratios:
-    over = windows(motion.time, length, max(0.25, 0.5 * length))
-    way = np.hypot(over.change(motion.x), over.change(motion.y))
-    run = over.change(integral(motion.time, motion.speed))
-    turn, rate = over.change(motion.yaw), over.change(integral(motion.time, motion.yaw_rate))
-    return Ratios(_way_ratio(way, run), _slope(turn, rate), *_against_course(motion, over, way))
-
-
-def _way_ratio(way: np.ndarray, run: np.ndarray) -> float:
-    enough = (way > LEAST_WAY) | (run > LEAST_WAY)
-    if enough.sum() < LEAST_WINDOWS:
-        return float("nan")
-    return _moving(weighted_median(way[enough] / np.maximum(run[enough], 1e-12), run[enough]))
-
-
-def _moving(ratio: float) -> float:
-    """NaN where one of the two stands still: that is no unit."""
-    return ratio if NOTHING < abs(ratio) < 1.0 / NOTHING else float("nan")
-
-
-def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
-    """Robust slope of top over bottom, beside a small constant: a bias of the yaw rate is none of its scale."""
-    if len(top) < LEAST_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < LEAST_TURN:
-        return float("nan")
-    weights, slope = np.ones(len(top)), float("nan")
-    # The constant is held by as much as windows that turn by LEAST_TURN would: a circle says nothing about it.
-    held = (len(top) * LEAST_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
-    for _ in range(8):
-        rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + held]])
-        slope, constant = np.linalg.solve(rows + 1e-300, [weights @ (bottom * top), weights @ top])
-        rest = np.abs(top - slope * bottom - constant)
-        weights = 1.0 / np.maximum(1.0, rest / (3.0 * max(float(np.median(rest)), 1e-12)))
-    return _moving(float(slope))
-
-
-def _against_course(motion: Motion, over: Windows, way: np.ndarray) -> tuple[float, float]:
-    """(yaw, yaw rate) over course: change from one window's middle to the next."""
-    if len(over) < 2:
-        return float("nan"), float("nan")
-    course = np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x)))
-    scale = float(np.median(way)) if len(way) else 0.0
-    # Consecutive windows in which the car got on: else the course is noise.
-    usable = (over.last[:-1] == over.first[1:]) & (np.minimum(way[1:], way[:-1]) > max(0.3 * scale, 1e-12))
-    turn = np.diff(course)[usable]
-    usable_turn = np.abs(turn) < 1.5
-    yaw = np.diff(over.mean(motion.time, motion.yaw))[usable][usable_turn]
-    rate = np.diff(over.mean(motion.time, integral(motion.time, motion.yaw_rate)))[usable][usable_turn]
-    turn = turn[usable_turn]
-    return _slope(yaw, turn), _slope(rate, turn)
-
-
 def gross(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion with units, signs and axes mended, what was mended). Its stamps are in seconds: see time_unit."""
     found: list[Finding] = []
-    for step in (_both_turns, _turns, _axes, _way, _turned):
+    for step in (_both_turns, _turns, _axes, _way, _of_map, _turned):
         motion, finding = step(motion)
         found += [finding] if finding else []
-    return motion, found
+    return motion, _one_yaw(found)
+
+
+def _one_yaw(found: list[Finding]) -> list[Finding]:
+    """A yaw that counts clockwise, and not from north, is one finding: each cure alone leaves an error."""
+    told = {one.name: one for one in found}
+    if not {"yaw_convention", "yaw_offset"} <= told.keys():
+        return found
+    clockwise, offset = told["yaw_convention"], told.pop("yaw_offset")
+    correct = dict(clockwise.cure.entry["correct"]["yaw"])
+    correct["add"] += offset.cure.entry["correct"]["yaw"]["add"]
+    text = f"{clockwise.text.partition(':')[0]}, and not from north: yaw is from east, counter-clockwise"
+    cure = Cure("run.yaml", f"correct: {{yaw: {{scale: {correct['scale']:.6g}, add: {correct['add']:.6g}}}}}",
+                {"correct": {"yaw": correct}})
+    return [replace(clockwise, text=text, cure=cure) if one is clockwise else one for one in told.values()]
 
 
 def _error(name: str, channels: tuple[str, ...], text: str, value: float | None, cure: Cure) -> Finding:
@@ -256,6 +202,10 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
         finding = _error("position_scale", ("x", "y"), text, r.way,
                          Cure("run.yaml", f"correct: {{position: {{scale: {1.0 / factor:.6g}}}}}", entry))
         return motion.with_(x=motion.x / factor, y=motion.y / factor), finding
+    if not speed and r.way < FARTHEST:
+        text = f"x and y are {r.way:.3g} times what velocity says: latitude and longitude? They are wanted in m"
+        return motion.with_(x=motion.x / r.way, y=motion.y / r.way), _error(
+            "position_scale", ("x", "y"), text, r.way, Cure("look", "project latitude and longitude to east and north"))
     factor = speed[0] if speed else 1.0 / r.way
     unit = f": {speed[1][0]}?" if speed else ""
     both = motion.with_(velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
@@ -279,6 +229,24 @@ def _misfit(motion: Motion) -> float:
     return float(np.median(np.abs(measured - derived * turn / max(abs(turn), 1e-300)))) if len(over) else 0.0
 
 
+def _of_map(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Velocities east and north: positions go their way without any yaw."""
+    over = windows(motion.time, 1.0)
+    if len(over) < LEAST_WINDOWS or not np.ptp(motion.yaw) > LEAST_FOLLOWED:
+        return motion, None
+    derived = over.change(integral(motion.time, motion.velocity_x)) + 1j * over.change(
+        integral(motion.time, motion.velocity_y))
+    measured = over.change(motion.x) + 1j * over.change(motion.y)
+    misfit = float(np.median(np.abs(measured - derived)))
+    if misfit > ALONG * float(np.median(np.abs(measured))) or not misfit < ALONG * _misfit(motion):
+        return motion, None
+    body = (motion.velocity_x + 1j * motion.velocity_y) * np.exp(-1j * motion.yaw)
+    text = "velocity_x and velocity_y are east and north, of the map: along the axes of the car is wanted"
+    cure = Cure("look", "make velocity_x = cos(yaw) east + sin(yaw) north, velocity_y = cos(yaw) north - sin(yaw) east")
+    return (motion.with_(velocity_x=body.real, velocity_y=body.imag),
+            _error("velocity_axes", ("velocity_x", "velocity_y"), text, None, cure))
+
+
 def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
     """Yaw against the direction of travel: north for east, or reversed."""
     over = windows(motion.time, 1.0)
@@ -290,6 +258,10 @@ def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
         return motion, None
     angle = float(np.angle(total))
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
+    if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is rarer than a sign
+        cure = Cure("run.yaml", "correct: {velocity_x: {scale: -1}}", {"correct": {"velocity_x": {"scale": -1.0}}})
+        return motion.with_(velocity_x=-motion.velocity_x), _error(
+            "velocity_x_scale", ("velocity_x",), "velocity_x counts the other way (forward is positive)", -1.0, cure)
     exact = quarter if abs(angle - quarter) < 0.1 else angle
     words = {1: ": is it counted from north?", -1: ": is it counted from north or south?",
              2: ": does it point backwards?", -2: ": does it point backwards?"}.get(round(exact / (np.pi / 2), 3), "")

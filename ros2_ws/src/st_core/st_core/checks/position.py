@@ -236,7 +236,7 @@ def identity(motion: Motion, before: Mapping[str, float]) -> Identity:
     east, north = motion.velocity_map
     derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))
     measured = np.hypot(over.change(motion.x), over.change(motion.y))
-    return Identity("position", "distance per second: positions against velocity", "m", "from x, y", "from velocity and yaw",
-                    over.time, measured * before.get("position_scale", 1.0),
-                    derived * before.get("velocity_scale", before.get("velocity_x_scale", 1.0)),
+    return Identity("position", "distance per second: positions against velocity", "m", "from x, y",
+                    "from velocity and yaw", over.time, measured * before.get("position_scale", 1.0),
+                    derived * abs(before.get("velocity_scale", before.get("velocity_x_scale", 1.0))),
                     (*TEXT, "position_scale", "velocity_x_scale", "velocity_y_scale"))

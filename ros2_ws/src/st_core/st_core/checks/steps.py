@@ -81,8 +81,8 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray, rounding: float)
     share = float(back.sum() / known.sum())
     half = 1.96 * float(np.sqrt(share * (1.0 - share) / max(known.sum() * spacing, 1.0)))
     effect = age * float(np.median(speed[known]))
-    text = (f"at {100 * share:.2g} % of the rows the position falls back to one measured {age * 1e3:.0f} ms earlier, and "
-            "catches up later: in between it is one sample of the receiver old")
+    text = (f"at {100 * share:.2g} % of the rows the position falls back to one measured {age * 1e3:.0f} ms earlier, "
+            "and catches up later: in between it is one sample of the receiver old")
     severity = Severity.WARNING if share > LEAST_STALE else Severity.NOTE
     its = (back | forward) & (np.abs(away) < 1.6 * age) & (crosswise < CROSSWISE * np.abs(rest))
     return its, [Finding(

@@ -1,0 +1,79 @@
+"""How large turns and ways are by one road over another: of yaw, yaw rate, course, position and velocity."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .motion import Motion, Windows, integral, weighted_median, windows
+
+LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m in a window, from which on it says something
+LEAST_WINDOWS = 5
+NOTHING = 1e-10  # a ratio of two channels below it: nanoseconds make 1e-9
+ALIKE = 1.2  # two ratios that differ by less than this factor are one
+
+
+@dataclass(frozen=True)
+class Ratios:
+    """Medians over the windows, NaN where there is too little motion. way: position over velocity. Turns: yaw over
+    integrated yaw rate, yaw over course, yaw rate over course.
+    """
+
+    way: float
+    yaw_rate: float
+    yaw_course: float
+    rate_course: float
+
+
+def near(value: float, target: float, factor: float = ALIKE) -> bool:
+    return bool(np.isfinite(value) and value * target > 0.0 and 1.0 / factor < value / target < factor)
+
+
+def ratios(motion: Motion, length: float = 1.0) -> Ratios:
+    over = windows(motion.time, length, max(0.25, 0.5 * length))
+    way = np.hypot(over.change(motion.x), over.change(motion.y))
+    run = over.change(integral(motion.time, motion.speed))
+    turn, rate = over.change(motion.yaw), over.change(integral(motion.time, motion.yaw_rate))
+    return Ratios(_way_ratio(way, run), _slope(turn, rate), *_against_course(motion, over, way))
+
+
+def _way_ratio(way: np.ndarray, run: np.ndarray) -> float:
+    enough = (way > LEAST_WAY) | (run > LEAST_WAY)
+    if enough.sum() < LEAST_WINDOWS:
+        return float("nan")
+    return _moving(weighted_median(way[enough] / np.maximum(run[enough], 1e-12), run[enough]))
+
+
+def _moving(ratio: float) -> float:
+    """NaN where one of the two stands still: that is no unit."""
+    return ratio if NOTHING < abs(ratio) < 1.0 / NOTHING else float("nan")
+
+
+def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
+    """Robust slope of top over bottom, beside a small constant: a bias of the yaw rate is none of its scale."""
+    if len(top) < LEAST_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < LEAST_TURN:
+        return float("nan")
+    weights, slope = np.ones(len(top)), float("nan")
+    # The constant is held by as much as windows that turn by LEAST_TURN would: a circle says nothing about it.
+    held = (len(top) * LEAST_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
+    for _ in range(8):
+        rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + held]])
+        slope, constant = np.linalg.solve(rows + 1e-300, [weights @ (bottom * top), weights @ top])
+        rest = np.abs(top - slope * bottom - constant)
+        weights = 1.0 / np.maximum(1.0, rest / (3.0 * max(float(np.median(rest)), 1e-12)))
+    return _moving(float(slope))
+
+
+def _against_course(motion: Motion, over: Windows, way: np.ndarray) -> tuple[float, float]:
+    """(yaw, yaw rate) over course: change from one window's middle to the next."""
+    if len(over) < 2:
+        return float("nan"), float("nan")
+    course = np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x)))
+    scale = float(np.median(way)) if len(way) else 0.0
+    # Consecutive windows in which the car got on: else the course is noise.
+    usable = (over.last[:-1] == over.first[1:]) & (np.minimum(way[1:], way[:-1]) > max(0.3 * scale, 1e-12))
+    turn = np.diff(course)[usable]
+    usable_turn = np.abs(turn) < 1.5
+    yaw = np.diff(over.mean(motion.time, motion.yaw))[usable][usable_turn]
+    rate = np.diff(over.mean(motion.time, integral(motion.time, motion.yaw_rate)))[usable][usable_turn]
+    turn = turn[usable_turn]
+    return _slope(yaw, turn), _slope(rate, turn)
