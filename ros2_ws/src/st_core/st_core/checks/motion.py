@@ -99,8 +99,8 @@ def windows(time: np.ndarray, length: float, longest_gap: float = LONGEST_GAP) -
     if len(time) < 2:
         empty = np.zeros(0, np.int64)
         return Windows(empty, empty, np.zeros(0), length)
-    marks = np.arange(time[0], time[-1], length)
-    places = np.unique(np.searchsorted(time, marks))
+    # The first sample of each; by the samples, not by the seconds: a gap may be of years.
+    places = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
     first, last = places[:-1], places[1:]
     gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
     whole = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
