@@ -144,10 +144,8 @@ def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns:
         fine = estimates.get("position_scale" if name == "position_scale" else "velocity_scale")
         if fine is not None:
             estimates[name] = fine.scaled(before.get(name, 1.0))
-    if found and all(found.scale.interval):  # a yaw rate that stands still says nothing
-        low, high = sorted(before.get("yaw_scale", 1.0) / end for end in found.scale.interval)
-        estimates["yaw_scale"] = held("yaw_scale", Estimate(
-            before.get("yaw_scale", 1.0) / found.scale.value, 0.0, (low, high)))
+    if found and found.scale.value:  # a yaw rate that stands still says nothing
+        estimates["yaw_scale"] = held("yaw_scale", found.scale.inverse().scaled(before.get("yaw_scale", 1.0)))
     panel = identity(found, expected, "yaw rate: sensor against change of yaw", before.get("yaw_rate_scale", 1.0),
                      before.get("yaw_scale", before.get("yaw_convention", 1.0)))
     shown += [panel] if panel else []

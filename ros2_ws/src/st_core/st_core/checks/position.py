@@ -154,8 +154,7 @@ def _all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]
         one = problem.estimates((*beside, name))[name]
         told[name] = _shown(name, one.shifted(found[name].value) if name in found else one)
     # By which positions would have to be wrong, if velocity is not.
-    low, high = sorted(1.0 / end for end in told["velocity_scale"].interval)
-    told["position_scale"] = Estimate(1.0 / told["velocity_scale"].value, told["velocity_scale"].deviation, (low, high))
+    told["position_scale"] = told["velocity_scale"].inverse()
     return told
 
 
@@ -188,8 +187,7 @@ def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
 def _shown(name: str, one: Estimate) -> Estimate:
     """A cause in the value of its finding: a right channel has scale 1."""
     if name == "velocity_scale":
-        low, high = sorted(1.0 / (1.0 + end) for end in one.interval)
-        return held(name, Estimate(1.0 / (1.0 + one.value), one.deviation, (low, high)))
+        return held(name, one.shifted(1.0).inverse())
     return held(name, one.shifted(1.0) if name.endswith("_scale") else one)
 
 

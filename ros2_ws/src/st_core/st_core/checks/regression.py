@@ -39,6 +39,12 @@ class Estimate:
         low, high = sorted(factor * end for end in self.interval)
         return Estimate(factor * self.value, abs(factor) * self.deviation, (low, high))
 
+    def inverse(self) -> "Estimate":
+        """Of 1 / value, to first order: an interval that reaches beyond 0 stays one."""
+        value = 1.0 / float(np.copysign(max(abs(self.value), 1e-12), self.value))
+        low, high = (value - (end - self.value) * value**2 for end in reversed(self.interval))
+        return Estimate(value, self.deviation * value**2, (low, high))
+
     def shifted(self, by: float) -> "Estimate":
         return Estimate(self.value + by, self.deviation, (self.interval[0] + by, self.interval[1] + by))
 
