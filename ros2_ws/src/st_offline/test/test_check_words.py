@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -159,6 +160,22 @@ def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_pat
     text = proposal(run(folder=tmp_path).source, [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
     assert "#   not taken, a graver finding asks for another value: in its run.yaml: correct:" in text
+
+
+def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
+    exchanged = Finding("position_axes", Severity.ERROR, ("x", "y"), "exchanged",
+                        cure=cure(columns={"x": "y", "y": "x"}))
+    for kind, taken in (("csv", True), ("bag", False)):
+        source = replace(run(folder=tmp_path).source, kind=kind)
+        text = proposal(source, [exchanged], tmp_path / "run.yaml", ReadSettings())
+        assert ("columns" in yaml.safe_load(text)) is taken
+        assert ("#   not taken, a csv only has columns and units: in its run.yaml: " in text) is not taken
+
+
+def test_a_stretch_that_several_findings_leave_out_stands_there_once(tmp_path):
+    text = proposal(run(folder=tmp_path).source, [JUMPS, replace(JUMPS, name="channel_frozen")], tmp_path / "run.yaml",
+                    ReadSettings())
+    assert yaml.safe_load(text)["leave_out"] == [[1.0, 1.5], [3.0, 3.25]]
 
 
 def test_what_was_corrected_before_is_corrected_further():

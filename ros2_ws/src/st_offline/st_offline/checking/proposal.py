@@ -16,6 +16,7 @@ from ..runs.errors import printable
 from ..runs.sources import RUN_FILE, RUN_SUFFIX
 from . import words
 
+OF_A_CSV = {"columns", "units"}
 KINDS = {"csv": "csv", "bag": "bag", "ncom": "ins"}
 HEAD = "# Proposed by st check. What it corrects is said by every verb that reads it.\n"
 
@@ -36,10 +37,13 @@ def proposal(source: RunSource, findings: Sequence[Finding], file: Path, read: R
     cures: dict[str, Any] = {}
     lines = [HEAD]
     for one in findings:
-        taken = one.cure is not None and one.cure.kind == "run.yaml" and merge(cures, one.cure.entry)
+        wanted = one.cure is not None and one.cure.kind == "run.yaml"
+        readable = wanted and (source.kind == "csv" or not OF_A_CSV & one.cure.entry.keys())
+        taken = readable and merge(cures, one.cure.entry)
         lines.append(f"# {one.severity.value}: {one.name}: {printable(one.text)}\n")
         if one.cure is not None and not taken:
-            reason = "not taken, a graver finding asks for another value: " if one.cure.kind == "run.yaml" else ""
+            reason = ("" if not wanted else "not taken, a graver finding asks for another value: " if readable else
+                      "not taken, a csv only has columns and units: ")
             lines.append(f"#   {reason}{printable(words.cure(one.cure))}\n")
     if read.steering_sign != 1 or read.steering_latency:
         lines.append(f"# it was read with --steering-sign {read.steering_sign} --steering-latency "
@@ -97,7 +101,8 @@ def _add(cures: dict[str, Any], entry: Mapping[str, Any]) -> None:
         if isinstance(value, Mapping):
             _add(cures.setdefault(key, {}), value)
         else:
-            cures[key] = [*cures.get(key, ()), *value] if isinstance(value, list) else value
+            before = cures.get(key, [])
+            cures[key] = [*before, *(one for one in value if one not in before)] if isinstance(value, list) else value
 
 
 def _files(source: RunSource, file: Path) -> dict[str, Any]:
