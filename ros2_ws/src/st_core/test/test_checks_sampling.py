@@ -125,6 +125,17 @@ def test_rows_without_a_value(log, rows, severity):
     assert one.value == pytest.approx(rows / (len(log.x) + rows))
 
 
+@pytest.mark.parametrize(("channel", "share"), [("road_wheel_angle", 0.5), ("yaw_rate", 0.5), ("acceleration_x", 1.0)])
+def test_the_share_is_of_the_rows_there_were(log, channel, share):
+    count = len(log.steering_time_ns if channel == "road_wheel_angle" else log.x)
+    assert found(log, extras=Extras(missing={channel: count}))["values_missing"].value == pytest.approx(share)
+
+
+def test_positions_held_at_a_lower_rate_do_not_jump(log):
+    rows = np.arange(len(log.x)) // 10 * 10
+    assert list(found(replace(log, x=log.x[rows], y=log.y[rows]))) == ["samples_repeated"]
+
+
 @pytest.mark.parametrize(("size", "end", "stretches"), [
     (0.3, 20.0, [12.205, 12.485, 19.855, 20.135]), (2.0, 20.0, [12.205, 12.485, 19.855, 20.135]),
     (5.0, 12.40, [12.205, 12.535])])  # to and fro within a moment: what is between is wrong too

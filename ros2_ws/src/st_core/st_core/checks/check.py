@@ -45,8 +45,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
     motion, coarse = gross(sampling.unfrozen(motion, stuck))
     coarse = [unit, *coarse] if unit else coarse
     told += stuck + sampling.rounded(motion, stuck)
-    motion, stepping = steps(motion)
-    told += stepping
+    if not any(one.name == "samples_repeated" and {"x", "y"} & set(one.channels) for one in stuck):
+        motion, stepping = steps(motion)  # held positions step by nature
+        told += stepping
     before = _factors(coarse)
     motion, fine, estimates, identities = _sensors(motion, before, extras, int(log.ins_time_ns[0]), seed)
     told += _once(coarse, fine, estimates)

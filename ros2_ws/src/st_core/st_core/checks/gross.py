@@ -85,10 +85,11 @@ def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
 
 
 def _both_turns(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Yaw and yaw rate in one and the same unit: the course tells. Here the rate is mended, next the yaw."""
+    """Yaw, of either sense, and yaw rate in one and the same unit: the course tells. Here the rate is mended, next the
+    yaw."""
     r = ratios(motion)
-    if (_angle(r.rate_course) in ANGLES and near(r.yaw_rate, 1.0, LIMITS.unit)
-            and near(r.yaw_course, r.rate_course, LIMITS.unit)):
+    if (_angle(r.rate_course) in ANGLES and near(abs(r.yaw_rate), 1.0, LIMITS.unit)
+            and near(abs(r.yaw_course), abs(r.rate_course), LIMITS.unit)):
         return _yaw_rate(motion, r.rate_course, "the course of the positions")
     return motion, None
 

@@ -11,6 +11,7 @@ from .motion import LONGEST_GAP, Motion
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
+STEERING = ("road_wheel_angle", "steering_wheel_angle")
 HELD = 0.7  # share of the changes that come at the same interval in a channel held at a lower rate
 FEW = 0.01  # share of rows below which a fault of single rows is a note
 MISSED = 0.05  # share of the time lost in gaps from which on whole conditions may be missing
@@ -74,7 +75,9 @@ def timing(motion: Motion, extras: Extras) -> list[Finding]:
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
         told += _gaps(signal, time)
     for channel, count in extras.missing.items():
-        share = count / max(len(motion.time) + count, 1)
+        # Samples without an acceleration were kept, those without another channel were not.
+        left = len(motion.steering_time if channel in STEERING else motion.time)
+        share = count / max(left if channel.startswith("acceleration") else left + count, 1)
         if count:
             severity = Severity.WARNING if share > FEW else Severity.NOTE
             told.append(Finding("values_missing", severity, (channel,), f"{channel}: {count} rows hold no usable value "
