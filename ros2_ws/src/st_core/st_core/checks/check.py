@@ -19,7 +19,6 @@ from .regression import Estimate, held
 from .steps import steps
 
 SHORTEST = 50  # INS samples; less than a few seconds says nothing but how they were stamped
-FAR_BETTER = 0.7  # part of the misfit of positions that may be left
 ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 
 
@@ -49,6 +48,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
         motion, stepping = steps(motion)  # held positions step by nature
         told += stepping
     before = _factors(coarse)
+    united = motion
     motion, fine, estimates, identities = _sensors(motion, before, extras, int(log.ins_time_ns[0]), seed)
     told += _once(coarse, fine, estimates)
     if vehicle is not None:
@@ -59,7 +59,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
             estimates |= more
             identities += [shown] if shown else []
         told += with_car.believable(motion)
-    told += with_car.standstill(motion)
+    told += with_car.standstill(motion.with_(velocity_x=united.velocity_x) if any(
+        one.name == "yaw_rate_bias" for one in fine) else united)
     return Checked(_ordered(told), known, tuple(identities),
                    {name: (one.value, *one.interval) for name, one in estimates.items()})
 
@@ -70,13 +71,13 @@ def _ordered(told: list[Finding]) -> tuple[Finding, ...]:
 
 
 def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
-    """Where yaw lags or leads the yaw rate: is it the yaw? Then positions say so too. A yaw that leads is rare: what
-    else positions suffer from must not pass for it."""
-    if found is None or not found.lag.sure or abs(found.lag.value) < LIMITS.lag:
+    """Where yaw lags or leads the yaw rate: is it the yaw? Then positions say so too."""
+    if found is None or not found.lag.sure or abs(found.lag.value) < LIMITS.lag or (
+            abs(found.correlation) < inertial.GYRO_CORRELATION):
         return motion, []
     late = held("yaw_lag", found.lag.scaled(-1.0))
     earlier = motion.with_(yaw=np.interp(motion.time + late.value, motion.time, motion.yaw))
-    if not position.misfit(earlier) < (1.0 if late.value > 0.0 else FAR_BETTER) * position.misfit(motion):
+    if not position.say_yaw_is_late(motion, earlier, late.value):
         return motion, []
     effect = abs(late.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
     grave = Severity.WARNING if abs(late.value) >= LIMITS.grave_lag else Severity.NOTE

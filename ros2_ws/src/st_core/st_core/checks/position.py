@@ -24,6 +24,7 @@ from .regression import Estimate, Regression, held, matters
 WINDOW = 1.0  # s
 LEAST = 10  # windows
 ROUNDS = 3
+MOST, NEARLY_ALL = 0.5, 0.25  # what may be left; a yaw that leads is rare
 CLEARLY = 1.1  # factor of loss by which the scale of one axis must explain more than that of the velocity
 LEAST_ACROSS = 0.02  # m/s root mean square of velocity_y
 SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
@@ -88,6 +89,19 @@ def misfit(motion: Motion) -> float:
     """Median distance over a second between positions and what velocity and yaw say [m], scales of the map aside."""
     problem = regression(motion, 0)
     return problem.fit(("x_scale", "y_scale"))[1] if len(problem.time) >= LEAST else np.inf
+
+
+def say_yaw_is_late(motion: Motion, earlier: Motion, late: float) -> bool:
+    """Whether positions say that yaw is `late` [s] rather than that they are late themselves; earlier: that mended.
+
+    At one speed both fit; then it is the yaw if mending it takes most of the lag of the positions away.
+    """
+    fits = [regression(one, 0) for one in (motion, earlier)]
+    if len(fits[0].time) < LEAST:
+        return False
+    (theta, scale, _), (mended, rest, _) = (one.fit(("x_scale", "y_scale", "position_lag")) for one in fits)
+    taken = abs(mended["position_lag"]) < (MOST if late > 0.0 else NEARLY_ALL) * abs(theta["position_lag"])
+    return CLEARLY**2 * rest < scale or (taken and rest < CLEARLY * scale)
 
 
 def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:

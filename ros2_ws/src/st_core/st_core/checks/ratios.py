@@ -52,12 +52,15 @@ def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
     """Robust slope of top over bottom, beside a small constant: a bias of the yaw rate is none of its scale."""
     if len(top) < LEAST_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < LEAST_TURN:
         return float("nan")
+    less, more = sorted((top, bottom), key=lambda turns: float(np.percentile(np.abs(turns), 95)))
+    if float(np.percentile(np.abs(less), 95)) < LEAST_TURN and float(np.std(more)) < 0.5 * abs(float(np.mean(more))):
+        return float("nan")  # one hardly turns, the other is a bias
     weights, slope = np.ones(len(top)), float("nan")
     # The constant is held by as much as windows that turn by LEAST_TURN would: a circle says nothing about it.
     held = (len(top) * LEAST_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
     for _ in range(8):
         rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + held]])
-        slope, constant = np.linalg.solve(rows + 1e-300, [weights @ (bottom * top), weights @ top])
+        slope, constant = np.linalg.lstsq(rows, [weights @ (bottom * top), weights @ top])[0]
         rest = np.abs(top - slope * bottom - constant)
         weights = 1.0 / np.maximum(1.0, rest / (3.0 * max(float(np.median(rest)), 1e-12)))
     return _moving(float(slope))
