@@ -48,7 +48,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
         motion, stepping = steps(motion)  # held positions step by nature
         told += stepping
     before = _factors(coarse)
-    united = motion
+    speed = motion.velocity_x
     motion, fine, estimates, identities = _sensors(motion, before, extras, int(log.ins_time_ns[0]), seed)
     told += _once(coarse, fine, estimates)
     if vehicle is not None:
@@ -59,8 +59,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
             estimates |= more
             identities += [shown] if shown else []
         told += with_car.believable(motion)
-    told += with_car.standstill(motion.with_(velocity_x=united.velocity_x) if any(
-        one.name == "yaw_rate_bias" for one in fine) else united)
+    told += with_car.standstill(motion.with_(velocity_x=speed))
     return Checked(_ordered(told), known, tuple(identities),
                    {name: (one.value, *one.interval) for name, one in estimates.items()})
 
