@@ -81,6 +81,8 @@ def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str
         # A large cause casts shadows on the others, which are gone in the next round.
         found = {name: one for name, one in _refined(problem, found, least).items() if matters(one, least[name])}
         mended = _mended(motion, found)
+        if not found:
+            break
     told = [_finding(name, one, problem) for name, one in found.items() if _is_wrong(name, _shown(name, one))]
     return mended, told, _all(regression(mended, seed), found)
 
