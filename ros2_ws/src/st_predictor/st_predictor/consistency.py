@@ -64,23 +64,26 @@ class Consistency:
                 self.verdict = _waiting(0.0)
             return False
         self._judged_ns, self._at = newest, now
-        log = recent(history)
+        try:
+            self._judge(recent(history), now)
+        except Exception as error:  # whatever it is, predictions are scored on
+            self.verdict = Verdict("warning", f"could not be judged: {type(error).__name__}: {error}")
+        return True
+
+    def _judge(self, log: DriveLog | float, now: float) -> None:
+        before, self._found = self._found, frozenset()
         if isinstance(log, float):
-            self.verdict, self._found = _waiting(log), frozenset()
-            return True
+            self.verdict = _waiting(log)
+            return
         from st_core.checks import check  # loads scipy: a second and 70 MB that a start need not wait for
 
         begin = time.thread_time()
-        try:
-            findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_LIVE]
-            self.verdict = _verdict(findings, self._found, log.duration)
-            self._found = frozenset(one.name for one in findings if one.severity != "note")
-        except Exception as error:  # whatever it is, predictions are scored on
-            self.verdict = Verdict("warning", f"could not be judged: {type(error).__name__}: {error}")
+        findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_LIVE]
+        self._found = frozenset(one.name for one in findings if one.severity != "note")
+        self.verdict = _verdict(findings, before, log.duration)
         took = time.thread_time() - begin
         self.seconds += took
         self._not_before = now + took / self._share
-        return True
 
 
 def recent(history: MeasurementHistory) -> DriveLog | float:
