@@ -181,7 +181,8 @@ def test_a_measuring_point_elsewhere_is_cured_in_the_vehicle_file(log, leaf, ahe
 
 @pytest.mark.parametrize(("first", "second"), [
     (times(1.05, "yaw_rate"), plus(0.05, "yaw_rate")), (times(DEGREE, "yaw_rate"), delayed(0.3, "yaw_rate")),
-    (times(DEGREE, "yaw"), times(DEGREE, "yaw_rate")), (compass(DEGREE), times(DEGREE, "yaw_rate")), (times(1.01 * 3.28084, *POSITION), plus(0.05, "yaw")),
+    (times(DEGREE, "yaw"), times(DEGREE, "yaw_rate")), (compass(DEGREE), times(DEGREE, "yaw_rate")),
+    (times(1.01 * 3.28084, *POSITION), plus(0.05, "yaw")),
     (plus(0.02, "yaw"), delayed(0.1, *POSITION)), (steered(-1.0), times(-1.0, "acceleration_y")),
 ])
 def test_two_faults_are_two_findings_and_their_cures_go_together(log, leaf, first, second):

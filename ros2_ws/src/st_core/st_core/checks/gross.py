@@ -7,6 +7,7 @@ of position, integrated velocity). Who of three stands alone is wrong:
     position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times too fast
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -21,17 +22,16 @@ LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; share of the way by which
 ALONG = 0.1  # of the way, and of what yaw leaves: velocities that miss positions by less are those of the map
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
 ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
-SPEEDS = {3.6: ("km/h", "km/h"), 2.23694: ("mph", "mph"), 1.94384: ("knots", "kn")}
-LENGTHS = {1000.0: ("millimetres", "mm"), 100.0: ("centimetres", "cm"), 3.28084: ("feet", "ft"),
-           0.001: ("kilometres", "km")}
+SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
+LENGTHS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
 FARTHEST = 1e-4  # below it positions are angles: a degree of the earth is 111 km
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
 SMALLEST_WRAP = 0.01  # rad; 360 degrees are 1.86 degrees more than a whole number of 2 pi
 
 
-def unit_of(factor: float, table: dict[float, tuple[str, str]]) -> tuple[float, tuple[str, str]] | None:
-    """The entry of a table of units that a factor is, to 6 %."""
-    return next(((known, words) for known, words in table.items() if near(factor, known, 1.06)), None)
+def unit_of(factor: float, table: Mapping[float, Any]) -> float | None:
+    """The factor of a table of units that this one is, to 6 %."""
+    return next((known for known in table if near(factor, known, 1.06)), None)
 
 
 def gross(motion: Motion) -> tuple[Motion, list[Finding]]:
@@ -76,9 +76,10 @@ def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
     # One ratio alone may as well be the velocity's unit; then only a unit of time is believed.
     if not unit and (len(both) < 2 or 1 / 10 < factor < 10):
         return motion, None
-    factor, words = (unit[0], f": {unit[1][0]}?") if unit else (factor, "")
-    cure = (Cure("run.yaml", f"units: {{t: {unit[1][1]}}}", {"units": {"t": unit[1][1]}}) if unit else
-            Cure("look", "look at the clock that stamps the rows"))
+    words, cure = "", Cure("look", "look at the clock that stamps the rows")
+    if unit:
+        factor, (name, symbol) = unit, TIMES[unit]
+        words, cure = f": {name}?", Cure("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
     text = f"time runs {factor:g} times too fast for positions and yaw{words}"
     mended = motion.with_(time=motion.time / factor, steering_time=motion.steering_time / factor)
     return mended, _error("time_unit", ("time",), text, factor, cure)
@@ -197,18 +198,17 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
         return motion, None
     speed, length = unit_of(1.0 / r.way, SPEEDS), unit_of(r.way, LENGTHS)
     if length and not speed:
-        factor, (name, _) = length
-        text = f"x and y are {r.way:.4g} times what velocity says: {name}?"
-        entry = {"correct": {"position": {"scale": 1.0 / factor}}}
+        text = f"x and y are {r.way:.4g} times what velocity says: {LENGTHS[length]}?"
+        entry = {"correct": {"position": {"scale": 1.0 / length}}}
         finding = _error("position_scale", ("x", "y"), text, r.way,
-                         Cure("run.yaml", f"correct: {{position: {{scale: {1.0 / factor:.6g}}}}}", entry))
-        return motion.with_(x=motion.x / factor, y=motion.y / factor), finding
+                         Cure("run.yaml", f"correct: {{position: {{scale: {1.0 / length:.6g}}}}}", entry))
+        return motion.with_(x=motion.x / length, y=motion.y / length), finding
     if not speed and r.way < FARTHEST:
         text = f"x and y are {r.way:.3g} times what velocity says: latitude and longitude? They are wanted in m"
         return motion.with_(x=motion.x / r.way, y=motion.y / r.way), _error(
             "position_scale", ("x", "y"), text, r.way, Cure("look", "project latitude and longitude to east and north"))
-    factor = speed[0] if speed else 1.0 / r.way
-    unit = f": {speed[1][0]}?" if speed else ""
+    factor = speed or 1.0 / r.way
+    unit = f": {SPEEDS[speed]}?" if speed else ""
     both = motion.with_(velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
     forward = motion.with_(velocity_x=motion.velocity_x / factor)
     alone = _misfit(forward) < 0.8 * _misfit(both)

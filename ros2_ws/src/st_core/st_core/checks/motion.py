@@ -76,12 +76,11 @@ def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Pairs of samples about `length` [s] apart, end to end, without a gap between: first, last are their indices."""
+    """Pairs of samples end to end, without a gap between: first, last are their indices, time that of the first [s]."""
 
     first: np.ndarray
     last: np.ndarray
     time: np.ndarray
-    length: float
 
     def change(self, values: np.ndarray) -> np.ndarray:
         return values[self.last] - values[self.first]
@@ -98,14 +97,14 @@ def windows(time: np.ndarray, length: float, longest_gap: float = LONGEST_GAP) -
     """Windows of `length` [s] over the stretches without a gap."""
     if len(time) < 2:
         empty = np.zeros(0, np.int64)
-        return Windows(empty, empty, np.zeros(0), length)
+        return Windows(empty, empty, np.zeros(0))
     # The first sample of each; by the samples, not by the seconds: a gap may be of years.
     places = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
     first, last = places[:-1], places[1:]
     gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
     whole = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
     first, last = first[whole], last[whole]
-    return Windows(first, last, time[first], length)
+    return Windows(first, last, time[first])
 
 
 def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
