@@ -15,6 +15,8 @@ CHANNELS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "accelerati
 @pytest.fixture(scope="module")
 def log(leaf):
     return replace(exact_drive(leaf), steering_wheel_angle=None)
+# Paths can be predicted and scored without a lateral velocity and without accelerometers.
+SPARED = ("velocity_y", "acceleration_x", "acceleration_y")
 
 
 def stopped(log, *names, at=0.0):
@@ -25,14 +27,15 @@ def stopped(log, *names, at=0.0):
 @pytest.mark.parametrize("name", CHANNELS)
 def test_one_channel_stands_still(log, leaf, name, at):
     found, = (one for one in check(stopped(log, name, at=at), leaf).findings if one.name == "channel_frozen")
-    assert found.severity is Severity.ERROR and found.channels == (name,)
+    assert found.severity is (Severity.WARNING if name in SPARED else Severity.ERROR) and found.channels == (name,)
     # Leaving out all of the drive is no cure.
     assert found.cure.kind == "look"
 
 
 @pytest.mark.parametrize("names", list(combinations(CHANNELS, 2)), ids=" and ".join)
 def test_two_channels_stand_still(log, leaf, names):
-    assert any(one.severity is Severity.ERROR for one in check(stopped(log, *names), leaf).findings)
+    errors = [one for one in check(stopped(log, *names), leaf).findings if one.severity is Severity.ERROR]
+    assert bool(errors) is not set(names) <= set(SPARED)
 
 
 def test_what_is_wrong_with_the_stamps_of_a_few_samples_is_told(log, leaf):

@@ -1,5 +1,6 @@
 """One channel against the same quantity from others: scale, bias and lag become findings."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -15,7 +16,7 @@ from .regression import Estimate, held
 class Expected:
     """What of a channel is worth a word.
 
-    against: what it is compared with, in words. unit: of the channel. digits: of its bias. lag [s], bias [unit]: least
+    against: what it is compared with, in words. unit: of the channel.  lag [s], bias [unit]: least
     that is told; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it
     does to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of
     error [m]. correlation: below which the two are not compared.
@@ -33,7 +34,6 @@ class Expected:
     reach: float = 0.0
     least_spread: float = 0.0
     correlation: float = LIMITS.correlation
-    digits: int = 2
     factors: Mapping[float, str] = field(default_factory=dict)
 
     @property
@@ -52,33 +52,35 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     if factor is not None:
         told.append(_gross(scale, factor, expected))
     elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).sure:
-        text = f"{name} is {in_words(scale, 3)} times what {expected.say}"
+        text = f"{name} is {in_words(scale)} times what {expected.say}"
         told.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
                              {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
     # A scale that is told is divided out before the bias is taken off.
     size, divided = abs(scale.value), scale.value if told else 1.0
     if lag.sure and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread:
         rate = float(np.std(np.gradient(found.derived, found.time)))
-        text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag, 3)} s"
+        text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag)} s"
         told.append(_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
                              abs(lag.value) >= expected.grave[0]))
     if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
         side = "high" if bias.value > 0.0 else "low"
         unit = expected.unit.replace("^2", "²")
-        text = f"{name} is {size_of(bias, expected.digits)} {unit} too {side} against {expected.against}"
+        text = f"{name} is {size_of(bias)} {unit} too {side} against {expected.against}"
         told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
                              {"add": -bias.value / divided}, abs(bias.value) / size >= expected.grave[2]))
     return told, {f"{name}_lag": lag, f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
 
 
-def in_words(one: Estimate, digits: int) -> str:
-    """value ± half of the 95 % interval."""
-    return f"{one.value:.{digits}f} ± {0.5 * (one.interval[1] - one.interval[0]):.{digits}f}"
+def in_words(one: Estimate) -> str:
+    """value ± half of the 95 % interval, to two digits of that."""
+    half = 0.5 * (one.interval[1] - one.interval[0])
+    digits = min(max(1 - math.floor(math.log10(half)), 0), 6) if half > 0.0 else 3
+    return f"{one.value:.{digits}f} ± {half:.{digits}f}"
 
 
-def size_of(one: Estimate, digits: int) -> str:
+def size_of(one: Estimate) -> str:
     """As in_words, without the sign."""
-    return in_words(one, digits).removeprefix("-")
+    return in_words(one).removeprefix("-")
 
 
 def _factor(scale: float, expected: Expected) -> float | None:
@@ -93,7 +95,7 @@ def _factor(scale: float, expected: Expected) -> float | None:
 def _gross(scale: Estimate, factor: float, expected: Expected) -> Finding:
     other_way = "it counts the other way" if factor < 0.0 else ""
     reason = " and ".join(filter(None, (expected.factors.get(abs(factor), ""), other_way)))
-    text = (f"{expected.channel} is {in_words(scale, 3)} times what {expected.say}"
+    text = (f"{expected.channel} is {in_words(scale)} times what {expected.say}"
             + (f": {reason}?" if reason else ""))
     exact = float(f"{1.0 / factor:.6g}")
     return Finding(f"{expected.channel}_scale", Severity.WARNING, (expected.channel,), text, scale.value, "1",

@@ -53,8 +53,11 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
     told += _once(coarse, fine, estimates)
     if vehicle is not None:
         hand_wheel = log.steering_wheel_angle is not None
-        for found, more, shown in (with_car.steering(motion, vehicle, hand_wheel, seed),
-                                   with_car.rear_axle(motion, vehicle, seed)):
+        frozen = {channel for one in stuck if one.name == "channel_frozen" for channel in one.channels}
+        comparisons = [with_car.steering(motion, vehicle, hand_wheel, seed)]
+        if not frozen & {"velocity_y", "yaw_rate"}:  # what stands still says nothing of where the INS sits
+            comparisons.append(with_car.rear_axle(motion, vehicle, seed))
+        for found, more, shown in comparisons:
             told += found
             estimates |= more
             identities += [shown] if shown else []
@@ -83,7 +86,7 @@ def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Fin
     severity = max(LIMITS.severity(effect), grave, key=ORDER[::-1].index)
     value = float(f"{late.value:.4g}")
     cure = Cure("run.yaml", f"correct: {{yaw: {{earlier: {value:g}}}}}", {"correct": {"yaw": {"earlier": value}}})
-    text = f"yaw {'lags' if value > 0.0 else 'leads'} yaw rate and positions by {size_of(late, 3)} s"
+    text = f"yaw {'lags' if value > 0.0 else 'leads'} yaw rate and positions by {size_of(late)} s"
     return earlier, [Finding("yaw_lag", severity, ("yaw",), text, late.value, "s", late.interval, (), effect, cure)]
 
 

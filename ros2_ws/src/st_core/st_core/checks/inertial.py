@@ -39,7 +39,7 @@ def yaw_rate(motion: Motion, seed: int) -> tuple[Agreement | None, Expected]:
     reach = LIMITS.settling * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, seed, True)
     return found, Expected("yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE, GYRO_BIAS,
-                           (LIMITS.grave_lag, 0.03, 0.01), reach, correlation=GYRO_CORRELATION, digits=4)
+                           (LIMITS.grave_lag, 0.03, 0.01), reach, correlation=GYRO_CORRELATION)
 
 
 def mended_yaw_rate(motion: Motion, found: Agreement) -> Motion:

@@ -17,6 +17,7 @@ FEW = 0.01  # share of rows below which a fault of single rows is a note
 MISSED = 0.05  # share of the time lost in gaps from which on whole conditions may be missing
 FROZEN = 1.5  # s without any change; quieter channels are given ten times their own usual pause
 EXCUSED = 10.0
+SPARED = ("velocity_y", "acceleration_x", "acceleration_y")  # many recordings have none; paths can be scored without
 WORST_GYRO = 0.02  # rad/s of bias that must not make a yaw look frozen
 
 
@@ -169,10 +170,11 @@ def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion, step: 
     seconds = float(lasted[bad].sum())
     where = tuple((float(time[first[k]]), float(time[last[k]])) for k in bad)
     text = f"{name} stands still for {seconds:.1f} s while the car moves"
-    severity = Severity.ERROR if seconds > 0.5 * (time[-1] - time[0]) else Severity.WARNING
+    throughout = seconds > 0.5 * float(time[-1] - time[0])
+    severity = Severity.ERROR if throughout and name not in SPARED else Severity.WARNING
     ins = name != "road_wheel_angle"
     stretches = [[round(a, 2), round(b, 2)] for a, b in where]
-    cure = (Cure("look", f"nothing can be made of it: record {name}") if severity is Severity.ERROR else
+    cure = (Cure("look", f"nothing can be made of it: record {name}") if throughout else
             Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches}) if ins else
             Cure("look", "look at the steering sensor: its frames stand still there"))
     return [Finding("channel_frozen", severity, (name,), text, seconds, "s", None, where, None, cure)]

@@ -17,6 +17,7 @@ from .motion import LONGEST_GAP, MOVING, Motion, integral
 from .sampling import resolution
 
 SIGMAS = 6.0  # robust standard deviations from which on a step is none of the noise
+LEAST_NOISE = 0.05  # m; RTK positions have 2 cm, and those of an INS far less from sample to sample
 SMALLEST_JUMP = 0.2  # m; what 10 ms are at 20 m/s
 MOST_JUMPS = 50  # that are listed one by one
 ASIDE = 0.5 * LONGEST_GAP + 0.01  # s to both sides that make a gap, rounded to 10 ms
@@ -36,7 +37,7 @@ def steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     if jitter:
         return motion.with_(time=_even(motion.time)), jitter
     stale, told = _stale(motion, rest, along, rounding)
-    return motion, told + _jumps(motion, rest, stale, rounding)
+    return motion, told + _jumps(motion, rest, stale, rounding) + (_noise(motion, rest) if rounding == 0.0 else [])
 
 
 def _even(time: np.ndarray) -> np.ndarray:
@@ -124,6 +125,19 @@ def _without(where: Sequence[tuple[float, float]]) -> Cure:
         else:
             stretches.append([begin, end])
     return Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches})
+
+
+def _noise(motion: Motion, rest: np.ndarray) -> list[Finding]:
+    """White noise of positions: the size of d_k is Rayleigh distributed about sigma sqrt(2), its median 1.665 sigma."""
+    within = np.diff(motion.time) <= LONGEST_GAP
+    if within.sum() < 50:
+        return []
+    sigma = float(np.median(np.abs(rest[within]))) / 1.665
+    if sigma < LEAST_NOISE:
+        return []
+    text = f"positions are noisy: {sigma:.2f} m of standard deviation from one sample to the next"
+    return [Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m", effect=sigma,
+                    cure=Cure("look", "record with RTK, or take the positions of the INS, not those of the receiver"))]
 
 
 def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:

@@ -115,7 +115,7 @@ def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParame
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
     effect = _sideways(missed / HORIZON * 2.0, speed, vehicle)
     verb = "lags" if late.value > 0.0 else "leads"
-    text = f"the steering {verb} the car's motion by {size_of(late, 3)} s, the car's own response allowed for"
+    text = f"the steering {verb} the car's motion by {size_of(late)} s, the car's own response allowed for"
     value = float(f"{late.value:.3g}")
     return Finding("steering_lag", _at_most_warning(effect), ("road_wheel_angle",), text, late.value, "s",
                    late.interval, (), effect, Cure(
@@ -128,7 +128,7 @@ def _offset(found: Agreement, speed: float, vehicle: VehicleParameters, hand_whe
     one = held("steering_offset", found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias)
     if not one.sure or abs(one.value) < LIMITS.steering_offset:
         return None
-    text = (f"the road wheels read {size_of(one, 4)} rad ({abs(one.value) * DEGREE:.1f} deg) too far {side(one)} when "
+    text = (f"the road wheels read {size_of(one)} rad ({abs(one.value) * DEGREE:.1f} deg) too far {side(one)} when "
             "the car goes straight: the steering offset is wrong")
     effect = _sideways(one.value, speed, vehicle)
     # Once the sign is mended, where that is wrong too.
@@ -209,7 +209,7 @@ def _heading(one: Estimate, forward: np.ndarray) -> Finding | None:
     if not one.sure or abs(one.value) < LIMITS.heading:
         return None
     effect = abs(one.value) * float(np.median(forward)) * HORIZON
-    text = (f"the heading points {size_of(one, 4)} rad ({abs(one.value) * DEGREE:.2f} deg) to the {side(one)} of where "
+    text = (f"the heading points {size_of(one)} rad ({abs(one.value) * DEGREE:.2f} deg) to the {side(one)} of where "
             "the car goes when it goes straight: the INS is mounted askew, or the road is banked")
     value = float(f"{-one.value:.4g}")
     return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, one.value, "rad",
@@ -224,7 +224,7 @@ def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding
     turn = 2.0 * np.abs(np.sin(0.5 * over.change(motion.yaw))) if len(over) else np.zeros(1)
     effect = abs(one.value) * float(np.sqrt(np.square(turn).mean()))
     where = "ahead of" if one.value > 0 else "behind"
-    text = (f"the measuring point lies {size_of(one, 2)} m {where} the declared one (cg_to_ins_x "
+    text = (f"the measuring point lies {size_of(one)} m {where} the declared one (cg_to_ins_x "
             f"{vehicle.cg_to_ins_x:.2f} m)")
     value = vehicle.cg_to_ins_x + one.value
     return Finding("measuring_point", _at_most_warning(effect), ("velocity_y", "x", "y"), text, one.value, "m",

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from st_core.checks import Finding
+from st_core.checks import Finding, Severity
 from st_core.corrections import Correction
 
 from ..output import OutputError
@@ -32,12 +32,13 @@ def check_name(file: Path) -> None:
 def proposal(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
     """Text of a run.yaml at `file`: the run as it was read, and the cures that belong there, each with its finding.
 
-    What else is to be done stands in comments. Paths are relative to the file.
+    What would cure a note, which is harmless, and what else is to be done stands in comments. Paths are relative to the
+    file.
     """
     cures: dict[str, Any] = {}
     lines = [HEAD]
     for one in findings:
-        wanted = one.cure is not None and one.cure.kind == "run.yaml"
+        wanted = one.cure is not None and one.cure.kind == "run.yaml" and one.severity is not Severity.NOTE
         readable = wanted and (source.kind == "csv" or not OF_A_CSV & one.cure.entry.keys())
         taken = readable and merge(cures, one.cure.entry)
         lines.append(f"# {one.severity.value}: {one.name}: {printable(one.text)}\n")
