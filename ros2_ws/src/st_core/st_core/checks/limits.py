@@ -1,4 +1,4 @@
-"""Every number a finding depends on, with its meaning and unit. None was chosen to pass a set of drives."""
+"""The numbers findings depend on, with meaning and unit; docs/checks.md says what becomes of each halved and doubled."""
 
 from dataclasses import dataclass
 
@@ -60,4 +60,5 @@ HOLDS = {
 }
 """To what an identity itself holds, half of a 95 % interval, in the finding's unit (scales: share of the value): what
 resampling cannot see, as filters, interpolation between samples, roll, and for the steering the car's own response.
-By finding, else by the last part of its name. It is added in quadrature (GUM: type B beside type A)."""
+By finding, else by the last part of its name. It is added in quadrature (GUM: type B beside type A). Set from what the
+estimates missed the known truth by on the development drives of bench/checks; the sealed drives had no part in it."""
