@@ -1,4 +1,4 @@
-"""The numbers findings depend on, with meaning and unit; docs/checks.md says what becomes of each halved and doubled."""
+"""The numbers findings depend on, with meaning and unit; docs/checks.md says what each does halved and doubled."""
 
 from dataclasses import dataclass
 

@@ -26,6 +26,7 @@ LEAST = 10  # windows
 ROUNDS = 3
 MOST, NEARLY_ALL = 0.5, 0.25  # what may be left; a yaw that leads is rare
 CLEARLY = 1.1  # factor of loss by which the scale of one axis must explain more than that of the velocity
+LEAST_GAIN = 0.01  # m in a second by which a sign must explain positions better: RTK noise makes 1 cm
 LEAST_ACROSS = 0.02  # m/s root mean square of velocity_y
 SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
 AXES = {"x_scale", "y_scale"}
@@ -121,7 +122,7 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
         # The lateral velocity is mostly distance times yaw rate: its wrong sign looks like a point twice that far away.
         if name != "position_reference" or not 0.75 * abs(twice) < theta[name] * np.sign(twice) < 1.33 * abs(twice):
             rivals.append(scale)
-    if not misfit(mirrored) < 0.8 * min(rivals):
+    if not misfit(mirrored) < min(0.8 * min(rivals), min(rivals) - LEAST_GAIN):
         return motion, []
     text = "velocity_y counts the other way (left is positive)"
     cure = Cure("run.yaml", "correct: {velocity_y: {scale: -1}}", {"correct": {"velocity_y": {"scale": -1.0}}})

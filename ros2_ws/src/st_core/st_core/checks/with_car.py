@@ -23,6 +23,7 @@ CUTOFF = 1.5  # Hz
 SLOW, GENTLE = 2.0, 4.0  # m/s from which, m/s^2 up to which an axle's slip is linear
 DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
+ONE_BEND = 0.9  # cosine between speed and yaw rate over the drive: 1 on a circle
 LEAST_ANGLE = 0.01  # rad, root mean square
 STOPPED = 1e-6  # of what curvature says; a steering that reads nothing has stopped, which is told elsewhere
 
@@ -167,6 +168,8 @@ def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int,
     if use.sum() < 30:
         return [], {}, None
     forward, across, rate = (c[use] for c in columns)
+    if abs(float(forward @ rate)) > ONE_BEND * float(np.linalg.norm(forward) * np.linalg.norm(rate)):
+        return [], {}, None  # heading, point and slip of the axle look alike
     problem = Regression(over.time[use], across[:, None], {
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None]}, seed)
     found = _rear_axle(problem, vehicle)
