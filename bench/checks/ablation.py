@@ -15,7 +15,7 @@ from .score import Drive, as_recorded, checked, score
 from .tables import table
 from .virtual import virtual_drive
 
-DRIVES = ("rfs_turn_b", "virtual_S6")
+DRIVES = ("virtual_S6",)
 SEED, SECONDS = 2000, 40.0
 """Of the healthy drives, one of each scenario."""
 

@@ -4,17 +4,14 @@ import math
 import time
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from st_core.alignment import MeasurementHistory
+from st_core.checks import Finding, check
 from st_core.filtering import NANOSECOND
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.timeseries import TimeSeries
 from st_core.vehicle import VehicleParameters
-
-if TYPE_CHECKING:
-    from st_core.checks import Finding
 
 MINUTE = 60.0  # s, the oldest that is looked at
 RECENT = 30.0  # s that are judged where the car moves all the time: a fault is told, and gone again, within that
@@ -75,8 +72,6 @@ class Consistency:
         if isinstance(log, float):
             self.verdict = _waiting(log)
             return
-        from st_core.checks import check  # loads scipy: a second and 70 MB that a start need not wait for
-
         begin = time.thread_time()
         findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_LIVE]
         self._found = frozenset(one.name for one in findings if one.severity != "note")
@@ -115,7 +110,7 @@ def _waiting(driven: float) -> Verdict:
                    "wanted")
 
 
-def _verdict(findings: "Sequence[Finding]", before: Set[str], seconds: float) -> Verdict:
+def _verdict(findings: Sequence[Finding], before: Set[str], seconds: float) -> Verdict:
     """findings: the gravest first. before: names of what was wrong at the check before."""
     values = {one.name: _value(one) for one in findings}
     wrong = [one for one in findings if one.severity != "note"]
@@ -126,7 +121,7 @@ def _verdict(findings: "Sequence[Finding]", before: Set[str], seconds: float) ->
     return Verdict("note" if findings else "", f"signals agree in the newest {seconds:.0f} s{new}", values)
 
 
-def _value(finding: "Finding") -> str:
+def _value(finding: Finding) -> str:
     if finding.value is None:
         return finding.severity.value
     spread = "" if finding.interval is None else f" ± {0.5 * (finding.interval[1] - finding.interval[0]):.2g}"
