@@ -1,4 +1,4 @@
-"""The numbers findings depend on, with meaning and unit; docs/checks.md says what each does halved and doubled."""
+"""The numbers findings depend on, with meaning and unit; `st bench checks --ablation` halves and doubles each."""
 
 from dataclasses import dataclass
 
