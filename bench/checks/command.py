@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--write", action="store_true", help="write the table of it into docs/checks.md")
     parser.add_argument("--healthy", type=int, metavar="SEEDS", help="drives of all scenarios without a fault instead")
     parser.add_argument("--seconds", type=float, default=35.0, help="of a healthy drive")
-    parser.add_argument("--speed", action="store_true", help="time of 1, 10 and 60 minutes instead")
+    parser.add_argument("--speed", action="store_true", help="time of 1, 10 and 30 minutes instead")
     parser.add_argument("--ablation", action="store_true", help="each limit at half and at twice its value instead")
     parser.add_argument("--real", action="store_true", help="what is said of every recorded drive instead")
     chosen = parser.parse_args(arguments)

@@ -6,17 +6,17 @@ from .score import checked
 from .tables import table
 from .virtual import virtual_drive
 
-MINUTES = (1, 10, 60)
+MINUTES = (1, 10, 30)
 REPEATS = 3
 
 
 def main() -> str:
     """Prints as it goes; the page's table."""
-    hour = virtual_drive("S6", 1, 60.0 * MINUTES[-1])
-    start = int(hour.log.ins_time_ns[0])
+    longest = virtual_drive("S6", 1, 60.0 * MINUTES[-1])
+    start = int(longest.log.ins_time_ns[0])
     rows = []
     for minutes in MINUTES:
-        recording = hour.between(start, start + round(minutes * 60e9))
+        recording = longest.between(start, start + round(minutes * 60e9))
         seconds = min(_timed(recording) for _ in range(REPEATS))
         rows.append((str(minutes), str(len(recording.log.x)), f"{seconds:.2f}", f"{seconds / minutes:.3f}"))
         print(*rows[-1], flush=True)
