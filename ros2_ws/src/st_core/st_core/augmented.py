@@ -73,6 +73,18 @@ class AugmentedModel(Model):
                 vehicle = effect.vehicle(vehicle, self._bare(effect))
         return vehicle
 
+    def folded(self, vehicle: VehicleParameters) -> tuple[VehicleParameters, "AugmentedModel"]:
+        """(the car with those effects in it that a vehicle file can hold, the model with the others).
+
+        Predicts the same from the same readings; where ratio or offset changed, with the road wheel angle made anew
+        (`DriveLog.with_steering`). Only the play of steering_backlash then counts at another angle: divide it by the
+        factor of steering_ratio. Raises ConfigurationError when that is no car.
+        """
+        for effect in self._active:
+            if effect.fold:
+                vehicle = effect.fold(vehicle, self._bare(effect))
+        return vehicle, _make(self.base, tuple(e for e in self.effects if not e.fold), self.values)
+
     def felt(self, state: tuple, w: tuple, p: Any) -> tuple:
         a_x, a_y = Model.felt(self, state, w, p)
         added = compose(self.base, self.effects).felt

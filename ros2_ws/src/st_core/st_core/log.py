@@ -1,6 +1,7 @@
 """One recorded drive, ready for evaluation and identification: INS and steering on one clock, SI, no gaps filled."""
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from .vehicle import VehicleParameters
 
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
 OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
+HALF_SLOPE = 0.025  # s to both sides: shorter is noise, longer takes more than 3 % of 2.5 Hz
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,16 @@ class DriveLog:
     def duration(self) -> float:
         """From the first to the last INS measurement [s]; 0 with fewer than two."""
         return (int(self.ins_time_ns[-1]) - int(self.ins_time_ns[0])) * 1e-9 if len(self.ins_time_ns) else 0.0
+
+    @cached_property
+    def yaw_acceleration(self) -> np.ndarray:
+        """Slope of the yaw rate over 2 HALF_SLOPE about each INS sample, without delay [rad/s^2]; 0 of a single one."""
+        seconds = (self.ins_time_ns - self.ins_time_ns[:1]) * 1e-9
+        low, high = np.maximum(seconds - HALF_SLOPE, 0.0), np.minimum(seconds + HALF_SLOPE, seconds[-1:])
+        if len(seconds) < 2:
+            return np.zeros(len(seconds))
+        before, after = (np.interp(t, seconds, self.yaw_rate) for t in (low, high))
+        return (after - before) / (high - low)
 
     @property
     def overlap(self) -> float:

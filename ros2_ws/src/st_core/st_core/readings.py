@@ -12,7 +12,7 @@ from . import frames
 from .augmented import AugmentedModel
 from .effects import Measured
 from .filtering import NANOSECOND
-from .log import DriveLog
+from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from .models import Model
 from .types import InsSample
 from .vehicle import VehicleParameters
@@ -26,7 +26,7 @@ def corrected_sample(model: Model, sample: InsSample) -> InsSample:
     """The sample as a faultless INS would have given it."""
     if not isinstance(model, AugmentedModel) or not model.has_sensors:
         return sample
-    true = model.correct(Measured(*sample[1:], 0.0, 0.0))
+    true = model.correct(Measured(*sample[1:], acceleration_x=0.0, acceleration_y=0.0))
     return InsSample(sample.time_ns, *true[:6])
 
 
@@ -103,17 +103,19 @@ def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> Driv
         return log
     parts: dict[str, Any] = {}
     if model.has_sensors:
-        parts |= {name: values for name, values in _corrected(model, log).items() if getattr(log, name) is not None}
+        true = _corrected(model, log)
+        parts |= {name: getattr(true, name) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
+                  if getattr(log, name) is not None}
     if model.has_memory:
         time_ns, angle = corrected_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
         parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}
     return replace(log, **parts) if parts else log
 
 
-def _corrected(model: AugmentedModel, log: DriveLog) -> dict[str, np.ndarray]:
+def _corrected(model: AugmentedModel, log: DriveLog) -> Measured:
     nothing = np.zeros(len(log.ins_time_ns))
     measured = Measured(*(nothing if getattr(log, n) is None else getattr(log, n) for n in Measured._fields))
-    return model.correct(measured)._asdict()
+    return model.correct(measured)
 
 
 def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
@@ -121,7 +123,8 @@ def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple |
     """What the INS shows while the car is in `states`: at the INS point, sensor effects included.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
-    w, p: the model's inputs there and its parameters, for the acceleration; it is NaN without them.
+    w, p: the model's inputs there and its parameters, for the accelerations; without them those are NaN, and that in
+    yaw is 0: a late yaw rate then shows as it is.
 
         a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.felt`
 
@@ -132,10 +135,12 @@ def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple |
     x, y, velocity_x, velocity_y, yaw, yaw_rate = states[:6]
     x_ins, y_ins = frames.cg_to_ins_position(x, y, yaw, dx, dy)
     a_x = a_y = velocity_x * np.nan
+    yaw_acceleration = 0.0 * yaw_rate
     if w is not None:
         a_x, a_y = model.felt(states, w, p)
         yaw_acceleration = model.rhs(states, w, p)[5]
         a_x, a_y = (a_x - yaw_rate * yaw_rate * dx - yaw_acceleration * dy,
                     a_y + yaw_acceleration * dx - yaw_rate * yaw_rate * dy)
-    true = Measured(x_ins, y_ins, yaw, velocity_x - yaw_rate * dy, velocity_y + yaw_rate * dx, yaw_rate, a_x, a_y)
+    true = Measured(x_ins, y_ins, yaw, velocity_x - yaw_rate * dy, velocity_y + yaw_rate * dx, yaw_rate, a_x, a_y,
+                    yaw_acceleration)
     return model.observe(true) if isinstance(model, AugmentedModel) else true

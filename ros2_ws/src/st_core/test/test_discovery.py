@@ -281,6 +281,7 @@ class Flywheel(Effect):
     name = "flywheel"
     physics = "r_dot = r_dot - gain r v_y^2"
     excited_by = "turning with sideslip"
+    kind, slot = "physics", "body"
     parameters = (
         Parameter("gain", "s/m^2", null=0.0, initial=1.5, bounds=(-10.0, 10.0), meaning="damps", source="a guess"),
     )

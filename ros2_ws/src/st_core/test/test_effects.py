@@ -19,10 +19,11 @@ from st_core.types import ControlInput, InputSequence, VehicleState
 
 WANTED = {
     "combined_slip", "cg_position", "crosswind", "friction", "front_stiffness", "heading_misalignment",
-    "lateral_acceleration_bias", "lateral_load_transfer", "longitudinal_load_transfer", "mass", "rear_stiffness",
-    "road_bank", "roll_steer", "sensor_lever_arm", "speed_scale", "steered_drive_force", "steering_backlash",
-    "steering_compliance", "steering_delay", "steering_lag", "steering_offset", "steering_ratio", "tyre_relaxation",
-    "tyre_saturation", "tyre_slip", "yaw_inertia", "yaw_rate_bias", "yaw_rate_scale",
+    "lateral_acceleration_bias", "lateral_load_transfer", "longitudinal_load_transfer", "mass", "position_lag",
+    "rear_stiffness", "road_bank", "road_slope", "roll_steer", "sensor_lever_arm", "speed_scale", "steered_drive_force",
+    "steering_backlash", "steering_compliance", "steering_delay", "steering_lag", "steering_map", "steering_offset",
+    "steering_ratio", "tyre_relaxation", "tyre_saturation", "tyre_slip", "tyre_stiffness", "yaw_inertia",
+    "yaw_rate_bias", "yaw_rate_delay", "yaw_rate_scale",
 }
 CASES = [(base, name) for base in MODELS for name in applicable(base)]
 EVERY = pytest.mark.parametrize(("base", "name"), CASES)
@@ -65,7 +66,8 @@ def test_texts_and_parameters_are_complete(name):
     effect = EFFECTS[name]
     assert len(effect.physics) > 10 and len(effect.excited_by) > 10 and effect.__module__
     assert effect.applies_to <= ANY
-    assert set(effect.twins) <= set(EFFECTS) - {name}
+    assert set(effect.twins) | set(effect.members) <= set(EFFECTS) - {name}
+    assert effect.fold or not effect.kind == "vehicle parameters"
     for p in effect.parameters:
         assert p.unit and p.source and p.meaning
         assert p.bounds[0] <= p.null <= p.bounds[1] and p.bounds[0] <= p.initial <= p.bounds[1]

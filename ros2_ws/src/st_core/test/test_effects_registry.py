@@ -29,6 +29,7 @@ BANK_FROM_A_MAP = '''
         name = "{name}"
         physics = "a_y = -gain g sin(bank_angle)"
         excited_by = "a road whose bank is known"
+        kind, slot = "surroundings", "body"
         signals = ("bank_angle",)
         parameters = (
             Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="share", source="theory: 1"),
@@ -57,7 +58,8 @@ def write(folder, file, text):
 
 
 def define(**attributes):
-    body = {"name": "trial", "physics": "it does something", "excited_by": "driving of any kind", "parameters": (GAIN,),
+    body = {"name": "trial", "physics": "it does something", "excited_by": "driving of any kind", "kind": "physics",
+            "slot": "body", "parameters": (GAIN,),
             "inputs": staticmethod(lambda angle, acceleration, signals, theta: (angle, acceleration))}
     return type("Trial", (Effect,), {k: v for k, v in {**body, **attributes}.items() if v is not None})
 
@@ -73,6 +75,15 @@ def test_a_complete_effect_is_taken():
     ({"axle_force": staticmethod(len)}, "effect trial: unknown attribute axle_force, did you mean axle_forces?"),
     ({"acceleration": lambda at, given, theta: (0.0, 0.0, 0.0)}, "effect trial: acceleration must be a @staticmethod"),
     ({"physics": ""}, "effect trial: physics is not given"),
+    ({"kind": None}, "effect trial: kind is not given; it is one of sensors, vehicle parameters, physics, surroundings"),
+    ({"kind": "sensor"}, "effect trial: kind 'sensor' is none of sensors, vehicle parameters, physics, surroundings"),
+    ({"slot": None}, "effect trial: slot is not given; it is one of steering, front axle, .*, acceleration"),
+    ({"slot": "front"}, "effect trial: slot 'front' is none of steering"),
+    ({"needs": "yaw"}, "effect trial: needs must be a tuple of names"),
+    ({"needs": ("velocity_x",)}, "effect trial: needs must name some of velocity_y, yaw_rate, acceleration_y, yaw, pos"),
+    ({"members": ("friction",)}, "effect trial: members must name two other effects or more"),
+    ({"members": ("trial", "friction")}, "effect trial: members must name two other effects or more"),
+    ({"inputs": None, "fold": staticmethod(lambda vehicle, theta: vehicle)}, "it has no hook"),
     ({"parameters": ()}, "effect trial: no parameter that can be fitted"),
     ({"parameters": (GAIN, GAIN)}, "a name is taken twice"),
     ({"applies_to": frozenset(("bicycle",))}, "applies_to must name some of kinematic, linear, nonlinear"),

@@ -142,6 +142,7 @@ class TowHook(Effect):
     name = "tow_hook"
     physics = "r_dot = r_dot - gain r"
     excited_by = "turning"
+    kind, slot = "physics", "body"
     parameters = (
         Parameter("gain", "1/s", null=0.0, initial=0.5, bounds=(0.0, 5.0), meaning="damping", source="a test"),
     )

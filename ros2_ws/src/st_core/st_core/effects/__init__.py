@@ -5,9 +5,12 @@ import pkgutil
 
 from ._base import (
     ANY,
+    CHANNELS,
     DYNAMIC,
+    EFFECT_KINDS,
     EFFECTS,
     HOOKS,
+    SLOTS,
     Effect,
     Instant,
     Measured,
@@ -23,5 +26,5 @@ for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
     if not _module.startswith("_"):
         importlib.import_module(f"{__name__}.{_module}")
 
-__all__ = ["ANY", "DYNAMIC", "EFFECTS", "HOOKS", "Effect", "Instant", "Measured", "Parameter", "applicable",
-           "get_effect", "load_folder", "register", "source_file"]
+__all__ = ["ANY", "CHANNELS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "Effect", "Instant", "Measured",
+           "Parameter", "applicable", "get_effect", "load_folder", "register", "source_file"]

@@ -17,6 +17,12 @@ KINDS = ("kinematic", "linear", "nonlinear")
 DYNAMIC = frozenset(("linear", "nonlinear"))
 ANY = frozenset(KINDS)
 
+EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
+SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
+         "position", "velocity", "heading", "yaw rate", "acceleration")
+CHANNELS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
+"""Of a recording: what predictions are compared with."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -25,7 +31,8 @@ class Parameter:
     null: value at which nothing changes. initial: where a fit starts, a usual size of the effect. bounds: physical
     limits, inclusive. source: where initial and bounds come from. meaning: in a few words, sign included.
     odd: changes sign when left and right are exchanged. fit: False for a constant of the car that the effect needs and
-    a fit leaves alone; null is then its default.
+    a fit leaves alone; null is then its default. identity: the estimate of `st_core.checks.check` that measures it
+    without a fit to the car, same value, sign and unit; "" where there is none.
     Raises ConfigurationError when these contradict each other.
     """
 
@@ -38,6 +45,7 @@ class Parameter:
     meaning: str
     odd: bool = False
     fit: bool = True
+    identity: str = ""
 
     def __post_init__(self):
         low, high = self.bounds
@@ -81,7 +89,11 @@ class Instant(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Readings of the INS: map frame [m], yaw [rad], body axes at the INS point [m/s, m/s^2], yaw rate [rad/s]."""
+    """Readings of the INS: map frame [m], yaw [rad], body axes at the INS point [m/s, m/s^2], yaw rate [rad/s].
+
+    yaw_acceleration: derivative of that yaw rate [rad/s^2]; no reading, but what a late one differs by. 0 where it is
+    not known.
+    """
 
     x: Any
     y: Any
@@ -91,6 +103,7 @@ class Measured(NamedTuple):
     yaw_rate: Any
     acceleration_x: Any
     acceleration_y: Any
+    yaw_acceleration: Any = 0.0
 
 
 class Effect:
@@ -102,6 +115,8 @@ class Effect:
 
         constants(vehicle) -> numbers of the car the hooks need, a NamedTuple (or one float)
         vehicle(vehicle, theta) -> another VehicleParameters; once for a set of values, theta.car is not there yet
+        fold(vehicle, theta) -> the VehicleParameters that have the effect in them, exactly, where a vehicle file can
+            hold it; without it the same as `vehicle`
         steering(time, angle, begins, theta) -> (time [s], road wheel angle [rad]), changed; arrays of a
             whole recording, for effects with memory; begins: True where that is fresh, at the start and after each gap
         inputs(road_wheel_angle, velocity_x_dot, signals, theta) -> both, changed; once per instant
@@ -118,6 +133,8 @@ class Effect:
     name: unique. physics: the equation in a line, sign included. excited_by: driving that shows it. twins: effects it
     is hard to tell from. applies_to: kinds of model. lifts: (from, to) for an effect that turns one kind into another.
     extra_units: of the extra states, for those who export the model.
+    kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: those of CHANNELS without
+    any one of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
     order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
     car, steady circle, step, sweep and limit.
     """
@@ -125,8 +142,12 @@ class Effect:
     name: ClassVar[str]
     physics: ClassVar[str]
     excited_by: ClassVar[str]
+    kind: ClassVar[str]
+    slot: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
     twins: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[str, ...]] = ()
+    members: ClassVar[tuple[str, ...]] = ()
     applies_to: ClassVar[frozenset[str]] = DYNAMIC
     lifts: ClassVar[tuple[str, str] | None] = None
     signals: ClassVar[tuple[str, ...]] = ()
@@ -138,6 +159,7 @@ class Effect:
 
     constants: ClassVar[Callable | None] = None
     vehicle: ClassVar[Callable | None] = None
+    fold: ClassVar[Callable | None] = None
     steering: ClassVar[Callable | None] = None
     inputs: ClassVar[Callable | None] = None
     prepare: ClassVar[Callable | None] = None
@@ -152,6 +174,7 @@ class Effect:
 
 
 HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and name != "lifts")
+PASSIVE = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "felt")
 EFFECTS: dict[str, type[Effect]] = {}
 
@@ -173,6 +196,8 @@ def register(effect: type[Effect]) -> type[Effect]:
     theta = namedtuple("Theta", [p.name for p in effect.parameters] + ["car"], module=effect.__module__)
     theta.__qualname__ = f"{effect.__qualname__}.Theta"  # pickled by this path: compiled kernels are cached by type
     effect.Theta = theta
+    if effect.fold is None and effect.vehicle:
+        effect.fold = staticmethod(effect.vehicle)
     EFFECTS[name] = effect
     return effect
 
@@ -189,6 +214,18 @@ def _check(effect: type[Effect]) -> None:
     for key in ("physics", "excited_by"):
         if not str(getattr(effect, key, "")).strip():
             raise ConfigurationError(f"{key} is not given")
+    for key, known in (("kind", EFFECT_KINDS), ("slot", SLOTS)):
+        if not hasattr(effect, key):
+            raise ConfigurationError(f"{key} is not given; it is one of {', '.join(known)}")
+        if getattr(effect, key) not in known:
+            raise ConfigurationError(f"{key} {getattr(effect, key)!r} is none of {', '.join(known)}")
+    for key in ("twins", "needs", "members"):
+        if not isinstance(getattr(effect, key), tuple):
+            raise ConfigurationError(f"{key} must be a tuple of names, also of one: (\"name\",)")
+    if not set(effect.needs) <= set(CHANNELS):
+        raise ConfigurationError(f"needs must name some of {', '.join(CHANNELS)}")
+    if effect.members and (len(set(effect.members)) < 2 or effect.name in effect.members):
+        raise ConfigurationError("members must name two other effects or more")
     names = [p.name for p in getattr(effect, "parameters", ())]
     if not any(p.fit for p in getattr(effect, "parameters", ())):
         raise ConfigurationError("no parameter that can be fitted")
@@ -204,7 +241,7 @@ def _check(effect: type[Effect]) -> None:
         raise ConfigurationError("prepare and prepared, the names of what it returns, go together")
     if (effect.observe is None) != (effect.correct is None):
         raise ConfigurationError("observe and correct go together")
-    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook != "constants"):
+    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in PASSIVE):
         raise ConfigurationError("it has no hook, so it changes nothing")
 
 

@@ -10,6 +10,7 @@ class CgPosition(Effect):
     name = "cg_position"
     physics = "l_f = l_f - shift, l_r = l_r + shift"
     excited_by = "cornering with the sideslip measured, at two speeds"
+    kind, slot = "vehicle parameters", "body"
     twins = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")
     applies_to = ANY
     parameters = (

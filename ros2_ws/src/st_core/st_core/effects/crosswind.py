@@ -29,7 +29,8 @@ class Crosswind(Effect):
     name = "crosswind"
     physics = "side force rho/2 side_area abs(u) u_y at `arm` ahead of the CG, u the air relative to the car"
     excited_by = "straight driving in two directions; two speeds tell it from a steering offset"
-    twins = ("steering_offset", "road_bank", "lateral_acceleration_bias")
+    kind, slot = "surroundings", "body"
+    twins = ("steering_offset", "road_slope", "road_bank", "lateral_acceleration_bias")
     parameters = (
         Parameter("wind_x", "m/s", null=0.0, initial=1.0, bounds=(-30.0, 30.0), meaning="towards map x (east)",
                   source="gale 20 m/s"),

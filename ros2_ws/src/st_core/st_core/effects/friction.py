@@ -10,6 +10,7 @@ class Friction(Effect):
     name = "friction"
     physics = "peak force D = factor D on both axles, cornering stiffness unchanged"
     excited_by = "driving to the limit; nothing shows it below 0.5 g"
+    kind, slot = "vehicle parameters", "both axles"
     twins = ("lateral_load_transfer", "front_stiffness", "rear_stiffness")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameters = (

@@ -1,14 +1,16 @@
 """INS turned in the body: what it calls forward points to the left of the car's forward."""
 
 from ..ops import cos, sin
-from ._base import ANY, Effect, Measured, Parameter, register
+from ._base import ANY, Effect, Parameter, register
 
 
 def turned(m, yaw, angle):
     """Measured in axes turned by `angle` to the left, with that yaw."""
     c, s = cos(angle), sin(angle)
-    return Measured(m.x, m.y, yaw, c * m.velocity_x + s * m.velocity_y, c * m.velocity_y - s * m.velocity_x, m.yaw_rate,
-                    c * m.acceleration_x + s * m.acceleration_y, c * m.acceleration_y - s * m.acceleration_x)
+    return m._replace(yaw=yaw, velocity_x=c * m.velocity_x + s * m.velocity_y,
+                      velocity_y=c * m.velocity_y - s * m.velocity_x,
+                      acceleration_x=c * m.acceleration_x + s * m.acceleration_y,
+                      acceleration_y=c * m.acceleration_y - s * m.acceleration_x)
 
 
 @register
@@ -16,12 +18,14 @@ class HeadingMisalignment(Effect):
     name = "heading_misalignment"
     physics = "measured yaw = yaw + angle, velocity and acceleration given in the turned axes; position stays"
     excited_by = "straight driving: v_y of the INS is -angle v_x"
+    kind, slot = "sensors", "heading"
     twins = ("steering_offset", "sensor_lever_arm")
     applies_to = ANY
     order = 10
     parameters = (
         Parameter("angle", "rad", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
-                  meaning="reported heading too far to the left", source="mounting by eye: 1-2 deg"),
+                  meaning="reported heading too far to the left", source="mounting by eye: 1-2 deg",
+                  identity="heading_misaligned"),
     )
 
     @staticmethod

@@ -8,12 +8,14 @@ class LateralAccelerationBias(Effect):
     name = "lateral_acceleration_bias"
     physics = "measured a_y = a_y + bias"
     excited_by = "any driving with the lateral acceleration recorded; the same road in both directions"
+    kind, slot = "sensors", "acceleration"
+    needs = ("acceleration_y",)
     twins = ("road_bank", "crosswind")
     applies_to = ANY
     order = 60
     parameters = (
         Parameter("bias", "m/s^2", null=0.0, initial=0.1, bounds=(-2.0, 2.0), odd=True, meaning="to the left +",
-                  source="a sensor tilted by 1 deg reads 0.17 m/s^2"),
+                  source="a sensor tilted by 1 deg reads 0.17 m/s^2", identity="acceleration_y_bias"),
     )
 
     @staticmethod

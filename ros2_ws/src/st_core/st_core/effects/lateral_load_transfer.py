@@ -29,6 +29,7 @@ class LateralLoadTransfer(Effect):
     name = "lateral_load_transfer"
     physics = "F = F(F_z/2 + dF) + F(F_z/2 - dF) per axle, dF = share m a_y h / track"
     excited_by = "cornering to the limit, transients; nothing shows it below 0.4 g"
+    kind, slot = "physics", "both axles"
     twins = ("friction", "front_stiffness", "rear_stiffness")
     applies_to = frozenset(("nonlinear",))  # a linear tyre does not know its load
     prepared = ("load_front", "load_rear")

@@ -24,6 +24,7 @@ class LongitudinalLoadTransfer(Effect):
     name = "longitudinal_load_transfer"
     physics = "m height a_x / l moves from the front axle to the rear; the Magic Formula says what that does"
     excited_by = "braking and power in turns"
+    kind, slot = "physics", "both axles"
     twins = ("combined_slip", "steered_drive_force")
     prepared = tuple(f"{what}_{axle}_{when}" for when in ("before", "after") for axle in ("front", "rear")
                      for what in "bde")

@@ -10,7 +10,8 @@ class RearStiffness(Effect):
     name = "rear_stiffness"
     physics = "C_r = factor C_r of the file, the peak force unchanged"
     excited_by = "cornering with the sideslip measured, and sweeps; it sets the damping in yaw"
-    twins = ("front_stiffness", "cg_position", "friction")
+    kind, slot = "vehicle parameters", "rear axle"
+    twins = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
     parameters = (
         Parameter("factor", "1", null=1.0, initial=0.85, bounds=(0.3, 3.0), meaning="true stiffness over the file's",
                   source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together"),

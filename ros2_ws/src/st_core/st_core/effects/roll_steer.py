@@ -18,6 +18,7 @@ class RollSteer(Effect):
     name = "roll_steer"
     physics = "delta = delta_measured - gradient a_y, with the body's roll behind a_y; understeer gradient + gradient"
     excited_by = "sweeps, where the roll falls behind; steady cornering shows it as a softer front axle"
+    kind, slot = "physics", "front axle"
     twins = ("steering_compliance", "steering_ratio", "front_stiffness")
     extra_states = ("lean", "lean_rate")
     extra_units = ("m/s^2", "m/s^3")

@@ -10,6 +10,7 @@ class SensorLeverArm(Effect):
     name = "sensor_lever_arm"
     physics = "INS point = that of the file + (x, y), in body axes; v_y there is v_y + r x"
     excited_by = "tight turns, both ways; v_y of the INS shows x, v_x shows y"
+    kind, slot = "sensors", "position"
     twins = ("cg_position", "heading_misalignment")
     applies_to = ANY
     parameters = (

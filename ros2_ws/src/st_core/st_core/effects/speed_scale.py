@@ -8,12 +8,14 @@ class SpeedScale(Effect):
     name = "speed_scale"
     physics = "measured v_x, v_y = factor times the true ones; positions stay"
     excited_by = "any driving with position fixes: distance against speed"
+    kind, slot = "sensors", "velocity"
+    needs = ("position",)
     twins = ("steering_ratio", "yaw_rate_scale")
     applies_to = ANY
     order = 40
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="measured over true",
-                  source="wheel speeds with worn tyres 2-4 %"),
+                  source="wheel speeds with worn tyres 2-4 %", identity="velocity_scale"),
     )
 
     @staticmethod

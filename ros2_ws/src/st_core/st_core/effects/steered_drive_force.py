@@ -13,6 +13,7 @@ class SteeredDriveForce(Effect):
     name = "steered_drive_force"
     physics = "front axle pushes sideways with share F_x,front sin delta, F_x from the forward motion"
     excited_by = "braking or power with the wheels turned: tight turns"
+    kind, slot = "physics", "front axle"
     twins = ("combined_slip", "longitudinal_load_transfer")
     order = 85
     parameters = (

@@ -9,6 +9,7 @@ class SteeringBacklash(Effect):
     name = "steering_backlash"
     physics = "delta stays until delta_measured leaves delta +- play / 2, then is dragged along"
     excited_by = "small steering to and fro around straight ahead; large amplitudes hide it"
+    kind, slot = "physics", "steering"
     twins = ("steering_delay", "steering_lag", "steering_ratio")
     applies_to = ANY
     order = 20

@@ -12,6 +12,7 @@ class SteeringCompliance(Effect):
     name = "steering_compliance"
     physics = "delta = delta_measured - compliance F_front; understeer gradient + compliance m l_r / l"
     excited_by = "cornering near the limit; an exact twin of a softer front axle below 0.4 g"
+    kind, slot = "physics", "front axle"
     twins = ("front_stiffness", "roll_steer", "steering_ratio")
     order = 83  # inside steered_drive_force: the force of the tyres alone bends the suspension
     parameters = (

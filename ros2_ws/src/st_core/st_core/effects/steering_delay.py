@@ -12,6 +12,7 @@ class SteeringDelay(Effect):
     name = "steering_delay"
     physics = "delta(t) = delta_measured(t - time): dead time, or stamps of two clocks that are apart"
     excited_by = "sweeps to 2.5 Hz and steps; content above 1 / (2 pi time) tells it from a lag"
+    kind, slot = "physics", "steering"
     twins = ("steering_lag", "tyre_relaxation", "yaw_inertia")
     applies_to = ANY
     order = 10

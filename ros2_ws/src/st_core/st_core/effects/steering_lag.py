@@ -15,6 +15,7 @@ class SteeringLag(Effect):
     name = "steering_lag"
     physics = "time_constant delta_dot = delta_measured - delta: column, actuator or low-pass in the sensor"
     excited_by = "sweeps to 2.5 Hz and steps"
+    kind, slot = "physics", "steering"
     twins = ("steering_delay", "yaw_inertia", "tyre_relaxation")
     applies_to = ANY
     order = 30

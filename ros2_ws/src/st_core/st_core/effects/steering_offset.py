@@ -1,5 +1,7 @@
 """Wheels that are not straight when the steering wheel says so: delta = delta_measured + angle."""
 
+from dataclasses import replace
+
 from ._base import ANY, Effect, Parameter, register
 
 
@@ -8,6 +10,7 @@ class SteeringOffset(Effect):
     name = "steering_offset"
     physics = "delta = delta_measured + angle, in the sensor or in the linkage alike"
     excited_by = "any driving, straight too; two speeds tell it from wind, as its yaw rate grows with speed"
+    kind, slot = "vehicle parameters", "steering"
     twins = ("crosswind", "road_bank", "heading_misalignment")
     applies_to = ANY
     order = 60
@@ -20,3 +23,8 @@ class SteeringOffset(Effect):
     @staticmethod
     def inputs(road_wheel_angle, velocity_x_dot, signals, theta):
         return road_wheel_angle + theta.angle, velocity_x_dot
+
+    @staticmethod
+    def fold(vehicle, theta):
+        offset = vehicle.steering_wheel_offset - theta.angle * vehicle.steering_ratio
+        return replace(vehicle, steering_wheel_offset=offset)

@@ -1,5 +1,7 @@
 """Steering ratio other than the vehicle file's: delta = delta_measured / factor."""
 
+from dataclasses import replace
+
 from ._base import ANY, Effect, Parameter, register
 
 
@@ -8,7 +10,8 @@ class SteeringRatio(Effect):
     name = "steering_ratio"
     physics = "delta = delta_measured / factor: a larger true ratio turns the wheels less"
     excited_by = "transients or two speeds; at one steady speed it is a change of front stiffness"
-    twins = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale")
+    kind, slot = "vehicle parameters", "steering"
+    twins = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale", "steering_map")
     applies_to = ANY
     order = 40
     parameters = (
@@ -19,3 +22,7 @@ class SteeringRatio(Effect):
     @staticmethod
     def inputs(road_wheel_angle, velocity_x_dot, signals, theta):
         return road_wheel_angle / theta.factor, velocity_x_dot
+
+    @staticmethod
+    def fold(vehicle, theta):
+        return replace(vehicle, steering_ratio=vehicle.steering_ratio * theta.factor)

@@ -11,6 +11,7 @@ class TyreSaturation(Effect):
     name = "tyre_saturation"
     physics = "F_y = (1 - share) (-C alpha) + share of the Magic Formula of the vehicle file"
     excited_by = "cornering above 4 m/s^2"
+    kind, slot = "physics", "both axles"
     twins = ("front_stiffness", "rear_stiffness")
     applies_to = frozenset(("linear",))
     lifts = ("linear", "nonlinear")

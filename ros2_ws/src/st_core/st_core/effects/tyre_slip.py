@@ -15,6 +15,7 @@ class TyreSlip(Effect):
     name = "tyre_slip"
     physics = "derivative = (1 - share) kinematic + share of the single-track car with F_y = -C alpha"
     excited_by = "cornering above 2 m/s^2"
+    kind, slot = "physics", "both axles"
     applies_to = frozenset(("kinematic",))
     lifts = ("kinematic", "linear")
     prepared = ("sine", "cosine", "velocity_x_dot")

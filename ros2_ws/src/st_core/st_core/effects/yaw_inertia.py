@@ -10,6 +10,7 @@ class YawInertia(Effect):
     name = "yaw_inertia"
     physics = "I_z = factor I_z of the file"
     excited_by = "sweeps and sine with dwell; steady cornering does not show it"
+    kind, slot = "vehicle parameters", "body"
     twins = ("mass", "steering_lag", "tyre_relaxation")
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5), meaning="true inertia over the file's",

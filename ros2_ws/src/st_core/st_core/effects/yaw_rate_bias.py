@@ -8,11 +8,13 @@ class YawRateBias(Effect):
     name = "yaw_rate_bias"
     physics = "measured r = r + bias; the heading of the INS stays"
     excited_by = "any driving, straight too, with the heading measured"
+    kind, slot = "sensors", "yaw rate"
+    needs = ("yaw_rate",)
     twins = ("steering_offset", "crosswind")
     order = 60
     parameters = (
         Parameter("bias", "rad/s", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True, meaning="left turn +",
-                  source="automotive yaw rate sensors 0.5-3 deg/s over temperature"),
+                  source="automotive yaw rate sensors 0.5-3 deg/s over temperature", identity="yaw_rate_bias"),
     )
 
     @staticmethod

@@ -8,17 +8,21 @@ class YawRateScale(Effect):
     name = "yaw_rate_scale"
     physics = "measured r = factor r; the heading of the INS stays"
     excited_by = "turning, with r v_x against a_y, or the heading over a whole lap"
+    kind, slot = "sensors", "yaw rate"
+    needs = ("yaw_rate",)
     twins = ("steering_ratio", "speed_scale")
     order = 40
     parameters = (
         Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="measured over true",
-                  source="gyroscopes of 2-5 %"),
+                  source="gyroscopes of 2-5 %", identity="yaw_rate_scale"),
     )
 
     @staticmethod
     def observe(measured, theta):
-        return measured._replace(yaw_rate=measured.yaw_rate * theta.factor)
+        return measured._replace(yaw_rate=measured.yaw_rate * theta.factor,
+                                 yaw_acceleration=measured.yaw_acceleration * theta.factor)
 
     @staticmethod
     def correct(measured, theta):
-        return measured._replace(yaw_rate=measured.yaw_rate / theta.factor)
+        return measured._replace(yaw_rate=measured.yaw_rate / theta.factor,
+                                 yaw_acceleration=measured.yaw_acceleration / theta.factor)

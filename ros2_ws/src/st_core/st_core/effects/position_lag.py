@@ -1,0 +1,40 @@
+"""Position that is late, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y), of the INS point.
+
+It acts first on the truth and is taken back last, when yaw and velocity are the true ones again: so `correct` undoes
+`observe` exactly.
+"""
+
+from ..ops import cos, sin
+from ._base import ANY, Effect, Parameter, register
+
+
+def moved(measured, time):
+    """Measured where it will be, or was, after `time` [s] at its velocity."""
+    cosine, sine = cos(measured.yaw), sin(measured.yaw)
+    east = measured.velocity_x * cosine - measured.velocity_y * sine
+    north = measured.velocity_x * sine + measured.velocity_y * cosine
+    return measured._replace(x=measured.x + time * east, y=measured.y + time * north)
+
+
+@register
+class PositionLag(Effect):
+    name = "position_lag"
+    physics = "measured (x, y) = (x, y) - time times the velocity over ground; yaw and velocity stay"
+    excited_by = "any change of velocity over ground with position fixes: turns, braking"
+    kind, slot = "sensors", "position"
+    needs = ("position",)
+    twins = ("sensor_lever_arm",)
+    applies_to = ANY
+    order = 5
+    parameters = (
+        Parameter("time", "s", null=0.0, initial=0.05, bounds=(-0.2, 0.5), meaning="measured after true",
+                  source="satellite receivers 0.05-0.2 s", identity="position_lag"),
+    )
+
+    @staticmethod
+    def observe(measured, theta):
+        return moved(measured, -theta.time)
+
+    @staticmethod
+    def correct(measured, theta):
+        return moved(measured, theta.time)

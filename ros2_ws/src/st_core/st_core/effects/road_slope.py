@@ -1,0 +1,43 @@
+"""Plane road that is tilted in the map: gravity pulls the car the same way wherever it heads.
+
+    a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw))
+
+Forward the pull is in the measured v_x_dot already. An accelerometer does not feel it: it shows as much more than the
+car's motion, along the car too.
+"""
+
+from ..ops import cos, sin
+from ..tyres import GRAVITY
+from ._base import Effect, Parameter, register
+
+
+def rise(at, theta):
+    """(forward, to the left) of the car: rise of the road per way [1]."""
+    cosine, sine = cos(at.yaw), sin(at.yaw)
+    east, north = sin(theta.slope_x), sin(theta.slope_y)
+    return east * cosine + north * sine, north * cosine - east * sine
+
+
+@register
+class RoadSlope(Effect):
+    name = "road_slope"
+    physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, unfelt by an accelerometer"
+    excited_by = "the same place in two directions, with an accelerometer: wind is felt and grows with speed"
+    kind, slot = "surroundings", "body"
+    twins = ("crosswind", "road_bank")
+    parameters = (
+        Parameter("slope_x", "rad", null=0.0, initial=0.01, bounds=(-0.2, 0.2), meaning="rises towards map x (east)",
+                  source="proving grounds drain at 0.01-0.02, hillsides 0.1"),
+        Parameter("slope_y", "rad", null=0.0, initial=0.02, bounds=(-0.2, 0.2), odd=True,
+                  meaning="rises towards map y (north)", source="proving grounds drain at 0.01-0.02, hillsides 0.1"),
+    )
+
+    @staticmethod
+    def acceleration(at, given, theta):
+        zero = 0.0 * at.velocity_x
+        return zero, zero - GRAVITY * rise(at, theta)[1], zero
+
+    @staticmethod
+    def felt(at, given, theta):
+        forward, left = rise(at, theta)
+        return GRAVITY * forward, GRAVITY * left

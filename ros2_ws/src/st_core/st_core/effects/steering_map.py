@@ -1,0 +1,28 @@
+"""Steering ratio that depends on the angle: delta = delta' (1 + curvature delta'^2), delta' as the fixed ratio has it.
+
+Acts after steering_ratio and steering_offset: the middle of the map is where the wheels are straight. From
+curvature = -1 / (3 delta^2) on wheels would turn back; the least allowed keeps that beyond 0.6 rad.
+"""
+
+from ._base import ANY, Effect, Parameter, register
+
+
+@register
+class SteeringMap(Effect):
+    name = "steering_map"
+    physics = "delta = delta_measured (1 + curvature delta_measured^2): > 0 a more direct ratio at large angles"
+    excited_by = "large angles, so slow and tight turns, next to small ones; below 0.1 rad nothing shows it"
+    kind, slot = "physics", "steering"
+    twins = ("steering_ratio",)
+    applies_to = ANY
+    order = 70
+    parameters = (
+        Parameter("curvature", "1/rad^2", null=0.0, initial=0.55, bounds=(-0.9, 3.0),
+                  meaning="of the angle of the road wheels; 0.55 makes 5 % at 0.3 rad",
+                  source="linkages 5 %, racks of variable pitch up to 25 % at 0.3 rad"),
+    )
+
+    @staticmethod
+    def inputs(road_wheel_angle, velocity_x_dot, signals, theta):
+        angle = road_wheel_angle
+        return angle * (1.0 + theta.curvature * angle * angle), velocity_x_dot

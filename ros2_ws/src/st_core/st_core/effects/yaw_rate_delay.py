@@ -1,0 +1,30 @@
+"""Yaw rate that is late, to first order: r_measured(t) = r(t - time) = r - time r_dot.
+
+The derivative comes with the readings; of a single live sample it is not known, there the yaw rate stays as it is.
+"""
+
+from ._base import Effect, Parameter, register
+
+
+@register
+class YawRateDelay(Effect):
+    name = "yaw_rate_delay"
+    physics = "measured r(t) = r(t - time) = r - time r_dot: filter of the sensor, or its own time stamps"
+    excited_by = "sweeps and steps, with the heading measured"
+    kind, slot = "sensors", "yaw rate"
+    needs = ("yaw_rate",)
+    twins = ("steering_delay", "steering_lag")
+    order = 20  # before scale and bias, which do not depend on time
+    parameters = (
+        Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2), meaning="measured after true",
+                  source="filters of yaw rate sensors, 10-50 Hz: 5-30 ms; stamps on arrival add as much",
+                  identity="yaw_rate_lag"),
+    )
+
+    @staticmethod
+    def observe(measured, theta):
+        return measured._replace(yaw_rate=measured.yaw_rate - theta.time * measured.yaw_acceleration)
+
+    @staticmethod
+    def correct(measured, theta):
+        return measured._replace(yaw_rate=measured.yaw_rate + theta.time * measured.yaw_acceleration)
