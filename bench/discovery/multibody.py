@@ -1,0 +1,221 @@
+"""The second plant of the benchmark: a multi-body car of 29 states that nobody of this project wrote.
+
+    x' = f(x, steering rate, acceleration)  of commonroad-vehicle-models, midpoint rule
+
+driven by the same programmes as the virtual car and read by the same sensors. Added in front of its equations is the
+steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, beside them the gravity of a slope and the wind of
+st_sim, which act on the masses and on the body's centre of gravity. Cars that nearly stop or tip over are refused.
+Checked by: tests/bench/test_discovery_multibody.py.
+"""
+
+from collections.abc import Mapping
+from math import exp, sin, sqrt
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numba.extending import register_jitable
+from st_core.backends import numba_cache, structure
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+from st_sim.car import GRAVITY
+from st_sim.dynamics import LEAN, LEAN_RATE, SQUAT, STATES, VX, VY, WIND_ARM, YAW, YAW_RATE, X, Y, Z, air_force
+from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
+from vehiclemodels.init_mb import init_mb
+
+from .compiled import (
+    FASTEST_HAND,
+    HARDEST_BRAKING,
+    HARDEST_DRIVE,
+    JERK,
+    RECORDED,
+    SPEED_GAIN,
+    Programme,
+    Recording,
+    Stopped,
+)
+from .multibody_car import complete, dynamics, nominal_car, parameters_of
+from .sensing import PERIOD, STEERING_PHASE, log_of
+
+STEP = 0.001
+"""s. The spin of a wheel is fast at low speed: at 5 m/s a longer step than 2 ms is not stable."""
+DECIDE, SENSED = round(PERIOD / STEP), round(STEERING_PHASE / STEP) - 1
+"""Steps between two decisions of hand and foot; the step after which the steering sensor samples."""
+SLOWEST = 2.5
+"""m/s."""
+STEEPEST = 0.5
+"""rad of roll."""
+SETTLING = 2.0
+"""s of straight driving on a level road before the drive begins."""
+
+# Positions in the state of the package, where they differ from st_sim's.
+P_STEER, P_VX, P_YAW, P_YAW_RATE, P_ROLL, P_ROLL_RATE, P_PITCH, P_VY, P_Z, P_VZ = 2, 3, 4, 5, 6, 7, 8, 10, 11, 12
+P_VY_FRONT, P_VY_REAR = 15, 20
+BODY_STATES = 29
+
+
+class Options(NamedTuple):
+    """Of steering and air. ratio: of this car; nominal: of the programme's. play: half of it, at the hand wheel."""
+
+    nominal: float
+    ratio: float
+    play: float
+    memory: float
+    offset: float
+    to_rear_share: float
+    drag_area: float
+    calm: bool
+    wind: float
+    gust: float
+
+
+def drive_multibody(car: str, settings: Mapping[str, float], programme: Programme, seed: int,
+                    later: tuple[Mapping[str, float], int] | None = None) -> Recording:
+    """A car of `multibody_car.CARS` drives a programme of `manoeuvres`, made for `nominal_car(car)`.
+
+    settings: what is hidden, others as in HEALTHY. later: other settings from that sample on. The recording is in the
+    columns of the virtual car, with roll [rad] as its lean and pitch [rad] as its squat, so that `sensing.log_of` reads
+    both. Raises Stopped; ValueError for a setting this plant does not have.
+    """
+    count = len(programme.hand)
+    parts = [(settings, 0, count)] if later is None else [(settings, 0, later[1]), (later[0], later[1], count)]
+    draw = normal_stream(np.random.default_rng([seed, 1]))
+    out = np.empty((count, RECORDED + 3))
+    state = _settled(car, settings, programme)
+    state[BODY_STATES + 4] = complete(settings)["gust_speed"] * draw()
+    state[BODY_STATES + 5] = complete(settings)["gust_speed"] * draw()
+    for chosen, first, end in parts:
+        _run(car, complete(chosen), state, programme, slice(first, end), draw, out)
+    return Recording(out[:, :RECORDED], out[:, RECORDED], out[:, RECORDED + 1], out[:, RECORDED + 2])
+
+
+def log_multibody(name: str, car: str, settings: Mapping[str, float], programme: Programme, seed: int,
+                  vehicle: VehicleParameters, later: tuple[Mapping[str, float], int] | None = None) -> DriveLog:
+    """The same as a recorded drive. vehicle: what the reader of the files thinks the car is."""
+    recording = drive_multibody(car, settings, programme, seed, later)
+    after = None if later is None else (complete(later[0]), later[1])
+    return log_of(name, recording, nominal_car(car), vehicle, complete(settings), seed, after)
+
+
+def _settled(car: str, settings: Mapping[str, float], programme: Programme) -> np.ndarray:
+    """State of body, driver and wire when the springs have come to rest: at the origin, straight ahead."""
+    s = complete(settings)
+    body = {name: s[name] for name in ("mass_factor", "cg_shift")}
+    p = parameters_of(car, body)
+    speed = float(programme.speed[0])
+    # Body; then hand wheel, pedal, loose play, lagging rack, the two gusts, heading left over, gain.
+    state = np.array([*init_mb([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], p), *np.zeros(7), 1.0], float)
+    still = np.zeros(round(SETTLING / PERIOD))
+    straight = Programme(still, still, still, still + speed, still)
+    _run(car, complete(body), state, straight, slice(None), None, np.empty((len(still), RECORDED + 3)))
+    state[[0, 1, P_STEER, P_YAW_RATE, P_VY, P_VY_FRONT, P_VY_REAR]] = 0.0
+    state[[P_VX, P_YAW]] = speed, programme.yaw[0]
+    state[BODY_STATES:] = [0.0] * 7 + [1.0]
+    return state
+
+
+def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Programme, part: slice, draw,
+         out: np.ndarray) -> None:
+    """Drive a part of the programme; `state` and `out` are changed."""
+    p = parameters_of(car, s)
+    slippery = parameters_of(car, {**s, "friction_factor": s["friction_factor"] * s["friction_patch"]})
+    arrays = [np.ascontiguousarray(getattr(programme, name)[part], float)
+              for name in ("hand", "yaw", "gain", "speed", "acceleration")]
+    gust = s["gust_speed"]
+    gusts = np.array([draw() for _ in range(2 * DECIDE * len(arrays[0]))]) if gust else np.zeros(2)
+    nominal = nominal_car(car).steering_ratio
+    lag = s["steering_lag"]
+    options = Options(nominal, nominal * s["steering_ratio_factor"], s["steering_backlash"] / 2,
+                      exp(-STEP / lag) if lag else 0.0, s["steering_offset"], p.b / (p.a + p.b), s["drag_area"],
+                      not (s["wind_speed"] or gust), s["wind_speed"], gust)
+    delayed = np.full(round(s["steering_delay"] / STEP), state[BODY_STATES])
+    if not _compiled()(state, options, p, slippery, road_of(s), delayed, gusts, *arrays, out[part]):
+        raise Stopped
+
+
+_kernels: list = []
+
+
+def _compiled():
+    if not _kernels:
+        for function in structure.reachable(_loop)[:-1]:
+            register_jitable(function)
+        kernel = numba.njit(error_model="numpy")(_loop)
+        numba_cache.enable(kernel, structure.fingerprint(_loop))
+        _kernels.append(kernel)
+    return _kernels[0]
+
+
+def rates(x, steering_rate, acceleration, here, p, drag_area, calm):
+    """The package's 29 rates, then slope and wind. here: bank, grade [rad], wind towards x and y of the map [m/s]."""
+    bank, grade, wind_x, wind_y = here
+    f = dynamics(x, (steering_rate, acceleration), p)
+    air_x, air_y = air_force(calm, drag_area, x[P_YAW], x[P_VX], x[P_VY], wind_x, wind_y)
+    aside = -GRAVITY * sin(bank)
+    f[P_VX] += air_x / p.m - GRAVITY * sin(grade)
+    f[P_VY] += air_y / p.m_s + aside
+    f[P_VY_FRONT] += aside
+    f[P_VY_REAR] += aside
+    f[P_YAW_RATE] += WIND_ARM * air_y / p.I_z
+    return f
+
+
+def _loop(state, o, p, slippery, road, delayed, gusts, hand, yaw, gain, speed, acceleration, out):
+    fading = exp(-STEP / GUST_TIME)
+    kick = o.gust * sqrt(1.0 - fading * fading)
+    x, middle = state[:BODY_STATES].copy(), state[:BODY_STATES].copy()
+    angle, pedal, loose, rack, gust_x, gust_y, left_over, looked = state[BODY_STATES:]
+    oldest, drawn = 0, 0
+    for k in range(len(hand)):
+        friction, bank, grade = road_at(road, x[0], x[P_YAW])
+        tyres = p if friction == road.friction else slippery
+        f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.calm)
+        row = out[k]
+        row[:] = 0.0
+        row[X], row[Y], row[Z], row[YAW] = x[0], x[1], -x[P_Z], x[P_YAW]
+        row[VX], row[VY], row[YAW_RATE] = x[P_VX], x[P_VY], x[P_YAW_RATE]
+        row[LEAN], row[LEAN_RATE], row[SQUAT] = x[P_ROLL], x[P_ROLL_RATE], x[P_PITCH]
+        row[STATES], row[STATES + 1], row[STATES + 2], row[STATES + 3] = f[P_VX], f[P_VY], f[P_YAW_RATE], -x[P_VZ]
+        row[RECORDED + 1], row[RECORDED + 2] = bank, grade
+        if gain[k] and not looked:
+            left_over = x[P_YAW] - yaw[k]
+        looked = gain[k]
+        wanted = hand[k] + gain[k] * (yaw[k] + left_over - x[P_YAW]) * o.nominal
+        bend = abs(x[P_VX] * x[P_YAW_RATE] * sin(x[P_STEER])) * o.to_rear_share
+        target = acceleration[k] + SPEED_GAIN * (speed[k] - x[P_VX]) + bend - x[P_VY] * x[P_YAW_RATE]
+        target = min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
+        pedal += min(max(target - pedal, -JERK * DECIDE * STEP), JERK * DECIDE * STEP)
+        for step in range(DECIDE):
+            angle += min(max(wanted - angle, -FASTEST_HAND * STEP), FASTEST_HAND * STEP)
+            if step == SENSED:
+                row[RECORDED] = angle
+            friction, bank, grade = road_at(road, x[0], x[P_YAW])
+            tyres = p if friction == road.friction else slippery
+            if o.gust:
+                gust_x, gust_y = fading * gust_x + kick * gusts[drawn], fading * gust_y + kick * gusts[drawn + 1]
+                drawn += 2
+            here = (bank, grade, gust_x, o.wind + gust_y)
+            late = angle
+            if len(delayed):
+                late, delayed[oldest] = delayed[oldest], angle
+                oldest = (oldest + 1) % len(delayed)
+            if o.play:
+                loose = min(max(loose, late - o.play), late + o.play)
+                late = loose
+            rack = late / o.ratio + o.memory * (rack - late / o.ratio)
+            # The rate that brings the wheels to where the rack wants them within the step.
+            turn = (rack + o.offset - x[P_STEER]) / STEP
+            f = rates(x, turn, pedal, here, tyres, o.drag_area, o.calm)
+            for i in range(BODY_STATES):
+                middle[i] = x[i] + STEP / 2 * f[i]
+            f = rates(middle, turn, pedal, here, tyres, o.drag_area, o.calm)
+            for i in range(BODY_STATES):
+                x[i] += STEP * f[i]
+            if not (x[P_VX] > SLOWEST and abs(x[P_ROLL]) < STEEPEST):
+                return False
+    for i in range(BODY_STATES):
+        state[i] = x[i]
+    state[BODY_STATES], state[BODY_STATES + 1], state[BODY_STATES + 2] = angle, pedal, loose
+    state[BODY_STATES + 3], state[BODY_STATES + 4], state[BODY_STATES + 5] = rack, gust_x, gust_y
+    state[BODY_STATES + 6], state[BODY_STATES + 7] = left_over, looked
+    return True

@@ -1,0 +1,201 @@
+"""The cars of the multi-body plant: parameter sets and equations of the package commonroad-vehicle-models.
+
+The package's 29 equations are used as they are. It gives one tyre to all wheels; here each axle has its own, by naming
+`p.tire_front` or `p.tire_rear` where its source says `p.tire` (`per_axle`). Axes: x forward, y left, yaw left +;
+roll + to the right, pitch + nose up; z + down.
+Source: Althoff and Wuersching, CommonRoad: Vehicle Models, 2020. Checked by: tests/bench/test_discovery_multibody.py.
+"""
+
+import ast
+import dataclasses
+import inspect
+from collections import Counter, namedtuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from st_core.tyres import GRAVITY, MagicFormula, magic_formula_coefficients, magic_formula_force
+from st_core.vehicle import TYRE_QUANTITIES, VehicleParameters
+from st_sim.car import Car, Tyre
+from st_sim.settings import IDEAL
+from vehiclemodels.utils.tire_model import formula_lateral
+from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
+from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
+
+FASTEST_STEERING = 5.0
+"""rad/s at the road wheels; the package's 0.4 is a limit for planners, not one of a steering gear."""
+SLIP_RANGE, LOAD_RANGE = 0.2, (0.3, 1.8)
+"""rad, and shares of the static load, over which the tyre of the vehicle file is fitted."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the package does not say of a car. number: of its parameter set. cg_to_ins_x [m]: the INS sits on the
+    centreline, as high as the centre of gravity of the body."""
+
+    number: int
+    name: str
+    steering_ratio: float
+    cg_to_ins_x: float
+
+
+CARS = MappingProxyType({
+    "escort": Choice(1, "Ford Escort, multi-body", 18.5, -0.45),
+    "bmw_320i": Choice(2, "BMW 320i, multi-body", 15.5, -0.25),
+    "vanagon": Choice(3, "VW Vanagon, multi-body", 20.5, 0.30),
+})
+"""Front-wheel, rear-wheel and rear-wheel drive."""
+
+WIRE = ("steering_offset", "steering_ratio_factor", "steering_lag", "steering_delay", "steering_backlash")
+BODY = ("mass_factor", "yaw_inertia_factor", "cg_shift", "friction_factor", "front_stiffness_factor",
+        "rear_stiffness_factor")
+SURROUNDINGS = ("drag_area", "bank_angle", "grade_angle", "hillside_slope", "terrain_wave", "friction_patch",
+                "wind_speed", "gust_speed")
+SENSORS = ("ins_noise", "ins_time_error", "ins_misalignment", "ins_lever_error", "yaw_rate_scale", "yaw_rate_bias",
+           "velocity_scale", "lateral_acceleration_bias", "steering_sensor_noise", "steering_sensor_latency")
+KNOWN_HERE = (*WIRE, *BODY, *SURROUNDINGS, *SENSORS)
+"""Settings this plant has; names, units and signs are those of st_sim.settings. yaw_rate_bias [rad/s] is added here."""
+
+# The gradients are 1 because this plant records angles where st_sim records accelerations.
+HEALTHY: Mapping[str, float] = MappingProxyType({
+    **IDEAL, "yaw_rate_bias": 0.0, "ins_noise": 1.0, "steering_sensor_noise": 0.0005, "roll_gradient": 1.0,
+    "pitch_gradient": 1.0})
+"""Nothing hidden: the car of the package and ordinary noise."""
+
+
+def complete(settings: Mapping[str, float]) -> dict[str, float]:
+    """All settings, the others as in HEALTHY. Raises ValueError for one this plant does not have."""
+    strange = [name for name, value in settings.items() if name not in KNOWN_HERE and value != HEALTHY.get(name)]
+    if strange:
+        raise ValueError(f"the multi-body car has no {', '.join(strange)}")
+    return {**HEALTHY, **settings}
+
+
+def per_axle(function: Callable) -> Callable:
+    """The same function with the tyre of each call named by axle. Raises ValueError if its source is another one."""
+    tree = ast.parse(inspect.getsource(function))
+    seen: Counter = Counter()
+    for node in ast.walk(tree):
+        if not (isinstance(node, ast.Call) and ast.unparse(node.func).startswith("tireModel.")):
+            continue
+        # The first argument is the slip of one wheel: s_lf, alpha_RR.
+        axle = {"f": "tire_front", "r": "tire_rear"}[ast.unparse(node.args[0])[-1].lower()]
+        if ast.unparse(node.args[-1]) != "p.tire":
+            raise ValueError(f"{ast.unparse(node)}: no tyre where it was in version 3.0.2")
+        node.args[-1].attr = axle
+        seen[axle] += 1
+    if seen != {"tire_front": 8, "tire_rear": 8}:
+        raise ValueError(f"{function.__name__}: {dict(seen)} calls of the tyre, 8 per axle in version 3.0.2")
+    space = dict(function.__globals__)
+    exec(compile(tree, inspect.getsourcefile(function), "exec"), space)  # noqa: S102 the package's own lines
+    return space[function.__name__]
+
+
+dynamics = per_axle(vehicle_dynamics_mb)
+"""f(x, (rate of the road-wheel angle [rad/s], acceleration [m/s^2]), parameters) -> list of 29 rates."""
+
+
+def parameters_of(car: str, settings: Mapping[str, float]) -> NamedTuple:
+    """What the equations need, as a named tuple with `tire_front` and `tire_rear`."""
+    s = complete(settings)
+    p = setup_vehicle_parameters(CARS[car].number)
+    mass, shift = s["mass_factor"], s["cg_shift"]
+    front, rear = (
+        dataclasses.replace(p.tire, p_ky1=p.tire.p_ky1 * s[stiffness], p_dx1=p.tire.p_dx1 * s["friction_factor"],
+                            p_dy1=p.tire.p_dy1 * s["friction_factor"])
+        for stiffness in ("front_stiffness_factor", "rear_stiffness_factor"))
+    p = dataclasses.replace(
+        p, m=p.m * mass, m_s=p.m_s * mass, m_uf=p.m_uf * mass, m_ur=p.m_ur * mass, I_z=p.I_z * s["yaw_inertia_factor"],
+        a=p.a - shift, b=p.b + shift,
+        steering=dataclasses.replace(p.steering, v_min=-FASTEST_STEERING, v_max=FASTEST_STEERING))
+    return _numbers(p, tire_front=_numbers(front), tire_rear=_numbers(rear))
+
+
+def _numbers(p: Any, **more: NamedTuple) -> NamedTuple:
+    """A dataclass as named tuple of numbers and named tuples; trailer, tyre of all wheels and blanks stay out."""
+    values = {f.name: getattr(p, f.name) for f in dataclasses.fields(p) if f.name not in ("trailer", "tire")}
+    values = {name: _numbers(v) if dataclasses.is_dataclass(v) else float(v)
+              for name, v in values.items() if v is not None} | more
+    return _record(type(p).__name__, tuple(values))(**values)
+
+
+@lru_cache(maxsize=None)
+def _record(name: str, fields: tuple[str, ...]) -> type:
+    """One class for the same fields: compiled code goes by the class."""
+    return namedtuple(name, fields)
+
+
+def static_loads(p: NamedTuple) -> tuple[float, float]:
+    """Of one front and one rear tyre at rest [N]."""
+    wheelbase = p.a + p.b
+    return (GRAVITY * (p.m_s * p.b / wheelbase + p.m_uf) / 2, GRAVITY * (p.m_s * p.a / wheelbase + p.m_ur) / 2)
+
+
+def tyre_force(slip: float, load: float, tyre: NamedTuple) -> float:
+    """F_y [N] of one upright wheel of the package at pure lateral slip [rad]."""
+    return formula_lateral(slip, 0.0, load, tyre)[0]
+
+
+def cornering_stiffness(load: float, tyre: NamedTuple) -> float:
+    """-dF_y/dalpha [N/rad] of one tyre at no slip, by differences."""
+    step = 1e-5
+    return (tyre_force(-step, load, tyre) - tyre_force(step, load, tyre)) / (2 * step)
+
+
+FITTED = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1")
+STRAIGHT = {"p_ky2": 20.0, "p_ky4": 2.5}
+"""Nearly proportional to the load, as the stiffness of the package's tyre is; p_ky2 at its largest."""
+
+
+@lru_cache(maxsize=64)
+def fitted_tyre(load: float, tyre: NamedTuple) -> tuple[MagicFormula, float]:
+    """The Magic Formula of the suite nearest to a tyre of the package (least squares over slip angles and loads), and
+    the root mean square of what is left, over `p_dy1` times the static load [1]. load: static, of one tyre [N]."""
+    slips, loads = np.meshgrid(np.linspace(-SLIP_RANGE, SLIP_RANGE, 81), load * np.linspace(*LOAD_RANGE, 7))
+    wanted = np.vectorize(lambda a, f: tyre_force(a, f, tyre))(slips, loads)
+    size = tyre.p_dy1 * load
+    start = np.array([tyre.p_cy1, tyre.p_dy1, 0.0, tyre.p_ey1, 0.0, tyre.p_ky1 * 8.0])
+    low, high = ([getattr(TYRE_QUANTITIES[name], end) for name in FITTED] for end in ("minimum", "maximum"))
+
+    def formula(values: np.ndarray) -> MagicFormula:
+        return MagicFormula(nominal_load=load, p_ey3=0.0, **STRAIGHT, **dict(zip(FITTED, values, strict=True)))
+
+    def left(values: np.ndarray) -> np.ndarray:
+        law = formula(values)
+        return ((magic_formula_force(slips, *magic_formula_coefficients(loads, law), law) - wanted) / size).ravel()
+
+    found = least_squares(left, np.clip(start, np.array(low) + 1e-9, np.array(high) - 1e-9), bounds=(low, high),
+                          x_scale=np.maximum(np.abs(start), 0.1))
+    return formula(found.x.tolist()), float(np.sqrt(np.mean(found.fun**2)))
+
+
+def vehicle_of(car: str, settings: Mapping[str, float] | None = None) -> VehicleParameters:
+    """The vehicle file of a car whose body, tyres, steering ratio and offset and INS point are as `settings` say (None:
+    nothing hidden): what a single-track model can know of it. Lags, sensors and surroundings have no place in it.
+    """
+    s, choice = complete(settings or {}), CARS[car]
+    p = parameters_of(car, s)
+    load_front, load_rear = static_loads(p)
+    ratio = choice.steering_ratio * s["steering_ratio_factor"]
+    vehicle = VehicleParameters(
+        name=choice.name, mass=p.m, yaw_inertia=p.I_z, wheelbase=p.a + p.b, cg_to_front_axle=p.a, cg_height=p.h_cg,
+        cg_to_ins_x=choice.cg_to_ins_x - s["cg_shift"] + s["ins_lever_error"], cg_to_ins_y=0.0,
+        steering_ratio=ratio, steering_wheel_offset=-s["steering_offset"] * ratio,
+        cornering_stiffness_front=2 * cornering_stiffness(load_front, p.tire_front),
+        cornering_stiffness_rear=2 * cornering_stiffness(load_rear, p.tire_rear),
+        minimum_slip_speed=3.0, length=p.l, width=p.w,
+        tyre_front=fitted_tyre(load_front, p.tire_front)[0], tyre_rear=fitted_tyre(load_rear, p.tire_rear)[0])
+    return vehicle.with_derived_scales()
+
+
+def nominal_car(car: str) -> Car:
+    """The car as manoeuvres and sensors of the benchmark take it; nothing hidden."""
+    v = vehicle_of(car)
+    names = [f.name for f in dataclasses.fields(Car) if not f.name.startswith("tyre_")]
+    tyres = {name: Tyre(**{f.name: getattr(getattr(v, name), f.name) for f in dataclasses.fields(Tyre)})
+             for name in ("tyre_front", "tyre_rear")}
+    return Car(**{name: getattr(v, name) for name in names}, **tyres)
