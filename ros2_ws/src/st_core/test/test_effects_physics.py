@@ -67,6 +67,7 @@ def test_roll_steer_adds_to_the_understeer_gradient(leaf, base):
 @pytest.mark.parametrize(("effect", "values", "by_hand"), [
     ("front_stiffness", {"factor": 0.8}, {"front": 0.8}),
     ("rear_stiffness", {"factor": 0.8}, {"rear": 0.8}),
+    ("tyre_stiffness", {"factor": 0.8}, {"front": 0.8, "rear": 0.8}),
 ])
 def test_stiffness_moves_the_gradient_on_both_kinds_of_tyre(leaf, base, effect, values, by_hand):
     assert gradient(augment(base, {effect: values}), leaf) == pytest.approx(gradient_by_hand(leaf, **by_hand), rel=1e-4)
@@ -122,6 +123,59 @@ def test_bank_pulls_down_the_slope_unfelt(leaf, base):
     w, state = model.inputs(0.0, 0.0, p), (0.0, 0.0, SPEED, 0.0, 0.0, 0.0)
     assert model.rhs(state, w, p)[3] == pytest.approx(-GRAVITY * math.sin(bank))
     assert model.felt(state, w, p) == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+@DYNAMIC
+@pytest.mark.parametrize("yaw", [0.0, 1.1, math.pi / 2, math.pi, -2.0])
+def test_tilted_plane_pulls_one_way_in_the_map_unfelt(leaf, base, yaw):
+    east, north = 0.03, -0.02
+    model = augment(base, {"road_slope": {"slope_x": east, "slope_y": north}})
+    p = model.parameters(leaf)
+    w, state = model.inputs(0.0, 0.0, p), (5.0, -3.0, SPEED, 0.0, yaw, 0.0)
+    to_the_left = -math.sin(yaw), math.cos(yaw)
+    rise = math.sin(east) * to_the_left[0] + math.sin(north) * to_the_left[1]
+    derivative = model.rhs(state, w, p)
+    assert derivative[3] == pytest.approx(-GRAVITY * rise, rel=1e-9) and derivative[5] == pytest.approx(0.0, abs=1e-12)
+    # Sliding freely down the slope the accelerometer shows nothing across; along, what holds the car against it.
+    climb = math.sin(east) * math.cos(yaw) + math.sin(north) * math.sin(yaw)
+    assert model.felt(state, w, p) == pytest.approx((GRAVITY * climb, 0.0), abs=1e-9)
+
+
+def test_tilted_plane_is_a_bank_to_who_always_heads_east(leaf):
+    state, held = VehicleState(0.0, 0.0, SPEED, 0.0, 0.0, 0.0), ControlInput(0.0, 0.0)
+    slope = augment("linear", {"road_slope": {"slope_x": 0.0, "slope_y": 1e-4}})
+    bank = augment("linear", {"road_bank": {"angle": 1e-4}})
+    both = [predict(model, leaf, state, held).states for model in (slope, bank)]
+    np.testing.assert_allclose(both[0], both[1], atol=1e-5)
+
+
+@pytest.mark.parametrize("base", MODELS)
+def test_steering_map_makes_large_angles_larger_and_leaves_small_ones(leaf, base):
+    model, plain = augment(base, {"steering_map": {"curvature": 0.05 / 0.3**2}}), MODELS[base]
+    p, own, state = model.parameters(leaf), plain.parameters(leaf), (0.0, 0.0, 3.5, 0.0, 0.2, 0.0)
+    for angle in (-0.3, 0.01, 0.3):
+        meant = angle * (1.0 + 0.05 * (angle / 0.3) ** 2)
+        expected = plain.rhs(state, plain.inputs(meant, 0.3, own), own)
+        assert model.rhs(state, model.inputs(angle, 0.3, p), p) == pytest.approx(expected, rel=1e-12)
+    # It counts from where the wheels are straight.
+    askew = augment(base, {"steering_map": {"curvature": 1.0}, "steering_offset": {"angle": 0.1},
+                           "steering_ratio": {"factor": 0.5}})
+    q = askew.parameters(leaf)
+    expected = plain.rhs(state, plain.inputs(0.3 * (1.0 + 0.3**2), 0.0, own), own)
+    assert askew.rhs(state, askew.inputs(0.1, 0.0, q), q) == pytest.approx(expected, rel=1e-12)
+
+
+@DYNAMIC
+def test_both_axles_softer_are_one_and_the_other(leaf, base):
+    state, held = VehicleState(0.0, 0.0, SPEED, 0.1, 0.3, 0.2), ControlInput(0.05, -0.5)
+    both = augment(base, {"tyre_stiffness": {"factor": 0.8}})
+    two = augment(base, {"front_stiffness": {"factor": 0.8}, "rear_stiffness": {"factor": 0.8}})
+    np.testing.assert_array_equal(predict(both, leaf, state, held).states, predict(two, leaf, state, held).states)
+    slips = np.linspace(-3.0, 0.0, 3000)
+    for axle in (0, 1):
+        peaks = [np.abs(axle_force(m, leaf, slips)[axle]).max() for m in (
+            augment("nonlinear", {"tyre_stiffness": {"factor": 0.8}}), MODELS["nonlinear"])]
+        assert peaks[0] == pytest.approx(peaks[1], rel=1e-3)
 
 
 @DYNAMIC

@@ -13,15 +13,18 @@ from st_core.readings import corrected_log, corrected_sample, readings
 from st_core.types import InsSample, VehicleState
 
 TRUE = Measured(x=10.0, y=-4.0, yaw=0.7, velocity_x=12.0, velocity_y=0.3, yaw_rate=0.25, acceleration_x=0.4,
-                acceleration_y=2.9)
+                acceleration_y=2.9, yaw_acceleration=-0.4)
 STATE = (10.0, -4.0, 12.0, 0.3, 0.7, 0.25)
 
 
 @pytest.mark.parametrize(("effect", "values", "changed"), [
     ("yaw_rate_bias", {"bias": 0.01}, {"yaw_rate": 0.26}),
-    ("yaw_rate_scale", {"factor": 1.04}, {"yaw_rate": 0.26}),
     ("speed_scale", {"factor": 0.5 + 0.4}, {"velocity_x": 10.8, "velocity_y": 0.27}),
+    ("yaw_rate_scale", {"factor": 1.04}, {"yaw_rate": 0.26, "yaw_acceleration": -0.416}),
+    ("yaw_rate_delay", {"time": 0.05}, {"yaw_rate": 0.27}),
     ("lateral_acceleration_bias", {"bias": -0.2}, {"acceleration_y": 2.7}),
+    ("position_lag", {"time": 0.1}, {"x": 10.0 - 0.1 * (12.0 * math.cos(0.7) - 0.3 * math.sin(0.7)),
+                                     "y": -4.0 - 0.1 * (12.0 * math.sin(0.7) + 0.3 * math.cos(0.7))}),
 ])
 def test_what_the_sensor_shows(effect, values, changed):
     shown = augment("nonlinear", {effect: values}).observe(TRUE)
@@ -46,6 +49,18 @@ def test_biases_are_added_after_scales_and_taken_off_before():
     assert model.correct(model.observe(TRUE)) == pytest.approx(TRUE)
 
 
+def test_late_sensors_are_late_behind_all_other_faults():
+    """Scale and bias of a late yaw rate are those of the sensor; a position is late by the true velocity."""
+    model = augment("linear", {"yaw_rate_scale": {"factor": 1.1}, "yaw_rate_bias": {"bias": 0.02},
+                               "yaw_rate_delay": {"time": 0.05}, "speed_scale": {"factor": 1.2},
+                               "heading_misalignment": {"angle": 0.05}, "position_lag": {"time": 0.1}})
+    shown = model.observe(TRUE)
+    assert shown.yaw_rate == pytest.approx(1.1 * (0.25 + 0.05 * 0.4) + 0.02)
+    late = augment("linear", {"position_lag": {"time": 0.1}}).observe(TRUE)
+    assert (shown.x, shown.y) == pytest.approx((late.x, late.y))
+    assert model.correct(shown) == pytest.approx(TRUE)
+
+
 @pytest.mark.parametrize("base", ["linear", "nonlinear"])
 def test_readings_at_the_ins_are_those_of_a_rigid_body(leaf, base):
     model = MODELS[base]
@@ -55,6 +70,7 @@ def test_readings_at_the_ins_are_those_of_a_rigid_body(leaf, base):
     sample = frames.cg_to_ins(VehicleState(*STATE), 0, leaf.cg_to_ins_x, leaf.cg_to_ins_y)
     assert shown[:6] == pytest.approx(sample[1:])
     derivative = model.rhs(STATE, w, p)
+    assert shown.yaw_acceleration == derivative[5] and readings(model, leaf, STATE).yaw_acceleration == 0.0
     at_cg = frames.ins_to_cg_acceleration(shown.acceleration_x, shown.acceleration_y, 0.25, derivative[5],
                                           leaf.cg_to_ins_x, leaf.cg_to_ins_y)
     assert at_cg == pytest.approx((-0.5 - 0.3 * 0.25, derivative[3] + 12.0 * 0.25))
