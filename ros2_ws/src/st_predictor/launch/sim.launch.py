@@ -15,7 +15,8 @@ from launch_ros.substitutions import FindPackagePrefix
 ARGUMENTS = {
     "config_dir": (None, "folder with nodes.yaml, vehicle/ and can/ (config/ of the repository)"),
     "vehicle": ([LaunchConfiguration("config_dir"), "/vehicle/leaf.yaml"], "vehicle file"),
-    "scenario": ("S6", "manoeuvre: S1 to S7 of the paper, sweep, step, lane_change, brake_in_turn, ramp_to_limit"),
+    "scenario": ("S6", "manoeuvre: S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, "
+                 "slalom, weave, circle, there_and_back"),
     "duration": ("60", "seconds of driving"),
     "plant": ("realistic", "ideal, realistic, or a file with plant settings"),
     "seed": ("0", "of the simulated noise"),

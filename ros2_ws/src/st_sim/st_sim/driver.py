@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from st_core.manoeuvres import UNDERSTEER
 
 from .car import Car
 from .environment import normal_stream
@@ -19,8 +20,6 @@ ANTICIPATION = 0.18
 HAND_TIME = 0.08
 FASTEST_HAND, FURTHEST_HAND = 8.0, 9.5
 """rad/s and rad at the hand wheel: 460 deg/s is quick for a person, 540 deg is the lock."""
-UNDERSTEER_FELT = 0.004
-"""rad s^2/m the driver adds from habit; the integral does the rest."""
 TREMOR_TIME = 0.4
 INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03
 SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5
@@ -69,7 +68,9 @@ class Driver:
         speed = s[VX]
         self._track(s[X], s[Y], speed)
         demand = self.plan.demand(time, self.distance, speed)
-        if demand.steer == "path":
+        if callable(demand.steer):
+            self._wanted = demand.steer(self.car.wheelbase) * self.car.steering_ratio
+        elif demand.steer == "path":
             # At a crawl the course says nothing: the hands wait.
             steers = speed > SLOWEST_STEERING
             if self._held and steers:
@@ -78,8 +79,6 @@ class Driver:
                 angle = self._steer_along(s, speed) * self.car.steering_ratio
                 self._wanted = min(max(angle, -FURTHEST_HAND), FURTHEST_HAND)
                 self._held = False
-        elif demand.steer != "hold":
-            self._wanted = float(demand.steer) * self.car.steering_ratio
         else:
             self._held = True
         self._pedals(plant, demand.speed, demand.acceleration)
@@ -110,7 +109,7 @@ class Driver:
         self._steer_sum = min(max(self._steer_sum, -INTEGRAL_LIMIT), INTEGRAL_LIMIT)
         bend = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
         curvature = bend - 2 * (offset + preview * math.sin(course)) / preview**2 - self._steer_sum
-        return math.atan(self.car.wheelbase * curvature) + UNDERSTEER_FELT * speed**2 * curvature
+        return math.atan(self.car.wheelbase * curvature) + UNDERSTEER * speed**2 * curvature
 
     def _pedals(self, plant: Plant, wanted: float, acceleration: float) -> None:
         s = plant.state

@@ -1,4 +1,4 @@
-"""What is driven: S1 to S7 of the paper and the standard manoeuvres. All of them go on until they are stopped.
+"""What is driven: S1 to S7 of the paper and the manoeuvres of `st_core.manoeuvres`. All go on until they are stopped.
 
 The paper prints R ~ 23 m and R ~ 20 m where its own error table fits the diameters; 11.5 m and 10 m are used.
 """
@@ -6,13 +6,18 @@ The paper prints R ~ 23 m and R ~ 20 m where its own error table fits the diamet
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Protocol
 
 from canedge_bridge.table_reader import TableError, read_document
+from st_core.manoeuvres import CATALOGUE, Lines, Manoeuvre
 
 from .errors import SimulationError
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
+
+Hands = Callable[[float], float]
+"""Wheelbase of the car [m] -> road-wheel angle [rad, left +]."""
 
 LONGEST_ROAD = 20_000.0
 """m, of one round given by a file."""
@@ -28,12 +33,12 @@ SPEED_SLACK = 0.15
 class Demand:
     """What the driver is to do now.
 
-    steer: "path" (follow the road), "hold" (hands still) or a road-wheel angle [rad, left +].
+    steer: "path" (follow the road), "hold" (hands still) or what hands do that do not look.
     """
 
     speed: float
     acceleration: float
-    steer: str | float = "path"
+    steer: str | Hands = "path"
 
 
 class Plan(Protocol):
@@ -105,20 +110,43 @@ class PhasePlan:
 
 
 class OpenLoopPlan:
-    """Constant speed and a hand that does not look at the road.
+    """Constant speed and a hand that does not look at the road."""
 
-    steer(time) -> road-wheel angle [rad], time from the start >= 0.
-    """
-
-    def __init__(self, speed: float, steer: Callable[[float], float]):
-        self.path = Path(straight(100.0, speed))
-        self.start, self._speed, self._steer = 0.0, speed, steer
+    def __init__(self, manoeuvre: Manoeuvre):
+        self.path = Path(straight(100.0, manoeuvre.speed))
+        self.start, self._manoeuvre = 0.0, manoeuvre
 
     def speed_at(self, distance: float) -> float:
-        return self._speed
+        return self._manoeuvre.speed
 
     def demand(self, time: float, distance: float, speed: float) -> Demand:
-        return Demand(self._speed, 0.0, self._steer(time) if time >= 0 else "path")
+        return Demand(self._manoeuvre.speed, 0.0, partial(self._hands, time) if time >= 0 else "path")
+
+    def _hands(self, time: float, wheelbase: float) -> float:
+        return float(self._manoeuvre.steering(time, wheelbase))
+
+
+def plan_of(manoeuvre: Manoeuvre) -> Plan:
+    """What the driver of the virtual car does of it: with pedals on a circle, along a road, or with open-loop hands."""
+    speed, curvature = manoeuvre.speed, manoeuvre.lateral / manoeuvre.speed**2
+    if manoeuvre.pedals:
+        return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, _phases(manoeuvre))
+    if manoeuvre.follows and isinstance(manoeuvre.share, Lines):
+        return RoadPlan([Piece(length * speed, curvature * first, curvature * last, speed)
+                         for length, first, last in manoeuvre.share.parts])
+    return OpenLoopPlan(manoeuvre)
+
+
+def _phases(manoeuvre: Manoeuvre) -> list[Phase]:
+    """Hands are still while braking; it ends at a speed, so that the car has it whatever the brakes made of it."""
+    phases, end = [], 0.0
+    for seconds, acceleration in manoeuvre.pedals:
+        end += seconds
+        if acceleration < 0:
+            phases.append(Phase("hold", acceleration, until=float(manoeuvre.speed_at(end))))
+        else:
+            phases.append(Phase("path", acceleration, duration=seconds))
+    return phases
 
 
 def _circle(lateral_acceleration: float, radius: float = 11.5) -> Plan:
@@ -168,68 +196,6 @@ def _roundabout() -> Plan:
     )
 
 
-def _sweep(speed: float = 14.0, amplitude: float = 0.055) -> Plan:
-    """0.2 to 2.8 Hz in 26 s, exponential, then 4 s straight."""
-    low, high, length, pause = 0.2, 2.8, 26.0, 4.0
-    rate = math.log(high / low) / length
-
-    def steer(time: float) -> float:
-        t = time % (length + pause)
-        return amplitude * math.sin(2 * math.pi * low / rate * (math.exp(rate * t) - 1)) if t < length else 0.0
-
-    return OpenLoopPlan(speed, steer)
-
-
-def _step(speed: float = 12.0, amplitude: float = 0.09) -> Plan:
-    """Left for 4 s, straight for 3 s, right for 4 s, straight for 3 s; 0.09 rad at 12 m/s is about 4 m/s^2."""
-
-    def steer(time: float) -> float:
-        t = time % 14.0
-        return 0.0 if t < 3 or 7 <= t < 10 else amplitude if t < 7 else -amplitude
-
-    return OpenLoopPlan(speed, steer)
-
-
-def _ramp_to_limit(speed: float = 11.0, rate: float = 0.016, top: float = 0.4) -> Plan:
-    """Slowly in to beyond the friction limit, quickly out, rest; then to the other side."""
-    up, out, rest = top / rate, 2.0, 4.0
-    period = up + out + rest
-
-    def steer(time: float) -> float:
-        half, t = divmod(time, period)
-        angle = rate * t if t < up else top * max(0.0, 1 - (t - up) / out)
-        return angle if half % 2 == 0 else -angle
-
-    return OpenLoopPlan(speed, steer)
-
-
-def _lane_change(speed: float = 12.0) -> Plan:
-    """Double lane change: 3.5 m to the left within 30 m, 25 m there, back."""
-    return RoadPlan(
-        [
-            *straight(40, speed),
-            *lane_shift(3.5, 30, speed),
-            *straight(25, speed),
-            *lane_shift(-3.5, 30, speed),
-            *straight(35, speed),
-        ]
-    )
-
-
-def _brake_in_turn() -> Plan:
-    """R = 30 m to the left at 4 m/s^2, then 4 m/s^2 of braking with the hands still, down to 3 m/s, and again."""
-    return PhasePlan(
-        30.0,
-        1,
-        math.sqrt(4.0 * 30.0),
-        [
-            Phase("path", duration=8.0),
-            Phase("hold", acceleration=-4.0, until=3.0),
-            Phase("path", acceleration=2.0, duration=6.0),
-        ],
-    )
-
-
 def _circle_to_rest() -> Plan:
     """R = 10 m to the right at 1.5 m/s^2; brakes at 1.5 m/s^2 to rest, stands 4 s, pulls away and does it again."""
     return PhasePlan(
@@ -253,12 +219,9 @@ SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
     "S5": (_circle_to_rest, "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, pull away, again"),
     "S6": (_u_turns, "U-turns right, left, left with straights, 4 to 6 m/s"),
     "S7": (_roundabout, "16 m/s, slightly right, brake to 5 m/s, 450 deg roundabout, back to 16 m/s"),
-    "sweep": (_sweep, "sine steering 0.2 to 2.8 Hz at 14 m/s"),
-    "step": (_step, "steps of steering to both sides at 12 m/s"),
-    "lane_change": (_lane_change, "double lane changes at 12 m/s"),
-    "brake_in_turn": (_brake_in_turn, "R = 30 m at 4 m/s^2, braking at 4 m/s^2 with the hands still"),
-    "ramp_to_limit": (_ramp_to_limit, "steering slowly increased to the limit at 11 m/s"),
+    **{m.name: (partial(plan_of, m), m.meaning) for m in CATALOGUE if m.name != "S1"},
 }
+"""S1 of the catalogue is the paper's; the road here is the one that goes with the paper's table."""
 
 
 def load(name: str) -> Plan:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from st_core.manoeuvres import CATALOGUE
 from st_sim.car import read_car
 from st_sim.driver import FASTEST_HAND
 from st_sim.errors import SimulationError
@@ -68,6 +69,14 @@ def test_s1_figure_eight():
     path = load("S1").path
     end = path.pose(path.length * 5)
     assert math.hypot(end.x, end.y) < 0.05 and end.yaw == pytest.approx(0.0, abs=1e-9)
+
+
+def test_s1_of_the_catalogue_is_the_papers():
+    one, path = next(m for m in CATALOGUE if m.name == "S1"), load("S1").path
+    assert one.period * one.speed == pytest.approx(path.length, abs=0.01)
+    for time in np.arange(0.0, one.period, 0.05):
+        road = path.curvature(load("S1").start + time * one.speed)
+        assert one.curvature(time) == pytest.approx(road, abs=1e-3)
 
 
 def test_s5_right_circle_to_rest_and_on():
@@ -139,6 +148,30 @@ def test_brake_in_turn_brakes_with_still_hands():
     assert np.gradient(d.vx, d.t)[braking].mean() == pytest.approx(-4.0, abs=0.3)
     # Only the tremor moves them.
     assert np.ptp(d.hand[braking]) < 0.06
+
+
+def test_circle_is_driven_to_both_sides_with_still_hands():
+    d = Drive("circle", 30)
+    for first, last, side in ((5, 12, 1), (20, 27, -1)):
+        steady = (d.t > first) & (d.t < last)
+        assert d.ay[steady].mean() == pytest.approx(side * 3.6, abs=0.15) and d.ay[steady].std() < 0.05
+        assert np.ptp(d.hand[steady]) < 0.08
+    assert d.vx.mean() == pytest.approx(6.5, abs=0.05)
+
+
+def test_slalom_and_weave_are_sines():
+    for name, frequency, size in (("slalom", 0.5, 4.0), ("weave", 0.25, 1.0)):
+        d = Drive(name, 12)
+        assert 0.5 * (np.diff(np.sign(d.hand)) != 0).sum() / 12 == pytest.approx(frequency, abs=0.1)
+        assert np.abs(d.ay).max() == pytest.approx(size, rel=0.12)
+
+
+def test_there_and_back_comes_back():
+    d = Drive("there_and_back", 39)
+    assert math.hypot(d.x[-1] - d.x[0], d.y[-1] - d.y[0]) < 2.0
+    east, west = (np.abs(np.remainder(d.yaw - way, 2 * np.pi) - np.pi) > np.pi - 0.02 for way in (0.0, np.pi))
+    assert east.sum() > 8 * RATE and west.sum() > 8 * RATE
+    assert np.abs(d.ay).max() == pytest.approx(3.0, abs=0.25)
 
 
 def test_ramp_goes_beyond_the_limit():

@@ -6,7 +6,10 @@ import typer
 from rich.console import Console
 
 AFTERWARDS = 2.0  # s
-SCENARIOS = "S1 to S7 of the paper, sweep, step, lane_change, brake_in_turn, ramp_to_limit, or a .yaml file"
+SCENARIOS = (
+    "S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
+    "there_and_back, or a .yaml file"
+)
 
 
 def demo(

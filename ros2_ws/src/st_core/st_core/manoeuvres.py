@@ -1,0 +1,221 @@
+"""Manoeuvres: the same for the virtual car, the drives `st discover` suggests and its benchmark.
+
+A manoeuvre is given by its speed and by the lateral acceleration it aims at, so that any car can drive it:
+
+    curvature(t) = lateral share(t) / speed^2              share between -1 and 1
+    road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer
+
+Left is positive everywhere; a negative `lateral` is the mirrored manoeuvre. Times count from the start.
+Checked by: test_manoeuvres.py, tests/bench/test_discovery_manoeuvres.py.
+"""
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+UNDERSTEER = 0.004
+"""rad s^2/m the hand allows for in a car it does not know."""
+
+
+class Shape(Protocol):
+    """Share of the lateral acceleration at a time [s] within one round, -1 to 1."""
+
+    def __call__(self, time: np.ndarray) -> np.ndarray: ...
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Straight lines one after the other: (duration [s], share at its start, share at its end)."""
+
+    parts: tuple[tuple[float, float, float], ...]
+
+    def __call__(self, time: np.ndarray) -> np.ndarray:
+        ends, lengths, first, last = self._table
+        i = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
+        return first[i] + (last - first)[i] * np.clip((time - ends[i]) / lengths[i] + 1.0, 0.0, 1.0)
+
+    @property
+    def duration(self) -> float:
+        return float(self._table[0][-1])
+
+    @cached_property
+    def _table(self) -> tuple[np.ndarray, ...]:
+        lengths, first, last = np.array([part for part in self.parts if part[0] > 0.0]).T
+        return np.cumsum(lengths), lengths, first, last
+
+
+@dataclass(frozen=True)
+class Sine:
+    """A sine whose frequency grows exponentially from `low` to `high` [Hz] within `duration` [s]; then straight."""
+
+    low: float
+    high: float
+    duration: float
+
+    def __call__(self, time: np.ndarray) -> np.ndarray:
+        rate = math.log(self.high / self.low) / self.duration
+        turns = self.low * (np.expm1(rate * time) / rate if rate else time)
+        return np.where(time < self.duration, np.sin(2 * np.pi * turns), 0.0)
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """What hands and feet do.
+
+    name: also the scenario of the virtual car. speed: at the start [m/s]. lateral: acceleration aimed at where the
+    share is 1 [m/s^2], speed as at the start. period [s]: of one round, then it begins again. rounds: of a drive.
+    pedals: (duration [s], forward acceleration [m/s^2]) one after the other, the speed of the start is never exceeded;
+    none: constant speed. follows: the driver looks at a road of this curvature, made of Lines; otherwise his hands do
+    not look. With pedals the road is a circle, and while braking the hands are still. meaning: in words.
+    """
+
+    name: str
+    speed: float
+    lateral: float
+    share: Shape
+    period: float
+    rounds: int = 1
+    pedals: tuple[tuple[float, float], ...] = ()
+    follows: bool = False
+    meaning: str = field(default="", compare=False)
+
+    @property
+    def duration(self) -> float:
+        """s of a drive."""
+        return self.rounds * self.period
+
+    def curvature(self, time: np.ndarray | float) -> np.ndarray:
+        """Of the way at the speed of the start [1/m]; time [s] >= 0."""
+        return self.lateral / self.speed**2 * self.share(np.asarray(time) % self.period)
+
+    def steering(self, time: np.ndarray | float, wheelbase: float, understeer: float = UNDERSTEER) -> np.ndarray:
+        """Road wheel angle [rad] of a car of that wheelbase [m] and understeer K [rad s^2/m]; time [s] >= 0."""
+        return (wheelbase + understeer * self.speed**2) * self.curvature(time)
+
+    def speed_at(self, time: np.ndarray | float) -> np.ndarray:
+        """Wanted speed [m/s]; time [s] >= 0."""
+        times, speeds = self._speeds
+        return np.interp(np.asarray(time) % self.period, times, speeds)
+
+    def forward(self, time: np.ndarray | float) -> np.ndarray:
+        """Wanted forward acceleration [m/s^2]; time [s] >= 0."""
+        times, speeds = self._speeds
+        slopes = np.diff(speeds) / np.diff(times)
+        i = np.searchsorted(times, np.asarray(time) % self.period, side="right") - 1
+        return slopes[np.clip(i, 0, len(slopes) - 1)]
+
+    @cached_property
+    def _speeds(self) -> tuple[np.ndarray, np.ndarray]:
+        times, speeds = [0.0], [self.speed]
+        for seconds, acceleration in self.pedals or ((self.period, 0.0),):
+            regained = (self.speed - speeds[-1]) / acceleration if acceleration > 0.0 else seconds
+            for length in (min(seconds, regained), seconds - regained):
+                if length > 1e-9:
+                    speeds.append(min(speeds[-1] + acceleration * length, self.speed))
+                    times.append(times[-1] + length)
+        return np.array(times), np.array(speeds)
+
+
+def sweep(speed: float, lateral: float, duration: float = 26.0, pause: float = 4.0) -> Manoeuvre:
+    """Sine steering, 0.2 to 2.8 Hz within `duration` [s], then straight for `pause` [s]."""
+    return Manoeuvre("sweep", speed, lateral, Sine(0.2, 2.8, duration), duration + pause,
+                     meaning=f"sine steering 0.2 to 2.8 Hz at {speed:g} m/s")
+
+
+def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) -> Manoeuvre:
+    """Straight, at once to one side, straight, at once to the other."""
+    parts = ((pause, 0.0, 0.0), (hold, 1.0, 1.0), (pause, 0.0, 0.0), (hold, -1.0, -1.0))
+    return Manoeuvre("step", speed, lateral, Lines(parts), 2 * (hold + pause), rounds=2,
+                     meaning=f"steps of steering to both sides at {speed:g} m/s")
+
+
+def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, out: float = 2.0, rest: float = 4.0) -> Manoeuvre:
+    """Slowly in within `up` [s], quickly out, rest [s]; then to the other side. lateral: beyond what tyres give."""
+    return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (out, 1.0, 0.0), (rest, 0.0, 0.0)),
+                     2 * (up + out + rest), meaning=f"steering slowly increased to the limit at {speed:g} m/s")
+
+
+def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: float = 4.0, down_to: float = 3.0,
+                  power: float = 2.0, drive: float = 6.0) -> Manoeuvre:
+    """A circle; brakes [m/s^2] with the hands still down to a speed [m/s], then power [m/s^2] for `drive` [s]."""
+    pedals = ((cruise, 0.0), ((speed - down_to) / braking, -braking), (drive, power))
+    period = sum(seconds for seconds, _ in pedals)
+    return Manoeuvre("brake_in_turn", speed, lateral, Lines(((period, 1.0, 1.0),)), period, 2, pedals, follows=True,
+                     meaning=f"R = {speed**2 / abs(lateral):.0f} m at {abs(lateral):g} m/s^2, braking at {braking:g} "
+                             "m/s^2 with the hands still")
+
+
+def lane_change(speed: float, lateral: float, width: float = 3.5) -> Manoeuvre:
+    """Double lane change: `width` [m] to the side, 25 m there, back; 40 m before and 35 m after it.
+
+    The curvature runs 0, k, -k, 0 within the length s of one change: width = 2 k (s / 4)^2 for small angles.
+    """
+    quarter = math.sqrt(width * speed**2 / (2 * abs(lateral)))
+    there = ((quarter, 0.0, 1.0), (2 * quarter, 1.0, -1.0), (quarter, -1.0, 0.0))
+    back = tuple((length, -first, -last) for length, first, last in there)
+    metres = ((40.0, 0.0, 0.0), *there, (25.0, 0.0, 0.0), *back, (35.0, 0.0, 0.0))
+    shape = Lines(tuple((length / speed, first, last) for length, first, last in metres))
+    return Manoeuvre("lane_change", speed, lateral, shape, shape.duration, rounds=2, follows=True,
+                     meaning=f"double lane changes at {speed:g} m/s")
+
+
+def slalom(speed: float, lateral: float, frequency: float = 0.5, waves: int = 12) -> Manoeuvre:
+    """Sine steering at one frequency [Hz]."""
+    return Manoeuvre("slalom", speed, lateral, Sine(frequency, frequency, waves / frequency), waves / frequency,
+                     meaning=f"sine steering of {frequency:g} Hz to {abs(lateral):g} m/s^2 at {speed:g} m/s")
+
+
+def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
+    """Sine steering at 0.25 Hz, little of it: the hand about the middle."""
+    return Manoeuvre("weave", speed, lateral, Sine(0.25, 0.25, 4 * waves), 4 * waves,
+                     meaning=f"gentle sine steering of 0.25 Hz about the middle at {speed:g} m/s")
+
+
+def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
+    """Within `ramp` [s] into a steady circle, out of it, the same to the other side."""
+    return Manoeuvre("circle", speed, lateral,
+                     _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0)),
+                     2 * (hold + 2 * ramp + 1.0), meaning=f"steady circles to both sides, {speed:g} m/s and "
+                                                          f"{abs(lateral):g} m/s^2, with still hands")
+
+
+def there_and_back(speed: float, lateral: float, straight: float = 10.0, ramp: float = 1.0) -> Manoeuvre:
+    """Straight [s], turned by 180 deg, straight back, turned to the start: what is fixed in the map changes sides."""
+    arc = math.pi * speed / abs(lateral) - ramp
+    half = ((straight, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0))
+    shape = Lines(half + half)
+    return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, follows=True,
+                     meaning=f"straight there and straight back at {speed:g} m/s")
+
+
+def figure_eight(speed: float = 4.0, radius: float = 11.5) -> Manoeuvre:
+    """S1 of the paper: loops of 240 deg to both sides, 6 m of blend, straights of the length that closes it [m]."""
+    blend, straight = 6.0, 34.3015
+    arc = math.radians(240.0) * radius - blend
+    half = ((straight / 2, 0.0, 0.0), (blend, 0.0, 1.0), (arc, 1.0, 1.0), (blend, 1.0, 0.0), (straight / 2, 0.0, 0.0))
+    metres = half + tuple((length, -first, -last) for length, first, last in half)
+    shape = Lines(tuple((length / speed, first, last) for length, first, last in metres))
+    return Manoeuvre("S1", speed, speed**2 / radius, shape, shape.duration, follows=True,
+                     meaning=f"figure eight at {speed:g} m/s, R = {radius:g} m")
+
+
+def _both_sides(*parts: tuple[float, float, float]) -> Lines:
+    return Lines((*parts, *((length, -first, -last) for length, first, last in parts)))
+
+
+CATALOGUE = (
+    sweep(14.0, 3.09),
+    step(12.0, 3.96),
+    ramp_to_limit(11.0, 15.2),
+    brake_in_turn(math.sqrt(4.0 * 30.0), 4.0),
+    lane_change(12.0, 4.48),
+    slalom(12.0, 4.0),
+    weave(14.0, 1.0),
+    circle(6.5, 3.6),
+    there_and_back(8.0, 3.0),
+    figure_eight(),
+)
+"""What is suggested, and what the virtual car drives by these names."""
