@@ -1,26 +1,30 @@
-"""Programmes of hand and foot, put together from manoeuvres: what is driven in the cases.
+"""Programmes of hand and foot, put together from the manoeuvres of `st_core`: what is driven in the cases.
 
-Steering is open loop, so that the same programme can be driven by any car, except on ordinary roads, where the hand
-holds the heading as a driver does. Sizes are given as the lateral acceleration the nominal car would reach.
+Steering is open loop, so that the same programme can be driven by any car, except on roads, where the hand holds the
+heading as a driver does. Sizes are given as the lateral acceleration the nominal car would reach. Drawn manoeuvres are
+shorter than those that are suggested.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from scipy.signal import lfilter
+from st_core import manoeuvres as standard
+from st_core.manoeuvres import CATALOGUE, UNDERSTEER, Manoeuvre
 from st_sim.car import Car
 
 from .compiled import Programme
 
 DT = 0.01
-UNDERSTEER = 0.004
-"""rad s^2/m the hand allows for."""
 HEADING_GAIN = 0.3
 SPEED_CHANGE = 2.5
 """m/s^2 between two manoeuvres."""
 STRAIGHT = 0.6
 """s of straight driving before each manoeuvre."""
+INTO = 0.5
+"""s in which the hands go in where a manoeuvre begins in a bend."""
 TREMOR, TREMOR_TIME = 0.01, 0.4
 """rad at the hand wheel and s: of a hand that is never still."""
 
@@ -45,6 +49,18 @@ class Builder:
         self.rows.append(np.stack([angle * self.car.steering_ratio, turned, gain, speeds, slope]))
         self.speed, self.heading = float(speeds[-1]), float(turned[-1])
 
+    def drive(self, manoeuvre: Manoeuvre, seconds: float | None = None) -> None:
+        """From the present speed, which is that of the manoeuvre. seconds: of it, one round if not given."""
+        time = _time(manoeuvre.period if seconds is None else seconds)
+        angle = manoeuvre.steering(time, self.car.wheelbase)
+        if manoeuvre.share(np.zeros(1))[0]:
+            angle *= np.minimum(time / INTO, 1.0)
+        # Hands that are still while braking do not look.
+        self.add(angle, manoeuvre.speed_at(time), closed=manoeuvre.follows and not manoeuvre.pedals)
+
+    def side(self) -> int:
+        return int(self.generator.choice([-1, 1]))
+
     def go_to(self, speed: float) -> None:
         """Straight on, to another speed."""
         count = max(round(STRAIGHT / DT), round(abs(speed - self.speed) / SPEED_CHANGE / DT))
@@ -58,56 +74,53 @@ class Builder:
         kicks = TREMOR * np.sqrt(1 - memory**2) * self.generator.standard_normal(len(hand))
         return Programme(hand + lfilter([1.0], [1.0, -memory], kicks), yaw, gain, speed, acceleration)
 
-    def angle_for(self, lateral: float, speed: float | None = None) -> float:
+    def angle_for(self, lateral: float) -> float:
         """Road-wheel angle [rad] for a steady lateral acceleration [m/s^2]."""
-        v = self.speed if speed is None else speed
-        return lateral / v**2 * (self.car.wheelbase + UNDERSTEER * v**2)
+        return lateral / self.speed**2 * (self.car.wheelbase + UNDERSTEER * self.speed**2)
 
 
 def _time(duration: float) -> np.ndarray:
     return np.arange(round(duration / DT)) * DT
 
 
-def sweep(b: Builder, lateral: float, duration: float = 9.0) -> None:
-    """Sine, 0.2 to 2.8 Hz."""
-    low, high = 0.2, 2.8
-    rate = np.log(high / low) / duration
-    b.add(b.angle_for(lateral) * np.sin(2 * np.pi * low / rate * (np.exp(rate * _time(duration)) - 1)))
+def sweep(b: Builder, lateral: float) -> None:
+    """Within 9 s."""
+    b.drive(standard.sweep(b.speed, lateral, 9.0, 0.0))
 
 
 def steps(b: Builder, lateral: float) -> None:
-    """Left 1.8 s, straight 1 s, right 1.8 s, straight 0.6 s, or the other way round."""
-    side = b.generator.choice([-1, 1])
-    parts = [np.full(round(s / DT), level) for s, level in ((1.8, 1), (1.0, 0), (1.8, -1), (0.6, 0))]
-    b.add(side * b.angle_for(lateral) * np.concatenate(parts))
+    """To each side for 1.8 s."""
+    b.drive(standard.step(b.speed, b.side() * lateral, 1.8, 1.0))
 
 
 def slalom(b: Builder, lateral: float) -> None:
-    """Sine of one frequency between 0.4 and 0.7 Hz, 5 s."""
-    b.add(b.angle_for(lateral) * np.sin(2 * np.pi * b.generator.uniform(0.4, 0.7) * _time(5.0)))
+    """Three waves of a frequency between 0.4 and 0.7 Hz."""
+    b.drive(standard.slalom(b.speed, lateral, b.generator.uniform(0.4, 0.7), 3))
 
 
 def weave(b: Builder, lateral: float) -> None:
-    """On-centre: 0.25 Hz, 6 s."""
-    b.add(b.angle_for(lateral) * np.sin(2 * np.pi * 0.25 * _time(6.0)))
+    """One wave and a half."""
+    b.drive(standard.weave(b.speed, lateral, 1.5))
 
 
 def ramp_to_limit(b: Builder, lateral: float) -> None:
-    """To beyond the limit in 5 s, back in 1 s."""
-    side = b.generator.choice([-1, 1])
-    up = b.angle_for(lateral) * _time(5.0) / 5.0
-    b.add(side * np.concatenate([up, up[-1] * (1 - _time(1.0))]))
+    """To beyond the limit of one side in 5 s, back in 1 s."""
+    b.drive(standard.ramp_to_limit(b.speed, b.side() * lateral, 5.0, 1.0, 0.0), 6.0)
 
 
 def brake_in_turn(b: Builder, lateral: float) -> None:
-    """2 s of circle, braking at 4 m/s^2 for 1.4 s with the hands still, then power for 1.6 s."""
-    side = b.generator.choice([-1, 1])
-    v, angle = b.speed, b.angle_for(lateral)
-    into = np.minimum(_time(2.0) / 0.5, 1.0) * angle
-    slow = v - 4.0 * _time(1.4)
-    fast = slow[-1] + 2.5 * _time(1.6)
-    speeds = np.concatenate([np.full(len(into), v), slow, fast])
-    b.add(side * np.concatenate([into, np.full(len(slow) + len(fast), angle)]), speeds)
+    """2 s of circle, braking for 1.4 s, power for 1.6 s."""
+    b.drive(standard.brake_in_turn(b.speed, b.side() * lateral, 2.0, 4.0, b.speed - 4.0 * 1.4, 2.5, 1.6))
+
+
+def circle(b: Builder, lateral: float) -> None:
+    """4 s of one side, in and out of it within 2 s."""
+    b.drive(standard.circle(b.speed, b.side() * lateral, 4.0, 2.0), 8.0)
+
+
+def slow_circle(b: Builder, lateral: float) -> None:
+    """As slowly that the yaw rate hardly changes."""
+    b.drive(standard.circle(b.speed, b.side() * lateral, 2.0, 8.0), 18.0)
 
 
 def ordinary(b: Builder, lateral: float, duration: float = 6.0) -> None:
@@ -117,19 +130,6 @@ def ordinary(b: Builder, lateral: float, duration: float = 6.0) -> None:
     noise = sum(np.sin(2 * np.pi * f * time + phase) for f, phase in waves) / np.sqrt(2.0)
     speeds = b.speed * (1 + 0.1 * np.sin(2 * np.pi * time / duration))
     b.add(b.angle_for(lateral) * noise * np.minimum(time, 1.0), speeds, closed=True)
-
-
-def circle(b: Builder, lateral: float, duration: float = 8.0, ramp: float = 2.0) -> None:
-    """Slowly into a circle and out of it."""
-    side = b.generator.choice([-1, 1])
-    time = _time(duration)
-    share = np.clip(np.minimum(time, duration - time) / ramp, 0.0, 1.0)
-    b.add(side * b.angle_for(lateral) * share)
-
-
-def slow_circle(b: Builder, lateral: float) -> None:
-    """As slowly that the yaw rate hardly changes."""
-    circle(b, lateral, 18.0, 8.0)
 
 
 @dataclass(frozen=True)
@@ -153,6 +153,16 @@ SLOW_CIRCLE = Part(slow_circle, (8.0, 10.0), (1.5, 2.5))
 
 FULL = (SWEEP, LIMIT, BRAKING, ORDINARY)
 EXTRA = (STEPS, SLALOM, WEAVE)
+
+
+def _whole(b: Builder, lateral: float, manoeuvre: Manoeuvre) -> None:
+    b.drive(manoeuvre, manoeuvre.duration)
+
+
+def suggested(name: str) -> Part:
+    """A drive of the catalogue just as it is suggested. Raises StopIteration where there is none of that name."""
+    one = next(m for m in CATALOGUE if m.name == name)
+    return Part(partial(_whole, manoeuvre=one), (one.speed, one.speed), (one.lateral, one.lateral))
 
 
 def mixed(car: Car, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None, speed_factor: float = 1.0,
