@@ -9,7 +9,7 @@ Pure: numbers in, findings out. The same call serves `st check`, every other ver
 from .check import check
 from .extras import Extras, InsQuality, Series
 from .finding import SCHEMA, Channel, Checked, Cure, Finding, Identity, Severity
-from .together import Together, together
+from .together import Together, pooled, together
 
 __all__ = ["SCHEMA", "Channel", "Checked", "Cure", "Extras", "Finding", "Identity", "InsQuality", "Series", "Severity",
-           "Together", "check", "together"]
+           "Together", "check", "pooled", "together"]

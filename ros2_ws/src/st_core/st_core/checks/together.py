@@ -1,7 +1,7 @@
 """One quantity over several runs: what belongs to the sensor is alike in all of them, what differs is of the place."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,17 +63,33 @@ def together(runs: Sequence[Checked]) -> list[Together]:
     return sorted(found, key=lambda one: -one.told)
 
 
+def pooled(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
+    """Estimates (value, low, high) of several runs as one, random effects; of a quantity one run has, as they are."""
+    found = {}
+    for name in dict.fromkeys(name for run in runs for name in run):
+        rows = np.array([run[name] for run in runs if name in run], float)
+        mean, interval, _, _ = _random_effects(rows)
+        found[name] = (mean, *interval) if len(rows) > 1 else tuple(rows[0].tolist())
+    return found
+
+
 def _pooled(name: str, unit: str, rows: np.ndarray, told: int) -> Together:
+    mean, interval, between, excess = _random_effects(rows)
+    null = 1.0 if name.endswith("_scale") else 0.0
+    alike = excess <= chi2.ppf(SURE, len(rows) - 1) or between < ALIKE * abs(mean - null)
+    return Together(name, unit, len(rows), told, mean, interval, between, float(rows[:, 0].min()),
+                    float(rows[:, 0].max()), bool(alike))
+
+
+def _random_effects(rows: np.ndarray) -> tuple[float, tuple[float, float], float, float]:
+    """(mean, its interval, standard deviation between rows, Cochran's Q) of rows (value, low, high)."""
     values, deviation = rows[:, 0], np.maximum((rows[:, 2] - rows[:, 1]) / (2 * 1.96), 1e-12)
     weights = deviation**-2.0
     mean = float(weights @ values / weights.sum())
     excess = float(weights @ (values - mean) ** 2)
-    freedom = len(values) - 1
-    variance = max(excess - freedom, 0.0) / (weights.sum() - (weights**2).sum() / weights.sum())
+    freedom = max(len(values) - 1, 1)
+    variance = max(excess - freedom, 0.0) / max(weights.sum() - (weights**2).sum() / weights.sum(), 1e-300)
     weights = 1.0 / (deviation**2 + variance)
     mean = float(weights @ values / weights.sum())
-    null = 1.0 if name.endswith("_scale") else 0.0
-    alike = excess <= chi2.ppf(SURE, freedom) or np.sqrt(variance) < ALIKE * abs(mean - null)
     interval = symmetric_interval(mean, float(weights.sum() ** -0.5), freedom)
-    return Together(name, unit, len(values), told, mean, interval, float(np.sqrt(variance)), float(values.min()),
-                    float(values.max()), bool(alike))
+    return mean, interval, float(np.sqrt(variance)), excess

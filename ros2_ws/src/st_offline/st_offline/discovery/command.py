@@ -2,14 +2,17 @@
 
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from st_core.discovery import Discovery, DiscoverySettings, discover
+from st_core.checks import pooled
+from st_core.discovery import DiscoverySettings
+from st_core.discovery.discover import discover
+from st_core.discovery.result import Discovery
 from st_core.discovery.where import survey
 from st_core.effects import load_folder
 from st_core.log import DriveLog
@@ -23,12 +26,17 @@ from ..evaluation.command import FORMATS
 from ..evaluation.drawing import Drawn, Place
 from ..output import new_folder
 from ..runs import ReadSettings, find_runs
-from . import words
-from .document import Question, document, model_file, write_json
+from . import answers
+from .agreement_figures import agreement, bound
+from .answer_figures import budget, certificate, runs, waterfall
+from .document import document, model_file, write_json
 from .drive_figures import maps, over_time, paths
 from .drives import Drive, cache_folder, read_drives
 from .figures import Scene, candidates, conditions, gap
+from .mending import Mended, mend
 from .page import write_page
+from .question import Question
+from .shown import show
 
 
 class CommandError(RuntimeError):
@@ -37,13 +45,14 @@ class CommandError(RuntimeError):
 
 @dataclass(frozen=True)
 class Job:
-    """Arguments of the verb. output: None for runs/discover-<time>."""
+    """Arguments of the verb. vehicle_text: of vehicle_file. output: None for runs/discover-<time>."""
 
     runs: Sequence[Path]
     reference: Sequence[Path]
     base: str
     vehicle: VehicleParameters
     vehicle_file: str
+    vehicle_text: str
     settings: DiscoverySettings
     read: ReadSettings
     effects: Path | None
@@ -66,19 +75,20 @@ def run_command(job: Job, console: Console) -> int:
     marks = [time.perf_counter()]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
-        runs, reference = _read(job, progress)
+        suspect, healthy = _read(job, progress)
         marks.append(time.perf_counter())
-        found = _discover(job, base, _logs(runs), _logs(reference), progress)
+        found, earlier = _answer(job, base, suspect, healthy, own, progress)
     marks.append(time.perf_counter())
-    question = Question(runs, reference, job.base, job.vehicle, job.vehicle_file, job.settings, own)
+    question = Question(suspect, healthy, job.base, job.vehicle, job.vehicle_file, job.vehicle_text, job.settings, own)
     seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
     with console.status("drawing, writing the report"):
         drawn = draw(found, question, Place(folder / "figures", job.formats)) if job.report else None
-        files = write_results(found, question, folder, drawn, seconds)
-    for drive in (*runs, *reference):
+        mended = mend(found, question)
+        files = write_results(found, question, mended, folder, drawn, seconds)
+    for drive in (*suspect, *healthy):
         say(drive.name, findings_in(drive.about), console)
-    show(found, [d for d in (*runs, *reference) if d.problem], files, console)
-    return 1 if any(d.problem for d in (*runs, *reference)) else 0
+    show(found, mended, [d for d in (*suspect, *healthy) if d.problem], files, earlier, console)
+    return 1 if any(d.problem for d in (*suspect, *healthy)) else 0
 
 
 def own_effects(folder: Path | None) -> dict[str, str]:
@@ -113,88 +123,100 @@ def _read(job: Job, progress: Progress) -> tuple[list[Drive], list[Drive]]:
     cache = cache_folder() if job.cached else None
     drives = read_drives([*sources, *healthy], job.vehicle, job.read, job.jobs, cache, lambda: progress.advance(bar),
                          job.force)
-    runs, reference = drives[:len(sources)], drives[len(sources):]
-    if not _logs(runs):
-        raise CommandError("no run can be used: " + "; ".join(d.problem for d in runs))
+    suspect, reference = drives[:len(sources)], drives[len(sources):]
+    if not _logs(suspect):
+        raise CommandError("no run can be used: " + "; ".join(d.problem for d in suspect))
     if healthy and not _logs(reference):
         raise CommandError("no --reference run can be used: " + "; ".join(d.problem for d in reference))
-    mine = {digest for d in runs if d.log is not None for digest in d.about["files"].values()}
-    for drive in reference:
-        if drive.log is not None and mine & set(drive.about["files"].values()):
+    _refuse_twice(suspect, reference)
+    return suspect, _named_apart(suspect, reference)
+
+
+def _refuse_twice(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
+    """Raises CommandError for a drive on both lists, and for a reference that says it is of another car."""
+    mine = {digest for d in suspect if d.log is not None for digest in d.about["files"].values()}
+    cars = {d.about["vehicle"]: d.name for d in suspect if d.log is not None and d.about["vehicle"]}
+    for drive in (d for d in reference if d.log is not None):
+        if mine & set(drive.about["files"].values()):
             raise CommandError(f"{drive.name} is given as a run and as --reference: what is suspect cannot be the "
                                "healthy car; take it off one of the lists")
-    return _named_apart(runs, reference)
+        if drive.about["vehicle"] and cars and drive.about["vehicle"] not in cars:
+            car, name = next(iter(cars.items()))
+            raise CommandError(f"--reference {drive.name} is of {drive.about['vehicle']!r}, {name} of {car!r}, as "
+                               "their recordings say: a reference is the same car while it was healthy")
 
 
-def _named_apart(runs: list[Drive], reference: list[Drive]) -> tuple[list[Drive], list[Drive]]:
+def _named_apart(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
     """A healthy drive of the same name as a run gets another: results speak of runs by name."""
-    taken = {d.name for d in runs}
+    taken = {d.name for d in suspect}
     renamed = []
     for drive in reference:
         name = drive.name if drive.name not in taken else f"{drive.name} (reference)"
         log = replace(drive.log, name=name) if drive.log is not None else None
         renamed.append(replace(drive, name=name, log=log))
-    return runs, renamed
+    return renamed
 
 
 def _logs(drives: Sequence[Drive]) -> list[DriveLog]:
     return [d.log for d in drives if d.log is not None]
 
 
-def _discover(job: Job, base: Model, runs: list[DriveLog], reference: list[DriveLog], progress: Progress) -> Discovery:
+def _answer(job: Job, base: Model, suspect: Sequence[Drive], healthy: Sequence[Drive], own: Mapping[str, str],
+            progress: Progress) -> tuple[Discovery, bool]:
+    """The answer, and whether it is that of an earlier start with the same inputs."""
     bar = progress.add_task("", total=None)
 
     def stage(name: str, done: int, total: int) -> None:
         progress.update(bar, description=escape(name), completed=done, total=total)
 
-    return discover(runs, job.vehicle, base, reference, job.settings, stage)
+    logs, reference, identities = _logs(suspect), _logs(healthy), measured(suspect)
+    name = answers.key(logs, reference, job.vehicle, base, job.settings, own, identities)
+    folder = cache_folder("answers") if job.cached else None
+    file = folder / f"{name}.json" if folder else None
+    found = answers.kept(file) if file else None
+    if found is not None:
+        return found, True
+    found = discover(logs, job.vehicle, base, reference, job.settings, stage, identities, job.jobs)
+    if file:
+        answers.keep(file, found)
+    return found, False
+
+
+def measured(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
+    """What the checks measured of the sensors, (value, low, high) by name, the drives together."""
+    return pooled([{name: value for name, value in d.about["estimates"].items() if None not in value}
+                   for d in drives if d.log is not None])
 
 
 def draw(found: Discovery, question: Question, place: Place) -> list[Drawn]:
     """The figures that there are data for, in the order of the page."""
-    runs, reference = _logs(question.runs), _logs(question.reference)
+    suspect, reference = _logs(question.runs), _logs(question.reference)
     # The channels that were used: one that not every run has was left out.
     channels = tuple(c for c in question.settings.channels if c in found.noise)
     settings = replace(question.settings, channels=channels)
 
     def look(model):
-        return survey(runs, model, question.vehicle, settings, reference, found.noise,
-                      found.acceleration_gain)
+        return survey(suspect, model, question.vehicle, settings, reference, found.noise, found.acceleration_gain)
 
-    scene = Scene(found, runs, question.vehicle, look(found.base), look(found.model) if found.model else None, place)
-    return [figure for make in (gap, conditions, maps, over_time, paths, candidates) if (figure := make(scene))]
+    scene = Scene(found, suspect, question.vehicle, look(found.base), look(found.model) if found.model else None, place)
+    makers = (waterfall, budget, runs, agreement, bound, gap, conditions, maps, over_time, paths, candidates,
+              certificate)
+    return [figure for make in makers if (figure := make(scene))]
 
 
-def write_results(found: Discovery, question: Question, folder: Path, drawn: Sequence[Drawn] | None,
-                  seconds: dict[str, float]) -> dict[str, Path]:
+def write_results(found: Discovery, question: Question, mended: Mended | None, folder: Path,
+                  drawn: Sequence[Drawn] | None, seconds: dict[str, float]) -> dict[str, Path]:
     """All files; by what they are. drawn: None for no page."""
     files = {"discovery.json": folder / "discovery.json"}
-    model = model_file(found, question)
-    if model is not None:
-        files["model.yaml"] = folder / "model.yaml"
-        files["model.yaml"].write_text(model.to_yaml(), encoding="utf-8")
-    content = document(found, question, seconds)
+    if mended is not None:
+        model = model_file(found, question, mended)
+        for name, text in (("vehicle.yaml", mended.text), ("model.yaml", model.to_yaml() if model else "")):
+            if text:
+                files[name] = folder / name
+                files[name].write_text(text, encoding="utf-8")
+    content = document(found, question, mended, seconds)
     write_json(files["discovery.json"], content)
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}
-        write_page(files["report.html"], found, content, drawn)
+        write_page(files["report.html"], found, mended, content, drawn)
     return files
-
-
-WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/discovery.md",
-        "model.yaml": "st demo --model, st live --model, st evaluate --model"}
-
-
-def show(found: Discovery, failed: Sequence[Drive], files: dict[str, Path], console: Console) -> None:
-    """The verdict in a few lines."""
-    console.print(f"[bold]{escape(words.title(found))}[/bold]", highlight=False)
-    for question, answer in words.verdict(found):
-        console.print(f"[bold]{question}[/bold]: {escape(answer)}", highlight=False)
-    for warning in found.warnings:
-        console.print(f"[yellow]{escape(warning)}[/yellow]", highlight=False)
-    for drive in failed:
-        console.print(f"[red]{escape(drive.name)}[/red]: {escape(drive.problem)}", highlight=False, soft_wrap=True)
-    for name, file in files.items():
-        console.print(f"  {escape(str(file))}  [dim]{WHAT[name]}[/dim]", highlight=False, soft_wrap=True)
-
-

@@ -1,40 +1,33 @@
-"""The files of a discovery: discovery.json (schema in docs/discovery.md), model.yaml, the page and its figures."""
+"""The files of a discovery: discovery.json (schema in docs/discovery.md) and model.yaml."""
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from st_core.discovery import Discovery, DiscoverySettings
+from st_core.discovery.result import Discovery
 from st_core.model_file import Interval, ModelFile, Provenance
-from st_core.vehicle import VehicleParameters
 
 from ..plain_json import finite
 from ..results import versions
-from .drives import Drive
+from .mending import Mended
+from .question import Question
 
-SCHEMA = 1
-
-
-@dataclass(frozen=True)
-class Question:
-    """What was asked: runs and healthy drives as read, base model by name or file, settings. effects: folder of own
-    effects, and the sha256 of each file in it."""
-
-    runs: Sequence[Drive]
-    reference: Sequence[Drive]
-    base: str
-    vehicle: VehicleParameters
-    vehicle_file: str
-    settings: DiscoverySettings
-    effects: Mapping[str, str]
+SCHEMA = 2
 
 
-def document(found: Discovery, question: Question, seconds: Mapping[str, float]) -> dict[str, Any]:
+def document(found: Discovery, question: Question, mended: Mended | None,
+             seconds: Mapping[str, float]) -> dict[str, Any]:
     """The content of discovery.json."""
-    return {"schema": SCHEMA, **finite(found.document()), "provenance": finite(provenance(found, question, seconds))}
+    changes = {} if mended is None else {
+        key: dict(zip(("before", "after", "interval"), (before, after, (low, high)), strict=True))
+        for key, (before, after, low, high) in mended.changes.items()}
+    files = {"vehicle.yaml": {"folded": mended.folded if mended else (), "kept": mended.kept if mended else {},
+                              "changes": changes}}
+    return {"schema": SCHEMA, **finite(found.document()), "mended": finite(files),
+            "provenance": finite(provenance(found, question, seconds))}
 
 
 def provenance(found: Discovery, question: Question, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -61,14 +54,11 @@ def _not_null(found: Discovery, name: str) -> bool:
     return any(p.fit and found.base.values[name][p.name] != p.null for p in effect.parameters)
 
 
-def model_file(found: Discovery, question: Question) -> ModelFile | None:
-    """The model with the effects found; None where there is none. Effects at null are left out.
+def model_file(found: Discovery, question: Question, mended: Mended) -> ModelFile | None:
+    """What vehicle.yaml does not hold, on that vehicle; None where nothing is left. Effects at null are left out.
 
-    A fitted value is a change against the healthy car; what the reference drives taught is part of the model too, so
-    its interval is moved to the total.
+    With a reference a value may be a change against it; the interval is moved to the total.
     """
-    if found.model is None:
-        return None
     intervals: dict[tuple[str, str], Interval] = {}
     for effect in found.effects:
         for name, p in effect.parameters.items():
@@ -77,20 +67,23 @@ def model_file(found: Discovery, question: Question) -> ModelFile | None:
             intervals[effect.name, name] = (min(moved[0], total), max(moved[1], total))
     files = {f"{d.name}: {Path(name).name}": digest for d in (*question.runs, *question.reference) if d.log is not None
              for name, digest in d.about["files"].items()}
-    note = f"st discover, outcome {found.outcome}, from {question.base}"
+    beside = f", beside vehicle.yaml with {', '.join(mended.folded)}" if mended.folded else ""
+    note = f"st discover, outcome {found.outcome}, from {question.base}{beside}"
     about = Provenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
     chosen = {e.name for e in found.effects}
-    whole = ModelFile.of(found.model, question.vehicle, about, intervals, "st discover: found in the runs")
+    whole = ModelFile.of(mended.model, mended.vehicle, about, intervals, "st discover: found in the runs")
     learnt = "st discover: the healthy car's, from the reference drives" if question.reference else "part of the base"
     kept = {}
-    for effect in found.model.effects:
-        values = found.model.values[effect.name]
-        if effect.name not in chosen and all(values[p.name] == p.null for p in effect.parameters if p.fit):
+    for effect in mended.model.effects:
+        values = mended.model.values[effect.name]
+        if all(values[p.name] == p.null for p in effect.parameters if p.fit):
             continue
         estimates = whole.effects[effect.name]
         kept[effect.name] = estimates if effect.name in chosen else {
             p.name: replace(estimates[p.name], source=learnt) if p.fit else estimates[p.name]
             for p in effect.parameters}
+    if not kept:
+        return None
     return ModelFile(whole.base, kept, whole.vehicle, whole.vehicle_name, whole.vehicle_hash, about)
 
 

@@ -1,7 +1,5 @@
 """The figures of a discovery that show driving: errors on the map, over time, and paths from the worst start."""
 
-import re
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
@@ -21,22 +19,6 @@ from .figures import AFTER, Scene
 HORIZON, STEP, SLOWEST = 5.0, 0.05, 1.5  # s, s, m/s
 PATHS = 3
 FLAT = 0.3  # a track narrower than this share of its length is drawn stretched
-
-
-def held_out(scene: Scene) -> list[DriveLog]:
-    """The drives, or parts of drives, that served nothing but the report: as `Split.report` names them."""
-    logs = []
-    for text in scene.found.split.report:
-        match = re.fullmatch(r"(.*?)(?: ([\d.]+)-([\d.]+) s)?", text, flags=re.S)
-        log = next((run for run in scene.runs if match and run.name == match[1]), None)
-        log = log or next((run for run in scene.runs if run.name == text), None)
-        if log is None:
-            continue
-        if match and match[2] and log.name != text:
-            first = int(log.ins_time_ns[0])
-            log = log.slice(first + round(float(match[2]) * 1e9), first + round(float(match[3]) * 1e9), text)
-        logs.append(log)
-    return [log for log in logs if log.overlap > HORIZON] or [run for run in scene.runs if run.overlap > HORIZON]
 
 
 def maps(scene: Scene) -> Drawn | None:
@@ -63,7 +45,7 @@ def maps(scene: Scene) -> Drawn | None:
                                   vmin=0.0, vmax=top)
             if _flatness(log) > FLAT:
                 axes.set_aspect("equal", adjustable="box")
-            axes.set_title("base model" if name == "before" else "with the effect found", fontsize=9)
+            axes.set_title("base model" if name == "before" else "with what was found", fontsize=9)
             axes.set_xlabel("east, m")
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
@@ -103,7 +85,8 @@ def over_time(scene: Scene) -> Drawn | None:
 
 def paths(scene: Scene) -> Drawn | None:
     """Measured and predicted paths over 5 s from the starts where the base model ends furthest off."""
-    worst = max((_ends(scene, log) for log in held_out(scene)), key=lambda e: e[1].max(initial=-1.0), default=None)
+    ends = (_ends(scene, log) for log in scene.runs if log.overlap > HORIZON)
+    worst = max(ends, key=lambda e: e[1].max(initial=-1.0), default=None)
     if worst is None or not len(worst[1]):
         return None
     log, distance, batch, before = worst
@@ -128,15 +111,14 @@ def paths(scene: Scene) -> Drawn | None:
         panels[0][0].set_ylabel("north, m")
         lines = [Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured"),
                  Line2D([], [], color=scene.colour, label=f"{scene.found.base.base.name} model")]
-        lines += [Line2D([], [], color=AFTER, label="with the effect found")] if after is not None else []
+        lines += [Line2D([], [], color=AFTER, label="with what was found")] if after is not None else []
         figure.legend(handles=lines, loc="outside lower left", ncols=3)
         text = f"{log.name}: from its worst starts the base model ends up to {distance[rows].max():.2f} m off after 5 s"
         if after is not None:
             ends = _distance(batch, scene.found.model, scene)
-            text += f", with the effect {np.nanmax(ends[rows]):.2f} m"
-        apart = not set(scene.found.split.report) & set(scene.found.split.fit)
-        whose = "Held-out driving." if apart else "The model shown is fitted to these drives too: none is held out."
-        return finish(figure, scene.place, "paths", text, f"Predictions with the measured inputs. {whose}")
+            text += f", with what was found {np.nanmax(ends[rows]):.2f} m"
+        return finish(figure, scene.place, "paths", text, "Predictions with the measured inputs. The model is "
+                      "fitted to all drives; what it does on driving it was not fitted to is in the figures above.")
 
 
 def _flatness(log: DriveLog) -> float:

@@ -19,17 +19,20 @@ from st_core.vehicle import VehicleParameters
 
 from ..checking.document import documents, findings_in
 from ..checking.gate import Refused, checked_log, refuse
-from ..runs import ReadSettings, RunError, RunSource, read
+from ..evaluation.recorded import recorded_configuration
+from ..plain_json import finite
+from ..runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from ..runs.load import hashes, signal_files
 
-FORMAT = 2  # of what is kept; another number makes older files useless
+FORMAT = 3  # of what is kept; another number makes older files useless
 
 
 @dataclass(frozen=True)
 class Drive:
     """One run as it was read, or the reason why it cannot be used (then log is None).
 
-    about: for the report; its findings are there for a run that was refused as well.
+    about: for the report; its findings are there for a run that was refused as well. Its estimates are those of the
+    checks, its vehicle the name of the car that a recording says it is of, "" where it does not.
     """
 
     name: str
@@ -71,9 +74,10 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         drive = _restored(kept) if kept else None
         if drive is None:
             run = read(source, vehicle, settings)
+            checked = checked_log(run.log, vehicle, run.extras)
             about = {"files": files, "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
-                     "warnings": list(run.warnings),
-                     "findings": documents(checked_log(run.log, vehicle, run.extras).findings)}
+                     "warnings": list(run.warnings), "findings": documents(checked.findings),
+                     "estimates": finite(checked.estimates), "vehicle": _recorded_vehicle(source, run)}
             drive = Drive(source.name, run.log, about)
             if kept:
                 _keep(kept, drive)
@@ -89,12 +93,19 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         return Drive(source.name, None, {}, f"{error.filename or source.where}: {error.strerror or error}")
 
 
-def cache_folder() -> Path | None:
-    """Where drives are kept between starts; None where there is no home."""
+def cache_folder(name: str = "drives") -> Path | None:
+    """Where drives, or answers, are kept between starts; None where there is no home."""
     try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / "drives"
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / name
     except RuntimeError:
         return None
+
+
+def _recorded_vehicle(source: RunSource, run: LoadedRun) -> str:
+    if source.kind != "bag":
+        return ""
+    text = recorded_configuration(run.provenance["recorded"]).vehicle
+    return "" if text is None else VehicleParameters.from_yaml(text, "the vehicle in the recording").name
 
 
 def _key(source: RunSource, files: dict[str, str], vehicle: VehicleParameters, settings: ReadSettings) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
-from st_core.discovery import Discovery
+from st_core.discovery.result import Discovery
 from st_core.discovery.where import Survey
 from st_core.discovery.where_bins import EVERYWHERE, BinExcess
 from st_core.log import DriveLog
@@ -43,7 +43,7 @@ class Scene:
 
     def handles(self, marker: str = "o") -> list[Line2D]:
         base = Line2D([], [], color=self.colour, marker=marker, ls="", label=f"{self.found.base.base.name} model")
-        return [base] + ([Line2D([], [], color=AFTER, marker=marker, ls="", label="with the effect found")]
+        return [base] + ([Line2D([], [], color=AFTER, marker=marker, ls="", label="with what was found")]
                          if self.after else [])
 
 
@@ -63,7 +63,7 @@ def gap(scene: Scene) -> Drawn | None:
                 ends = [percent * (one.base - edge) for edge in one.interval]
                 axes.plot(ends, [row, row], color=AFTER, lw=3, alpha=0.4, solid_capstyle="butt", zorder=2)
                 axes.plot(shown, row, "o", ms=8, color=AFTER, zorder=3)
-            if one.floor is not None:
+            if one.floor > 0.0:
                 axes.plot(percent * one.floor, row, "|", ms=14, mew=2, color=MEASURED_COLOUR, zorder=3)
             text = words.size(one.base, one.unit)
             if scene.found.model:
@@ -72,12 +72,11 @@ def gap(scene: Scene) -> Drawn | None:
         axes.set_yticks(range(len(entries)), [words.channel(n) for n, _ in entries])
         axes.set_ylim(len(entries) - 0.5, -0.5)
         axes.set_xlim(left=0)
-        axes.set_xlabel("root mean square error on held-out driving, % of the base model's")
-        floor = [Line2D([], [], color=MEASURED_COLOUR, marker="|", ms=12, mew=2, ls="", label="healthy car")] \
-            if any(g.floor is not None for _, g in entries) else []
-        figure.legend(handles=[*scene.handles(), *floor], loc="outside lower left", ncols=3)
-        caption = (f"Errors of predictions from measured starts: {scene.found.split.note}. Band: 95 % interval of the "
-                   "change.")
+        axes.set_xlabel("error on held-out driving, % of the base model's")
+        floor = Line2D([], [], color=MEASURED_COLOUR, marker="|", ms=12, mew=2, ls="", label="noise alone")
+        figure.legend(handles=[*scene.handles(), floor], loc="outside lower left", ncols=3)
+        caption = ("Root mean square errors of predictions from measured starts, of the position after 5 s the mean, "
+                   "on driving the values were not fitted to. Band: 95 % interval of the change.")
         return finish(figure, scene.place, "gap", _gap_title(scene.found), caption)
 
 
@@ -86,7 +85,7 @@ def _gap_title(found: Discovery) -> str:
         return "Error of the base model on held-out driving"
     certain = words.surely_changed(found.gap)
     if not certain:
-        return "No held-out error surely changes with the effect"
+        return "No held-out error surely changes with what was found"
     first = certain[0]
     return (f"{len(certain)} of {len(found.gap)} held-out errors surely change, most the {words.channel(first)}'s: "
             f"{words.before_and_after(found.gap[first])}")
@@ -145,7 +144,7 @@ def _tick(one: BinExcess) -> str:
 
 
 def candidates(scene: Scene) -> Drawn | None:
-    """How much of the base's squared error each hypothesis takes away when it is tried alone."""
+    """How much of the size of the errors each hypothesis takes away, on top of the answer or as part of it."""
     ranked = sorted((c for c in scene.found.candidates if c.gain > LEAST_GAIN), key=lambda c: -c.gain)
     ranked = ranked[:MOST_CANDIDATES]
     if not ranked:
@@ -166,11 +165,8 @@ def candidates(scene: Scene) -> Drawn | None:
         top = 100 * max(*(c.gain for c in ranked), 0.01)
         axes.set_xlim(0.0, 1.5 * top)  # room for the words; there is no share above 100 %
         axes.set_xticks([tick for tick in axes.get_xticks() if tick <= 100.0])
-        axes.set_xlabel("share of the base model's squared error taken away on the selection data, %")
-        best = " or ".join(words.plain(n) for n in [*chosen, *sorted(alternatives)][:3])
-        title = f"Of {len(scene.found.candidates)} hypotheses simulated, {best} explains most" if chosen else \
-            f"None of {len(scene.found.candidates)} hypotheses simulated is accepted"
-        caption = ("Each effect alone, simulated through the model and fitted on other driving. Dark: chosen. Hatched: "
-                   f"cannot be told from it. The {len(scene.found.candidates) - len(ranked)} not shown explain "
-                   "less, or nothing.")
+        axes.set_xlabel("share of the size of the errors it takes away, %")
+        title = f"Of {len(scene.found.candidates)} effects that were tried, {len(chosen)} are stated"
+        caption = ("Each effect as part of the answer, or on top of it. Dark: stated. Hatched: cannot be told from it. "
+                   f"The {len(scene.found.candidates) - len(ranked)} not shown take away less, or nothing.")
         return finish(figure, scene.place, "candidates", title, caption)

@@ -4,19 +4,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from st_core.discovery import Discovery
+from st_core.discovery.result import Discovery
 
 from ..evaluation.drawing import Drawn
 from ..pages import template
 from . import words
+from .mending import Mended
+
+VERDICTS = ("stated", "alternative", "bound")  # first in the table of all effects
 
 
-def write_page(file: Path, found: Discovery, content: dict[str, Any], figures: Sequence[Drawn]) -> None:
+def write_page(file: Path, found: Discovery, mended: Mended | None, content: dict[str, Any],
+               figures: Sequence[Drawn]) -> None:
     """content: of discovery.json."""
     about = content["provenance"]
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
+    order = {verdict: place for place, verdict in enumerate(VERDICTS)}
+    ranked = sorted(found.candidates, key=lambda c: (order.get(c.verdict, len(order)), -c.gain))
     text = template("discovery", "discovery.html.jinja", plain=words.plain, channel=words.channel).render(
-        title=words.title(found), found=found, verdict=words.verdict(found), content=content, figures=figures,
-        size=words.size, value=words.value, condition=words.condition,
+        title=words.title(found), found=found, verdict=words.verdict(found, mended), content=content, figures=figures,
+        candidates=ranked, words=words, size=words.size,
         recordings={**refused, **about["runs"], **about["reference"]})
     file.write_text(text, encoding="utf-8")

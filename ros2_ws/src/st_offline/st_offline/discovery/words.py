@@ -1,15 +1,29 @@
 """What a discovery says, in sentences: the same in the terminal and on the page."""
 
+import math
 from collections.abc import Mapping, Sequence
 
-from st_core.discovery import Discovery, DiscoverySettings, FittedParameter, FoundEffect, Gap, WhereStatement
+from st_core.discovery.result import (
+    BoundEffect,
+    BudgetLine,
+    Discovery,
+    FittedParameter,
+    FoundEffect,
+    Gap,
+    Step,
+    Value,
+    WhereStatement,
+)
 from st_core.effects import EFFECTS
+
+from .mending import Mended
 
 CHANNEL = {"velocity_y": "lateral velocity", "yaw_rate": "yaw rate", "acceleration_y": "lateral acceleration",
            "yaw": "heading", "position": "position", "position_5s": "position after 5 s"}
-MOST_BLIND = 6
-MOST_CHANGES = 3  # told in a sentence; all are in the table
 RANKED = ("position_5s", "velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
+MOST_BLIND = 8  # told in a sentence; all are in the table
+LEAST = 0.005  # m; a step that changes the position by less is told by the channel it changes most
+SURE = 1.96
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
 
@@ -31,52 +45,275 @@ def plain(name: str) -> str:
     return name.replace("_", " ")
 
 
+def with_unit(number: str, unit: str) -> str:
+    """unit: SI; angles are shown in degrees."""
+    shown = "" if unit == "1" else shown_unit(unit)
+    return f"{number}{'' if not shown or shown.startswith('°') else ' '}{shown}"
+
+
 def size(value: float, unit: str) -> str:
-    """A number of a channel as a reader wants it: angles in degrees."""
-    number = value * factor(unit)
-    space = "" if shown_unit(unit).startswith("°") else " "
-    return f"{number:.3g}{space}{shown_unit(unit)}"
+    """A number of a channel as a reader wants it."""
+    return with_unit(f"{value * factor(unit):.3g}", unit)
+
+
+def metres(value: float) -> str:
+    return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
+
+
+def digits(p: FittedParameter) -> int:
+    """Decimals that the interval bears."""
+    half = 0.5 * (p.interval[1] - p.interval[0]) * factor(p.unit)
+    return min(max(1 - math.floor(math.log10(half)), 0), 6) if math.isfinite(half) and half > 0.0 else 3
+
+
+def short_value(p: FittedParameter) -> str:
+    """The value alone, one digit less than its interval bears. What changes nothing at 1 is a factor."""
+    number = f"{p.value * factor(p.unit):.{max(digits(p) - 1, 0)}f}"
+    return f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
 
 
 def value(p: FittedParameter) -> str:
-    unit = "" if p.unit == "1" else f" {p.unit.replace('^2', '²')}"
-    return f"{p.value:.3g} ({p.interval[0]:.3g} to {p.interval[1]:.3g}){unit}"
+    """Value and 95 % interval."""
+    number, low, high = (f"{x * factor(p.unit):.{digits(p)}f}" for x in (p.value, *p.interval))
+    return f"{with_unit(number, p.unit)} ({low} to {high})"
 
 
-def values(effect: FoundEffect) -> str:
-    return ", ".join(f"{plain(name)} {value(p)}" for name, p in effect.parameters.items())
+def short_values(parameters: Mapping[str, FittedParameter]) -> str:
+    return ", ".join(f"{plain(name) + ' ' if len(parameters) > 1 else ''}{short_value(p)}"
+                     for name, p in parameters.items())
+
+
+def values(name: str, parameters: Mapping[str, FittedParameter]) -> str:
+    """Every parameter with its interval and meaning."""
+    meanings = {p.name: p.meaning for p in EFFECTS[name].parameters} if name in EFFECTS else {}
+    return ", ".join(f"{plain(key)} {value(p)}{', ' + meanings[key] if key in meanings else ''}"
+                     for key, p in parameters.items())
+
+
+def by_any_name(effect: FoundEffect) -> str:
+    return " or ".join(plain(name) for name in (effect.name, *effect.alternatives))
+
+
+def taken(steps: Sequence[Step]) -> dict[str, float]:
+    """Metres of the mean held-out position error after 5 s that each effect of the waterfall takes away.
+
+    What replaces another inherits what that took; what was taken back later leaves its part under "".
+    """
+    found: dict[str, float] = {}
+    for step in steps:
+        change = step.position_5s.base - step.position_5s.augmented
+        if step.action == "removed":
+            found[""] = found.get("", 0.0) + change + found.pop(step.effect, 0.0)
+        else:
+            before = found.pop(step.instead, 0.0) if step.action == "exchanged" else 0.0
+            found[step.effect] = found.get(step.effect, 0.0) + before + change
+    return found
+
+
+def step_name(step: Step) -> str:
+    """A step of the waterfall: "+ steering ratio", "- mass", "mass instead of friction"."""
+    if step.action == "exchanged":
+        return f"{plain(step.effect)} instead of {plain(step.instead)}"
+    return f"{'+' if step.action == 'added' else '−'} {plain(step.effect)}"
+
+
+def share_of(name: str, steps: Sequence[Step]) -> str:
+    """What an effect takes away: metres, or of another channel where it hardly moves the position."""
+    away = taken(steps).get(name, 0.0)
+    if abs(away) >= LEAST:
+        return metres(away)
+    mine = [step for step in steps if step.effect == name and step.action != "removed"]
+    ratios = {key: one.augmented / one.base for step in mine for key, one in step.channels.items() if one.base > 0}
+    if not ratios:
+        return metres(away)
+    best = min(ratios, key=ratios.get)
+    return f"{channel(best)} error {100 * (ratios[best] - 1.0):+.0f} %"
+
+
+def changes(found: Discovery) -> str:
+    """The held-out position error, before and after."""
+    gap = found.gap.get("position_5s")
+    if gap is None:
+        gap_name = next((n for n in RANKED if n in found.gap), None)
+        return f"{channel(gap_name)} error {before_and_after(found.gap[gap_name])}" if gap_name else "Errors"
+    if found.model is None:
+        return f"5 s position error {metres(gap.base)} (held-out)"
+    return f"5 s position error {metres(gap.base)} → {metres(gap.augmented)} (held-out)"
 
 
 def title(found: Discovery) -> str:
-    """The verdict in a line."""
-    names = [plain(e.name) for e in found.effects]
-    if found.outcome == "none" and found.p < DiscoverySettings().false_alarm:
-        return "No missing effect is stated: hardly more than healthy drives show"
-    if found.outcome == "none":
-        return "No missing effect: nothing beyond what is to be expected"
+    """The answer in a line."""
     if found.outcome == "not_testable":
-        return "These drives cannot show what may be missing"
+        return "These drives show too little to say what may be missing"
+    told = ", ".join(f"{by_any_name(e)} {short_values(e.parameters)} ({share_of(e.name, found.steps)})"
+                     for e in found.effects)
     if found.outcome == "unknown":
-        return "Something is missing that no known effect explains"
-    if found.outcome == "several":
-        return f"{len(names)} effects are missing: {', '.join(names[:-1])} and {names[-1]}"
-    if found.outcome == "ambiguous":
-        every = [names[0], *(plain(a) for a in found.effects[0].alternatives)]
-        more = " or …" if len(every) > 3 else ""
-        return f"One effect is missing, {' or '.join(every[:3])}{more}: these drives cannot tell"
-    return f"Missing: {names[0]}"
+        known = f"; beside {told}" if told else ""
+        return f"{changes(found)}: something is missing that no known effect explains{known}"
+    if told:
+        return f"{changes(found)}: {told}"
+    if found.outcome == "bound":
+        tied = ", ".join(f"something like {plain(b.resembles)} ({metres(b.position_5s)}), tied to {b.to}"
+                         for b in found.bound)
+        return f"{changes(found)}: {tied}; nothing is named"
+    return f"{changes(found)}: nothing is missing for sure"
 
 
-def where(found: Discovery) -> str:
-    """The most telling statement of up to two channels."""
-    # Conditions say most; then times, places, and that it is everywhere.
-    kinds = {"run": 1, "within": 2, "everywhere": 3}
-    shown: dict[str, WhereStatement] = {}
-    for one in sorted(found.where, key=lambda w: (kinds.get(w.condition.split()[0], 0), -w.interval[0])):
-        shown.setdefault(one.channel, one)
-    if not shown:
-        return "Nowhere does the model miss more than is to be expected."
-    return "; ".join(statement(w) for w in list(shown.values())[:2]) + "."
+def drives(found: Discovery) -> list[tuple[str, str]]:
+    """Which runs are suspect and which are reference, by name and seconds."""
+    lines = []
+    for role in ("suspect", "reference"):
+        mine = [run for run in found.runs if run.role == role]
+        told = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in mine)
+        sites = len({run.site for run in mine})
+        where = f" at {sites} sites" if sites > 1 else ""
+        lines.append((role, f"{len(mine)} run{'' if len(mine) == 1 else 's'}, {sum(r.seconds for r in mine):.0f} s"
+                      f"{where}: {told}" if mine else "none; the search starts from the vehicle file"))
+    return lines
+
+
+def what(found: Discovery) -> list[str]:
+    """One line for each effect."""
+    parts = []
+    for effect in found.effects:
+        physics = EFFECTS[effect.name].physics if effect.name in EFFECTS else ""
+        others = ", ".join(map(plain, effect.alternatives))
+        parts.append(f"{plain(effect.name)}{f' (or {others}: not told apart)' if others else ''}, {effect.kind}: "
+                     + values(effect.name, effect.parameters) + (f"; {physics}" if physics else ""))
+    if found.outcome == "unknown":
+        parts.append(" ".join(("something that is not in the library.", *found.signature)))
+    return parts or ["no effect is added to the model"]
+
+
+def tied(one: BoundEffect) -> str:
+    shown = "; ".join(f"{v.where}: {v.share:.2f} ± {SURE * v.deviation:.2f}" for v in one.values[:6])
+    more = f" and {len(one.values) - 6} more" if len(one.values) > 6 else ""
+    return (f"something like {plain(one.resembles)} {short_values(one.parameters)} takes {metres(one.position_5s)} "
+            f"away but is not the same everywhere, so it is no property of the car; tied to {one.to}, shares of it: "
+            f"{shown}{more}")
+
+
+def showing(entries: Sequence[Value]) -> int:
+    """How many parts of the driving show an effect by themselves: share above zero with 95 %."""
+    return sum(v.share - SURE * v.deviation > 0.0 for v in entries)
+
+
+def agreed(effect: FoundEffect) -> str:
+    """Where an effect shows, by level."""
+    told = [f"{showing(entries)} of {len(entries)} {level}{'' if len(entries) == 1 else 's'}"
+            for level, entries in effect.agreement.items() if entries]
+    return f"{plain(effect.name)} shows by itself in {', '.join(told)}" if told else ""
+
+
+def sure(found: Discovery) -> list[str]:
+    """The rules that decided, and how far the parts of the driving agree."""
+    told = [reason.text for reason in found.reasons if reason.subject == "answer"]
+    told += filter(None, map(agreed, found.effects))
+    certificate = found.certificate
+    if certificate.driven:
+        told.append(f"on the same inputs without any effect something was stated {certificate.alarms} of "
+                    f"{certificate.of} times")
+    return told
+
+
+def parts(budget: Sequence[BudgetLine]) -> str:
+    """The gap budget in a sentence, largest part first."""
+    told = [f"{one.part} {span(one)}" for one in sorted(budget, key=lambda b: -max(b.last, b.first))
+            if max(one.last, one.first) >= LEAST]
+    return "; ".join(told)
+
+
+def span(one: BudgetLine) -> str:
+    """Metres and share of the base's error, from added last to added first."""
+    low, high = sorted((one.last, one.first))
+    shares = sorted((100 * one.share_last, 100 * one.share_first))
+    if high - low < LEAST:
+        return f"{metres(high)} ({shares[1]:.0f} %)"
+    return f"{metres(low)} to {metres(high)} ({shares[0]:.0f} to {shares[1]:.0f} %)"
+
+
+def left(found: Discovery) -> str:
+    """What remains, against the noise."""
+    gap = found.gap.get("position_5s")
+    if gap is None:
+        return ""
+    after = gap.augmented if found.model else gap.base
+    text = f"{metres(after)} of the 5 s position error remain; noise alone leaves {metres(gap.floor)}"
+    worst = f"; the worst run is {gap.worst_run} with {metres(gap.worst)}" if gap.worst_run else ""
+    worse = sorted({run for one in found.gap.values() for run in one.worse_runs})
+    return f"{text}{worst}; " + (f"made worse on {', '.join(worse)}" if worse else "no run became worse")
+
+
+def blind(found: Discovery) -> list[str]:
+    """What these drives cannot show, and what they do."""
+    told = [visible(found)] if visible(found) else []
+    if found.not_testable:
+        names = ", ".join(plain(n.name) for n in found.not_testable[:MOST_BLIND])
+        told.append(f"cannot be seen: {names}{', …' if len(found.not_testable) > MOST_BLIND else ''}")
+    return told
+
+
+def visible(found: Discovery, most: int = 4) -> str:
+    """The smallest sizes these drives show nine times of ten."""
+    best: dict[str, str] = {}
+    for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
+        if power.found >= 0.9:
+            best.setdefault(power.effect, f"{plain(power.effect)} of {change(power.size, power.unit)}")
+    return ("would show " + ", ".join(list(best.values())[:most]) + (", …" if len(best) > most else "")
+            if best else "")
+
+
+def change(size_of: float, unit: str) -> str:
+    """A deviation from null: factors in per cent."""
+    return f"{100 * abs(size_of):.3g} %" if unit == "1" else size(abs(size_of), unit)
+
+
+def following(found: Discovery) -> str:
+    """The drive to do next, or nothing."""
+    n = found.next_manoeuvre
+    if n is None:
+        return ""
+    first, second = map(plain, n.separates)
+    return (f"{n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would put {first} and {second} "
+            f"{n.strength:.1f} standard deviations apart; {n.reason}")
+
+
+def to_do(found: Discovery, mended: Mended | None) -> list[str]:
+    """What the user may do with the answer."""
+    told = []
+    if mended is not None and mended.folded:
+        told.append(f"take vehicle.yaml: {keys(mended.changes)}")
+    for name, change_of in (mended.kept if mended is not None else {}).items():
+        told.append(f"mend the vehicle file by hand for recordings of the steering wheel: {keys(change_of)}; these "
+                    f"hold that of the road wheels, or something else acts before it, so {plain(name)} is in model.yaml")
+    rest = [e for e in found.effects if mended is None or e.name not in mended.folded]
+    sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
+    if sensors:
+        told.append(f"mend the sensors ({', '.join(sensors)}), or correct the recordings in run.yaml; model.yaml does "
+                    "it until then")
+    others = [plain(e.name) for e in rest if e.kind != "sensors" and (mended is None or e.name not in mended.kept)]
+    if others:
+        told.append(f"predict with model.yaml, which adds {', '.join(others)}")
+    if found.outcome == "unknown":
+        told.append("look where and when it misses; an effect of one's own can be added (docs/effects.md)")
+    if found.outcome in ("not_testable", "ambiguous") and found.next_manoeuvre is not None:
+        told.append("drive what is suggested and add it to the runs")
+    return told or ["nothing"]
+
+
+def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
+    """Keys of a vehicle file before and after."""
+    return ", ".join(f"{key} {before:.5g} → {after:.5g}" for key, (before, after, *_) in changes_of.items())
+
+
+def verdict(found: Discovery, mended: Mended | None) -> list[tuple[str, list[str]]]:
+    """(question, lines of the answer) of what is told first; empty answers are left out."""
+    lines = [*((role, [text]) for role, text in drives(found)), ("what", what(found)),
+             ("not named", list(map(tied, found.bound))), ("of the error", [parts(found.budget)]),
+             ("what is left", [left(found)]), ("how sure", sure(found)), ("these drives", blind(found)),
+             ("next drive", [following(found)]), ("what to do", to_do(found, mended))]
+    said = [(question, [text for text in answer if text]) for question, answer in lines]
+    return [(question, answer) for question, answer in said if answer]
 
 
 def statement(w: WhereStatement) -> str:
@@ -91,34 +328,6 @@ def condition(w: WhereStatement) -> str:
     return f"{where}: {w.excess:.1f} times the expected error ({low:.1f} to {high:.1f})"
 
 
-def what(found: Discovery) -> str:
-    if found.outcome == "unknown":
-        return "Not in the library. " + " ".join(found.signature)
-    if not found.effects:
-        return "No effect is added to the model."
-    parts = []
-    for effect in found.effects:
-        physics = EFFECTS[effect.name].physics if effect.name in EFFECTS else ""
-        parts.append(f"{plain(effect.name)}, {values(effect)}" + (f"; {physics}" if physics else ""))
-    return ". ".join(parts) + "."
-
-
-def changed(gap: Mapping[str, Gap]) -> str:
-    """Held-out errors before and after: the largest changes, what did not surely change, what became worse."""
-    if not gap:
-        return "No held-out drive to judge it on."
-    certain = surely_changed(gap)
-    if not certain:
-        text = "On held-out driving no error surely changed."
-    else:
-        told = ", ".join(f"{channel(n)} error {before_and_after(gap[n])}" for n in certain[:MOST_CHANGES])
-        text = f"On held-out driving: {told}."
-        same = [channel(n) for n in RANKED if n in gap and n not in certain]
-        text += f" Not surely changed: {', '.join(same)}." if same else ""
-    worse = sorted({run for one in gap.values() for run in one.worse_runs})
-    return text + (f" Made worse on: {', '.join(worse)}." if worse else "")
-
-
 def surely_changed(gap: Mapping[str, Gap]) -> list[str]:
     """Names of what changed for sure, the largest relative change first."""
     certain = [n for n in RANKED if n in gap and (gap[n].interval[0] > 0.0 or gap[n].interval[1] < 0.0)]
@@ -126,49 +335,8 @@ def surely_changed(gap: Mapping[str, Gap]) -> list[str]:
 
 
 def before_and_after(one: Gap) -> str:
-    change = 100.0 * (one.augmented / one.base - 1.0)
-    return f"{size(one.base, one.unit)} to {size(one.augmented, one.unit)} ({change:+.0f} %)"
-
-
-def sure(found: Discovery) -> str:
-    """How far the answer may be believed."""
-    chance = ("Healthy drives would show as much with probability" if found.effects else
-              "Probability that an effect gains as much on healthy drives:") + f" {_probability(found.p)}."
-    parts = [chance]
-    for effect in found.effects:
-        others = ", ".join(plain(a) for a in effect.alternatives)
-        parts.append(f"{plain(effect.name)} has {100 * effect.probability:.0f} % against {others}." if others else
-                     f"No other effect of the library explains as well what {plain(effect.name)} does.")
-    if found.not_testable:
-        parts.append("Effects these drives cannot show: "
-                     f"{', '.join(plain(n.name) for n in found.not_testable[:MOST_BLIND])}"
-                     f"{', …' if len(found.not_testable) > MOST_BLIND else ''}.")
-    return " ".join(parts)
-
-
-def following(found: Discovery) -> str:
-    """The drive to do next, or nothing."""
-    n = found.next_manoeuvre
-    if n is None:
-        return ""
-    strength = f"{n.strength:.1f} standard deviations apart"
-    return (f"{n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: puts {plain(n.separates[0])} and "
-            f"{plain(n.separates[1])} {strength}. {n.reason}")
-
-
-def verdict(found: Discovery) -> list[tuple[str, str]]:
-    """(question, answer) of the first lines."""
-    lines = [("where", where(found)), ("what", what(found))]
-    if found.effects:
-        lines.append(("what changes", changed(found.gap)))
-    lines.append(("how sure", sure(found)))
-    if following(found):
-        lines.append(("next drive", following(found)))
-    return lines
-
-
-def _probability(p: float) -> str:
-    return "below 0.001" if p < 0.001 else f"{p:.2g}"
+    ratio = 100.0 * (one.augmented / one.base - 1.0)
+    return f"{size(one.base, one.unit)} to {size(one.augmented, one.unit)} ({ratio:+.0f} %)"
 
 
 def worst_channel(found: Discovery, channels: Sequence[str]) -> str:

@@ -1,10 +1,43 @@
-"""`st discover`: name the physical effect that the model lacks."""
+"""`st discover`: name what vehicle file, sensors and model lack."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import click
 import typer
+from typer.core import TyperCommand
 
 from ..paths import config
+
+REFERENCE = "--reference"
+
+
+class WithReferences(TyperCommand):
+    """`--reference a b c` takes all three, as `--reference a --reference b` does; the next option or -- ends the list.
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, spread(args))
+        except click.MissingParameter as error:
+            if REFERENCE not in args or error.param is None or error.param.name != "runs":
+                raise
+            raise click.UsageError(f"no runs are left: {REFERENCE} takes every path that follows it; name the runs "
+                                   "before it, or put -- between", ctx) from None
+
+
+def spread(words: Sequence[str]) -> list[str]:
+    """Every path after --reference as one of it, up to the next option."""
+    found: list[str] = []
+    taken = -1  # paths of the list that is open; -1: none is
+    for word in words:
+        if word.startswith("-"):
+            taken = 0 if word == REFERENCE else -1
+        elif taken >= 0:
+            found += [REFERENCE] if taken else []
+            taken += 1
+        found.append(word)
+    return found
 
 
 def discover(
@@ -12,7 +45,8 @@ def discover(
         ..., help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False
     ),
     reference: list[Path] = typer.Option(
-        [], "--reference", help="Drives of the healthy car; a folder, or repeat the option for several."
+        [], REFERENCE, help="Drives known to be healthy, all paths up to the next option; the search starts from them "
+        "instead of the vehicle file."
     ),
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
     vehicle: Path | None = typer.Option(
@@ -25,18 +59,22 @@ def discover(
     effects: Path | None = typer.Option(
         None, help="Folder of own effects that take part.", exists=True, file_okay=False
     ),
-    seed: int = typer.Option(0, help="Of the resampling."),
-    jobs: int = typer.Option(1, help="Runs read side by side.", min=1),
+    certify: bool = typer.Option(
+        False, "--certify", help="Search also these drives with known effects put in, and without any: what would be "
+        "found, and what is a false alarm. Takes minutes."
+    ),
+    seed: int = typer.Option(0, help="Of every drawing of numbers."),
+    jobs: int = typer.Option(1, help="Processes side by side.", min=1),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
-    report: bool = typer.Option(True, help="Draw the figures and the page; without, numbers and model file only."),
+    report: bool = typer.Option(True, help="Draw the figures and the page; without, numbers, model and vehicle only."),
     offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
     dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
     signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
     steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
     force: bool = typer.Option(False, "--force", help="Use also runs in which `st check` finds an error."),
-    fresh: bool = typer.Option(False, "--fresh", help="Read all files anew, not what is kept of an earlier start."),
+    fresh: bool = typer.Option(False, "--fresh", help="Read and search anew; take nothing from an earlier start."),
 ) -> None:
-    """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink.
+    """Find where model and measurement disagree, name what is missing, mend it, show the gap shrink.
 
     Exit status: 0 answered from all runs, 1 some could not be used, 2 nothing could be started.
     """
@@ -52,9 +90,10 @@ def discover(
 
     file = vehicle or config("vehicle/leaf.yaml")
     try:
+        text = file.read_text(encoding="utf-8")
         job = Job(
-            runs, reference, base, VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), str(file),
-            DiscoverySettings(channels=tuple(_parts(channels)), seed=seed),
+            runs, reference, base, VehicleParameters.from_yaml(text, str(file)), str(file), text,
+            DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify),
             ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset),
             effects, output, jobs, tuple(_parts(figures)), report, not fresh, force)
         status = run_command(job, Console())

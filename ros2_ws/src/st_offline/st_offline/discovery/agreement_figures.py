@@ -1,0 +1,137 @@
+"""The figures of what is the same everywhere and what is not: shares by run, site, time, place and condition."""
+
+import re
+from collections.abc import Sequence
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.colors import Normalize
+from matplotlib.gridspec import GridSpec
+from st_core.discovery.result import BoundEffect, Value
+
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, finish, style
+from ..style import MEASURED_COLOUR
+from . import words
+from .figures import AFTER, Scene
+
+MOST_SITES = 4
+SITE = 2000.0  # m; of a map; what is further apart is drawn by itself
+WIDEST = 3.0  # share; intervals beyond are cut off
+PLACE = re.compile(r"east (-?[\d.]+) m, north (-?[\d.]+) m")
+
+
+def agreement(scene: Scene) -> Drawn | None:
+    """What each part of the driving shows of each effect: 1 is the value stated, 0 none of it."""
+    effects = [e for e in scene.found.effects if any(e.agreement.values())]
+    if not effects:
+        return None
+    labels = list(dict.fromkeys((level, v.where) for e in effects for level, entries in e.agreement.items()
+                                for v in entries))
+    rows = {label: row for row, label in enumerate(labels)}
+    with style():
+        figure, panels = plt.subplots(1, len(effects), figsize=(WIDTH, 1.3 + 0.2 * len(labels)), sharey=True,
+                                      squeeze=False)
+        for axes, effect in zip(panels[0], effects, strict=True):
+            shares = [(rows[level, v.where], v) for level, entries in effect.agreement.items() for v in entries]
+            _shares(axes, shares)
+            axes.set_title(f"{words.plain(effect.name)}\n{words.short_values(effect.parameters)}", fontsize=8)
+            axes.set_xlabel("share")
+        for (level, _), row in rows.items():
+            if row and labels[row - 1][0] != level:
+                for axes in panels[0]:
+                    axes.axhline(row - 0.5, color=TEXT, lw=0.5)
+        panels[0][0].set_yticks(range(len(labels)), [_where(*label) for label in labels], fontsize=7)
+        panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
+        told = "; ".join(filter(None, map(words.agreed, effects)))
+        title = f"Is it the same everywhere? {told[0].upper()}{told[1:]}"
+        caption = ("Point: share of the value stated that each part of the driving shows by itself, the other effects "
+                   "held. Bar: 95 %. Solid line: just that value; dotted: none of it. A property of the car is the "
+                   "same everywhere.")
+        return finish(figure, scene.place, "agreement", title, caption)
+
+
+def _where(level: str, where: str) -> str:
+    return where if level in ("run", "condition") or where.startswith(level) else f"{level} {where}"
+
+
+def _shares(axes: plt.Axes, shares: Sequence[tuple[int, Value]]) -> None:
+    axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
+    axes.axvline(1.0, color=TEXT, lw=0.8)
+    for row, one in shares:
+        low, high = one.share - words.SURE * one.deviation, one.share + words.SURE * one.deviation
+        clear = low > 0.0 or high < 0.0
+        axes.plot(np.clip([low, high], -WIDEST, WIDEST), [row, row], color=AFTER, lw=1.2)
+        axes.plot(np.clip(one.share, -WIDEST, WIDEST), row, "o", ms=4.5, color=AFTER, mfc=AFTER if clear else "none")
+    ends = [e for _, v in shares for e in (v.share - words.SURE * v.deviation, v.share + words.SURE * v.deviation)]
+    axes.set_xlim(max(min([-0.2, *ends]), -WIDEST) - 0.05, min(max([1.2, *ends]), WIDEST) + 0.05)
+
+
+def bound(scene: Scene) -> Drawn | None:
+    """What is tied to run, site, time, place or condition: its shares, and where on the map."""
+    if not scene.found.bound:
+        return None
+    one = max(scene.found.bound, key=lambda b: b.position_5s)
+    groups = _sites(scene)
+    shown = _map_levels(scene, one)
+    count = len(groups) if shown else 0
+    with style():
+        height = max(2.6 if count else 0.0, 1.2 + 0.2 * len(one.values))
+        figure = plt.figure(figsize=(WIDTH, min(height, 8.0)))
+        grid = GridSpec(1, 1 + count, figure, width_ratios=[1.2, *[1.0] * count])
+        axes = figure.add_subplot(grid[0])
+        _shares(axes, list(enumerate(one.values)))
+        axes.set_yticks(range(len(one.values)), [_where(one.to, v.where) for v in one.values], fontsize=7)
+        axes.set_ylim(len(one.values) - 0.5, -0.5)
+        axes.set_xlabel("share")
+        if count:
+            _maps(figure, [figure.add_subplot(grid[k + 1]) for k in range(count)], groups, shown, scene)
+        title = (f"Tied to {one.to}, and not named: something like {words.plain(one.resembles)} "
+                 f"({words.metres(one.position_5s)} after 5 s)")
+        others = [words.plain(b.resembles) for b in scene.found.bound if b is not one]
+        caption = "Share of the fitted value that each part shows; a property of the car would be the same in all." + (
+            f" Not drawn: {', '.join(others)}." if others else "")
+        return finish(figure, scene.place, "bound", title, caption)
+
+
+def _sites(scene: Scene) -> list[list[int]]:
+    """Numbers of the runs by site, the largest sites first."""
+    sites = {run.name: run.site for run in scene.found.runs}
+    groups: dict[int, list[int]] = {}
+    for number, log in enumerate(scene.runs):
+        groups.setdefault(sites.get(log.name, 0), []).append(number)
+    return sorted(groups.values(), key=lambda g: -sum(scene.runs[n].duration for n in g))[:MOST_SITES]
+
+
+def _map_levels(scene: Scene, one: BoundEffect) -> dict:
+    """Share by run name, or by (east, north); empty where it is tied to neither."""
+    places = {(float(m[1]), float(m[2])): v.share for v in one.values if (m := PLACE.search(v.where))}
+    if places:
+        return places
+    sites = {run.name: run.site for run in scene.found.runs}
+    shares = {v.where: v.share for v in one.values}
+    if one.to == "run":
+        return {name: shares[name] for name in sites if name in shares}
+    numbers = {int(m[0]): share for where, share in shares.items() if (m := re.search(r"\d+", where))}
+    return {name: numbers[site] for name, site in sites.items() if site in numbers} if one.to == "site" else {}
+
+
+def _maps(figure: plt.Figure, panels: Sequence[plt.Axes], groups: Sequence[Sequence[int]], shown: dict,
+          scene: Scene) -> None:
+    colours = plt.get_cmap("cividis")
+    scale = Normalize(min(0.0, *shown.values()), max(1.0, *shown.values()))
+    for axes, group in zip(panels, groups, strict=True):
+        for number in group:
+            log = scene.runs[number]
+            every = max(1, len(log.x) // 600)
+            known = log.name in shown
+            axes.plot(log.x[::every], log.y[::every], lw=1.8 if known else 0.7,
+                      color=colours(scale(shown[log.name])) if known else MEASURED_COLOUR)
+        x, y = (np.concatenate([getattr(scene.runs[n], axis) for n in group]) for axis in ("x", "y"))
+        near = [(e, n, s) for (e, n), s in ((k, v) for k, v in shown.items() if isinstance(k, tuple))
+                if np.hypot(x - e, y - n).min() < SITE]
+        if near:
+            axes.scatter(*np.array(near)[:, :2].T, c=np.array(near)[:, 2], cmap=colours, norm=scale, s=26, zorder=3)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_xlabel("east, m")
+    panels[0].set_ylabel("north, m")
+    figure.colorbar(plt.cm.ScalarMappable(scale, colours), ax=list(panels), label="share", pad=0.02)

@@ -1,0 +1,97 @@
+"""Answers of earlier starts: the same drives, car, base and settings are not searched again."""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, is_dataclass
+from functools import cache as remembered
+from itertools import repeat
+from pathlib import Path
+from types import NoneType
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+import st_core
+from st_core.augmented import AugmentedModel, augment
+from st_core.discovery import DiscoverySettings
+from st_core.discovery.result import Discovery
+from st_core.errors import StCoreError
+from st_core.log import DriveLog
+from st_core.models import Model
+from st_core.vehicle import VehicleParameters
+
+FORMAT = 1  # of what is kept; another number makes older files useless
+
+
+def key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
+        settings: DiscoverySettings, effects: Mapping[str, str], identities: Mapping[str, Sequence[float]]) -> str:
+    """Of everything an answer depends on, the code included."""
+    values = base.values if isinstance(base, AugmentedModel) else {}
+    content = [FORMAT, _code(), [_digest(log) for log in runs], [_digest(log) for log in reference], vehicle.hash,
+               _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
+               sorted(effects.items()), sorted((name, list(value)) for name, value in identities.items())]
+    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
+
+
+def keep(file: Path, found: Discovery) -> None:
+    """Written beside and moved into place, so that a start cut short leaves nothing half. A full disk is no reason."""
+    content = {**found.document(), "base": _model(found.base), "model": found.model and _model(found.model)}
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        beside = file.with_name(f".{file.stem}.{os.getpid()}.json")
+        beside.write_text(json.dumps(content), encoding="utf-8")
+        beside.replace(file)
+    except OSError:
+        return
+
+
+def kept(file: Path) -> Discovery | None:
+    """The answer in a file of `keep`; None where there is none, or a damaged one."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        models = {name: content[name] and augment(*content[name]) for name in ("base", "model")}
+        hints = get_type_hints(Discovery)
+        return Discovery(**models, **{f.name: restored(hints[f.name], content[f.name]) for f in fields(Discovery)
+                                      if f.name not in models})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
+        return None
+
+
+def restored(kind: Any, value: Any) -> Any:
+    """What `Discovery.document` made lists and dicts of, as dataclasses, tuples and mappings of the type `kind`."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return kind(**{name: restored(hints[name], entry) for name, entry in value.items()})
+    if origin is tuple:
+        return tuple(map(restored, repeat(inner[0]) if inner[-1] is Ellipsis else inner, value))
+    if origin is Mapping:
+        return {name: restored(inner[1], entry) for name, entry in value.items()}
+    if NoneType in inner:
+        return None if value is None else restored(next(one for one in inner if one is not NoneType), value)
+    return value
+
+
+def _base(model: Model) -> str:
+    return model.base.name if isinstance(model, AugmentedModel) else model.name
+
+
+def _model(model: AugmentedModel) -> list[Any]:
+    return [_base(model), {effect: dict(values) for effect, values in model.values.items()}]
+
+
+def _digest(log: DriveLog) -> str:
+    content = hashlib.sha256(log.name.encode())
+    for field in fields(DriveLog):
+        values = getattr(log, field.name)
+        if isinstance(values, np.ndarray):
+            content.update(field.name.encode() + values.tobytes())
+    return content.hexdigest()
+
+
+@remembered
+def _code() -> str:
+    """Of the code of the core: what another version found is not believed."""
+    files = sorted(Path(st_core.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

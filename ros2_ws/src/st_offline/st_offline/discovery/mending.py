@@ -1,0 +1,222 @@
+"""The user's vehicle file with what was found folded in; what a vehicle file cannot hold stays in the model file."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+import yaml
+from st_core.augmented import AugmentedModel
+from st_core.batch import LogBatch
+from st_core.discovery.result import Discovery
+from st_core.effects import Effect
+from st_core.errors import ConfigurationError, StCoreError
+from st_core.identification.apply import value_of
+from st_core.identification.result import quantity
+from st_core.log import DriveLog
+from st_core.log_evaluation import regular_starts, usable_starts
+from st_core.log_signals import LogSignals
+from st_core.provenance import Provenance
+from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters
+from st_core.yaml_text import number, quoted
+
+from .question import Question
+
+HORIZON, STEP, EVERY = 5.0, 0.05, 5.0  # s: predictions the two descriptions are compared by, and between their starts
+SAME = 1e-3  # m, rad; at every start, at the end of the horizon
+DIGITS = 6
+KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
+Values = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Mended:
+    """vehicle: as `text` says, the content of vehicle.yaml; the user's own, and "", where nothing could be folded in.
+
+    model: on that vehicle, effects folded in at null. folded: effects the file holds now. changes: (before, after,
+    low, high) by key of the file, SI. kept: (before, after) by key, for each effect that a vehicle file could hold but
+    not so that these drives are predicted as before.
+    """
+
+    vehicle: VehicleParameters
+    text: str
+    model: AugmentedModel
+    folded: tuple[str, ...]
+    changes: Mapping[str, tuple[float, float, float, float]]
+    kept: Mapping[str, Mapping[str, tuple[float, float]]]
+
+
+def mend(found: Discovery, question: Question) -> Mended | None:
+    """The vehicle file mended; None where no model was found.
+
+    Each effect that a vehicle file can hold is folded in, in the order in which they act, if prediction of the drives
+    stays what it was. It does not where the recordings hold the angle of the road wheels, which no ratio or offset of a
+    vehicle file touches, or where what acts before it does not commute (play in the steering).
+    """
+    if found.model is None:
+        return None
+    drives = [d.log for d in question.runs if d.log is not None]
+    expected = _errors(found.model, question.vehicle, drives)
+    folded: tuple[type[Effect], ...] = ()
+    kept = {}
+    for effect in found.model.effects:
+        if not effect.fold or not active(found.model, effect):
+            continue
+        more = (*folded, effect)
+        try:
+            car = fold(question.vehicle, more, found.model.values)
+            same = _alike(_errors(without(found.model, more), car, drives), expected)
+        except StCoreError:  # no car, or one beyond the limits of a vehicle file
+            continue
+        if same:
+            folded = more
+        else:
+            kept[effect.name] = _changes(question.vehicle, fold(question.vehicle, (effect,), found.model.values))
+    model = without(found.model, folded)
+    if not folded:
+        return Mended(question.vehicle, "", model, (), {}, kept)
+    car = fold(question.vehicle, folded, found.model.values)
+    changes = {key: (*change, *_interval(found, question.vehicle, folded, key))
+               for key, change in _changes(question.vehicle, car).items()}
+    text = mended_text(question, car, changes, _source(found, folded))
+    vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
+    shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
+    return Mended(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept)
+
+
+def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
+    """(before, after) of every key that differs."""
+    pairs = {key: (value_of(vehicle, key), value_of(other, key)) for key in KEYS}
+    return {key: pair for key, pair in pairs.items() if not math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-12)}
+
+
+def active(model: AugmentedModel, effect: type[Effect]) -> bool:
+    """Whether any of its values is off its null."""
+    return any(p.fit and model.values[effect.name][p.name] != p.null for p in effect.parameters)
+
+
+def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
+    """The vehicle with these effects in its parameters. Raises ConfigurationError where that is no car."""
+    for effect in effects:
+        vehicle = effect.fold(vehicle, effect.Theta(**values[effect.name], car=()))
+    return vehicle
+
+
+def without(model: AugmentedModel, effects: Iterable[type[Effect]]) -> AugmentedModel:
+    """The model with these effects at null."""
+    return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in effects})
+
+
+def _errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
+    """Errors (starts, 3) at the end of the horizon, by drive; the steering is computed as a reader would."""
+    found = []
+    for drive in drives:
+        log = drive
+        if drive.steering_wheel_angle is not None:
+            log = replace(drive, road_wheel_angle=vehicle.road_wheel_angle(drive.steering_wheel_angle))
+        signals = LogSignals(log, 0.1, 5.0)
+        starts, _ = usable_starts(signals, vehicle, regular_starts(log, EVERY), 1.0)
+        batch = LogBatch(signals, starts, HORIZON, STEP, points=(HORIZON,))
+        found.append(batch.errors(batch.predict(model, vehicle))[:, -1, :])
+    return found
+
+
+def _alike(errors: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
+    return all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=SAME, equal_nan=True)
+               for a, b in zip(errors, others, strict=True))
+
+
+def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
+              key: str) -> tuple[float, float]:
+    """95 % of a key of the file: the intervals of the effects in it, as if they were independent."""
+    values = {name: dict(entry) for name, entry in found.model.values.items()}
+    centre = value_of(fold(vehicle, folded, values), key)
+    below = above = 0.0
+    names = {effect.name for effect in folded}
+    for effect in (e for e in found.effects if e.name in names):
+        own = values[effect.name]
+        for name, p in effect.parameters.items():
+            ends = [centre]
+            for edge in p.interval:
+                moved = {**values, effect.name: {**own, name: own[name] + edge - p.value}}
+                ends.append(value_of(fold(vehicle, folded, moved), key))
+            below += (centre - min(ends)) ** 2
+            above += (max(ends) - centre) ** 2
+    return centre - math.sqrt(below), centre + math.sqrt(above)
+
+
+def _source(found: Discovery, folded: Sequence[type[Effect]]) -> str:
+    runs = [run for run in found.runs if run.role == "suspect"]
+    whence = f"{len(runs)} run{'' if len(runs) == 1 else 's'}, {sum(run.seconds for run in runs):.0f} s"
+    return f"st discover, {datetime.now(UTC):%Y-%m-%d}, {whence}: {', '.join(e.name for e in folded)}"
+
+
+def mended_text(question: Question, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
+                source: str) -> str:
+    """The user's vehicle file with these keys written anew; all else in it, comments included, stays as it is.
+
+    A lambda_ky that the file leaves to be derived is written only where it would come out otherwise. Where the file
+    cannot be edited so that it reads as `car`, it is written as a whole.
+    """
+    def written(text: str, keys: Iterable[str]) -> str:
+        return edited(text, {key: _entry(changes[key], source) for key in keys})
+
+    stated = yaml.safe_load(question.vehicle_text)
+    derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in stated[tyre]]
+    try:
+        text = written(question.vehicle_text, [key for key in changes if key not in derived])
+        off = [key for key in derived if not _close(VehicleParameters.from_yaml(text), car, key)]
+        text = edited(text, {key: _entry((value_of(question.vehicle, key), value_of(car, key)), source) for key in off})
+        if all(_close(VehicleParameters.from_yaml(text), car, key) for key in KEYS):
+            return text
+    except (ConfigurationError, yaml.YAMLError):
+        pass
+    sources = {key: f"{source}; before {number(change[0])}" for key, change in changes.items()}
+    return replace(car, sources={**question.vehicle.sources, **sources}).to_yaml()
+
+
+def _close(car: VehicleParameters, other: VehicleParameters, key: str) -> bool:
+    return math.isclose(value_of(car, key), value_of(other, key), rel_tol=1e-5, abs_tol=1e-9)
+
+
+def _entry(change: Sequence[float], source: str) -> Callable[[str, float], str]:
+    """change: (before, after), and (low, high) where known; SI. -> unit of the file, its factor to SI -> the entry."""
+    def words(unit: str, factor: float) -> str:
+        before, after, *ends = (number(float(f"{value / factor:.{DIGITS}g}")) for value in change)
+        interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""
+        spread = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
+        about = Provenance(float(f"{spread / factor:.3g}") if spread > 0.0 else None, "st discover")
+        return (f"{{value: {after}, unit: {quoted(unit)}, source: {quoted(f'{source}{interval}; before {before}')}"
+                f"{about.words()}}}")
+    return words
+
+
+def edited(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str:
+    """A vehicle file with these entries, "mass" or "tyre_front.p_dy1", in place of its own, or put in where missing."""
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    changes = [_change(root, key, words) for key, words in entries.items()]
+    for start, end, new in sorted(changes, reverse=True):
+        text = text[:start] + new + text[end:]
+    return text
+
+
+def _change(root: yaml.MappingNode, key: str, words: Callable[[str, float], str]) -> tuple[int, int, str]:
+    """(start, end, what is to stand there instead) of one entry."""
+    tyre, _, name = key.rpartition(".")
+    section = _child(root, tyre) if tyre else root
+    units = quantity(key).units
+    node = _child(section, name)
+    if node is None:
+        first = section.value[0][0].start_mark
+        unit = next(iter(units))
+        gap = ", " if section.flow_style else "\n" + " " * first.column
+        return first.index, first.index, f"{name}: {words(unit, units[unit])}{gap}"
+    # The end of a block is where the next key begins, comments between included.
+    last = node if node.flow_style else node.value[-1][1]
+    unit = _child(node, "unit").value
+    return node.start_mark.index, last.end_mark.index, words(unit, units[unit])
+
+
+def _child(section: yaml.MappingNode, key: str) -> yaml.Node | None:
+    return next((value for name, value in section.value if name.value == key), None)

@@ -1,0 +1,75 @@
+"""The answer of a discovery on the terminal."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from st_core.discovery.result import Discovery
+
+from . import words
+from .drives import Drive
+from .mending import Mended
+
+WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/discovery.md",
+        "vehicle.yaml": "the vehicle file, mended: --vehicle of every verb",
+        "model.yaml": "what a vehicle file cannot hold: --model of st demo, st live, st evaluate"}
+
+
+def show(found: Discovery, mended: Mended | None, failed: Sequence[Drive], files: Mapping[str, Path], earlier: bool,
+         console: Console) -> None:
+    """Runs, answer, waterfall, budget. earlier: whether the answer is that of an earlier start."""
+    lines = words.verdict(found, mended)
+    _answers(lines[:2], console)
+    console.print(f"[bold]{escape(words.title(found))}[/bold]", highlight=False)
+    for table in filter(None, (waterfall(found), budget(found))):
+        console.print(table)
+    _answers(lines[2:], console)
+    for warning in found.warnings:
+        console.print(f"[yellow]{escape(warning)}[/yellow]", highlight=False)
+    for drive in failed:
+        console.print(f"[red]{escape(drive.name)}[/red]: {escape(drive.problem)}", highlight=False, soft_wrap=True)
+    if earlier:
+        console.print("[dim]The answer of an earlier start with the same inputs; --fresh searches anew.[/dim]")
+    for name, file in files.items():
+        console.print(f"  {escape(str(file))}  [dim]{WHAT[name]}[/dim]", highlight=False, soft_wrap=True)
+
+
+def _answers(lines: Sequence[tuple[str, Sequence[str]]], console: Console) -> None:
+    for question, answer in lines:
+        if len(answer) == 1:
+            console.print(f"[bold]{question}[/bold]: {escape(answer[0])}", highlight=False)
+        else:
+            console.print(f"[bold]{question}[/bold]", highlight=False)
+            console.print(*(f"  {escape(text)}" for text in answer), sep="\n", highlight=False)
+
+
+def waterfall(found: Discovery) -> Table | None:
+    """The steps from base to model; None without any."""
+    if not found.steps:
+        return None
+    table = Table("step", "value", "after 5 s, m", "less, m", "95 %", box=None, padding=(0, 1))
+    for column in table.columns[2:]:
+        column.justify = "right"
+    table.add_row("start", found.start, f"{found.steps[0].position_5s.base:.3f}", "", "")
+    for step in found.steps:
+        change = step.position_5s
+        low, high = change.interval
+        table.add_row(escape(words.step_name(step)), escape(words.short_values(step.parameters)),
+                      f"{change.augmented:.3f}", f"{change.base - change.augmented:.3f}", f"{low:.3f} to {high:.3f}")
+    return table
+
+
+def budget(found: Discovery) -> Table | None:
+    """The parts of the gap; None without any."""
+    if not found.budget:
+        return None
+    table = Table("part of the error", "added last", "added first", "of the loss", box=None, padding=(0, 1))
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for one in found.budget:
+        loss = sorted((100 * one.loss_last, 100 * one.loss_first))
+        table.add_row(one.part, f"{one.last:.2f} m, {100 * one.share_last:.0f} %",
+                      f"{one.first:.2f} m, {100 * one.share_first:.0f} %", f"{loss[0]:.0f} to {loss[1]:.0f} %")
+    return table

@@ -1,0 +1,92 @@
+"""A discovery made by hand: what the report layer says of it can be compared with what was put in."""
+
+from collections.abc import Mapping, Sequence
+
+from st_core.augmented import AugmentedModel, augment
+from st_core.discovery.result import (
+    BoundEffect,
+    BudgetLine,
+    Candidate,
+    Certificate,
+    Change,
+    Discovery,
+    FittedParameter,
+    FoundEffect,
+    Gap,
+    NextManoeuvre,
+    NotTestable,
+    Power,
+    Reason,
+    Run,
+    Separability,
+    Step,
+    Value,
+    WhereStatement,
+)
+from st_core.effects import get_effect
+from st_core.log import DriveLog
+
+HALF = 0.02  # half width of an interval, as share of the distance to null
+
+
+def fitted(effect: str, values: Mapping[str, float]) -> dict[str, FittedParameter]:
+    found = {}
+    for p in (p for p in get_effect(effect).parameters if p.fit):
+        value, half = values[p.name], HALF * abs(values[p.name] - p.null)
+        found[p.name] = FittedParameter(value, p.unit, (value - half, value + half), p.null)
+    return found
+
+
+def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, float], float]], base: float, *,
+              bound: Sequence[BoundEffect] = (), alternatives: Mapping[str, tuple[str, ...]] | None = None,
+              outcome: str | None = None, reference: Sequence[DriveLog] = (),
+              start: AugmentedModel | None = None) -> Discovery:
+    """steps: (effect, values, 5 s position error [m] with it), from `base` [m] on."""
+    start = start or augment("nonlinear", {})
+    model = augment(start, {name: values for name, values, _ in steps}) if steps else None
+    levels = [base, *(after for *_, after in steps)]
+    names = [log.name for log in runs]
+    told, effects = [], []
+    for (name, values, after), before in zip(steps, levels, strict=False):
+        kind = get_effect(name).kind
+        change = Change(before, after, (0.8 * (before - after), 1.2 * (before - after)), "m")
+        told.append(Step(name, "added", kind, fitted(name, values), change,
+                         {"acceleration_y": Change(0.6, 0.3 if after == before else 0.59, (0.0, 0.3), "m/s^2")},
+                         {n: (before * (1 + 0.1 * k), after * (1 + 0.1 * k)) for k, n in enumerate(names)}))
+        agreement = {"run": tuple(Value(n, 1.0 + 0.05 * (-1) ** k, 0.1) for k, n in enumerate(names)),
+                     "site": (Value("site 1", 1.0, 0.05), Value("site 2", 0.97, 0.08))}
+        effects.append(FoundEffect(name, kind, fitted(name, values), (alternatives or {}).get(name, ()),
+                                   0.9 * (before - after), agreement))
+    parts = {part: sum(b - a for (n, _, a), b in zip(steps, levels, strict=False) if get_effect(n).kind == part)
+             for part in ("sensors", "vehicle parameters", "physics", "surroundings")}
+    parts |= {"place or time": sum(b.position_5s for b in bound), "unexplained": levels[-1]}
+    budget = tuple(BudgetLine(part, 0.8 * size, size, 0.8 * size / base, size / base, 0.7 * size / base, size / base)
+                   for part, size in parts.items())
+    less = base - levels[-1]
+    gap = {"position_5s": Gap(base, levels[-1], (0.8 * less, 1.2 * less), "m", 0.06, names[0], 1.3 * levels[-1]),
+           "yaw_rate": Gap(0.02, 0.01, (0.005, 0.012), "rad/s", 0.002)}
+    outcome = outcome or ("none" if not steps else "named" if len(steps) == 1 else "several")
+    powers = tuple(Power(effect, parameter, unit, size * k, found, 20)
+                   for effect, parameter, unit, size, sure in (("steering_ratio", "factor", "1", 0.015, 0.6),
+                                                               ("friction", "factor", "1", 0.1, 0.05),
+                                                               ("heading_misalignment", "angle", "rad", 0.002, 0.9))
+                   for k, found in ((1, sure), (2, min(1.0, 1.6 * sure)), (4, min(1.0, 2.5 * sure))))
+    candidates = [Candidate(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "stated", "sure")
+                  for e in effects]
+    candidates.append(Candidate("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
+                                "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
+    return Discovery(
+        outcome, tuple(effects), tuple(bound), tuple(told), gap, budget,
+        (Reason("sure", "answer", {"score": 44.0, "threshold": 12.0}, "the gain is 44; chance gives 12 at most"),
+         *(Reason("worth", e.name, {"share": 0.2}, "takes 20 % of the size of the errors away") for e in effects)),
+        tuple(candidates),
+        (WhereStatement("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),
+        (NotTestable("friction", "no drive comes near the limit", "ramp_to_limit"),),
+        NextManoeuvre("sweep", ("steering_ratio", "front_stiffness"), 5.5, {"sweep": 5.5, "step": 2.0}, 3, 30.0, 14.0,
+                      "they differ most there"),
+        (Separability("steering_ratio", "front_stiffness", 0.97, 2.2),), Certificate(powers, 0, 0, False),
+        ("It grows with speed.",),
+        tuple(Run(log.name, "suspect", log.duration, k % 2, 40) for k, log in enumerate(runs))
+        + tuple(Run(log.name, "reference", log.duration, 0, 40) for log in reference),
+        "reference" if reference else "vehicle file", start, model, (), 0.0,
+        {"position": 0.02, "yaw": 0.001, "yaw_rate": 0.002, "velocity_y": 0.02, "acceleration_y": 0.1})
