@@ -50,8 +50,8 @@ def root_mean_square(values: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("effect", "channels", "seconds", "left"), [
-    ("yaw_rate_delay", ("yaw_rate",), 0.03, 0.07), ("yaw_rate_delay", ("yaw_rate",), -0.05, 0.10),
-    ("position_lag", ("x", "y"), 0.05, 0.03), ("position_lag", ("x", "y"), -0.1, 0.05)])
+    ("yaw_rate_delay", ("yaw_rate",), 0.03, 0.04), ("yaw_rate_delay", ("yaw_rate",), -0.05, 0.06),
+    ("position_lag", ("x", "y"), 0.05, 0.006), ("position_lag", ("x", "y"), -0.1, 0.012)])
 def test_what_really_was_late_is_put_right_to_first_order(leaf, effect, channels, seconds, left):
     true = exact_drive(leaf, 60.0, noise=SILENT)
     recorded = late(true, seconds, *channels)

@@ -23,7 +23,6 @@ class PositionLag(Effect):
     excited_by = "any change of velocity over ground with position fixes: turns, braking"
     kind, slot = "sensors", "position"
     needs = ("position",)
-    twins = ("sensor_lever_arm",)
     applies_to = ANY
     order = 5
     parameters = (

@@ -11,7 +11,7 @@ class TyreStiffness(Effect):
     physics = "C_f = factor C_f, C_r = factor C_r of the file, the peak forces unchanged"
     excited_by = "cornering with the sideslip measured, and sweeps; next to mass and yaw_inertia only their ratio shows"
     kind, slot = "vehicle parameters", "both axles"
-    twins = ("mass", "front_stiffness", "rear_stiffness")
+    twins = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
     members = ("front_stiffness", "rear_stiffness")
     parameters = (
         Parameter("factor", "1", null=1.0, initial=0.85, bounds=(0.3, 3.0), meaning="true stiffness over the file's",

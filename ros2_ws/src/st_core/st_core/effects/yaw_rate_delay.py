@@ -13,7 +13,6 @@ class YawRateDelay(Effect):
     excited_by = "sweeps and steps, with the heading measured"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
-    twins = ("steering_delay", "steering_lag")
     order = 20  # before scale and bias, which do not depend on time
     parameters = (
         Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2), meaning="measured after true",
