@@ -178,8 +178,3 @@ def mixed(car: Car, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None
         part.drive(b, generator.uniform(*part.lateral) * lateral_factor)
     b.go_to(b.speed)
     return b.programme()
-
-
-def duration(car: Car, part: Part) -> float:
-    """s of one manoeuvre, the way to it included."""
-    return DT * (len(mixed(car, (0,), (part, part)).hand) - len(mixed(car, (0,), (part,)).hand))
