@@ -1,13 +1,14 @@
 """The figures of what is the same everywhere and what is not: shares by run, site, time, place and condition."""
 
 import re
+import textwrap
 from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.gridspec import GridSpec
-from st_core.discovery.result import BoundEffect, Value
+from st_core.discovery.result import BoundEffect, FoundEffect, Value
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, finish, style
 from ..style import MEASURED_COLOUR
@@ -15,8 +16,9 @@ from . import words
 from .figures import AFTER, Scene
 
 MOST_SITES = 4
-SITE = 2000.0  # m; of a map; what is further apart is drawn by itself
+MOST_PANELS = 6
 WIDEST = 3.0  # share; intervals beyond are cut off
+NEAR = 200.0  # m, from the track: places of another site are not drawn here
 PLACE = re.compile(r"east (-?[\d.]+) m, north (-?[\d.]+) m")
 
 
@@ -25,6 +27,7 @@ def agreement(scene: Scene) -> Drawn | None:
     effects = [e for e in scene.found.effects if any(e.agreement.values())]
     if not effects:
         return None
+    effects = sorted(effects, key=lambda e: -e.position_5s)[:MOST_PANELS]
     labels = list(dict.fromkeys((level, v.where) for e in effects for level, entries in e.agreement.items()
                                 for v in entries))
     rows = {label: row for row, label in enumerate(labels)}
@@ -34,7 +37,9 @@ def agreement(scene: Scene) -> Drawn | None:
         for axes, effect in zip(panels[0], effects, strict=True):
             shares = [(rows[level, v.where], v) for level, entries in effect.agreement.items() for v in entries]
             _shares(axes, shares)
-            axes.set_title(f"{words.plain(effect.name)}\n{words.short_values(effect.parameters)}", fontsize=8)
+            heading = [words.plain(effect.name), words.short_values(effect.parameters)]
+            axes.set_title("\n".join(line for text in heading for line in textwrap.wrap(text, 90 // len(effects))),
+                           fontsize=8)
             axes.set_xlabel("share")
         for (level, _), row in rows.items():
             if row and labels[row - 1][0] != level:
@@ -42,12 +47,22 @@ def agreement(scene: Scene) -> Drawn | None:
                     axes.axhline(row - 0.5, color=TEXT, lw=0.5)
         panels[0][0].set_yticks(range(len(labels)), [_where(*label) for label in labels], fontsize=7)
         panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
-        told = "; ".join(filter(None, map(words.agreed, effects)))
-        title = f"Is it the same everywhere? {told[0].upper()}{told[1:]}"
         caption = ("Point: share of the value stated that each part of the driving shows by itself, the other effects "
                    "held. Bar: 95 %. Solid line: just that value; dotted: none of it. A property of the car is the "
                    "same everywhere.")
-        return finish(figure, scene.place, "agreement", title, caption)
+        return finish(figure, scene.place, "agreement", _agreed(effects), caption)
+
+
+def _agreed(effects: Sequence[FoundEffect]) -> str:
+    """Which effects show in every run, and which do not."""
+    counts = {words.plain(e.name): (words.showing(e.agreement["run"]), len(e.agreement["run"])) for e in effects
+              if e.agreement.get("run")}
+    every = [name for name, (shown, of) in counts.items() if shown == of]
+    some = [f"{name} in {shown} of {of}" for name, (shown, of) in counts.items() if shown < of]
+    told = [f"every run by itself shows {', '.join(every)}"] if every else []
+    told += [f"by itself shows {', '.join(some)} runs"] if some else []
+    text = "; ".join(told) or "what each part of the driving shows by itself"
+    return text[0].upper() + text[1:]
 
 
 def _where(level: str, where: str) -> str:
@@ -128,7 +143,7 @@ def _maps(figure: plt.Figure, panels: Sequence[plt.Axes], groups: Sequence[Seque
                       color=colours(scale(shown[log.name])) if known else MEASURED_COLOUR)
         x, y = (np.concatenate([getattr(scene.runs[n], axis) for n in group]) for axis in ("x", "y"))
         near = [(e, n, s) for (e, n), s in ((k, v) for k, v in shown.items() if isinstance(k, tuple))
-                if np.hypot(x - e, y - n).min() < SITE]
+                if np.hypot(x - e, y - n).min() < NEAR]
         if near:
             axes.scatter(*np.array(near)[:, :2].T, c=np.array(near)[:, 2], cmap=colours, norm=scale, s=26, zorder=3)
         axes.set_aspect("equal", adjustable="datalim")

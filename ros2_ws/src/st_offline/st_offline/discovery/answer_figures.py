@@ -35,7 +35,9 @@ def waterfall(scene: Scene) -> Drawn | None:
             axes.barh(row, before - after, left=after, color=AFTER if after <= before else BAD, height=0.62, alpha=0.65)
             ends = [before - edge for edge in step.position_5s.interval]
             axes.plot(ends, [row, row], color=TEXT, lw=1.0)
-            _label(axes, max(before, after, *ends), row, f"{after - before:+.2f} m".replace("-", "−"))
+            change = f"{after - before:+.2f} m".replace("-", "−")
+            small = abs(after - before) < words.LEAST and words.other_channel(step)
+            _label(axes, max(before, after, *ends), row, small or change)
             rows.append(f"{words.step_name(step)}  {words.short_values(step.parameters)}")
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)

@@ -87,8 +87,8 @@ def _gap_title(found: Discovery) -> str:
     if not certain:
         return "No held-out error surely changes with what was found"
     first = certain[0]
-    return (f"{len(certain)} of {len(found.gap)} held-out errors surely change, most the {words.channel(first)}'s: "
-            f"{words.before_and_after(found.gap[first])}")
+    return (f"{len(certain)} of {len(found.gap)} held-out errors surely change, most that of the "
+            f"{words.channel(first)}: {words.before_and_after(found.gap[first])}")
 
 
 def conditions(scene: Scene) -> Drawn | None:

@@ -79,7 +79,7 @@ def mend(found: Discovery, question: Question) -> Mended | None:
     car = fold(question.vehicle, folded, found.model.values)
     changes = {key: (*change, *_interval(found, question.vehicle, folded, key))
                for key, change in _changes(question.vehicle, car).items()}
-    text = mended_text(question, car, changes, _source(found, folded))
+    text = mended_text(question, car, changes, *_source(found, folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return Mended(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept)
@@ -146,28 +146,31 @@ def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[typ
     return centre - math.sqrt(below), centre + math.sqrt(above)
 
 
-def _source(found: Discovery, folded: Sequence[type[Effect]]) -> str:
+def _source(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Provenance]:
     runs = [run for run in found.runs if run.role == "suspect"]
+    date = f"{datetime.now(UTC):%Y-%m-%d}"
     whence = f"{len(runs)} run{'' if len(runs) == 1 else 's'}, {sum(run.seconds for run in runs):.0f} s"
-    return f"st discover, {datetime.now(UTC):%Y-%m-%d}, {whence}: {', '.join(e.name for e in folded)}"
+    about = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
+    return f"st discover, {date}, {whence}: {', '.join(e.name for e in folded)}", about
 
 
-def mended_text(question: Question, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
-                source: str) -> str:
+def mended_text(question: Question, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]], source: str,
+                about: Provenance) -> str:
     """The user's vehicle file with these keys written anew; all else in it, comments included, stays as it is.
 
     A lambda_ky that the file leaves to be derived is written only where it would come out otherwise. Where the file
     cannot be edited so that it reads as `car`, it is written as a whole.
     """
     def written(text: str, keys: Iterable[str]) -> str:
-        return edited(text, {key: _entry(changes[key], source) for key in keys})
+        return edited(text, {key: _entry(changes[key], source, about) for key in keys})
 
     stated = yaml.safe_load(question.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in stated[tyre]]
     try:
         text = written(question.vehicle_text, [key for key in changes if key not in derived])
         off = [key for key in derived if not _close(VehicleParameters.from_yaml(text), car, key)]
-        text = edited(text, {key: _entry((value_of(question.vehicle, key), value_of(car, key)), source) for key in off})
+        derived_too = {key: (value_of(question.vehicle, key), value_of(car, key)) for key in off}
+        text = edited(text, {key: _entry(change, source, about) for key, change in derived_too.items()})
         if all(_close(VehicleParameters.from_yaml(text), car, key) for key in KEYS):
             return text
     except (ConfigurationError, yaml.YAMLError):
@@ -180,15 +183,15 @@ def _close(car: VehicleParameters, other: VehicleParameters, key: str) -> bool:
     return math.isclose(value_of(car, key), value_of(other, key), rel_tol=1e-5, abs_tol=1e-9)
 
 
-def _entry(change: Sequence[float], source: str) -> Callable[[str, float], str]:
+def _entry(change: Sequence[float], source: str, about: Provenance) -> Callable[[str, float], str]:
     """change: (before, after), and (low, high) where known; SI. -> unit of the file, its factor to SI -> the entry."""
     def words(unit: str, factor: float) -> str:
         before, after, *ends = (number(float(f"{value / factor:.{DIGITS}g}")) for value in change)
         interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""
         spread = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
-        about = Provenance(float(f"{spread / factor:.3g}") if spread > 0.0 else None, "st discover")
+        known = replace(about, uncertainty=float(f"{spread / factor:.3g}") if spread > 0.0 else None)
         return (f"{{value: {after}, unit: {quoted(unit)}, source: {quoted(f'{source}{interval}; before {before}')}"
-                f"{about.words()}}}")
+                f"{known.words()}}}")
     return words
 
 

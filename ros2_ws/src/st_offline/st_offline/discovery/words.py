@@ -63,7 +63,7 @@ def metres(value: float) -> str:
 def digits(p: FittedParameter) -> int:
     """Decimals that the interval bears."""
     half = 0.5 * (p.interval[1] - p.interval[0]) * factor(p.unit)
-    return min(max(1 - math.floor(math.log10(half)), 0), 6) if math.isfinite(half) and half > 0.0 else 3
+    return min(max(1 - math.floor(math.log10(half) + 1e-6), 0), 6) if math.isfinite(half) and half > 0.0 else 3
 
 
 def short_value(p: FittedParameter) -> str:
@@ -120,14 +120,15 @@ def step_name(step: Step) -> str:
 def share_of(name: str, steps: Sequence[Step]) -> str:
     """What an effect takes away: metres, or of another channel where it hardly moves the position."""
     away = taken(steps).get(name, 0.0)
-    if abs(away) >= LEAST:
-        return metres(away)
     mine = [step for step in steps if step.effect == name and step.action != "removed"]
-    ratios = {key: one.augmented / one.base for step in mine for key, one in step.channels.items() if one.base > 0}
-    if not ratios:
-        return metres(away)
-    best = min(ratios, key=ratios.get)
-    return f"{channel(best)} error {100 * (ratios[best] - 1.0):+.0f} %"
+    return (metres(away) if abs(away) >= LEAST or not mine else other_channel(mine[-1])) or metres(away)
+
+
+def other_channel(step: Step) -> str:
+    """The channel whose error a step makes smallest; empty without any."""
+    ratios = {key: one.augmented / one.base for key, one in step.channels.items() if one.base > 0}
+    best = min(ratios, key=ratios.get, default=None)
+    return f"{channel(best)} error {100 * (ratios[best] - 1.0):+.0f} %".replace("-", "−") if best else ""
 
 
 def changes(found: Discovery) -> str:
@@ -285,7 +286,7 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
         told.append(f"take vehicle.yaml: {keys(mended.changes)}")
     for name, change_of in (mended.kept if mended is not None else {}).items():
         told.append(f"mend the vehicle file by hand for recordings of the steering wheel: {keys(change_of)}; these "
-                    f"hold that of the road wheels, or something else acts before it, so {plain(name)} is in model.yaml")
+                    f"hold that of the road wheels, or something acts before it, so {plain(name)} is in model.yaml")
     rest = [e for e in found.effects if mended is None or e.name not in mended.folded]
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
@@ -323,7 +324,7 @@ def statement(w: WhereStatement) -> str:
 def condition(w: WhereStatement) -> str:
     """A statement without its channel."""
     before = {"everywhere": "", "within": "", "speed": "at ", "lateral": "at ", "steering": "at ", "forward": "at "}
-    where = before.get(w.condition.split()[0], "in ") + w.condition
+    where = before.get(w.condition.split()[0], "in ") + w.condition.replace("^2", "²")
     low, high = w.interval
     return f"{where}: {w.excess:.1f} times the expected error ({low:.1f} to {high:.1f})"
 

@@ -1,11 +1,15 @@
 """`st evaluate`: the paper's table and figures from recordings."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
 from ..paths import config
+
+if TYPE_CHECKING:
+    from st_core.vehicle import VehicleParameters
 
 MODELS = ["kinematic", "linear", "nonlinear"]
 
@@ -18,7 +22,8 @@ def evaluate(
         MODELS, "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable."
     ),
     vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
+        None, help="Vehicle file; default the car in the model file, else config/vehicle/leaf.yaml.", exists=True,
+        dir_okay=False
     ),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
     at: str = typer.Option("", help="Starts to look at closely, s: 1,10,19,28. Default: four spread over the run."),
@@ -58,14 +63,12 @@ def evaluate(
     from st_core.errors import StCoreError
     from st_core.log_evaluation import EvaluationSettings
     from st_core.prediction import PredictionSettings
-    from st_core.vehicle import VehicleParameters
 
     from ..evaluation.command import CommandError, run_command
     from ..evaluation.work import Task, load_models
     from ..output import OutputError
     from ..runs import ReadSettings
 
-    vehicle = vehicle or config("vehicle/leaf.yaml")
     if steering_sign not in (1, -1):
         typer.echo(f"st evaluate: --steering-sign: {steering_sign} is neither 1 nor -1", err=True)
         raise typer.Exit(2)
@@ -73,9 +76,11 @@ def evaluate(
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
+        models = tuple(_model(name) for name in dict.fromkeys(model))
+        car, car_from = _car(vehicle, models)
         task = Task(
-            vehicle=VehicleParameters.from_yaml(vehicle.read_text(), str(vehicle)),
-            models=tuple(_model(name) for name in dict.fromkeys(model)),
+            vehicle=car,
+            models=models,
             settings=settings,
             read=ReadSettings(dbc=dbc, signals=signals, steering_sign=steering_sign, steering_latency=steering_latency,
                               offset=offset, ins_can_latency=ins_can_latency),
@@ -84,7 +89,7 @@ def evaluate(
             force=force,
         )
         load_models(task)
-        status = run_command(runs, task, output, table, str(vehicle), workers, scheduler, Console())
+        status = run_command(runs, task, output, table, car_from, workers, scheduler, Console())
     except (StCoreError, CommandError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st evaluate: {error}", err=True)
         raise typer.Exit(2) from None
@@ -99,6 +104,20 @@ def _model(name: str) -> str | tuple[str, str]:
         return name, Path(name).read_text()
     except OSError as error:
         raise typer.BadParameter(f"--model {name}: {error.strerror}") from None
+
+
+def _car(vehicle: Path | None, models: Sequence[str | tuple[str, str]]) -> tuple["VehicleParameters", str]:
+    """The car and where it comes from: the file given, else the model file that holds one, else the Leaf."""
+    from st_core.model_file import ModelFile
+    from st_core.vehicle import VehicleParameters
+
+    if vehicle is None:
+        for origin, text in (one for one in models if not isinstance(one, str)):
+            held = ModelFile.from_yaml(text, origin).vehicle
+            if held is not None:
+                return held, origin
+    file = vehicle or config("vehicle/leaf.yaml")
+    return VehicleParameters.from_yaml(file.read_text(), str(file)), str(file)
 
 
 def _numbers(text: str) -> tuple[float, ...]:
