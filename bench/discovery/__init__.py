@@ -1,5 +1,10 @@
-"""Blind benchmark of discovery: hidden effects in the virtual car, what is said of them, and the score."""
+"""Blind benchmark of discovery: hidden effects in two plants and in real drives, what is said of them, and the score."""
 
-from .command import main
+from collections.abc import Sequence
 
-__all__ = ["main"]
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; see `command`."""
+    # Imported here: plants and cases are of use without the engine that is judged.
+    from .command import main as command
+    return command(arguments)

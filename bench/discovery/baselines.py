@@ -1,138 +1,78 @@
-"""What is done without a discovery: nothing; tune the tyres again; regress the residual accelerations.
-
-The regression is STLSQ, the sequentially thresholded least squares of SINDy (Brunton et al. 2016), over a library of
-physical terms, on measured minus modelled accelerations; what it finds on the reference drives is taken off first. It
-is written here on numpy's lstsq: the algorithm is ten lines, PySINDy would bring a dependency for them.
-"""
+"""What is done without a discovery: tune the tyres again, learn what openpilot's paramsd learns, regress residuals."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
-from st_core.augmented import AugmentedModel
-from st_core.filtering import filtered_derivative
+from scipy.optimize import least_squares
+from st_core.augmented import AugmentedModel, augment, neutral
+from st_core.batch import LogBatch
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
-from .cases import Drives
+from .cases import Case
+from .drives import Drives, settings_of
+from .oracle import Judge, Oracle, Point, everything
+from .regression import Regression
 
 TYRES = ("front_stiffness", "rear_stiffness", "friction")
-THRESHOLD = 0.1
-"""Terms whose part of the residual's standard deviation is smaller are dropped."""
-ROUNDS = 10
-EVERY = 5
-"""Samples: 20 Hz are enough for what is left after a filter of 5 Hz."""
-EQUATIONS = ("velocity_y", "yaw_rate", "acceleration_y")
-TERMS = ("1", "angle", "angle rate", "slip front", "slip rear", "slip front^3", "slip rear^3", "r vx", "ay abs(ay)",
-         "vx^2", "ax")
-# Largest standardised term -> what a person would call it.
-NAMED_BY = {
-    "1": ("steering_offset", "road_bank", "crosswind", "lateral_acceleration_bias", "heading_misalignment"),
-    "angle": ("steering_ratio", "front_stiffness", "steering_compliance", "roll_steer", "mass"),
-    "angle rate": ("steering_lag", "steering_delay", "tyre_relaxation", "yaw_inertia", "steering_backlash"),
-    "slip front": ("front_stiffness", "steering_compliance", "roll_steer", "mass", "cg_position", "steering_ratio"),
-    "slip rear": ("rear_stiffness", "cg_position", "mass"),
-    "slip front^3": ("friction", "lateral_load_transfer"), "slip rear^3": ("friction", "lateral_load_transfer"),
-    "r vx": ("yaw_rate_scale", "speed_scale", "mass"), "ay abs(ay)": ("lateral_load_transfer", "friction"),
-    "vx^2": ("speed_scale",), "ax": ("longitudinal_load_transfer", "combined_slip"),
-}
+LEARNT = {"steering_ratio": "factor", "tyre_stiffness": "factor", "steering_offset": "angle"}
+LEARNT_UNITS = (0.05, 0.1, 0.005)
+RATIO, STIFFNESS, OFFSET = (0.5, 2.0), (0.3, 3.0), (-0.1, 0.1)
+"""paramsd's range checks: ratio 0.5 to 2 of the nominal, stiffness 0.2 to 5 (our library's bounds are narrower)."""
+EVERY, HORIZON, POINT = 1.0, 3.0, 0.1
+"""s between the starts of the predictions, their length, and between the yaw rates compared."""
 
 
-def sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
-    """Coefficients of STLSQ: least squares, drop the terms below the threshold, again, until nothing drops.
+def compared(case: Case, drives: Drives) -> dict[str, Any]:
+    """Held-out 5 s position [m] after each method, and what the regression makes of the residuals."""
+    settings = settings_of(case)
+    judge = Judge(drives.held_out, drives.vehicle, settings)
+    tyres = Oracle(drives.suspect, drives.vehicle, TYRES, {}, settings).best
+    learnt = Point(everything().with_values(paramsd(drives.suspect, drives.vehicle)), tyres.gain)
+    result: dict[str, Any] = {"tyres": round(judge.position(tyres), 4), "paramsd": round(judge.position(learnt), 4)}
+    if case.with_vy:
+        regression = Regression(drives.suspect, drives.vehicle, everything())
+        before, after = regression.left_over(drives.held_out)
+        result["regression"] = {"names": list(regression.names), "before": round(before, 4), "after": round(after, 4)}
+    return result
 
-    library: (n, terms), target: (n,), both standardised by the caller.
+
+def paramsd(runs: Sequence[DriveLog], vehicle: VehicleParameters) -> dict[str, dict[str, float]]:
+    """Steering ratio, stiffness of both axles and steering offset from the linear single-track car's yaw rate.
+
+        minimise sum of (r measured - r of the linear model with measured steering and speed)^2
+
+    The equations and the three numbers openpilot learns on the road with a Kalman filter, here by least squares over
+    whole drives. Source: openpilot, selfdrive/locationd/paramsd.py.
     """
-    kept = np.ones(library.shape[1], bool)
-    coefficients = np.zeros(library.shape[1])
-    for _ in range(ROUNDS):
-        coefficients[:] = 0.0
-        if not kept.any():
-            break
-        coefficients[kept] = np.linalg.lstsq(library[:, kept], target, rcond=None)[0]
-        smaller = kept & (np.abs(coefficients) < threshold)
-        if not smaller.any():
-            break
-        kept &= ~smaller
-    return coefficients
+    batches = [_batch(run) for run in runs]
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        model = _linear().with_values(_values(x))
+        rows = [measured - batch.predict(model, vehicle).yaw_rate for batch, measured in batches]
+        return np.clip(np.nan_to_num(np.concatenate(rows).ravel(), nan=1.0), -1.0, 1.0)
+
+    low, high = zip(RATIO, STIFFNESS, OFFSET, strict=True)
+    found = least_squares(residuals, [1.0, 1.0, 0.0], bounds=(low, high), x_scale=LEARNT_UNITS, diff_step=1e-3)
+    return _values(found.x)
 
 
-class Regression:
-    """Fitted on the suspect drives after what the reference drives teach."""
-
-    def __init__(self, reference: Sequence[DriveLog], suspect: Sequence[DriveLog], vehicle: VehicleParameters,
-                 base: AugmentedModel):
-        self._vehicle, self._base = vehicle, base
-        healthy, usual = self._rows(reference)
-        self._mean, self._size = healthy.mean(axis=0), healthy.std(axis=0) + 1e-12
-        self._size[0], self._mean[0] = 1.0, 0.0
-        self._target_size = usual.std(axis=0)
-        self._known = np.stack([sparse(self._standard(healthy), usual[:, i] / self._target_size[i])
-                                for i in range(len(EQUATIONS))])
-        library, target = self._rows(suspect)
-        left = target / self._target_size - self._standard(library) @ self._known.T
-        self.coefficients = np.stack([sparse(self._standard(library), left[:, i]) for i in range(len(EQUATIONS))])
-
-    @property
-    def finds(self) -> bool:
-        return bool(self.coefficients.any())
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """What the largest term is called; empty when none survived."""
-        if not self.finds:
-            return ()
-        return NAMED_BY[TERMS[int(np.argmax(np.abs(self.coefficients).max(axis=0)))]]
-
-    def left_over(self, runs: Sequence[DriveLog]) -> tuple[float, float]:
-        """Mean square of the residual accelerations on other drives, before and after, in sizes of the reference's."""
-        library, target = self._rows(runs)
-        before = target / self._target_size - self._standard(library) @ self._known.T
-        after = before - self._standard(library) @ self.coefficients.T
-        return float(np.mean(before**2)), float(np.mean(after**2))
-
-    def _standard(self, library: np.ndarray) -> np.ndarray:
-        return (library - self._mean) / self._size
-
-    def _rows(self, runs: Sequence[DriveLog]) -> tuple[np.ndarray, np.ndarray]:
-        parts = [self._of(run) for run in runs]
-        return np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
-
-    def _of(self, log: DriveLog) -> tuple[np.ndarray, np.ndarray]:
-        """(library, measured minus modelled accelerations) of one drive."""
-        car = self._base.effective_vehicle(self._vehicle)
-        time = log.ins_time_ns
-        signals = {}
-        for name in ("velocity_x", "velocity_y", "yaw_rate"):
-            signals[name], signals[f"{name}_dot"] = _smooth(time, getattr(log, name))
-        angle = np.interp(time, log.steering_time_ns, log.road_wheel_angle)
-        angle, angle_rate = _smooth(time, angle)
-        a_y, _ = _smooth(time, log.acceleration_y)
-        vx, r = signals["velocity_x"], signals["yaw_rate"]
-        vy, vy_dot = (signals["velocity_y"] - r * car.cg_to_ins_x,
-                      signals["velocity_y_dot"] - signals["yaw_rate_dot"] * car.cg_to_ins_x)
-        p = self._base.parameters(self._vehicle)
-        w = self._base.inputs(angle, signals["velocity_x_dot"], p)
-        state = self._base.start_state((0.0 * vx, 0.0 * vx, vx, vy, 0.0 * vx, r), w, p)
-        rates = self._base.rhs(state, w, p)
-        felt = self._base.felt(state, w, p)[1] + rates[5] * car.cg_to_ins_x
-        target = np.stack([vy_dot - rates[3], signals["yaw_rate_dot"] - rates[5], a_y - felt], axis=1)
-        front = (vy + car.cg_to_front_axle * r) / np.maximum(vx, 3.0) - angle
-        rear = (vy - car.cg_to_rear_axle * r) / np.maximum(vx, 3.0)
-        library = np.stack([np.ones_like(vx), angle, angle_rate, front, rear, front**3, rear**3, r * vx,
-                            a_y * np.abs(a_y), vx**2, signals["velocity_x_dot"]], axis=1)
-        inside = slice(100, -100, EVERY)
-        return library[inside], target[inside]
+def _values(x: np.ndarray) -> dict[str, dict[str, float]]:
+    return {name: {p: float(v)} for (name, p), v in zip(LEARNT.items(), x, strict=True)}
 
 
-def regressed(drives: Drives, base: AugmentedModel) -> dict[str, Any]:
-    """What the regression finds, what that is called, and the residual on held-out drives before and after."""
-    found = Regression(drives.reference, drives.suspect, drives.vehicle, base)
-    before, after = found.left_over(drives.held_out)
-    return {"sindy_finds": found.finds, "sindy_group": list(found.names), "sindy_before": round(before, 4),
-            "sindy_after": round(after, 4)}
+@cache
+def _linear() -> AugmentedModel:
+    return neutral(augment("linear", tuple(LEARNT)))
 
 
-def _smooth(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Filtered signal and its derivative, without delay."""
-    return filtered_derivative(time, values, 5.0, 0.1, "zero_phase")
+def _batch(log: DriveLog) -> tuple[LogBatch, np.ndarray]:
+    """Predictions of a drive, and the yaw rates measured at their points (n, k) [rad/s]."""
+    margin = round(0.2e9)
+    starts = np.arange(log.start_ns + margin, log.end_ns - round(HORIZON * 1e9) - margin, round(EVERY * 1e9))
+    points = np.round(np.arange(POINT, HORIZON + POINT / 2, POINT), 6)
+    batch = LogBatch(log, starts, HORIZON, 0.05, points=points, substeps="auto")
+    measured, = batch.signals.ins_at(starts[:, None] + np.round(points * 1e9).astype(np.int64), "yaw_rate")
+    return batch, measured

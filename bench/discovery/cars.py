@@ -1,11 +1,16 @@
-"""Healthy cars: the realistic virtual Leaf, each a few per cent off what the vehicle file says."""
+"""Healthy cars: the plants, each a few per cent off what is usual for them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from st_sim.settings import REALISTIC, SETTINGS, Settings
 
-# One standard deviation: as a factor of the realistic value, or added where that is 0 or 1 by nature.
+from . import multibody_car
+
+LEAF = "leaf"
+PLANTS = (LEAF, *multibody_car.CARS)
+
+# One standard deviation: as a factor of the usual value, or added where that is 0 or 1 by nature.
 _FACTOR = {
     "mass_factor": 0.03, "yaw_inertia_factor": 0.05, "front_stiffness_factor": 0.04, "rear_stiffness_factor": 0.04,
     "friction_factor": 0.03, "steering_ratio_factor": 0.02, "relaxation_length": 0.15, "steering_lag": 0.2,
@@ -20,21 +25,35 @@ _ADDED = {
 
 @dataclass(frozen=True)
 class HealthyCar:
-    """settings of the plant and its sensors. number: which car of its set it is."""
+    """settings of the plant and its sensors. number: which car of its set it is. plant: one of PLANTS."""
 
+    plant: str
     number: tuple[int, ...]
-    settings: Settings
+    settings: Settings = field(compare=False)
 
 
-def healthy_car(number: tuple[int, ...], **others: float) -> HealthyCar:
+def healthy_car(plant: str, number: tuple[int, ...], **others: float) -> HealthyCar:
     """The car of that number. others: settings it has for sure."""
     generator = np.random.default_rng(number)
-    values = dict(REALISTIC)
-    for name, spread in _FACTOR.items():
-        values[name] *= 1.0 + spread * np.clip(generator.standard_normal(), -2.5, 2.5)
-    for name, spread in _ADDED.items():
-        values[name] += spread * np.clip(generator.standard_normal(), -2.5, 2.5)
+    leaf = plant == LEAF
+    values = dict(REALISTIC if leaf else multibody_car.HEALTHY)
+    for table, apply in ((_FACTOR, lambda a, b: a * (1.0 + b)), (_ADDED, lambda a, b: a + b)):
+        for name, spread in table.items():
+            drawn = spread * np.clip(generator.standard_normal(), -2.5, 2.5)
+            if leaf or name in multibody_car.KNOWN_HERE:
+                values[name] = apply(values[name], drawn)
     values |= others
     # Tremor is part of the programmes here.
     values["driver_tremor"] = 0.0
-    return HealthyCar(number, {n: min(max(float(v), SETTINGS[n].low), SETTINGS[n].high) for n, v in values.items()})
+    return HealthyCar(plant, number, {n: _within(n, float(v)) for n, v in values.items()})
+
+
+def has(plant: str, setting: str) -> bool:
+    """Whether a plant has that switch."""
+    return setting in (SETTINGS if plant == LEAF else multibody_car.KNOWN_HERE)
+
+
+def _within(name: str, value: float) -> float:
+    limits = SETTINGS.get(name)
+    return value if limits is None or name in ("roll_gradient", "pitch_gradient") else min(
+        max(value, limits.low), limits.high)

@@ -1,83 +1,71 @@
-"""The cases: what is hidden, in which car, in which drives. Everything follows from set, kind and index.
+"""The cases of blocks A to E: what is hidden, in which car, in which drives. All follows from set, block and index.
 
-Ten cases in a row share one healthy car and its reference drives. Truth is never handed to `discover`; it is kept
-beside the drives for the score.
+Truth is never handed to `discover`; it is kept beside the drives for the score. Block F is in `edits`.
 """
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from itertools import combinations
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
-from st_core.discovery import CHANNELS
-from st_core.effects import applicable
-from st_core.log import DriveLog
-from st_core.vehicle import VehicleParameters
-from st_sim.car import Car, read_car
+from st_core.effects import EFFECTS, applicable
 from st_sim.settings import Settings
 
 from . import manoeuvres as m
-from .cars import HealthyCar, healthy_car
-from .compiled import Stopped, drive
-from .effects import BY_NAME, FOREIGN, KNOWN, UNSEEN, Hidden
-from .paths import ROOT
-from .sensing import log_of
+from .cars import LEAF, PLANTS, HealthyCar, has, healthy_car
+from .effects import BY_NAME, FOREIGN, KNOWN, PHYSICS, PLACES, SENSORS, Hidden
 
-LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
-NOMINAL: Car = read_car(LEAF_FILE)
-LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
-SEALED = "single track, discovery, sealed set 10"
+SEALED = "single track, discovery, sealed set 11"
+COUNTS = {"A": 100, "B": 120, "C": 120, "D": 150, "E": 60, "F": 100}
 PER_CAR = 10
-RUNS, HELD_OUT = 3, 2
+"""Cases of block D that share one healthy car and its reference drives."""
 SCALES, ODDS = (1.0, 0.5, 0.25), (0.45, 0.35, 0.2)
-COUNTS = {"single": 240, "healthy": 100, "double": 60, "unknown": 60, "untestable": 30, "partial": 10, "real": 120}
-"""Cases of the sealed set; kind real is in `real`."""
-SLID_AWAY = 6.0
-"""m/s of sideways speed: the car has spun and the drive is not used."""
+ELSEWHERE = 5000.0
+"""m between the two sites of a slope that is at one of them only."""
+
+WRONG = {
+    "steering_ratio": (("steering_ratio_factor",), 0.12), "front_stiffness": (("front_stiffness_factor",), 0.2),
+    "rear_stiffness": (("rear_stiffness_factor",), 0.2),
+    "both stiffnesses": (("front_stiffness_factor", "rear_stiffness_factor"), 0.2), "mass": (("mass_factor",), 0.15),
+    "steering_offset": (("steering_offset",), 0.006), "heading_misalignment": (("ins_misalignment",), 0.01745),
+}
+"""Block B: what a vehicle file has wrong -> (settings, largest error: a share, of offset and mounting rad)."""
+ADDED = ("steering_offset", "ins_misalignment")
+STIFFNESS = ("front_stiffness", "rear_stiffness", "both stiffnesses")
 
 
 @dataclass(frozen=True)
 class Case:
-    """truth: names in the library of what is hidden, or what a discovery should call untestable. hidden: (switch,
-    scale, sign). effects: names that take part, None for all. shifted: driven otherwise than the reference. parts: of
-    the manoeuvres, None for the usual ones. from_: share of each run after which the effect is there.
+    """One question to `discover`.
+
+    block: A to E; kind: of the block. car: healthy; settings: of the car that drives; file: what the vehicle file
+    believes, None where it is identified. hidden: effects of the library that are there or wrong in the file; words:
+    what is hidden, for a person. reference: whether healthy drives are given. effects: names that take part, None for
+    all. shifted: driven otherwise than the reference. from_: share of each run after which the change is there.
+    elsewhere: settings at the second site, where every other run is driven.
     """
 
     set_: str
-    kind: str
+    block: str
     index: int
-    truth: tuple[str, ...]
-    hidden: tuple[tuple[Hidden, float, int], ...] = ()
+    kind: str
+    car: HealthyCar
+    settings: Settings
+    file: Settings | None
+    hidden: tuple[str, ...] = ()
+    words: str = "nothing"
+    scales: tuple[float, ...] = ()
     with_vy: bool = True
+    reference: bool = False
     effects: tuple[str, ...] | None = None
     shifted: bool = False
     parts: tuple[m.Part, ...] | None = None
     from_: float = 0.0
-    car: HealthyCar | None = None
-    note: str = ""
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        return CHANNELS if self.with_vy else tuple(c for c in CHANNELS if c != "velocity_y")
+    elsewhere: Settings | None = None
 
     @property
     def seed(self) -> int:
-        return seed_of(self.set_, self.kind, self.index)
-
-
-@dataclass(frozen=True)
-class Drives:
-    """reference, suspect: what `discover` gets. held_out: more drives of the suspect car; twin: the same programmes
-    driven by the healthy car."""
-
-    reference: tuple[DriveLog, ...]
-    suspect: tuple[DriveLog, ...]
-    held_out: tuple[DriveLog, ...]
-    twin: tuple[DriveLog, ...]
-    vehicle: VehicleParameters = LEAF
-    faulty: Settings = field(default_factory=dict)
+        return seed_of(self.set_, self.block, self.index)
 
 
 def seed_of(set_: str, *what: object) -> int:
@@ -86,200 +74,159 @@ def seed_of(set_: str, *what: object) -> int:
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 
 
-def cases_of(set_: str, kind: str, count: int) -> list[Case]:
-    """The first `count` cases of a kind."""
-    made = {"single": _singles, "healthy": _healthy, "double": _doubles, "unknown": _unknown,
-            "untestable": _untestable, "partial": _partial}[kind](set_)
-    return made[:count]
+def cases_of(set_: str, block: str, count: int | None = None) -> list[Case]:
+    """The first `count` cases of a block, A to E; they are the same however many are asked for."""
+    make = {"A": _one, "B": _several, "C": _nothing, "D": _referenced, "E": _bound}[block]
+    return [make(set_, i) for i in range(COUNTS[block] if count is None else count)]
 
 
-def _singles(set_: str) -> list[Case]:
-    """Every effect of the table ten times; each third car without v_y."""
-    draw = np.random.default_rng(seed_of(set_, "single"))
-    plan = [KNOWN[i] for i in draw.permutation(np.repeat(np.arange(len(KNOWN)), COUNTS["single"] // len(KNOWN)))]
-    _gather(plan, draw)
-    cases = []
-    for index, hidden in enumerate(plan):
-        special = (index // PER_CAR) % 3 == 0
-        sign, scale = _sign(draw, hidden), float(draw.choice(SCALES, p=ODDS))
-        cases.append(Case(set_, "single", index, (hidden.library,), ((hidden, scale, sign),),
-                          index // PER_CAR % 3 != 2,
-                          car=_car(set_, "single", index, {"combined_slip": 0.0} if special else {})))
-    return cases
+def _draw(set_: str, block: str, index: int) -> np.random.Generator:
+    return np.random.default_rng(seed_of(set_, block, index, "what"))
 
 
-def _gather(plan: list[Hidden], draw: np.random.Generator) -> None:
-    """Effects that need room in the healthy car go to every third car, which gives it."""
-    def special(i: int) -> bool:
-        return (i // PER_CAR) % 3 == 0
-    free = [i for i, h in enumerate(plan) if special(i) and not h.with_]
-    for i, hidden in enumerate(plan):
-        if hidden.with_ and not special(i):
-            j = free.pop(draw.integers(len(free)))
-            plan[i], plan[j] = plan[j], hidden
+def _plant(index: int) -> str:
+    """A third of the cases is on the multi-body cars in turn."""
+    return PLANTS[1 + index // 3 % (len(PLANTS) - 1)] if index % 3 == 2 else LEAF
 
 
-def _sign(draw: np.random.Generator, hidden: Hidden) -> int:
-    return int(draw.choice(hidden.signs))
+def _usable(plant: str) -> list[Hidden]:
+    return [h for h in KNOWN if has(plant, h.setting) and h.library in EFFECTS]
 
 
-def _car(set_: str, kind: str, index: int, others: dict[str, float] | None = None) -> HealthyCar:
-    return healthy_car((seed_of(set_, kind, "car", index // PER_CAR),), **(others or {}))
+def _dealt(set_: str, block: str, plant: str, number: int) -> Hidden:
+    """The number-th card of decks that hold each effect once: every effect comes equally often."""
+    cards = _usable(plant)
+    deck = np.random.default_rng(seed_of(set_, block, plant == LEAF, "deck", number // len(cards)))
+    return cards[deck.permutation(len(cards))[number % len(cards)]]
 
 
-def _healthy(set_: str) -> list[Case]:
-    """In turn under the conditions of the reference and under others; every fifth car without v_y."""
-    draw = np.random.default_rng(seed_of(set_, "healthy"))
-    cases = []
-    for index in range(COUNTS["healthy"]):
-        shifted = index % 2 == 1
-        parts = None
-        if shifted:
-            pool = (m.SWEEP, m.STEPS, m.SLALOM, m.WEAVE, m.BRAKING, m.ORDINARY, m.CIRCLE, m.LIMIT)
-            parts = tuple(pool[i] for i in draw.choice(len(pool), 5, replace=False))
-        cases.append(Case(set_, "healthy", index, (), with_vy=index // PER_CAR % 5 != 2, shifted=shifted, parts=parts,
-                          car=_car(set_, "healthy", index)))
-    return cases
+def _changed(settings: Settings, chosen: Iterable[tuple[Hidden, float, int]]) -> Settings:
+    for hidden, scale, sign in chosen:
+        settings = hidden.applied(settings, scale, sign)
+    return settings
 
 
-def _doubles(set_: str) -> list[Case]:
-    draw = np.random.default_rng(seed_of(set_, "double"))
-    pairs = [(a, b) for a, b in combinations(KNOWN, 2) if a.group != b.group and not (a.with_ or b.with_)]
-    cases = []
-    for index in range(COUNTS["double"]):
-        pair = pairs[draw.integers(len(pairs))]
-        hidden = tuple((h, float(draw.choice([1.0, 0.5])), _sign(draw, h)) for h in pair)
-        cases.append(Case(set_, "double", index, tuple(h.library for h in pair), hidden,
-                          car=_car(set_, "double", index)))
-    return cases
+def _words(chosen: Iterable[tuple[Hidden, float, int]]) -> str:
+    return " + ".join(f"{h.setting} x{sign * scale:g}" for h, scale, sign in chosen)
 
 
-def _unknown(set_: str) -> list[Case]:
+def _one(set_: str, index: int) -> Case:
+    """A: one effect, no reference, the vehicle file otherwise the car's own."""
+    draw, plant = _draw(set_, "A", index), _plant(index)
+    number = index // 3 if index % 3 == 2 else index - index // 3
+    hidden = _dealt(set_, "A", plant, number)
+    room = hidden.with_ or {}
+    car = healthy_car(plant, (seed_of(set_, "A", index, "car"),), **(room if plant == LEAF else {}))
+    chosen = [(hidden, float(draw.choice(SCALES, p=ODDS)), int(draw.choice(hidden.signs)))]
+    return Case(set_, "A", index, "one", car, _changed(car.settings, chosen), car.settings, (hidden.library,),
+                _words(chosen), (chosen[0][1],), with_vy=index % 5 != 4)
+
+
+def _several(set_: str, index: int) -> Case:
+    """B: three to five wrong parameters, none to two errors of sensors and of physics besides, no reference."""
+    draw, plant = _draw(set_, "B", index), _plant(index)
+    car = healthy_car(plant, (seed_of(set_, "B", index, "car"),))
+    file, driven, hidden, words = dict(car.settings), car.settings, [], []
+    many, chosen = int(draw.integers(3, 6)), []
+    for name in draw.permutation(list(WRONG)):
+        if len(chosen) < many and not (name in STIFFNESS and set(chosen) & set(STIFFNESS)):
+            chosen.append(str(name))
+    for name in chosen:
+        settings, largest = WRONG[name]
+        change = float(draw.choice([-1, 1]) * draw.uniform(0.4, 1.0) * largest)
+        for setting in settings:
+            if name == "heading_misalignment":  # no vehicle file holds it
+                driven = {**driven, setting: driven[setting] + change}
+            else:
+                file[setting] = file[setting] + change if setting in ADDED else file[setting] * (1.0 + change)
+        hidden += ["front_stiffness", "rear_stiffness"] if name == "both stiffnesses" else [name]
+        words.append(f"{name} of the file {change:+.3g}" if setting != "ins_misalignment" else f"{name} {change:+.3g}")
+    for names in (SENSORS, PHYSICS):
+        usable = [n for n in names if has(plant, BY_NAME[n].setting) and n not in hidden]
+        more = [BY_NAME[str(n)] for n in draw.choice(usable, int(draw.integers(0, 3)), replace=False)]
+        added = [(h, float(draw.choice([1.0, 0.5])), int(draw.choice(h.signs))) for h in more]
+        driven = _changed(driven, added)
+        hidden += [h.library for h in more]
+        words += [_words([a]) for a in added]
+    return Case(set_, "B", index, "several", car, driven, file, tuple(hidden), " + ".join(words))
+
+
+def _nothing(set_: str, index: int) -> Case:
+    """C: in turn the base model itself as the car, and a file identified on other drives of the car."""
+    car = healthy_car(_plant(index), (seed_of(set_, "C", index, "car"),))
+    kind = "base" if index % 2 == 0 else "identified"
+    return Case(set_, "C", index, kind, car, car.settings, car.settings if kind == "base" else None)
+
+
+def _referenced(set_: str, index: int) -> Case:
+    """D: the nominal vehicle file and healthy drives. Three of five cases hide one effect, the others nothing."""
+    draw = _draw(set_, "D", index)
+    group = index // PER_CAR
+    with_vy = group % 5 != 4
+    # Every third car leaves room for the effects that need it.
+    room = {"combined_slip": 0.0} if group % 3 == 0 else {}
+    car = healthy_car(LEAF, (seed_of(set_, "D", "car", group),), **room)
+    nominal = healthy_car(LEAF, (0,)).settings | _file_of_leaf()
+    if index % 5 < 3:
+        hidden = _dealt(set_, "D", LEAF, index)
+        if hidden.with_ and not room:
+            hidden = _dealt(set_, "D", LEAF, index + 1)
+        if hidden.with_ and not room:
+            hidden = BY_NAME["steering_ratio"]
+        chosen = [(hidden, float(draw.choice(SCALES, p=ODDS)), int(draw.choice(hidden.signs)))]
+        return Case(set_, "D", index, "one", car, _changed(car.settings, chosen), nominal, (hidden.library,),
+                    _words(chosen), (chosen[0][1],), with_vy, True)
+    shifted = index % 5 == 4
+    parts, settings = None, car.settings
+    if shifted:
+        pool = (m.SWEEP, m.STEPS, m.SLALOM, m.WEAVE, m.BRAKING, m.ORDINARY, m.CIRCLE, m.LIMIT)
+        parts = tuple(pool[i] for i in draw.choice(len(pool), 5, replace=False))
+        settings = {**settings, "ins_noise": 1.4}
+    return Case(set_, "D", index, "healthy", car, settings, nominal, with_vy=with_vy, reference=True, shifted=shifted,
+                parts=parts)
+
+
+def _file_of_leaf() -> Settings:
+    """What config/vehicle/leaf.yaml believes of the virtual Leaf."""
+    return {"mass_factor": 1.0, "yaw_inertia_factor": 1.0, "front_stiffness_factor": 1.0, "rear_stiffness_factor": 1.0,
+            "friction_factor": 1.0, "steering_ratio_factor": 1.0, "steering_offset": 0.0, "cg_shift": 0.0,
+            "ins_lever_error": 0.0}
+
+
+def _bound(set_: str, index: int) -> Case:
+    """E: bound to places, begun in the middle of every run, and unknown, in turn; no reference, the car's own file."""
+    draw = _draw(set_, "E", index)
+    car = healthy_car(LEAF, (seed_of(set_, "E", index, "car"),))
+    kind = ("place", "time", "unknown")[index % 3]
+    number = index // 3
+    case = Case(set_, "E", index, kind, car, car.settings, car.settings)
+    return {"place": _at_places, "time": _begun, "unknown": _unknown}[kind](case, number, draw)
+
+
+def _with(case: Case, hidden: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
+    chosen = [(hidden, scale, int(draw.choice(hidden.signs)))]
+    return replace(case, settings=_changed(case.settings, chosen), words=_words(chosen), scales=(scale,), **others)
+
+
+def _at_places(case: Case, number: int, draw: np.random.Generator) -> Case:
+    hidden = PLACES[number % len(PLACES)]
+    other = case.settings if hidden.setting == "hillside_slope" else None
+    return _with(case, hidden, float(draw.choice([1.0, 0.6])), draw, elsewhere=other)
+
+
+def _begun(case: Case, number: int, draw: np.random.Generator) -> Case:
+    pool = [h for h in _usable(LEAF) if not h.with_ and h.setting not in ("mass_factor", "cg_shift",
+                                                                          "yaw_inertia_factor")]
+    hidden = pool[draw.integers(len(pool))]
+    return _with(case, hidden, 1.0, draw, from_=float(draw.uniform(0.35, 0.55)), hidden=(hidden.library,))
+
+
+def _unknown(case: Case, number: int, draw: np.random.Generator) -> Case:
     """In turn a switch no effect equals, and an effect of the library that is left out."""
-    draw = np.random.default_rng(seed_of(set_, "unknown"))
-    left_out = [h for h in KNOWN if not h.with_]
-    everything = applicable("nonlinear")
-    cases = []
-    for index in range(COUNTS["unknown"]):
-        if index % 2 == 0:
-            hidden, names, note = FOREIGN[(index // 2) % len(FOREIGN)], None, "foreign"
-        else:
-            # The same one for a car: what the library holds decides what the reference teaches.
-            absent = np.random.default_rng(seed_of(set_, "unknown", "left out", index // PER_CAR))
-            hidden, note = left_out[absent.integers(len(left_out))], "left out"
-            names = tuple(n for n in everything if n != hidden.library)
-        truth = (hidden.library or hidden.setting,)
-        scale = float(draw.choice([1.0, 0.6]))
-        cases.append(Case(set_, "unknown", index, truth, ((hidden, scale, _sign(draw, hidden)),), effects=names,
-                          car=_car(set_, "unknown", index), note=note))
-    return cases
+    if number % 2 == 0:
+        return _with(case, FOREIGN[number // 2 % len(FOREIGN)], 1.0, draw)
+    pool = [h for h in _usable(LEAF) if not h.with_]
+    hidden = pool[draw.integers(len(pool))]
+    names = tuple(n for n in applicable("nonlinear") if n != hidden.library)
+    return _with(case, hidden, 1.0, draw, effects=names, hidden=(hidden.library,))
 
-
-def _untestable(set_: str) -> list[Case]:
-    """Longitudinal changes; and effects in drives that do not show them."""
-    draw = np.random.default_rng(seed_of(set_, "untestable"))
-    gentle = (m.Part(m.ordinary, (7.0, 12.0), (0.7, 1.0)),) * 4
-    no_pedals = (m.SWEEP, m.Part(m.slalom, (12.0, 13.0), (2.5, 3.5)), m.WEAVE,
-                 m.Part(m.steps, (12.0, 13.0), (2.5, 3.5)))
-    steady = (m.SLOW_CIRCLE,) * 2
-    hard = [("friction", gentle), ("lateral_load_transfer", gentle), ("longitudinal_load_transfer", no_pedals),
-            ("friction", steady), ("combined_slip", no_pedals)]
-    cases = []
-    for index in range(COUNTS["untestable"]):
-        if index % 2 == 0:
-            setting = tuple(UNSEEN)[index // 2 % len(UNSEEN)]
-            name, change = UNSEEN[setting]
-            hidden, parts = Hidden(setting, name, change, UP_OR_BOTH[setting]), None
-        else:
-            name, parts = hard[index // 2 % len(hard)]
-            hidden = BY_NAME[name]
-        # Ten cases share a car, so all of these have room for combined slip.
-        cases.append(Case(set_, "untestable", index, (name,), ((hidden, 0.6, _sign(draw, hidden)),), parts=parts,
-                          car=_car(set_, "untestable", index, {"combined_slip": 0.0})))
-    return cases
-
-
-UP_OR_BOTH = {"drag_area": (1,), "rolling_resistance": (1,), "grade_angle": (1, -1)}
-
-
-def _partial(set_: str) -> list[Case]:
-    """Large effects that begin in the middle of every run."""
-    draw = np.random.default_rng(seed_of(set_, "partial"))
-    pool = [h for h in KNOWN if not h.with_ and h.setting not in ("mass_factor", "cg_shift", "yaw_inertia_factor")]
-    cases = []
-    for index in range(COUNTS["partial"]):
-        hidden = pool[draw.integers(len(pool))]
-        cases.append(Case(set_, "partial", index, (hidden.library,), ((hidden, 1.0, _sign(draw, hidden)),),
-                          from_=float(draw.uniform(0.35, 0.55)), car=_car(set_, "partial", index)))
-    return cases
-
-
-def drives_of(case: Case) -> Drives:
-    """All drives of a case; reference and twin are kept for the next cases of the same car."""
-    faulty = dict(case.car.settings)
-    for hidden, scale, sign in case.hidden:
-        faulty = hidden.applied(faulty, scale, sign)
-    draw = np.random.default_rng([case.seed, 9])
-    if case.shifted:
-        faulty["ins_noise"] *= 1.4
-    suspect = tuple(_run(f"suspect_{i + 1}", case, faulty, (case.seed, i), _factors(draw, case.shifted))
-                    for i in range(RUNS))
-    if not case.with_vy:
-        suspect = tuple(without_vy(log) for log in suspect)
-    car = case.car
-    held_out = _held_out(car.number, tuple(sorted(faulty.items())))
-    twin = _held_out(car.number, tuple(sorted(car.settings.items())))
-    return Drives(_reference(car.number, tuple(sorted(car.settings.items())), case.with_vy), suspect, held_out, twin,
-                  faulty=faulty)
-
-
-def _factors(draw: np.random.Generator, shifted: bool) -> tuple[float, float]:
-    if not shifted:
-        return 1.0, 1.0
-    return float(draw.choice([draw.uniform(0.8, 0.9), draw.uniform(1.1, 1.2)])), float(draw.uniform(0.7, 1.1))
-
-
-def _run(name: str, case: Case, faulty: Settings, seed: tuple[int, ...], factors: tuple[float, float]) -> DriveLog:
-    healthy = case.car.settings if case.from_ else None
-    return driven(name, faulty, seed, case.parts, factors, healthy, case.from_)
-
-
-def driven(name: str, settings: Settings, seed: tuple[int, ...], parts: tuple[m.Part, ...] | None = None,
-           factors: tuple[float, float] = (1.0, 1.0), before: Settings | None = None, from_: float = 0.0) -> DriveLog:
-    """One run; where the car spins or stops, the next attempt. before: settings until the share `from_` of it."""
-    for attempt in range(20):
-        tried = (*seed, attempt)
-        programme = m.mixed(NOMINAL, tried, parts, *factors)
-        noise = int(np.random.default_rng(tried).integers(2**31))
-        first, later = (settings, None) if before is None else (
-            before, (settings, round(from_ * len(programme.hand))))
-        try:
-            recording = drive(NOMINAL, first, programme, noise, later)
-        except Stopped:
-            continue
-        if np.abs(recording.rows[:, 5]).max() < SLID_AWAY:
-            return log_of(name, recording, NOMINAL, LEAF, first, noise, later)
-    raise Stopped(f"{name}: twenty attempts spun or stopped")
-
-
-def without_vy(log: DriveLog) -> DriveLog:
-    """A set of sensors that does not give v_y: nothing can use it by accident."""
-    return replace(log, velocity_y=np.zeros_like(log.velocity_y))
-
-
-@lru_cache(maxsize=4)
-def _reference(number: tuple[int, ...], settings: tuple, with_vy: bool) -> tuple[DriveLog, ...]:
-    logs = tuple(driven(f"reference_{i + 1}", dict(settings), (*number, 100 + i)) for i in range(RUNS))
-    return logs if with_vy else tuple(without_vy(log) for log in logs)
-
-
-@lru_cache(maxsize=4)
-def _held_out(number: tuple[int, ...], settings: tuple) -> tuple[DriveLog, ...]:
-    speeds = (1.0, 0.9)
-    return tuple(driven(f"held_out_{i + 1}", dict(settings), (*number, 200 + i), factors=(speeds[i], 1.0))
-                 for i in range(HELD_OUT))
-
-
-def named(cases: Sequence[Case]) -> list[str]:
-    """Of what is hidden, for a person to read."""
-    return [" + ".join(f"{h.setting} x{sign * scale:g}" for h, scale, sign in c.hidden) or "nothing" for c in cases]

@@ -1,60 +1,73 @@
 """Options of the blind benchmark."""
 
 import argparse
-import json
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from . import figures, score, tables
-from .run import ALL, Record, in_fair_order, run_all
+from . import ablation, score, tables
+from .cases import COUNTS
+from .run import Record, in_fair_order, read, run_all
+
+FOLDER = Path(tempfile.gettempdir()) / "st_bench_discovery"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="st bench discovery", description=(
-        "Hidden effects in the virtual car: what discovery says of them, against the truth. The sealed set is run once "
-        "per release; look at the development set as often as you like."))
+        "Hidden effects in two plants and edits of real drives: what discovery says of them, against the truth. Look "
+        "at the development set as often as you like; the sealed set is opened with a frozen version."))
     parser.add_argument("--set", default="development",
                         help="development, sealed, or any other word: a set of its own")
-    parser.add_argument("--kind", choices=sorted(ALL), action="append",
-                        help="of the cases; may be repeated; default all")
-    parser.add_argument("--cases", type=int, help="of each kind, at most")
-    parser.add_argument("--first", type=int, default=0, help="index of the first case of each kind")
-    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "st_bench_discovery",
-                        help="folder for what was computed already")
-    parser.add_argument("--minutes", type=float, help="begin no case after this time; 0: score what is there")
-    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("K", "N"),
-                        help="the share of process K = 0 ... N-1; score all with --minutes 0 in the end")
-    parser.add_argument("--no-judge", action="store_true", help="leave out oracle, baselines and suggested drives")
-    parser.add_argument("--output", type=Path, help="write the scores (results.json) to this folder")
-    parser.add_argument("--page", type=Path,
-                        help="put the scores between the marks of this page, the figure into images/ beside it")
+    parser.add_argument("--counts", type=_counts, default=COUNTS, metavar="A=10,B=10",
+                        help="cases of each block, at most; default all")
+    parser.add_argument("--until", type=float, metavar="MINUTES", help="begin no case after this time")
+    parser.add_argument("--part", type=_part, default=(0, 1), metavar="K/N",
+                        help="the share of process K = 1 ... N; each writes a file of its own")
+    parser.add_argument("--out", type=Path, help="file of JSON lines; cases in it are not computed again")
+    parser.add_argument("--plain", action="store_true", help="leave out baselines and suggested drives")
+    parser.add_argument("--ablation", action="store_true",
+                        help="the same cases with half and twice each limit of the decision")
+    parser.add_argument("--tables", type=Path, nargs="+", metavar="FILE",
+                        help="run nothing: write docs/discovery_scores.md from these files")
     chosen = parser.parse_args(arguments)
-    counts = {kind: min(ALL[kind], chosen.first + chosen.cases) if chosen.cases else ALL[kind]
-              for kind in chosen.kind or ALL}
-    until = None if chosen.minutes is None else time.time() + 60 * chosen.minutes
-    cases = (case for case in in_fair_order(chosen.set, counts, chosen.part) if case.index >= chosen.first)
-    folder = chosen.cache / f"{chosen.set}{'_unjudged' if chosen.no_judge else ''}"
-    records = run_all(cases, folder / f"{chosen.part[0]}.jsonl", until, _say, not chosen.no_judge)
-    document = score.scores(records)
-    print(score.as_text(document))
-    if chosen.output:
-        chosen.output.mkdir(parents=True, exist_ok=True)
-        version = {"set": chosen.set, "version": sorted({r["version"] for r in records}),
-                   "date": time.strftime("%Y-%m-%d", time.gmtime())}
-        (chosen.output / "results.json").write_text(json.dumps(
-            {**version, **document, "cases": [score.short(r) for r in records]}, separators=(",", ":")) + "\n")
-    if chosen.page:
-        tables.put_into(chosen.page, tables.as_markdown(document, records))
-        figures.confusion(records, chosen.page.parent / "images" / "discovery_confusion.png")
+    if chosen.tables:
+        records = [r for file in chosen.tables for r in read(file).values()]
+        tables.write(records)
+        print(score.as_text(score.scores([r for r in records if "limit" not in r])))
+        return 0
+    k, n = chosen.part
+    out = chosen.out or FOLDER / f"{chosen.set}_{k + 1}_of_{n}.jsonl"
+    until = None if chosen.until is None else time.time() + 60 * chosen.until
+    cases = list(in_fair_order(chosen.set, chosen.counts, chosen.part))
+    if chosen.ablation:
+        ablation.run(cases, out, until, _say)
+        return 0
+    records = run_all(cases, out, until, _say, whole=not chosen.plain)
+    print(score.as_text(score.scores(records)))
+    print(f"{len(records)} of {len(cases)} cases, in {out}")
     return 0
 
 
-def _say(case, record: Record) -> None:
-    names = " + ".join("|".join(group) for group in record["names"]) or "-"
-    visible = f"D {record['detectability']:.2f}" if "detectability" in record else ""
-    print(f"{case.kind} {case.index}: {record['hidden']}{'' if case.with_vy else ' (no v_y)'} "
-          f"[{', '.join(case.truth)}] -> {record['outcome']}: {names} {visible} {record.get('error', '')} "
-          f"{record.get('cpu_s', 0):.1f} s; tried "
-          + ", ".join(f"{name} {gain:.2f} (p {p:.3f})" for name, gain, p in record.get("candidates", [])), flush=True)
+def _counts(text: str) -> dict[str, int]:
+    counts = {block: int(number) for block, _, number in (part.partition("=") for part in text.split(","))}
+    if not set(counts) <= set(COUNTS):
+        raise argparse.ArgumentTypeError(f"blocks are {', '.join(COUNTS)}")
+    return counts
+
+
+def _part(text: str) -> tuple[int, int]:
+    k, _, n = text.partition("/")
+    if not 1 <= int(k) <= int(n):
+        raise argparse.ArgumentTypeError("must be K/N with K from 1 to N")
+    return int(k) - 1, int(n)
+
+
+def _say(r: Record) -> None:
+    names = " + ".join("|".join(group) for group in score.groups(r)) or "-"
+    told = "".join(f" bound: {name} to {to}" for name, to in r["bound"])
+    position = r.get("position")
+    errors = "" if not position else " 5 s {base:.2f} -> {found:.2f} (oracle {oracle:.2f}) m".format(**position)
+    words = f"{r['plant']}, {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
+    print(f"{r['block']} {r['index']} [{words}] -> {r['outcome']}: {names}{told};{errors} {r.get('cpu_s', 0):.1f} of "
+          f"{r['case_s']:.1f} s {r.get('error', '')}", flush=True)

@@ -1,24 +1,26 @@
-"""Which switch of the virtual car stands for which effect of the library: the one table between the two worlds.
+"""Which switch of a plant stands for which effect of the library: the one table between the worlds.
 
-The plant's switches act in its own double-track equations; the library's names are those of st_core.effects. `full` is
-the change of a large effect (scale 1), `signs` the directions it may take: the other is outside what the library, or a
-car, allows.
+The switches act in the plants' own equations; the library's names are those of st_core.effects. `full` is the change of
+a large effect (scale 1), `signs` the directions it may take: the other is outside what the library, or a car, allows.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from st_core.effects import get_effect
+from st_core.vehicle import VehicleParameters
 from st_sim.settings import SETTINGS, Settings
 
 BOTH, UP, DOWN = (1, -1), (1,), (-1,)
+Values = dict[str, dict[str, float]]
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """One switch of the plant. library: name in st_core.effects, None where no effect of it equals the switch.
+    """One switch of a plant. library: name in st_core.effects, None where no effect of it equals the switch.
 
     factor: the change multiplies the setting (1 + change), else it is added. with_: other settings of the healthy car
-    that leave room for the effect. group: effects of one group are not paired in cases of two.
+    that leave room for the effect. group: effects of one group are not hidden together.
     """
 
     setting: str
@@ -32,8 +34,9 @@ class Hidden:
     def applied(self, settings: Settings, scale: float, sign: int) -> dict[str, float]:
         change = sign * scale * self.full
         value = settings[self.setting] * (1.0 + change) if self.factor else settings[self.setting] + change
-        limits = SETTINGS[self.setting]
-        return {**settings, self.setting: min(max(value, limits.low), limits.high)}
+        if self.setting in SETTINGS:
+            value = min(max(value, SETTINGS[self.setting].low), SETTINGS[self.setting].high)
+        return {**settings, self.setting: value}
 
 
 KNOWN = (
@@ -56,30 +59,111 @@ KNOWN = (
     Hidden("cg_shift", "cg_position", 0.2, group="rear"),
     Hidden("bank_angle", "road_bank", 0.03, group="side"),
     Hidden("wind_speed", "crosswind", 18.0, group="side"),
+    Hidden("hillside_slope", "road_slope", 0.03, group="side"),
     Hidden("ins_misalignment", "heading_misalignment", 0.006, group="mounting"),
     Hidden("ins_lever_error", "sensor_lever_arm", 0.2, group="mounting"),
-    Hidden("yaw_rate_scale", "yaw_rate_scale", 0.05, factor=True, group="gain"),
+    Hidden("yaw_rate_scale", "yaw_rate_scale", 0.05, factor=True, group="rate"),
+    Hidden("yaw_rate_bias", "yaw_rate_bias", 0.008, group="rate"),
     Hidden("velocity_scale", "speed_scale", 0.01, factor=True, group="speed"),
     Hidden("lateral_acceleration_bias", "lateral_acceleration_bias", 0.25, group="accelerometer"),
 )
-"""In the library. roll_steer counts the other way round there (understeer +); backlash is at the hand wheel here."""
+"""In the library. roll_steer counts the other way round there (understeer +); backlash is at the hand wheel here. The
+bias of the yaw rate is a switch of the multi-body car alone; wind and slope are of the virtual Leaf alone."""
+BY_NAME = {hidden.library: hidden for hidden in KNOWN}
 
-FOREIGN = (
-    Hidden("gust_speed", None, 10.0, UP),
+PLACES = (
     Hidden("friction_patch", None, 0.5, DOWN, factor=True),
     Hidden("terrain_wave", None, 0.06, UP),
-    Hidden("hillside_slope", None, 0.06),
+    Hidden("hillside_slope", None, 0.05),
+)
+"""Bound to where the car is. The slope is there at one of two sites only, else it were an effect of the library."""
+FOREIGN = (
+    Hidden("gust_speed", None, 10.0, UP),
     Hidden("rear_roll_steer", None, 0.25),
     Hidden("camber_thrust", None, 1.0, UP),
 )
 """No effect of the library equals these. Some of them an effect can nearly imitate (rear roll steer, camber thrust).
 The Ackermann share is not here: on these drives nothing of it can be seen."""
 
-UNSEEN = {
-    "drag_area": ("drag", 0.6),
-    "rolling_resistance": ("rolling_resistance", 0.02),
-    "grade_angle": ("grade", 0.03),
-}
-"""setting -> (what a discovery calls it, change): invisible where the forward acceleration is an input."""
+SENSORS = ("yaw_rate_scale", "yaw_rate_bias", "speed_scale", "lateral_acceleration_bias", "sensor_lever_arm")
+PHYSICS = ("steering_lag", "steering_delay", "steering_backlash", "steering_compliance", "roll_steer",
+           "tyre_relaxation", "combined_slip", "lateral_load_transfer", "crosswind", "road_bank")
+"""What block B adds to the wrong parameters: none to two of each."""
 
-BY_NAME = {hidden.library: hidden for hidden in KNOWN}
+DIFFERENT: dict[str, dict[str, str]] = {
+    "leaf": {
+        "steering_lag": "the virtual car's steering has a lag of 40 ms, the model none",
+        "steering_delay": "the steering's stamps are 4 ms late; part of the lag looks like it",
+        "steering_compliance": "the front wheels give 1.5e-6 rad/N",
+        "roll_steer": "the front wheels steer by -3 % of the roll",
+        "tyre_relaxation": "the tyres relax over 0.4 m, the model's do not",
+        "lateral_load_transfer": "load moves to the outer wheels",
+        "combined_slip": "friction ellipse at every wheel",
+        "steered_drive_force": "it is driven by the front wheels",
+        "longitudinal_load_transfer": "load follows the pitch with 80 ms",
+        "steering_map": "the mean of both wheels' angles depends on the Ackermann split",
+        "heading_misalignment": "0.002 rad of scatter between cars, which a vehicle file cannot hold",
+        "lateral_acceleration_bias": "0.02 m/s^2 of scatter between cars, likewise",
+        "yaw_rate_scale": "0.2 % of scatter between cars, likewise",
+        "speed_scale": "0.1 % of scatter between cars, likewise",
+    },
+    "multibody": {
+        "lateral_load_transfer": "four wheels on springs",
+        "longitudinal_load_transfer": "likewise",
+        "combined_slip": "its tyres' own weighting of longitudinal and lateral slip",
+        "steered_drive_force": "drive and brakes act at the steered wheels too",
+        "roll_steer": "camber and kinematics of its axles turn with the roll",
+        "tyre_stiffness": "a Magic Formula of the project's form is only fitted to its tyres",
+        "front_stiffness": "likewise",
+        "rear_stiffness": "likewise",
+        "friction": "likewise",
+    },
+}
+"""plant -> effect -> why it is there in the plant and not in the base model, whatever is hidden: naming it is right."""
+
+# Effect -> parameter -> setting, where the library counts the quotient of the car's setting and the file's ...
+_QUOTIENTS = {"steering_ratio": "steering_ratio_factor", "front_stiffness": "front_stiffness_factor",
+              "rear_stiffness": "rear_stiffness_factor", "friction": "friction_factor", "mass": "mass_factor",
+              "yaw_inertia": "yaw_inertia_factor"}
+# ... their difference ...
+_DIFFERENCES = {"cg_position": ("shift", "cg_shift"), "sensor_lever_arm": ("x", "ins_lever_error")}
+# ... and all of it, because a vehicle file cannot hold it.
+_TOTALS = {
+    "steering_lag": ("time_constant", "steering_lag"), "steering_compliance": ("compliance", "steering_compliance"),
+    "tyre_relaxation": ("length", "relaxation_length"), "combined_slip": ("share", "combined_slip"),
+    "lateral_load_transfer": ("share", "lateral_load_transfer"), "road_bank": ("angle", "bank_angle"),
+    "crosswind": ("wind_y", "wind_speed"), "road_slope": ("slope_y", "hillside_slope"),
+    "heading_misalignment": ("angle", "ins_misalignment"), "yaw_rate_scale": ("factor", "yaw_rate_scale"),
+    "yaw_rate_bias": ("bias", "yaw_rate_bias"), "speed_scale": ("factor", "velocity_scale"),
+    "lateral_acceleration_bias": ("bias", "lateral_acceleration_bias"),
+}
+
+
+def true_values(car: Settings, file: Settings, vehicle: VehicleParameters) -> Values:
+    """{effect: {parameter: value}} in the library's parameters, of a plant with the settings `car` and a vehicle file
+    that believes `file`; vehicle: that file. Effects at null included, those without a switch left out."""
+    ratio = car["steering_ratio_factor"] / file["steering_ratio_factor"]
+    values = {name: {"factor": car[s] / file[s]} for name, s in _QUOTIENTS.items() if s in car}
+    values |= {name: {p: car[s] - file[s]} for name, (p, s) in _DIFFERENCES.items() if s in car}
+    values |= {name: {p: car[s]} for name, (p, s) in _TOTALS.items() if s in car}
+    values["steering_offset"] = {"angle": car["steering_offset"] - file["steering_offset"] / ratio}
+    values["steering_delay"] = {"time": car["steering_delay"] - car.get("steering_sensor_latency", 0.0)}
+    values["steering_backlash"] = {"play": car["steering_backlash"] / (vehicle.steering_ratio * ratio)}
+    if "roll_steer" in car:
+        values["roll_steer"] = {"gradient": -car["roll_steer"] * car["roll_gradient"]}
+    if "longitudinal_load_transfer" in car:
+        more = car["longitudinal_load_transfer"] - 1.0
+        values["longitudinal_load_transfer"] = {"height": more * vehicle.cg_height}
+    return values
+
+
+def members(name: str) -> tuple[str, ...]:
+    """The effects a composite is made of; itself else."""
+    return getattr(get_effect(name), "members", ()) or (name,)
+
+
+def alike(first: str, second: str) -> bool:
+    """Whether two names stand for the same: equal, one a part of the other, or declared twins."""
+    if first == second or first in members(second) or second in members(first):
+        return True
+    return second in get_effect(first).twins or first in get_effect(second).twins

@@ -11,27 +11,35 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from .effects import KNOWN
+from .judge import different
+from .score import matters
 
 OTHERS = ("several", "unknown", "none")
-VISIBLE = 0.1
 
 
 def matrix(records: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
-    """(true names, stated names, counts) of single effects with D > 0.1; the best name counts."""
+    """(hidden names, stated names, counts) of block A where the effect matters; the best name counts, the hidden one
+    where it is among several."""
     truths = [h.library for h in KNOWN]
-    single = [r for r in records if r["kind"] == "single" and r.get("detectability", 0.0) > VISIBLE]
+    single = [r for r in records if r["block"] == "A" and matters(r)]
     stated = [_stated(r) for r in single]
     columns = truths + sorted(set(stated) - set(truths) - set(OTHERS)) + list(OTHERS)
     counts = np.zeros((len(truths), len(columns)), int)
     for r, name in zip(single, stated, strict=True):
-        counts[truths.index(r["truth"][0]), columns.index(name)] += 1
+        counts[truths.index(r["hidden"][0]), columns.index(name)] += 1
     return truths, columns, counts
 
 
 def _stated(r: dict[str, Any]) -> str:
-    if len(r["names"]) == 1:
-        return r["names"][0][0]
-    return "several" if r["names"] else "unknown" if r["outcome"] == "unknown" else "none"
+    names = [e["name"] for e in r["effects"] if is_of_interest(r, e["name"])]
+    if r["hidden"][0] in names:
+        return r["hidden"][0]
+    return "several" if len(names) > 1 else names[0] if names else "unknown" if r["outcome"] == "unknown" else "none"
+
+
+def is_of_interest(r: dict[str, Any], name: str) -> bool:
+    """What is truly different between plant and model is no confusion, unless it is what is hidden."""
+    return name in r["hidden"] or name not in different(r["plant"])
 
 
 def confusion(records: Sequence[dict[str, Any]], file: Path) -> None:
@@ -45,7 +53,7 @@ def confusion(records: Sequence[dict[str, Any]], file: Path) -> None:
         axes.text(j, i, counts[i, j], ha="center", va="center", color="white" if share[i, j] > 0.6 else "black")
     axes.axvline(len(columns) - len(OTHERS) - 0.5, color="0.5", lw=0.8)
     axes.set_xlabel("best name stated")
-    axes.set_ylabel(f"hidden effect (cases with D > {VISIBLE})")
+    axes.set_ylabel("hidden effect (block A, where it matters)")
     figure.colorbar(image, label="share of the row [1]")
     figure.savefig(file, dpi=110)
     plt.close(figure)

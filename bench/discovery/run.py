@@ -9,124 +9,132 @@ from pathlib import Path
 from typing import Any
 
 from st_core.discovery import Discovery, DiscoverySettings, discover
+from st_core.discovery.limits import Limits
 from st_offline.paths import source_version
 
-from . import baselines, real
-from .cases import COUNTS, PER_CAR, Case, Drives, cases_of, drives_of, named
+from . import baselines, edits
+from .cases import PER_CAR, Case, cases_of
+from .drives import drives_of, settings_of
+from .edits import EditCase
+from .judge import judged
 from .next_drive import driven_again
-from .oracle import Judge, oracle
 
-JUDGED_EVERY = 0.5
-"""s between the starts the judge looks at; the oracle fits to half as many."""
 COMPARED = 3
-"""Every so many-th case is given to the other methods as well."""
+"""Every so many-th case of blocks A and B is given to the other methods as well."""
 
 Record = dict[str, Any]
+Any_ = Case | EditCase
 
 
-def settings_of(case: Case) -> DiscoverySettings:
-    # One seed for all: what the reference teaches is kept for settings that are equal.
-    return DiscoverySettings(channels=case.channels, effects=case.effects, where=False)
-
-
-def run_case(case: Case, judged: bool = True) -> Record:
-    """Everything the score needs to know of a case, as plain data."""
-    drives = real.drives_of(case) if case.kind == "real" else drives_of(case)
-    settings = settings_of(case)
-    begin = time.process_time()
-    found = discover(drives.suspect, drives.vehicle, "nonlinear", drives.reference, settings)
-    seconds = time.process_time() - begin
-    record: Record = {
-        "set": case.set_, "kind": case.kind, "index": case.index, "truth": list(case.truth),
-        "hidden": named([case])[0], "with_vy": case.with_vy, "shifted": case.shifted, "note": case.note,
-        "scale": [scale for _, scale, _ in case.hidden], "cpu_s": round(seconds, 2), **answer(found),
-        "not_testable": [n.name for n in found.not_testable],
-    }
-    if judged:
-        record |= judged_by(case, drives, found)
+def run_case(case: Any_, limits: Limits | None = None, whole: bool = True) -> Record:
+    """Everything the score needs to know of a case, as plain data. whole: with baselines and suggested drives."""
+    limits = limits or Limits()
+    if isinstance(case, EditCase):
+        logs, vehicle = edits.drives_of(case)
+        found, seconds = _timed(logs, vehicle, (), DiscoverySettings(where=False, limits=limits))
+        return {"kind": case.name or "unedited", "size": case.size, "cpu_s": seconds, **answer(found)}
+    drives = drives_of(case)
+    settings = replace(settings_of(case), limits=limits)
+    found, seconds = _timed(drives.suspect, drives.vehicle, drives.reference, settings)
+    record = {
+        "kind": case.kind, "plant": case.car.plant, "hidden": list(case.hidden), "words": case.words,
+        "scales": list(case.scales), "with_vy": case.with_vy, "shifted": case.shifted, "cpu_s": seconds,
+        "truth": {n: drives.truth[n] for n in case.hidden if n in drives.truth}, **answer(found),
+        **judged(case, drives, found)}
+    if whole:
         record |= driven_again(case, drives, found, settings)
+        if case.block in "AB" and case.index % COMPARED == 0:
+            record["baselines"] = baselines.compared(case, drives)
     return record
+
+
+def _timed(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Discovery, float]:
+    begin = time.process_time()
+    found = discover(suspect, vehicle, "nonlinear", reference, settings)
+    return found, round(time.process_time() - begin, 2)
 
 
 def answer(found: Discovery) -> Record:
-    """outcome, and for each effect its name followed by its alternatives."""
-    return {"outcome": found.outcome, "p": round(found.p, 4),
-            "candidates": [[c.name, round(c.gain, 3), round(c.p, 4)] for c in found.candidates[:4]],
-            "names": [[e.name, *e.alternatives] for e in found.effects],
-            "values": [{n: [p.value, *p.interval] for n, p in e.parameters.items()} for e in found.effects]}
+    """What of an answer is kept."""
+    gap = found.gap.get("position_5s")
+    return {
+        "outcome": found.outcome,
+        "effects": [{"name": e.name, "kind": e.kind, "alternatives": list(e.alternatives),
+                     "position_5s": round(e.position_5s, 4),
+                     "values": {n: [p.value, *p.interval] for n, p in e.parameters.items()}} for e in found.effects],
+        "bound": [[b.resembles, b.to] for b in found.bound],
+        "steps": [[s.action, s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
+                  for s in found.steps],
+        "budget": {b.part: [round(v, 4) for v in (b.share_last, b.share_first)] for b in found.budget},
+        "gap": None if gap is None else [round(gap.base, 4), round(gap.augmented, 4)],
+        "powers": [[p.effect, p.parameter, p.size, p.found] for p in found.certificate.powers],
+        "not_testable": [n.name for n in found.not_testable],
+        "refused": [[c.name, round(c.gain, 4), c.verdict] for c in found.candidates[:5]
+                    if c.verdict not in ("stated", "alternative")],
+    }
 
 
-def judged_by(case: Case, drives: Drives, found: Discovery) -> Record:
-    """Losses on held-out drives: of the base, of what was found, of the oracle, of tyres tuned again."""
-    settings = DiscoverySettings(channels=case.channels, interval=JUDGED_EVERY)
-    gain = found.acceleration_gain
-    judge = Judge(drives.held_out, drives.twin, drives.vehicle, settings, found.base, gain)
-    record: Record = {"base": judge.base, "found": judge.base if found.model is None else judge.loss(found.model)}
+def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Any_]:
+    """All blocks side by side: wherever it is stopped, each is about equally far.
 
-    coarse = replace(settings, interval=2 * JUDGED_EVERY)
-
-    def fitted(names: Iterable[str]) -> float:
-        return judge.loss(oracle(drives.suspect, tuple(names), drives.vehicle, coarse, found.base, gain, judge.floor))
-    known = [n for n in case.truth if any(e == n for e, _ in found.base.free)]
-    if known:
-        record["oracle"] = fitted(known)
-        record["detectability"] = 1.0 - record["oracle"] / judge.base
-    compared = case.kind in ("single", "healthy") and case.index % COMPARED == 0
-    if compared:
-        record["tyres"] = fitted(baselines.TYRES)
-    record = {name: round(value, 4) for name, value in record.items()}
-    if compared and case.with_vy:
-        record |= baselines.regressed(drives, found.base)
-    return record
-
-
-def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Case]:
-    """All kinds side by side, car by car: wherever it is stopped, each kind is about equally far.
-
-    part: (k, n), every n-th car from the k-th on, for one of n processes.
+    part: (k, n), every n-th group from the k-th on, for one of n processes. What shares a reference stays together; the
+    real drives as they are come first.
     """
-    blocks = []
-    for kind, count in counts.items():
-        cases = real.cases_of(set_, count) if kind == "real" else cases_of(set_, kind, count)
-        parts = [cases[i:i + PER_CAR] for i in range(0, len(cases), PER_CAR)]
-        blocks += [((i + 0.5) / len(parts), kind, part) for i, part in enumerate(parts)]
+    groups = []
+    for block, count in counts.items():
+        if block == "F":
+            cases: list[Any_] = list(edits.cases_of(set_, count)) if count else []
+        else:
+            cases = list(cases_of(set_, block, count))
+        size = PER_CAR if block == "D" else 1
+        parts = [cases[i:i + size] for i in range(0, len(cases), size)]
+        groups += [((i + 0.5) / len(parts), block, group) for i, group in enumerate(parts)]
     first, step = part
-    for _, _, cases in sorted(blocks, key=lambda block: block[:2])[first::step]:
-        yield from cases
+    for _, _, group in sorted(groups, key=lambda g: g[:2])[first::step]:
+        yield from group
 
 
-def run_all(cases: Iterable[Case], cache: Path, until: float | None, say: Callable[[Case, Record], None],
-            judged: bool = True) -> list[Record]:
-    """Records of all cases; those in files (JSON lines) of the cache's folder are not computed again. until: no case
-    begins after this Unix time."""
-    done, records = {}, []
-    cache.parent.mkdir(parents=True, exist_ok=True)
-    for file in sorted(cache.parent.glob("*.jsonl")):
-        for line in file.read_text().splitlines():
-            record = json.loads(line)
-            done[record["set"], record["kind"], record["index"]] = record
+def key_of(case: Any_) -> tuple[str, str, int]:
+    return case.set_, case.block, case.index
+
+
+def read(file: Path) -> dict[tuple[str, str, int], Record]:
+    """Records of a file of JSON lines, by set, block and index."""
+    if not file.exists():
+        return {}
+    lines = [json.loads(line) for line in file.read_text().splitlines()]
+    return {(r["set"], r["block"], r["index"]): r for r in lines}
+
+
+def run_all(cases: Iterable[Any_], file: Path, until: float | None, say: Callable[[Record], None],
+            limits: Limits | None = None, whole: bool = True) -> list[Record]:
+    """Records of all cases, appended to the file one by one; those in it are not computed again. until: no case begins
+    after this Unix time."""
+    done, records = read(file), []
+    file.parent.mkdir(parents=True, exist_ok=True)
     for case in cases:
-        key = case.set_, case.kind, case.index
+        key = key_of(case)
         if key not in done:
             if until is not None and time.time() >= until:
-                continue
-            done[key] = {"version": source_version(), **_guarded(case, judged)}
-            with cache.open("a") as file:
-                file.write(json.dumps(done[key]) + "\n")
-            say(case, done[key])
+                break
+            begin = time.process_time()
+            record = _guarded(case, limits, whole)
+            done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **record,
+                         "case_s": round(time.process_time() - begin, 2)}
+            with file.open("a") as out:
+                out.write(json.dumps(done[key]) + "\n")
+            say(done[key])
         records.append(done[key])
     return records
 
 
-def _guarded(case: Case, judged: bool) -> Record:
+def _guarded(case: Any_, limits: Limits | None, whole: bool) -> Record:
     # A discovery that raises is a wrong answer of the product, not the end of the benchmark.
     try:
-        return run_case(case, judged)
+        return run_case(case, limits, whole)
     except Exception as error:
-        return {"set": case.set_, "kind": case.kind, "index": case.index, "truth": list(case.truth),
-                "hidden": named([case])[0], "with_vy": case.with_vy, "shifted": case.shifted, "note": case.note,
-                "scale": [scale for _, scale, _ in case.hidden], "outcome": "error", "names": [], "not_testable": [],
-                "error": f"{type(error).__name__}: {error}"[:300]}
-
-
-ALL = dict(COUNTS)
+        said = {"outcome": "error", "effects": [], "bound": [], "error": f"{type(error).__name__}: {error}"[:300]}
+        if isinstance(case, EditCase):
+            return {"kind": case.name or "unedited", "size": case.size, **said}
+        return {"kind": case.kind, "plant": case.car.plant, "hidden": list(case.hidden), "words": case.words,
+                "scales": list(case.scales), "with_vy": case.with_vy, "shifted": case.shifted, "truth": {}, **said}

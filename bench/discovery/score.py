@@ -2,18 +2,29 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from st_core.effects import EFFECTS
 
-from .oracle import stratum
+from .cars import LEAF
+from .edit_score import edited
+from .effects import alike, members
+from .judge import different
 
 Record = dict[str, Any]
-FOUND = ("named", "ambiguous", "several", "unknown")
+WORTH = 1.10
+"""A hidden effect counts if the oracle's held-out loss is so many times as large without it."""
+CLOSABLE = 0.02, 0.1
+"""m, and share of the base's error: the oracle must gain so much for a share of its gain to mean anything."""
 WORSE = 1.02
-"""A held-out loss above so many times the base's is worse."""
-STRONG, MEDIUM, WEAK = "strong", "medium", "weak"
+"""A held-out position error above so many times the base's is worse."""
+SEEN = 1.10
+"""Block E: the base's loss over its loss on the healthy car's drives, for what is hidden to count as there."""
+STRATA = (("strong", 0.5), ("medium", 0.25), ("weak", 0.1), ("invisible", -math.inf))
+ENOUGH = 4
+"""Cases of an effect for a promise of power to be compared with what was found."""
 
 
 def wilson(hits: int, of: int, z: float = 1.959964) -> tuple[float, float]:
@@ -29,149 +40,216 @@ def wilson(hits: int, of: int, z: float = 1.959964) -> tuple[float, float]:
     return max(0.0, (middle - half) / (1 + square / of)), min(1.0, (middle + half) / (1 + square / of))
 
 
-def is_found(r: Record) -> bool:
-    return r["outcome"] in FOUND
+def stratum(detectability: float) -> str:
+    return next(name for name, low in STRATA if detectability > low)
 
 
-def is_exact(r: Record) -> bool:
-    """One effect, and its best name is the true one."""
-    return len(r["names"]) == 1 and len(r["truth"]) == 1 and r["names"][0][0] == r["truth"][0]
+def groups(r: Record) -> list[list[str]]:
+    """The statements of an answer: each its name followed by its alternatives."""
+    return [[e["name"], *e["alternatives"]] for e in r["effects"]]
 
 
-def in_set(r: Record) -> bool:
-    return any(name in group for group in r["names"] for name in r["truth"])
+def covers(name: str, hidden: str) -> bool:
+    """Whether stating `name` states `hidden`: itself, or a composite it is part of."""
+    return name == hidden or (name in EFFECTS and hidden in members(name))
 
 
-def is_wrong_name(r: Record) -> bool:
-    """One name stated without an alternative, and it is not the true one."""
-    return r["outcome"] == "named" and len(r["names"]) == 1 and len(r["names"][0]) == 1 and not is_exact(r)
+def states(r: Record, hidden: str) -> bool:
+    """Alone or in a set."""
+    return any(covers(name, hidden) for group in groups(r) for name in group)
 
 
-def is_exact_pair(r: Record) -> bool:
-    return sorted(group[0] for group in r["names"]) == sorted(r["truth"])
+def is_false(r: Record, group: Sequence[str]) -> bool:
+    """Nothing in the statement is hidden, a declared twin of that, or truly different between plant and model."""
+    true = different(r["plant"])
+    return not any(name in true or any(alike(name, h) for h in r["hidden"]) for name in group)
 
 
-def is_untestable(r: Record) -> bool:
-    return r["outcome"] in ("none", "not_testable") and r["truth"][0] in r["not_testable"]
+def exact(r: Record) -> bool:
+    return len(r["effects"]) == 1 and groups(r)[0][0] == r["hidden"][0]
+
+
+def matters(r: Record) -> list[str]:
+    """Hidden effects the oracle cannot do without."""
+    return [n for n, worth in r.get("worth", {}).items() if worth >= WORTH]
+
+
+def values_inside(r: Record) -> list[tuple[str, bool]]:
+    """(effect, whether its value is inside its interval) for every hidden effect stated by its name."""
+    rows = []
+    for effect in r["effects"]:
+        parts = members(effect["name"]) if effect["name"] in EFFECTS else ()
+        truths = [r["truth"][n] for n in parts if n in r["truth"]]
+        if len(truths) != len(parts) or (len(truths) == 2 and truths[0] != truths[1]):
+            continue
+        rows += [(effect["name"], low <= truths[0][name] <= high)
+                 for name, (_, low, high) in effect["values"].items() if name in truths[0]]
+    return rows
 
 
 def closed(r: Record) -> float | None:
-    """Share of the oracle's gain on held-out drives; None where the oracle gains too little to speak of."""
-    if r.get("detectability", 0.0) <= 0.1:
+    """Share of the oracle's gain in held-out 5 s position; None where the oracle gains too little to speak of."""
+    p = r.get("position")
+    if not p or p["base"] - p["oracle"] < max(CLOSABLE[0], CLOSABLE[1] * p["base"]):
         return None
-    return (r["base"] - r["found"]) / (r["base"] - r["oracle"])
+    return (p["base"] - p["found"]) / (p["base"] - p["oracle"])
 
 
-def _share(rows: Sequence[Record], test: Callable[[Record], bool]) -> Record:
-    hits = sum(map(test, rows))
-    low, high = wilson(hits, len(rows))
-    return {"hits": hits, "of": len(rows), "share": hits / len(rows) if rows else None, "low": low, "high": high}
+def is_worse(r: Record) -> bool:
+    return r["position"]["found"] > WORSE * r["position"]["base"]
 
 
-def _values(values: Sequence[float], **quantiles: float) -> Record:
-    given = [v for v in values if v is not None]
-    return {"of": len(given), **{name: float(np.quantile(given, q)) if given else None
-                                 for name, q in quantiles.items()}}
+def is_told(r: Record) -> bool:
+    """Block E: told as bound or unknown, and not named: no statement that is neither different in truth."""
+    told = bool(r["bound"]) or r["outcome"] in ("bound", "unknown")
+    return told and not any(is_false({**r, "hidden": []}, g) for g in groups(r))
 
 
-def scores(records: Sequence[Record]) -> Record:
-    """{"counts", "scores": [{name, floor, goal, hits, of, share, low, high} ...], "baselines", "timing"}."""
-    kinds = defaultdict(list)
+def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
+    """(effect, power promised for the size hidden, whether it was found) over cases with a certificate."""
+    pairs = []
     for r in records:
-        kinds[r["kind"]].append(r)
-    judged = [r for r in kinds["single"] if "detectability" in r]
-    strata = defaultdict(list)
-    for r in judged:
-        strata[stratum(r["detectability"])].append(r)
-    healthy = kinds["healthy"]
-    rows: list[Record] = []
-
-    def add(name: str, wanted: tuple[str, str], result: Record) -> None:
-        rows.append({"name": name, "floor": wanted[0], "goal": wanted[1], **result})
-
-    add("false alarm, healthy, same conditions", ("≤ 2 %", "≤ 1 %"),
-        _share([r for r in healthy if not r["shifted"]], is_found))
-    add("false alarm, healthy, shifted conditions", ("≤ 5 %", "≤ 2 %"),
-        _share([r for r in healthy if r["shifted"]], is_found))
-    for level, floor, goal in ((STRONG, "99 %", "100 %"), (MEDIUM, "97 %", "99 %"), (WEAK, "85 %", "95 %")):
-        add(f"detection, {level}", (floor, goal), _share(strata[level], is_found))
-    for level, floor, goal in ((STRONG, "95 %", "98 %"), (MEDIUM, "80 %", "92 %"), (WEAK, "65 %", "80 %")):
-        add(f"exact name, with v_y, {level}", (floor, goal),
-            _share([r for r in strata[level] if r["with_vy"]], is_exact))
-    add("exact name, without v_y, strong and medium", ("80 %", "90 %"),
-        _share([r for r in (*strata[STRONG], *strata[MEDIUM]) if not r["with_vy"]], is_exact))
-    for level in (STRONG, MEDIUM, WEAK):
-        add(f"truth in the reported set, {level}", ("≥ 93 %", "≥ 95 %"),
-            _share([r for r in strata[level] if r["names"]], in_set))
-    for level, floor, goal in ((STRONG, "≤ 2.0", "≤ 1.3"), (MEDIUM, "≤ 2.5", "≤ 1.6")):
-        sizes = [len(r["names"][0]) for r in strata[level] if len(r["names"]) == 1]
-        add(f"mean set size, {level}", (floor, goal),
-            {"of": len(sizes), "value": float(np.mean(sizes)) if sizes else None})
-    visible = [*strata[STRONG], *strata[MEDIUM], *strata[WEAK]]
-    add("one name stated and wrong", ("≤ 3 %", "≤ 1 %"), _share(visible, is_wrong_name))
-    add("suggested drive, once driven, settles it", ("≥ 60 %", "≥ 85 %"),
-        _share([r for r in visible if "settled" in r], lambda r: r["settled"]))
-    add("  ambiguous, and said that no drive would settle it", ("", ""),
-        _share([r for r in visible if r["outcome"] == "ambiguous"], lambda r: r.get("no_drive", False)))
-    gap = [r for r in kinds["unknown"] if r.get("base", 0.0) > 1.0 / 0.9]
-    add("unknown effect flagged", ("≥ 50 %", "≥ 75 %"), _share(gap, lambda r: r["outcome"] == "unknown"))
-    add("  of these, no effect equals it", ("", ""),
-        _share([r for r in gap if r["note"] == "foreign"], lambda r: r["outcome"] == "unknown"))
-    add("  of these, left out of the library", ("", ""),
-        _share([r for r in gap if r["note"] == "left out"], lambda r: r["outcome"] == "unknown"))
-    add("false \"unknown\"", ("≤ 5 %", "≤ 3 %"),
-        _share([*kinds["single"], *healthy], lambda r: r["outcome"] == "unknown"))
-    add("untestable effect answered so", ("≥ 80 %", "≥ 95 %"), _share(kinds["untestable"], is_untestable))
-    both = [r for r in kinds["double"] if r.get("detectability", 0.0) > 0.1]
-    add("two effects, exact pair", ("60 %", "75 %"), _share(both, is_exact_pair))
-    add("  both in the reported sets", ("", ""), _share(both, lambda r: all(
-        any(name in group for group in r["names"]) for name in r["truth"])))
-    shares = [closed(r) for r in visible]
-    add("held-out gap closed relative to the oracle, median", ("90 %", "97 %"), _values(shares, value=0.5))
-    add("held-out gap closed relative to the oracle, 10th percentile", ("70 %", "85 %"), _values(shares, value=0.1))
-    add("held-out made worse", ("≤ 5 %", "≤ 1 %"), _share(
-        [r for r in records if "found" in r and r["kind"] != "real"], lambda r: r["found"] > WORSE * r["base"]))
-    real = kinds["real"]
-    add("semi-blind real drives, exact name", ("80 %", "93 %"), _share([r for r in real if r["truth"]], is_exact))
-    add("semi-blind real drives, false alarm", ("≤ 5 %", "≤ 2 %"),
-        _share([r for r in real if not r["truth"]], is_found))
-    seconds = [r["cpu_s"] for r in records if "cpu_s" in r]
-    add("CPU time of discover per case [s], median", ("≤ 60 s", "≤ 10 s"), _values(seconds, value=0.5))
-    add("CPU time of discover per case [s], largest", ("≤ 60 s", "≤ 10 s"), _values(seconds, value=1.0))
-    partial = kinds["partial"]
-    add("effect in part of the drive: detected", ("", ""), _share(partial, is_found))
-    add("effect in part of the drive: exact name", ("", ""), _share(partial, is_exact))
-    add("invisible (D ≤ 0.1): something stated", ("", ""), _share(strata["invisible"], is_found))
-    add("raised an error", ("0", "0"), _share(records, lambda r: r["outcome"] == "error"))
-    return {"counts": {kind: len(rows) for kind, rows in kinds.items()},
-            "strata": {name: len(found) for name, found in strata.items()}, "scores": rows,
-            "baselines": _baselines(visible, healthy)}
+        for name in r["hidden"]:
+            promised = promise(r, name)
+            if promised is not None:
+                pairs.append((name, promised, states(r, name)))
+    return pairs
 
 
-def _baselines(visible: Sequence[Record], healthy: Sequence[Record]) -> list[Record]:
-    """On the single effects with D > 0.1, and on the healthy cases."""
-    def gap(key: str) -> Record:
-        shares = [(r["base"] - r[key]) / (r["base"] - r["oracle"]) for r in visible if key in r]
-        return _values(shares, median=0.5, tenth=0.1)
+def promise(r: Record, name: str) -> float | None:
+    """Power the certificate gives the true size of a hidden effect: straight lines over the logarithm of the size."""
+    rows = [(p, abs(size), found) for e, p, size, found in r.get("powers", ()) if e == name]
+    truth = r["truth"].get(name)
+    if not rows or truth is None or rows[0][0] not in truth:
+        return None
+    parameter = next(p for p in EFFECTS[name].parameters if p.name == rows[0][0])
+    size = abs(truth[parameter.name] - parameter.null)
+    sizes, found = zip(*sorted((s, f) for p, s, f in rows if p == parameter.name), strict=True)
+    return float(np.interp(math.log(max(size, 1e-12)), np.log(sizes), found))
 
-    def worse(key: str) -> Record:
-        return _share([r for r in (*visible, *healthy) if key in r], lambda r: r[key] > WORSE * r["base"])
-    regressed = [r for r in visible if "sindy_finds" in r]
-    quiet = [r for r in healthy if "sindy_finds" in r]
-    return [
-        {"name": "no change", "gap": {"of": len(visible), "median": 0.0, "tenth": 0.0}, "worse": None, "named": None,
-         "alarm": None},
-        {"name": "tyres tuned again", "gap": gap("tyres"), "worse": worse("tyres"), "named": _share(
-            [r for r in visible if "tyres" in r], lambda r: r["truth"][0] in ("front_stiffness", "rear_stiffness",
-                                                                              "friction")), "alarm": None},
-        {"name": "sparse regression of residual accelerations", "gap": None, "worse": _share(
-            regressed, lambda r: r["sindy_after"] > r["sindy_before"]), "named": _share(
-            regressed, lambda r: r["truth"][0] in r["sindy_group"]),
-         "alarm": _share(quiet, lambda r: r["sindy_finds"])},
-        {"name": "discover", "gap": gap("found"), "worse": worse("found"), "named": _share(visible, is_exact),
-         "alarm": _share(healthy, is_found)},
-        {"name": "oracle", "gap": gap("oracle"), "worse": worse("oracle"), "named": None, "alarm": None},
-    ]
+
+def budget_misses(r: Record) -> list[float]:
+    """Said minus true share of the gap, each part added last."""
+    return [abs(r["budget"].get(part, [0.0])[0] - last) for part, (last, _) in r.get("shares", {}).items()]
+
+
+def share(rows: Sequence[Record], test: Callable[[Record], bool]) -> Record:
+    return share_of([test(r) for r in rows])
+
+
+def share_of(hits: Sequence[bool]) -> Record:
+    low, high = wilson(sum(hits), len(hits))
+    return {"hits": sum(hits), "of": len(hits), "share": sum(hits) / len(hits) if hits else None, "low": low,
+            "high": high}
+
+
+def value_of(values: Iterable[float | None], how: Callable[[Sequence[float]], float] = np.mean) -> Record:
+    given = [v for v in values if v is not None]
+    return {"of": len(given), "value": float(how(given)) if given else None}
+
+
+class Table:
+    """Rows of scores as they are added."""
+
+    def __init__(self) -> None:
+        self.rows: list[Record] = []
+
+    def add(self, name: str, floor: str, goal: str, result: Record) -> None:
+        self.rows.append({"name": name, "floor": floor, "goal": goal, **result})
+
+
+def scores(records: Sequence[Record]) -> list[Record]:
+    """[{name, floor, goal, hits, of, share, low, high or value} ...] of everything."""
+    blocks: dict[str, list[Record]] = defaultdict(list)
+    for r in records:
+        blocks[r["block"]].append(r)
+    table = Table()
+    _parameters_found(table, [*blocks["A"], *blocks["B"]], "")
+    _nothing_hidden(table, blocks["C"], "")
+    _referenced(table, blocks["D"])
+    seen = [r for r in blocks["E"] if r.get("seen", 0.0) >= SEEN]
+    table.add("E: told as bound or unknown, not named", "80 %", "92 %", share(seen, is_told))
+    for kind in ("place", "time", "unknown"):
+        table.add(f"  {kind}", "", "", share([r for r in seen if r["kind"] == kind], is_told))
+    _edits(table, blocks["F"])
+    away = {b: [r for r in blocks[b] if r["plant"] != LEAF] for b in "ABC"}
+    _parameters_found(table, [*away["A"], *away["B"]], "multi-body, ")
+    _nothing_hidden(table, away["C"], "multi-body, ")
+    table.add("suggested drive, once driven, settles", "60 %", "85 %",
+              share([r for r in records if "settled" in r], lambda r: r["settled"]))
+    judged = [r for r in (*blocks["A"], *blocks["B"]) if r.get("shares")]
+    table.add("budget shares against truth, mean difference", "≤ 12 %", "≤ 6 %",
+              {**value_of([m for r in judged for m in budget_misses(r)]), "percent": True})
+    table.add("self-certificate: promised power against measured, mean difference", "≤ 12 %", "≤ 6 %",
+              {**_promises([*blocks["A"], *blocks["B"]]), "percent": True})
+    everything = [r["cpu_s"] for r in records if "cpu_s" in r]
+    table.add("processor time of discover per case [s], median", "≤ 20", "≤ 5", value_of(everything, np.median))
+    table.add("processor time of discover per case [s], largest", "≤ 20", "≤ 5", value_of(everything, np.max))
+    table.add("raised an error", "0", "0", share(records, lambda r: r["outcome"] == "error"))
+    return table.rows
+
+
+def _parameters_found(table: Table, rows: list[Record], who: str) -> None:
+    """Rows of blocks A and B. who: plant, for the rows' names."""
+    slack = "within 6 points of " if who else ""
+    table.add(f"{who}A and B: effects that matter, stated alone or in a set", slack + "90 %", "97 %",
+              share_of([states(r, n) for r in rows for n in matters(r)]))
+    table.add(f"{who}A and B: statements that are false", slack + "≤ 4 %", "≤ 1 %",
+              share_of([is_false(r, g) for r in rows for g in groups(r)]))
+    table.add(f"{who}A and B: mean set size", "≤ 1.6", "≤ 1.25", value_of([len(g) for r in rows for g in groups(r)]))
+    table.add(f"{who}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
+              share_of([inside for r in rows for _, inside in values_inside(r)]))
+    shares = [closed(r) for r in rows]
+    for name, q, floor, goal in (("median", 0.5, "92 %", "98 %"), ("10th percentile", 0.1, "75 %", "90 %")):
+        table.add(f"{who}A and B: held-out 5 s position closed relative to the oracle, {name}", slack + floor, goal,
+                  {**value_of(shares, lambda v, q=q: np.quantile(v, q)), "percent": True})
+    table.add(f"{who}A and B: held-out made worse", "≤ 1 %", "0",
+              share([r for r in rows if "position" in r], is_worse))
+
+
+def _nothing_hidden(table: Table, rows: list[Record], who: str) -> None:
+    def false(r: Record) -> bool:
+        return any(is_false(r, g) for g in groups(r))
+    exactly = [r for r in rows if r["kind"] == "base"]
+    identified = [r for r in rows if r["kind"] == "identified"]
+    table.add(f"{who}C: something stated", "≤ 3 %", "≤ 1 %",
+              share_of([*(bool(r["effects"]) for r in exactly), *map(false, identified)]))
+    table.add(f"  {who}base exactly right: something stated", "", "", share(exactly, lambda r: bool(r["effects"])))
+    table.add(f"  {who}file identified: something stated that is not truly different", "", "", share(identified, false))
+    table.add(f"  {who}file identified: anything stated", "", "", share(identified, lambda r: bool(r["effects"])))
+    table.add(f"  {who}C: held-out made worse", "≤ 1 %", "0", share([r for r in rows if "position" in r], is_worse))
+
+
+def _referenced(table: Table, rows: list[Record]) -> None:
+    single = [r for r in rows if r["kind"] == "one" and "detectability" in r]
+    for level, floor, goal in (("strong", "95 %", "98 %"), ("medium", "85 %", "94 %"), ("weak", "70 %", "85 %")):
+        table.add(f"D: exact name, {level}, with v_y", floor, goal, share(
+            [r for r in single if r["with_vy"] and stratum(r["detectability"]) == level], exact))
+    table.add("  exact name, strong and medium, without v_y", "", "", share(
+        [r for r in single if not r["with_vy"] and stratum(r["detectability"]) in ("strong", "medium")], exact))
+    healthy = [r for r in rows if r["kind"] == "healthy"]
+    for name, shifted, floor, goal in (("same", False, "≤ 2 %", "≤ 1 %"), ("shifted", True, "≤ 4 %", "≤ 2 %")):
+        table.add(f"D: alarms, {name} conditions", floor, goal, share(
+            [r for r in healthy if r["shifted"] == shifted], lambda r: r["outcome"] != "none"))
+    table.add("  D: held-out made worse", "≤ 1 %", "0", share([r for r in rows if "position" in r], is_worse))
+
+
+def _edits(table: Table, rows: list[Record]) -> None:
+    plain = next((r for r in rows if r["index"] < 0), None)
+    compared = [] if plain is None else [edited(plain, r) for r in rows if r["index"] >= 0]
+    table.add("F: moves by the edit, inside the interval; others do not beyond theirs", "90 %", "96 %",
+              share_of([e.moved and not e.others for e in compared]))
+    table.add("  the edited value moves by the edit", "", "", share_of([e.moved for e in compared]))
+    table.add("  others do not move", "", "", share_of([not e.others for e in compared]))
+
+
+def _promises(rows: Iterable[Record]) -> Record:
+    """Mean over effects of |promised - found share|, both means over the effect's cases."""
+    by: dict[str, list[tuple[float, bool]]] = defaultdict(list)
+    for name, promised, found in power_pairs(rows):
+        by[name].append((promised, found))
+    return value_of([abs(float(np.mean([p for p, _ in v])) - float(np.mean([f for _, f in v])))
+                     for v in by.values() if len(v) >= ENOUGH])
 
 
 def shown(row: Record) -> str:
@@ -179,20 +257,12 @@ def shown(row: Record) -> str:
     if row.get("of") == 0:
         return "no cases"
     if "hits" in row:
-        share, low, high = (100 * row[key] for key in ("share", "low", "high"))
-        return f"{share:.1f} % ({row['hits']}/{row['of']}; {low:.1f} to {high:.1f})"
-    percent = row["name"].startswith("held-out gap")
-    return f"{100 * row['value']:.1f} % (of {row['of']})" if percent else f"{row['value']:.2f} (of {row['of']})"
+        low, high = 100 * row["low"], 100 * row["high"]
+        return f"{100 * row['share']:.1f} % ({row['hits']}/{row['of']}; {low:.1f} to {high:.1f})"
+    if row.get("percent"):
+        return f"{100 * row['value']:.1f} % (of {row['of']})"
+    return f"{row['value']:.2f} (of {row['of']})"
 
 
-def as_text(document: Record) -> str:
-    lines = [f"cases {document['counts']}, single by stratum {document['strata']}"]
-    lines += [f"{r['name']:62s} {shown(r):40s} {r['floor']} / {r['goal']}" for r in document["scores"]]
-    return "\n".join(lines)
-
-
-def short(r: Record) -> Record:
-    """What is kept of a case in the results."""
-    keys = ("kind", "index", "truth", "hidden", "with_vy", "shifted", "outcome", "names", "base", "found", "oracle",
-            "detectability", "tyres", "settled", "suggested", "no_drive", "cpu_s", "error")
-    return {k: r[k] for k in keys if k in r}
+def as_text(rows: Sequence[Record]) -> str:
+    return "\n".join(f"{r['name']:86s} {shown(r):34s} {r['floor']:>24s} / {r['goal']}" for r in rows)

@@ -4,6 +4,8 @@ The numbers are those of `st_sim.sensors`, noise included, drawn in the same ord
 them and turned into the axes of the suite as `st` reads files. Checked by: tests/bench/test_discovery_plant.py.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.signal import lfilter
 from st_core.log import DriveLog
@@ -80,6 +82,8 @@ def _clean(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, car: Car, s: S
         u, v = c * u + sine * v, c * v - sine * u
         force_x, force_y = c * force_x + sine * force_y, c * force_y - sine * force_x
         yaw = yaw + s["ins_misalignment"]
+    # Not in st_sim: the benchmark's own.
+    rates[2] += s.get("yaw_rate_bias", 0.0)
     scale = s["velocity_scale"]
     force_y = force_y + s["lateral_acceleration_bias"]
     z = rows[:, Z]
@@ -100,6 +104,11 @@ def _noise(seed: int, count: int, speed: np.ndarray) -> np.ndarray:
         shaken = rough if name.startswith(("rate", "force")) else 1.0
         result[i] = wander + white * shaken * draws[:, i, 1]
     return result
+
+
+def noise_of(seed: int, count: int, speed: np.ndarray, channels: Sequence[str]) -> np.ndarray:
+    """(channels, n) of the INS noise at the forward speeds [m/s]; channels: names of CHANNELS."""
+    return _noise(seed, count, speed)[[CHANNELS.index(name) for name in channels]]
 
 
 def _stream(generator: np.random.Generator, count: int, block: int) -> np.ndarray:

@@ -1,0 +1,34 @@
+"""What the scores become at half and twice each limit of the decision."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from st_core.discovery.limits import Limits
+
+from .run import run_all
+
+Record = dict[str, Any]
+FACTORS = (0.5, 2.0)
+
+
+def variants() -> list[tuple[str, float, Limits]]:
+    """(field, factor, limits), the limits as they are first, under no name."""
+    usual = Limits()
+    rows: list[tuple[str, float, Limits]] = [("", 1.0, usual)]
+    for field in fields(Limits):
+        for factor in FACTORS:
+            value = getattr(usual, field.name) * factor
+            changed = max(round(value), 1) if isinstance(getattr(usual, field.name), int) else value
+            rows.append((field.name, factor, replace(usual, **{field.name: changed})))
+    return rows
+
+
+def run(cases: Sequence, out: Path, until: float | None, say: Callable[[Record], None]) -> None:
+    """All cases with each variant; a file of JSON lines each, beside `out`, its records marked with the limit."""
+    for name, factor, limits in variants():
+        file = out.with_name(f"{out.stem}_{name or 'usual'}_{factor:g}.jsonl")
+        records = run_all(cases, file, until, say, limits, whole=False)
+        file.write_text("".join(json.dumps({**r, "limit": [name, factor]}) + "\n" for r in records))

@@ -1,0 +1,119 @@
+"""The drives of a case, and what `discover` is told of them."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from st_core.discovery.settings import CHANNELS, DiscoverySettings
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+from st_sim.settings import Settings
+
+from .cars import HealthyCar
+from .cases import ELSEWHERE, Case
+from .effects import Values, true_values
+from .oracle import Oracle
+from .plants import Order, driven, vehicle_of
+from .resimulated import resimulated
+
+RUNS, HELD_OUT = 3, 2
+IDENTIFIED = ("front_stiffness", "rear_stiffness", "friction", "steering_ratio", "steering_offset")
+"""What block C identifies on other drives of the car."""
+
+
+@dataclass(frozen=True)
+class Drives:
+    """reference, suspect: what `discover` gets, with `vehicle` as the file. held_out: more drives of the suspect car;
+    twin: the same programmes driven by the healthy car, where that is asked for. truth: values of the hidden effects
+    and of all others the plant has a switch for."""
+
+    reference: tuple[DriveLog, ...]
+    suspect: tuple[DriveLog, ...]
+    held_out: tuple[DriveLog, ...]
+    twin: tuple[DriveLog, ...]
+    vehicle: VehicleParameters
+    truth: Values
+
+
+def settings_of(case: Case) -> DiscoverySettings:
+    return DiscoverySettings(channels=channels_of(case), effects=case.effects, where=False)
+
+
+def channels_of(case: Case) -> tuple[str, ...]:
+    return CHANNELS if case.with_vy else tuple(c for c in CHANNELS if c != "velocity_y")
+
+
+def drives_of(case: Case) -> Drives:
+    """All drives of a case."""
+    vehicle = _file(case)
+    suspect = _suspect(case, vehicle)
+    held_out = _held_out(case, vehicle, case.settings)
+    if case.kind == "base":
+        suspect, held_out = ([_as_base(log, vehicle, (case.seed, i)) for i, log in enumerate(logs)]
+                             for logs in (suspect, held_out))
+    if not case.with_vy:
+        suspect = [without_vy(log) for log in suspect]
+    reference: tuple[DriveLog, ...] = ()
+    if case.reference:
+        reference = _reference(case.car, tuple(sorted(case.file.items())), case.with_vy)
+    twin = _held_out(case, vehicle, case.car.settings) if case.block in "DE" else []
+    truth = true_values(case.settings, case.file, vehicle) if case.file is not None else {}
+    return Drives(reference, tuple(suspect), tuple(held_out), tuple(twin), vehicle, truth)
+
+
+def driven_more(case: Case, vehicle: VehicleParameters, orders: list[Order]) -> tuple[DriveLog, ...]:
+    """More drives of the car of a case, seen by its sensors."""
+    logs = [driven(case.car.plant, vehicle, order) for order in orders]
+    return tuple(log if case.with_vy else without_vy(log) for log in logs)
+
+
+def without_vy(log: DriveLog) -> DriveLog:
+    """A set of sensors that does not give v_y: nothing can use it by accident."""
+    return replace(log, velocity_y=np.zeros_like(log.velocity_y))
+
+
+def _file(case: Case) -> VehicleParameters:
+    """The vehicle file: as the case believes, or identified on drives of its own."""
+    if case.file is not None:
+        return vehicle_of(case.car.plant, case.file)
+    start = vehicle_of(case.car.plant, case.car.settings)
+    logs = [driven(case.car.plant, start, Order(f"identified_{i + 1}", (case.seed, 400 + i), case.settings))
+            for i in range(RUNS)]
+    model = Oracle(logs, start, IDENTIFIED, {}, DiscoverySettings(where=False)).best.model
+    ratio = start.steering_ratio * model.values["steering_ratio"]["factor"]
+    offset = start.steering_wheel_offset - model.values["steering_offset"]["angle"] * ratio
+    return replace(model.effective_vehicle(start), steering_ratio=ratio, steering_wheel_offset=offset)
+
+
+def _suspect(case: Case, vehicle: VehicleParameters) -> list[DriveLog]:
+    draw = np.random.default_rng([case.seed, 9])
+    orders = []
+    for i in range(RUNS):
+        factors = _factors(draw) if case.shifted else (1.0, 1.0)
+        away = case.elsewhere is not None and i % 2 == 1
+        orders.append(Order(
+            f"suspect_{i + 1}", (case.seed, i), case.elsewhere if away else case.settings, case.parts, factors,
+            case.car.settings if case.from_ else None, case.from_, ELSEWHERE if away else 0.0))
+    return [driven(case.car.plant, vehicle, order) for order in orders]
+
+
+def _factors(draw: np.random.Generator) -> tuple[float, float]:
+    return float(draw.choice([draw.uniform(0.8, 0.9), draw.uniform(1.1, 1.2)])), float(draw.uniform(0.7, 1.1))
+
+
+def _held_out(case: Case, vehicle: VehicleParameters, settings: Settings) -> list[DriveLog]:
+    return [driven(case.car.plant, vehicle, Order(
+        f"held_out_{i + 1}", (*case.car.number, 200 + i), settings, factors=((1.0, 0.9)[i], 1.0)))
+        for i in range(HELD_OUT)]
+
+
+@lru_cache(maxsize=2)
+def _reference(car: HealthyCar, file: tuple, with_vy: bool) -> tuple[DriveLog, ...]:
+    vehicle = vehicle_of(car.plant, dict(file))
+    logs = [driven(car.plant, vehicle, Order(f"reference_{i + 1}", (*car.number, 100 + i), car.settings))
+            for i in range(RUNS)]
+    return tuple(log if with_vy else without_vy(log) for log in logs)
+
+
+def _as_base(log: DriveLog, vehicle: VehicleParameters, seed: tuple[int, ...]) -> DriveLog:
+    return resimulated(log, vehicle, int(np.random.default_rng([*seed, 7]).integers(2**31)))

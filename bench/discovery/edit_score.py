@@ -1,0 +1,63 @@
+"""Block F: an answer for edited drives against the answer for the drives as they are."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from st_core.effects import get_effect
+
+from .edits import EDITS
+
+Record = dict[str, Any]
+Stated = dict[tuple[str, str], tuple[float, float, float]]
+"""(effect, parameter) -> value, low, high."""
+
+
+@dataclass(frozen=True)
+class Edited:
+    """moved: the edited value is stated and its interval holds what the edit makes of the one before; or the effect is
+    an alternative of what is stated. others: effects whose values moved besides. expected, said: of the edit."""
+
+    moved: bool
+    others: tuple[str, ...]
+    expected: float
+    said: tuple[float, float, float] | None
+
+
+def edited(plain: Record, r: Record) -> Edited:
+    edit = EDITS[r["kind"]]
+    before, after = stated(plain), stated(r)
+    key = edit.effect, edit.parameter
+    start = before[key][0] if key in before else null_of(*key)
+    expected = edit.expected(start, r["size"])
+    if edit.effect == "steering_offset" and ("steering_ratio", "factor") in before:
+        # What is added to the recorded angle is divided by the ratio before it reaches the wheels.
+        expected = start - r["size"] / before["steering_ratio", "factor"][0]
+    said = after.get(key)
+    moved = said[1] <= expected <= said[2] if said else edit.effect in alternatives(r)
+    others = {k for k in (*before, *after) if k[0] != edit.effect and not _same(k, before, after, plain, r)}
+    return Edited(moved, tuple(sorted({effect for effect, _ in others})), expected, said)
+
+
+def stated(r: Record) -> Stated:
+    return {(e["name"], n): tuple(v) for e in r["effects"] for n, v in e["values"].items()}
+
+
+def alternatives(r: Record) -> set[str]:
+    return {name for e in r["effects"] for name in e["alternatives"]}
+
+
+def null_of(effect: str, parameter: str) -> float:
+    return next(p.null for p in get_effect(effect).parameters if p.name == parameter)
+
+
+def _same(key: tuple[str, str], before: Stated, after: Stated, plain: Record, r: Record) -> bool:
+    """Either value is inside the other's interval; one that is not stated is at null, unless it became an
+    alternative of what is stated in its place."""
+    effect = key[0]
+    if key in before and key in after:
+        (a, a_low, a_high), (b, b_low, b_high) = before[key], after[key]
+        return a_low <= b <= a_high or b_low <= a <= b_high
+    if effect in alternatives(r if key in before else plain):
+        return True
+    _, low, high = before.get(key) or after[key]
+    return low <= null_of(*key) <= high

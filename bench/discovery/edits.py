@@ -1,0 +1,118 @@
+"""Block F: known changes put into the recorded columns, or the vehicle file, of real drives. The value stated must move
+by just that against the answer for the drives as they are.
+
+All nine Genesis drives take part in every case; each change is the inverse of how the library reads it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+from st_offline.runs.csv import read_drive
+
+from .._mounting import moved, turned
+from .cases import seed_of
+from .paths import ROOT
+
+GENESIS = ROOT.parent / "shared" / "data" / "hyundai_genesis_oxts"
+VEHICLE_FILE = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
+SMALLEST, LARGEST = 0.5, 1.5
+"""Of the usual size."""
+
+Column = Callable[[DriveLog, float], DriveLog]
+
+
+@dataclass(frozen=True)
+class Edit:
+    """effect, parameter: of the library, what it shows as. size: usual; signs it may have. column: puts it into a
+    recording; None: into the mass of the vehicle file. times: the value is multiplied by 1 + size, else added to;
+    turned: it shows with the opposite sign, or as the inverse of the factor."""
+
+    effect: str
+    parameter: str
+    size: float
+    column: Column | None
+    times: bool = False
+    turned: bool = False
+
+    def expected(self, value: float, size: float) -> float:
+        """What the parameter must be after the edit, if it was `value` before."""
+        if self.times:
+            return value / (1.0 + size) if self.turned else value * (1.0 + size)
+        return value - size if self.turned else value + size
+
+
+def _steering(log: DriveLog, angle: np.ndarray) -> DriveLog:
+    return replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
+
+
+def _late(log: DriveLog, time: float) -> DriveLog:
+    return replace(log, steering_time_ns=log.steering_time_ns + round(time * 1e9))
+
+
+def _faster(log: DriveLog, change: float) -> DriveLog:
+    return replace(log, velocity_x=log.velocity_x * (1.0 + change), velocity_y=log.velocity_y * (1.0 + change))
+
+
+EDITS: dict[str, Edit] = {
+    "steering scaled": Edit("steering_ratio", "factor", 0.10, lambda log, k: _steering(
+        log, log.road_wheel_angle * (1.0 + k)), times=True),
+    "heading turned": Edit("heading_misalignment", "angle", 0.01, turned),
+    "steering late": Edit("steering_delay", "time", 0.05, _late, turned=True),
+    "yaw rate scaled": Edit("yaw_rate_scale", "factor", 0.03, lambda log, k: replace(
+        log, yaw_rate=log.yaw_rate * (1.0 + k)), times=True),
+    "point moved": Edit("sensor_lever_arm", "x", 1.0, moved),
+    "mass of the file": Edit("mass", "factor", 0.15, None, times=True, turned=True),
+    "steering offset": Edit("steering_offset", "angle", 0.006, lambda log, a: _steering(
+        log, log.road_wheel_angle + a), turned=True),
+    "yaw rate biased": Edit("yaw_rate_bias", "bias", 0.008, lambda log, b: replace(log, yaw_rate=log.yaw_rate + b)),
+    "speed scaled": Edit("speed_scale", "factor", 0.02, _faster, times=True),
+    "a_y biased": Edit("lateral_acceleration_bias", "bias", 0.3, lambda log, b: replace(
+        log, acceleration_y=log.acceleration_y + b)),
+}
+
+
+@dataclass(frozen=True)
+class EditCase:
+    """name: of EDITS, "" for the drives as they are. size: signed."""
+
+    set_: str
+    index: int
+    name: str
+    size: float
+    block: str = "F"
+
+
+def cases_of(set_: str, count: int) -> list[EditCase]:
+    """The drives as they are (index -1), then one edit after the other in turn."""
+    cases = [EditCase(set_, -1, "", 0.0)]
+    for index in range(count):
+        draw = np.random.default_rng(seed_of(set_, "F", index))
+        name = list(EDITS)[index % len(EDITS)]
+        size = float(draw.choice([-1, 1]) * draw.uniform(SMALLEST, LARGEST) * EDITS[name].size)
+        cases.append(EditCase(set_, index, name, size))
+    return cases
+
+
+def drives_of(case: EditCase, folder: Path = GENESIS) -> tuple[list[DriveLog], VehicleParameters]:
+    """Raises FileNotFoundError without the recordings."""
+    logs, vehicle = list(recorded(folder)), VehicleParameters.from_yaml(VEHICLE_FILE.read_text())
+    if not case.name:
+        return logs, vehicle
+    edit = EDITS[case.name]
+    if edit.column is None:
+        return logs, replace(vehicle, mass=vehicle.mass * (1.0 + case.size))
+    return [edit.column(log, case.size) for log in logs], vehicle
+
+
+@cache
+def recorded(folder: Path) -> tuple[DriveLog, ...]:
+    """The drives as they are."""
+    files = sorted(folder.glob("*.csv"))
+    if not files:
+        raise FileNotFoundError(f"{folder}: the recorded drives are not there")
+    return tuple(read_drive(file)[0] for file in files)

@@ -1,0 +1,85 @@
+"""What the truth says of an answer: held-out errors of base, answer and oracle, what each hidden effect is worth, and
+the shares of the gap by kind. Plain data."""
+
+from typing import Any
+
+import numpy as np
+from st_core.discovery.result import PARTS, Discovery
+from st_core.effects import get_effect
+
+from .cars import LEAF
+from .cases import Case
+from .drives import Drives, settings_of
+from .effects import DIFFERENT, members
+from .oracle import Judge, Oracle, Point, everything
+
+Record = dict[str, Any]
+DIGITS = 5
+
+
+def different(plant: str) -> dict[str, str]:
+    """Effects that are there in the plant and not in the base model -> why."""
+    return DIFFERENT["leaf" if plant == LEAF else "multibody"]
+
+
+def judged(case: Case, drives: Drives, found: Discovery) -> Record:
+    """position [m] and loss of base, found and oracle; worth: by hidden effect, loss without it over the oracle's;
+    shares: by part (last, first) of the base's position error; fitted: values of the oracle."""
+    settings = settings_of(case)
+    judge = Judge(drives.held_out, drives.vehicle, settings)
+    base = Point(everything().with_values(found.base.values), found.acceleration_gain)
+    said = base if found.model is None else Point(found.model, found.acceleration_gain)
+    if case.block == "E":
+        return _rounded(_visible(case, drives, judge, base, said))
+    if case.block == "D":
+        healthy = Judge(drives.twin, drives.vehicle, settings)
+        judge.size = np.sqrt(np.nanmean(np.square(healthy.errors(base)), axis=0))
+        oracle = Oracle(drives.suspect, drives.vehicle, case.hidden, {}, settings, base)
+        record = _compared(judge, base, said, oracle.best)
+        return _rounded(record | {"detectability": 1.0 - judge.square(oracle.best) / judge.square(base)})
+    names = {*case.hidden, *(n for n in different(case.car.plant) if n in everything().values and members(n) == (n,))}
+    if case.kind == "base":
+        names = set()
+    start = {n: drives.truth[n] for n in names if n in drives.truth}
+    oracle = Oracle(drives.suspect, drives.vehicle, names, start, settings)
+    judge.sized_by(oracle.best)
+    record = _compared(judge, oracle.base, said, oracle.best)
+    least = judge.loss(oracle.best)
+    record["worth"] = {n: judge.loss(oracle.without([n])) / least for n in case.hidden}
+    record["shares"] = _shares(judge, oracle, names)
+    record["fitted"] = {n: {p: v for p, v in oracle.best.model.values[n].items()} for n in case.hidden}
+    return _rounded(record)
+
+
+def _compared(judge: Judge, base: Point, said: Point, oracle: Point) -> Record:
+    points = {"base": base, "found": said, "oracle": oracle}
+    return {"position": {k: judge.position(p) for k, p in points.items()},
+            "loss": {k: judge.loss(p) for k, p in points.items()}}
+
+
+def _visible(case: Case, drives: Drives, judge: Judge, base: Point, said: Point) -> Record:
+    """Whether what is hidden shows on held-out drives: loss of the base over its loss on the healthy car's."""
+    healthy = Judge(drives.twin, drives.vehicle, settings_of(case))
+    healthy.sized_by(base)
+    judge.size = healthy.size
+    return _compared(judge, base, said, base) | {"seen": judge.loss(base) / healthy.loss(base)}
+
+
+def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:
+    """By part, of the base's mean position error: by how much it grows without the part, and falls with it alone."""
+    base, best = judge.position(oracle.base), judge.position(oracle.best)
+    shares = {}
+    for part in PARTS[:4]:
+        mine = [n for n in names if get_effect(n).kind == part]
+        if mine:
+            shares[part] = [(judge.position(oracle.without(mine)) - best) / base,
+                            (base - judge.position(oracle.only(mine))) / base]
+    return shares
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _rounded(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_rounded(v) for v in value]
+    return round(value, DIGITS) if isinstance(value, float) else value

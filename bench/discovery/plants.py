@@ -1,0 +1,90 @@
+"""The plants of the benchmark behind one face: the virtual Leaf and the multi-body car, driven, and what a vehicle file
+of just that car would say."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from st_core.log import DriveLog
+from st_core.tyres import magic_formula_stiffness
+from st_core.vehicle import VehicleParameters
+from st_sim.car import Car, read_car
+from st_sim.settings import Settings
+
+from . import cars
+from . import manoeuvres as m
+from .compiled import Programme, Stopped, drive
+from .multibody import log_multibody
+from .multibody_car import KNOWN_HERE, nominal_car
+from .multibody_car import vehicle_of as multibody_vehicle
+from .paths import ROOT
+from .sensing import log_of
+
+LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
+NOMINAL: Car = read_car(LEAF_FILE)
+LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
+SLID_AWAY = 6.0
+"""m/s of sideways speed: the car has spun and the drive is not used."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """One run that is to be driven. settings: of plant and sensors. before: those until the share `from_` of it, None:
+    the same throughout. moved [m]: to the east, at another site."""
+
+    name: str
+    seed: tuple[int, ...]
+    settings: Settings
+    parts: tuple[m.Part, ...] | None = None
+    factors: tuple[float, float] = (1.0, 1.0)
+    before: Settings | None = None
+    from_: float = 0.0
+    moved: float = 0.0
+
+
+def driven(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
+    """One run, read as the vehicle file says; where the car spins or stops, the next attempt. Raises Stopped."""
+    for attempt in range(20):
+        tried = (*order.seed, attempt)
+        noise = int(np.random.default_rng(tried).integers(2**31))
+        car = NOMINAL if plant == cars.LEAF else nominal_car(plant)
+        programme = m.mixed(car, tried, order.parts, *order.factors)
+        try:
+            log = _driven_once(plant, vehicle, order, programme, noise)
+        except Stopped:
+            continue
+        if np.abs(log.velocity_y).max() < SLID_AWAY:
+            return replace(log, x=log.x + order.moved)
+    raise Stopped(f"{order.name}: twenty attempts spun or stopped")
+
+
+def _driven_once(plant: str, vehicle: VehicleParameters, order: Order, programme: Programme, noise: int) -> DriveLog:
+    first, later = order.settings, None
+    if order.before is not None:
+        first, later = order.before, (order.settings, round(order.from_ * len(programme.hand)))
+    if plant != cars.LEAF:
+        return log_multibody(order.name, plant, _known(first), programme, noise, vehicle,
+                             later and (_known(later[0]), later[1]))
+    return log_of(order.name, drive(NOMINAL, first, programme, noise, later), NOMINAL, vehicle, first, noise, later)
+
+
+def _known(settings: Settings) -> Settings:
+    return {name: value for name, value in settings.items() if name in KNOWN_HERE}
+
+
+def vehicle_of(plant: str, settings: Settings) -> VehicleParameters:
+    """The vehicle file of exactly that car: what a file can hold is as the settings make it."""
+    if plant != cars.LEAF:
+        return multibody_vehicle(plant, _known(settings))
+    s = settings
+    ratio = LEAF.steering_ratio * s["steering_ratio_factor"]
+    tyres = {f"tyre_{axle}": getattr(LEAF, f"tyre_{axle}")._replace(
+        lambda_ky=getattr(LEAF, f"tyre_{axle}").lambda_ky * s[f"{axle}_stiffness_factor"],
+        lambda_muy=s["friction_factor"]) for axle in ("front", "rear")}
+    car = replace(
+        LEAF, mass=LEAF.mass * s["mass_factor"], yaw_inertia=LEAF.yaw_inertia * s["yaw_inertia_factor"],
+        cg_to_front_axle=LEAF.cg_to_front_axle - s["cg_shift"],
+        cg_to_ins_x=LEAF.cg_to_ins_x - s["cg_shift"] + s["ins_lever_error"], steering_ratio=ratio,
+        steering_wheel_offset=LEAF.steering_wheel_offset - s["steering_offset"] * ratio, **tyres)
+    loads = {"front": car.static_tyre_load_front, "rear": car.static_tyre_load_rear}
+    return replace(car, **{f"cornering_stiffness_{axle}": 2.0 * abs(
+        magic_formula_stiffness(load, tyres[f"tyre_{axle}"])) for axle, load in loads.items()})

@@ -1,0 +1,118 @@
+"""Sparse regression of residual accelerations, the way of SINDy: what a discovery is compared with.
+
+STLSQ, sequentially thresholded least squares (Brunton et al. 2016), over a library of physical terms, on measured minus
+modelled accelerations. It is written here on numpy's lstsq: the algorithm is ten lines, PySINDy would bring a
+dependency for them.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from st_core.augmented import AugmentedModel
+from st_core.filtering import filtered_derivative
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+THRESHOLD = 0.1
+"""Terms whose part of the residual's standard deviation is smaller are dropped."""
+ROUNDS = 10
+EVERY = 5
+"""Samples: 20 Hz are enough for what is left after a filter of 5 Hz."""
+EQUATIONS = ("velocity_y", "yaw_rate", "acceleration_y")
+TERMS = ("1", "angle", "angle rate", "slip front", "slip rear", "slip front^3", "slip rear^3", "r vx", "ay abs(ay)",
+         "vx^2", "ax")
+# Largest standardised term -> what a person would call it.
+NAMED_BY = {
+    "1": ("steering_offset", "road_bank", "crosswind", "lateral_acceleration_bias", "heading_misalignment"),
+    "angle": ("steering_ratio", "front_stiffness", "steering_compliance", "roll_steer", "mass"),
+    "angle rate": ("steering_lag", "steering_delay", "tyre_relaxation", "yaw_inertia", "steering_backlash"),
+    "slip front": ("front_stiffness", "steering_compliance", "roll_steer", "mass", "cg_position", "steering_ratio"),
+    "slip rear": ("rear_stiffness", "cg_position", "mass"),
+    "slip front^3": ("friction", "lateral_load_transfer"), "slip rear^3": ("friction", "lateral_load_transfer"),
+    "r vx": ("yaw_rate_scale", "speed_scale", "mass"), "ay abs(ay)": ("lateral_load_transfer", "friction"),
+    "vx^2": ("speed_scale",), "ax": ("longitudinal_load_transfer", "combined_slip"),
+}
+
+
+def sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
+    """Coefficients of STLSQ: least squares, drop the terms below the threshold, again, until nothing drops.
+
+    library: (n, terms), target: (n,), both standardised by the caller.
+    """
+    kept = np.ones(library.shape[1], bool)
+    coefficients = np.zeros(library.shape[1])
+    for _ in range(ROUNDS):
+        coefficients[:] = 0.0
+        if not kept.any():
+            break
+        coefficients[kept] = np.linalg.lstsq(library[:, kept], target, rcond=None)[0]
+        smaller = kept & (np.abs(coefficients) < threshold)
+        if not smaller.any():
+            break
+        kept &= ~smaller
+    return coefficients
+
+
+class Regression:
+    """Fitted on drives; coefficients: (equations, terms), in standard deviations of terms and residuals."""
+
+    def __init__(self, drives: Sequence[DriveLog], vehicle: VehicleParameters, base: AugmentedModel):
+        self._vehicle, self._base = vehicle, base
+        library, target = self._rows(drives)
+        self._mean, self._size = library.mean(axis=0), library.std(axis=0) + 1e-12
+        self._size[0], self._mean[0] = 1.0, 0.0
+        self._target_size = target.std(axis=0)
+        self.coefficients = np.stack([sparse(self._standard(library), target[:, i] / self._target_size[i])
+                                      for i in range(len(EQUATIONS))])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the largest term is called; empty when none survived."""
+        if not self.coefficients.any():
+            return ()
+        return NAMED_BY[TERMS[int(np.argmax(np.abs(self.coefficients).max(axis=0)))]]
+
+    def left_over(self, runs: Sequence[DriveLog]) -> tuple[float, float]:
+        """Mean square of the residual accelerations on other drives, before and after, in sizes of the fitted ones."""
+        library, target = self._rows(runs)
+        before = target / self._target_size
+        after = before - self._standard(library) @ self.coefficients.T
+        return float(np.mean(before**2)), float(np.mean(after**2))
+
+    def _standard(self, library: np.ndarray) -> np.ndarray:
+        return (library - self._mean) / self._size
+
+    def _rows(self, runs: Sequence[DriveLog]) -> tuple[np.ndarray, np.ndarray]:
+        parts = [self._of(run) for run in runs]
+        return np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
+
+    def _of(self, log: DriveLog) -> tuple[np.ndarray, np.ndarray]:
+        """(library, measured minus modelled accelerations) of one drive."""
+        car = self._base.effective_vehicle(self._vehicle)
+        time = log.ins_time_ns
+        signals = {}
+        for name in ("velocity_x", "velocity_y", "yaw_rate"):
+            signals[name], signals[f"{name}_dot"] = _smooth(time, getattr(log, name))
+        angle = np.interp(time, log.steering_time_ns, log.road_wheel_angle)
+        angle, angle_rate = _smooth(time, angle)
+        a_y, _ = _smooth(time, log.acceleration_y)
+        vx, r = signals["velocity_x"], signals["yaw_rate"]
+        vy, vy_dot = (signals["velocity_y"] - r * car.cg_to_ins_x,
+                      signals["velocity_y_dot"] - signals["yaw_rate_dot"] * car.cg_to_ins_x)
+        p = self._base.parameters(self._vehicle)
+        w = self._base.inputs(angle, signals["velocity_x_dot"], p)
+        state = self._base.start_state((0.0 * vx, 0.0 * vx, vx, vy, 0.0 * vx, r), w, p)
+        rates = self._base.rhs(state, w, p)
+        felt = self._base.felt(state, w, p)[1] + rates[5] * car.cg_to_ins_x
+        target = np.stack([vy_dot - rates[3], signals["yaw_rate_dot"] - rates[5], a_y - felt], axis=1)
+        front = (vy + car.cg_to_front_axle * r) / np.maximum(vx, 3.0) - angle
+        rear = (vy - car.cg_to_rear_axle * r) / np.maximum(vx, 3.0)
+        library = np.stack([np.ones_like(vx), angle, angle_rate, front, rear, front**3, rear**3, r * vx,
+                            a_y * np.abs(a_y), vx**2, signals["velocity_x_dot"]], axis=1)
+        inside = slice(100, -100, EVERY)
+        return library[inside], target[inside]
+
+
+def _smooth(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Filtered signal and its derivative, without delay."""
+    return filtered_derivative(time, values, 5.0, 0.1, "zero_phase")

@@ -1,0 +1,45 @@
+"""A drive as it would have been with the base model as the car: recorded inputs, the model's motion, sensor noise."""
+
+from dataclasses import replace
+
+import numpy as np
+from st_core import frames
+from st_core.batch import predict_log
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+from .oracle import BASE
+from .sensing import ROUNDING, noise_of
+
+MARGIN_NS = 700_000_000
+"""At both ends: the smoothed forward acceleration is known there."""
+
+
+def resimulated(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog:
+    """From the first instant on to the end in one prediction, every 10 ms; noise and rounding as of the virtual INS.
+
+    The speed is the recorded one's integral, so inputs and motion agree. Raises ValueError where the model spins.
+    """
+    time = log.ins_time_ns[(log.ins_time_ns > log.start_ns + MARGIN_NS) & (log.ins_time_ns < log.end_ns - MARGIN_NS)]
+    step = 0.01
+    # A whole number of steps from the first to the last sample.
+    steps = int((time[-1] - time[0]) * 1e-9 / step)
+    predicted = predict_log(BASE, vehicle, log, time[:1], steps * step, step, acceleration="zero_phase")
+    x, y, v_x, v_y, yaw, rate = predicted.states[0].T
+    if not np.isfinite(predicted.states).all() or np.abs(v_y).max() > 6.0:
+        raise ValueError(f"{log.name}: the model spins on these inputs")
+    dx, dy = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
+    x, y = frames.cg_to_ins_position(x, y, yaw, dx, dy)
+    turning, a_y = np.gradient(rate, step), np.gradient(v_y, step) + v_x * rate
+    noise = dict(zip(("x", "y", "velocity_x", "velocity_y", "yaw", "rate", "force"), noise_of(
+        seed, len(x), v_x, ("x", "y", "velocity_x", "velocity_y", "yaw", "rate_z", "force_y")), strict=True))
+
+    def read(values: np.ndarray, what: str, rounding: str) -> np.ndarray:
+        return np.round((values + noise[what]) / ROUNDING[rounding]) * ROUNDING[rounding]
+
+    return replace(
+        log, ins_time_ns=time[0] + np.round(np.arange(steps + 1) * step * 1e9).astype(np.int64),
+        x=x + noise["x"], y=y + noise["y"], yaw=read(yaw, "yaw", "angle"),
+        velocity_x=read(v_x - rate * dy, "velocity_x", "velocity"),
+        velocity_y=read(v_y + rate * dx, "velocity_y", "velocity"), yaw_rate=read(rate, "rate", "rate"),
+        acceleration_x=None, acceleration_y=read(a_y + turning * dx - rate**2 * dy, "force", "force"))
