@@ -17,8 +17,9 @@ from .figures import AFTER, Scene
 
 MOST_SITES = 4
 MOST_PANELS = 6
+MOST_ROWS = 14  # of a level
 WIDEST = 3.0  # share; intervals beyond are cut off
-NEAR = 200.0  # m, from the track: places of another site are not drawn here
+NEAR = 75.0  # m, from the track: places of another site are not drawn here
 PLACE = re.compile(r"east (-?[\d.]+) m, north (-?[\d.]+) m")
 
 
@@ -28,15 +29,17 @@ def agreement(scene: Scene) -> Drawn | None:
     if not effects:
         return None
     effects = sorted(effects, key=lambda e: -e.position_5s)[:MOST_PANELS]
-    labels = list(dict.fromkeys((level, v.where) for e in effects for level, entries in e.agreement.items()
+    labels = list(dict.fromkeys(_row(level, v, entries) for e in effects for level, entries in e.agreement.items()
                                 for v in entries))
     rows = {label: row for row, label in enumerate(labels)}
     with style():
         figure, panels = plt.subplots(1, len(effects), figsize=(WIDTH, 1.3 + 0.2 * len(labels)), sharey=True,
                                       squeeze=False)
         for axes, effect in zip(panels[0], effects, strict=True):
-            shares = [(rows[level, v.where], v) for level, entries in effect.agreement.items() for v in entries]
-            _shares(axes, shares)
+            every = [(level, v, entries) for level, entries in effect.agreement.items() for v in entries]
+            _shares(axes, [(rows[_row(*one)], one[1]) for one in every if len(one[2]) <= MOST_ROWS])
+            for one in (one for one in every if len(one[2]) > MOST_ROWS):
+                axes.plot(np.clip(one[1].share, *axes.get_xlim()), rows[_row(*one)], "|", ms=7, color=AFTER, alpha=0.5)
             heading = [words.plain(effect.name), words.short_values(effect.parameters)]
             axes.set_title("\n".join(line for text in heading for line in textwrap.wrap(text, 90 // len(effects))),
                            fontsize=8)
@@ -45,7 +48,7 @@ def agreement(scene: Scene) -> Drawn | None:
             if row and labels[row - 1][0] != level:
                 for axes in panels[0]:
                     axes.axhline(row - 0.5, color=TEXT, lw=0.5)
-        panels[0][0].set_yticks(range(len(labels)), [_where(*label) for label in labels], fontsize=7)
+        panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
         panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
         caption = ("Point: share of the value stated that each part of the driving shows by itself, the other effects "
                    "held. Bar: 95 %. Solid line: just that value; dotted: none of it. A property of the car is the "
@@ -59,14 +62,15 @@ def _agreed(effects: Sequence[FoundEffect]) -> str:
               if e.agreement.get("run")}
     every = [name for name, (shown, of) in counts.items() if shown == of]
     some = [f"{name} in {shown} of {of}" for name, (shown, of) in counts.items() if shown < of]
-    told = [f"every run by itself shows {', '.join(every)}"] if every else []
-    told += [f"by itself shows {', '.join(some)} runs"] if some else []
+    told = [f"{', '.join(every)} shows in every run by itself"] if every else []
+    told += [f"{', '.join(some)} runs or parts of them"] if some else []
     text = "; ".join(told) or "what each part of the driving shows by itself"
     return text[0].upper() + text[1:]
 
 
-def _where(level: str, where: str) -> str:
-    return where if level in ("run", "condition") or where.startswith(level) else f"{level} {where}"
+def _row(level: str, one: Value, entries: Sequence[Value]) -> tuple[str, str]:
+    """Of a level of many parts all stand in one row."""
+    return (level, one.where) if len(entries) <= MOST_ROWS else (level, f"{len(entries)} {level}s")
 
 
 def _shares(axes: plt.Axes, shares: Sequence[tuple[int, Value]]) -> None:
@@ -90,21 +94,22 @@ def bound(scene: Scene) -> Drawn | None:
     shown = _map_levels(scene, one)
     count = len(groups) if shown else 0
     with style():
-        height = max(2.6 if count else 0.0, 1.2 + 0.2 * len(one.values))
-        figure = plt.figure(figsize=(WIDTH, min(height, 8.0)))
+        told = words.clearest(one.values, MOST_ROWS)
+        height = max(2.6 if count else 0.0, 1.2 + 0.2 * len(told))
+        figure = plt.figure(figsize=(WIDTH, height))
         grid = GridSpec(1, 1 + count, figure, width_ratios=[1.2, *[1.0] * count])
         axes = figure.add_subplot(grid[0])
-        _shares(axes, list(enumerate(one.values)))
-        axes.set_yticks(range(len(one.values)), [_where(one.to, v.where) for v in one.values], fontsize=7)
-        axes.set_ylim(len(one.values) - 0.5, -0.5)
+        _shares(axes, list(enumerate(told)))
+        axes.set_yticks(range(len(told)), [v.where for v in told], fontsize=7)
+        axes.set_ylim(len(told) - 0.5, -0.5)
         axes.set_xlabel("share")
         if count:
             _maps(figure, [figure.add_subplot(grid[k + 1]) for k in range(count)], groups, shown, scene)
         title = (f"Tied to {one.to}, and not named: something like {words.plain(one.resembles)} "
                  f"({words.metres(one.position_5s)} after 5 s)")
         others = [words.plain(b.resembles) for b in scene.found.bound if b is not one]
-        caption = "Share of the fitted value that each part shows; a property of the car would be the same in all." + (
-            f" Not drawn: {', '.join(others)}." if others else "")
+        caption = ("Share of the fitted value that each part shows, the clearest ones; a property of the car would be "
+                   "the same in all.") + (f" Not drawn: {', '.join(others)}." if others else "")
         return finish(figure, scene.place, "bound", title, caption)
 
 
@@ -126,7 +131,8 @@ def _map_levels(scene: Scene, one: BoundEffect) -> dict:
     shares = {v.where: v.share for v in one.values}
     if one.to == "run":
         return {name: shares[name] for name in sites if name in shares}
-    numbers = {int(m[0]): share for where, share in shares.items() if (m := re.search(r"\d+", where))}
+    first = min(sites.values(), default=1)
+    numbers = {int(m[0]) - 1 + first: share for where, share in shares.items() if (m := re.search(r"\d+", where))}
     return {name: numbers[site] for name, site in sites.items() if site in numbers} if one.to == "site" else {}
 
 

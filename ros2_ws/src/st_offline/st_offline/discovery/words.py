@@ -21,6 +21,7 @@ from .mending import Mended
 CHANNEL = {"velocity_y": "lateral velocity", "yaw_rate": "yaw rate", "acceleration_y": "lateral acceleration",
            "yaw": "heading", "position": "position", "position_5s": "position after 5 s"}
 RANKED = ("position_5s", "velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
+MOST_PARTS = 6
 MOST_BLIND = 8  # told in a sentence; all are in the table
 LEAST = 0.005  # m; a step that changes the position by less is told by the channel it changes most
 SURE = 1.96
@@ -186,9 +187,16 @@ def what(found: Discovery) -> list[str]:
     return parts or ["no effect is added to the model"]
 
 
+def clearest(values_of: Sequence[Value], most: int) -> list[Value]:
+    """The parts that say most, in their order."""
+    told = sorted(values_of, key=lambda v: -abs(v.share) / max(v.deviation, 1e-9))[:most]
+    return [v for v in values_of if v in told]
+
+
 def tied(one: BoundEffect) -> str:
-    shown = "; ".join(f"{v.where}: {v.share:.2f} ± {SURE * v.deviation:.2f}" for v in one.values[:6])
-    more = f" and {len(one.values) - 6} more" if len(one.values) > 6 else ""
+    told = clearest(one.values, MOST_PARTS)
+    shown = "; ".join(f"{v.where}: {v.share:.2f} ± {SURE * v.deviation:.2f}" for v in told)
+    more = f" and {len(one.values) - len(told)} more" if len(one.values) > len(told) else ""
     return (f"something like {plain(one.resembles)} {short_values(one.parameters)} takes {metres(one.position_5s)} "
             f"away but is not the same everywhere, so it is no property of the car; tied to {one.to}, shares of it: "
             f"{shown}{more}")
@@ -200,9 +208,12 @@ def showing(entries: Sequence[Value]) -> int:
 
 
 def agreed(effect: FoundEffect) -> str:
-    """Where an effect shows, by level."""
-    told = [f"{showing(entries)} of {len(entries)} {level}{'' if len(entries) == 1 else 's'}"
-            for level, entries in effect.agreement.items() if entries]
+    """In how many runs (of few runs: parts of them) and sites an effect shows. Places are too small to ask."""
+    told = []
+    for level in ("run", "site"):
+        entries = effect.agreement.get(level, ())
+        called = "parts of the runs" if any(", part " in v.where for v in entries) else f"{level}s"
+        told += [f"{showing(entries)} of {len(entries)} {called}"] if entries else []
     return f"{plain(effect.name)} shows by itself in {', '.join(told)}" if told else ""
 
 
