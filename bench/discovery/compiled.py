@@ -106,6 +106,20 @@ def _compiled():
     return _kernels[0]
 
 
+def foot(pedal, speed, acceleration, motion, rear, wheelbase):
+    """The next longitudinal acceleration the pedals ask for [m/s^2].
+
+    pedal: the last one. speed [m/s], acceleration [m/s^2]: wanted. motion: v_x, v_y [m/s], yaw rate [rad/s], road-wheel
+    angle [rad]. rear: CG to rear axle [m]. Force that the steered wheels take in a bend is made up for.
+    """
+    vx, vy, r, steer = motion
+    bend = abs(vx * r * sin(steer)) * rear / wheelbase
+    target = acceleration + SPEED_GAIN * (speed - vx) + bend - vy * r
+    target = min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
+    most = JERK * DECIDE * STEP
+    return pedal + min(max(target - pedal, -most), most)
+
+
 def _tuple(s):
     return (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9], s[10], s[11], s[12], s[13], s[14], s[15])
 
@@ -130,10 +144,7 @@ def _loop(state, options, c, road, delayed, gusts, hand, yaw, gain, speed, accel
             left_over = s[YAW] - yaw[k]
         looked = gain[k]
         wanted = hand[k] + gain[k] * (yaw[k] + left_over - s[YAW]) * nominal_ratio
-        bend = abs(s[VX] * s[YAW_RATE] * sin(s[RACK])) * rear / wheelbase
-        target = acceleration[k] + SPEED_GAIN * (speed[k] - s[VX]) + bend - s[VY] * s[YAW_RATE]
-        target = min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
-        pedal += min(max(target - pedal, -JERK * DECIDE * STEP), JERK * DECIDE * STEP)
+        pedal = foot(pedal, speed[k], acceleration[k], (s[VX], s[VY], s[YAW_RATE], s[RACK]), rear, wheelbase)
         force = mass * pedal
         for step in range(DECIDE):
             angle += min(max(wanted - angle, -FASTEST_HAND * STEP), FASTEST_HAND * STEP)

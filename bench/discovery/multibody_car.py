@@ -1,8 +1,10 @@
 """The cars of the multi-body plant: parameter sets and equations of the package commonroad-vehicle-models.
 
 The package's 29 equations are used as they are. It gives one tyre to all wheels; here each axle has its own, by naming
-`p.tire_front` or `p.tire_rear` where its source says `p.tire` (`per_axle`). Axes: x forward, y left, yaw left +;
-roll + to the right, pitch + nose up; z + down.
+`p.tire_front` or `p.tire_rear` where its source says `p.tire` (`per_axle`).
+
+Axes: its equations are written with y to the right and z down, and hold for y to the left (yaw left +) as their mirror
+image. So its roll is + when the left side goes down, its "left" wheels stand on the right; pitch is + nose up.
 Source: Althoff and Wuersching, CommonRoad: Vehicle Models, 2020. Checked by: tests/bench/test_discovery_multibody.py.
 """
 
@@ -14,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -22,12 +24,14 @@ from st_core.tyres import GRAVITY, MagicFormula, magic_formula_coefficients, mag
 from st_core.vehicle import TYRE_QUANTITIES, VehicleParameters
 from st_sim.car import Car, Tyre
 from st_sim.settings import IDEAL
+from vehiclemodels import vehicle_parameters as package
 from vehiclemodels.utils.tire_model import formula_lateral
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
-from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
 FASTEST_STEERING = 5.0
 """rad/s at the road wheels; the package's 0.4 is a limit for planners, not one of a steering gear."""
+SLIP_SPEED = 5.0
+"""m/s, `minimum_slip_speed` of the vehicle files: with less, prediction steps of 50 ms are too long for these tyres."""
 SLIP_RANGE, LOAD_RANGE = 0.2, (0.3, 1.8)
 """rad, and shares of the static load, over which the tyre of the vehicle file is fitted."""
 
@@ -91,7 +95,7 @@ def per_axle(function: Callable) -> Callable:
     if seen != {"tire_front": 8, "tire_rear": 8}:
         raise ValueError(f"{function.__name__}: {dict(seen)} calls of the tyre, 8 per axle in version 3.0.2")
     space = dict(function.__globals__)
-    exec(compile(tree, inspect.getsourcefile(function), "exec"), space)  # noqa: S102 the package's own lines
+    exec(compile(tree, inspect.getsourcefile(function), "exec"), space)
     return space[function.__name__]
 
 
@@ -99,10 +103,29 @@ dynamics = per_axle(vehicle_dynamics_mb)
 """f(x, (rate of the road-wheel angle [rad/s], acceleration [m/s^2]), parameters) -> list of 29 rates."""
 
 
-def parameters_of(car: str, settings: Mapping[str, float]) -> NamedTuple:
+def _fields(cls: type, *left_out: str) -> list[str]:
+    return [f.name for f in dataclasses.fields(cls) if f.name not in left_out]
+
+
+# Named here, so that compiled code is found again by the next process. No trailer, and not the tyre of all wheels.
+Numbers = namedtuple("Numbers", [*_fields(package.VehicleParameters, "tire", "trailer"), "tire_front", "tire_rear"])
+TyreNumbers = namedtuple("TyreNumbers", _fields(package.TireParameters))
+SteeringNumbers = namedtuple("SteeringNumbers", _fields(package.SteeringParameters))
+LongitudinalNumbers = namedtuple("LongitudinalNumbers", _fields(package.LongitudinalParameters))
+
+
+def _numbers(record: type, p: Any, **others: tuple) -> tuple:
+    """A dataclass of the package as a named tuple of floats; others: fields that are tuples themselves."""
+    return record(**{name: others[name] if name in others else float(getattr(p, name)) for name in record._fields})
+
+
+_as_packaged = lru_cache(package.setup_vehicle_parameters)
+
+
+def parameters_of(car: str, settings: Mapping[str, float]) -> Numbers:
     """What the equations need, as a named tuple with `tire_front` and `tire_rear`."""
     s = complete(settings)
-    p = setup_vehicle_parameters(CARS[car].number)
+    p = _as_packaged(CARS[car].number)
     mass, shift = s["mass_factor"], s["cg_shift"]
     front, rear = (
         dataclasses.replace(p.tire, p_ky1=p.tire.p_ky1 * s[stiffness], p_dx1=p.tire.p_dx1 * s["friction_factor"],
@@ -110,37 +133,31 @@ def parameters_of(car: str, settings: Mapping[str, float]) -> NamedTuple:
         for stiffness in ("front_stiffness_factor", "rear_stiffness_factor"))
     p = dataclasses.replace(
         p, m=p.m * mass, m_s=p.m_s * mass, m_uf=p.m_uf * mass, m_ur=p.m_ur * mass, I_z=p.I_z * s["yaw_inertia_factor"],
-        a=p.a - shift, b=p.b + shift,
-        steering=dataclasses.replace(p.steering, v_min=-FASTEST_STEERING, v_max=FASTEST_STEERING))
-    return _numbers(p, tire_front=_numbers(front), tire_rear=_numbers(rear))
+        a=p.a - shift, b=p.b + shift)
+    steering = dataclasses.replace(p.steering, v_min=-FASTEST_STEERING, v_max=FASTEST_STEERING)
+    return _numbers(Numbers, p, steering=_numbers(SteeringNumbers, steering),
+                    longitudinal=_numbers(LongitudinalNumbers, p.longitudinal),
+                    tire_front=_numbers(TyreNumbers, front), tire_rear=_numbers(TyreNumbers, rear))
 
 
-def _numbers(p: Any, **more: NamedTuple) -> NamedTuple:
-    """A dataclass as named tuple of numbers and named tuples; trailer, tyre of all wheels and blanks stay out."""
-    values = {f.name: getattr(p, f.name) for f in dataclasses.fields(p) if f.name not in ("trailer", "tire")}
-    values = {name: _numbers(v) if dataclasses.is_dataclass(v) else float(v)
-              for name, v in values.items() if v is not None} | more
-    return _record(type(p).__name__, tuple(values))(**values)
-
-
-@lru_cache(maxsize=None)
-def _record(name: str, fields: tuple[str, ...]) -> type:
-    """One class for the same fields: compiled code goes by the class."""
-    return namedtuple(name, fields)
-
-
-def static_loads(p: NamedTuple) -> tuple[float, float]:
+def static_loads(p: Numbers) -> tuple[float, float]:
     """Of one front and one rear tyre at rest [N]."""
     wheelbase = p.a + p.b
     return (GRAVITY * (p.m_s * p.b / wheelbase + p.m_uf) / 2, GRAVITY * (p.m_s * p.a / wheelbase + p.m_ur) / 2)
 
 
-def tyre_force(slip: float, load: float, tyre: NamedTuple) -> float:
+def rest_pitch(p: Numbers) -> float:
+    """Pitch of the standing car [rad], nose up +: the tyres give way, the springs are set level on them."""
+    front, rear = static_loads(p)
+    return (rear - front) / p.K_zt / (p.a + p.b)
+
+
+def tyre_force(slip: float, load: float, tyre: TyreNumbers) -> float:
     """F_y [N] of one upright wheel of the package at pure lateral slip [rad]."""
     return formula_lateral(slip, 0.0, load, tyre)[0]
 
 
-def cornering_stiffness(load: float, tyre: NamedTuple) -> float:
+def cornering_stiffness(load: float, tyre: TyreNumbers) -> float:
     """-dF_y/dalpha [N/rad] of one tyre at no slip, by differences."""
     step = 1e-5
     return (tyre_force(-step, load, tyre) - tyre_force(step, load, tyre)) / (2 * step)
@@ -152,7 +169,7 @@ STRAIGHT = {"p_ky2": 20.0, "p_ky4": 2.5}
 
 
 @lru_cache(maxsize=64)
-def fitted_tyre(load: float, tyre: NamedTuple) -> tuple[MagicFormula, float]:
+def fitted_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
     """The Magic Formula of the suite nearest to a tyre of the package (least squares over slip angles and loads), and
     the root mean square of what is left, over `p_dy1` times the static load [1]. load: static, of one tyre [N]."""
     slips, loads = np.meshgrid(np.linspace(-SLIP_RANGE, SLIP_RANGE, 81), load * np.linspace(*LOAD_RANGE, 7))
@@ -187,11 +204,12 @@ def vehicle_of(car: str, settings: Mapping[str, float] | None = None) -> Vehicle
         steering_ratio=ratio, steering_wheel_offset=-s["steering_offset"] * ratio,
         cornering_stiffness_front=2 * cornering_stiffness(load_front, p.tire_front),
         cornering_stiffness_rear=2 * cornering_stiffness(load_rear, p.tire_rear),
-        minimum_slip_speed=3.0, length=p.l, width=p.w,
+        minimum_slip_speed=SLIP_SPEED, length=p.l, width=p.w,
         tyre_front=fitted_tyre(load_front, p.tire_front)[0], tyre_rear=fitted_tyre(load_rear, p.tire_rear)[0])
     return vehicle.with_derived_scales()
 
 
+@lru_cache
 def nominal_car(car: str) -> Car:
     """The car as manoeuvres and sensors of the benchmark take it; nothing hidden."""
     v = vehicle_of(car)
