@@ -320,10 +320,10 @@ def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
 
 def verdict(found: Discovery, mended: Mended | None) -> list[tuple[str, list[str]]]:
     """(question, lines of the answer) of what is told first; empty answers are left out."""
-    lines = [*((role, [text]) for role, text in drives(found)), ("what", what(found)),
-             ("not named", list(map(tied, found.bound))), ("of the error", [parts(found.budget)]),
-             ("what is left", [left(found)]), ("how sure", sure(found)), ("these drives", blind(found)),
-             ("next drive", [following(found)]), ("what to do", to_do(found, mended))]
+    lines = [*((role, [text]) for role, text in drives(found)), ("what", what(found)), ("how sure", sure(found)),
+             ("what to do", to_do(found, mended)), ("not named", list(map(tied, found.bound))),
+             ("of the error", [parts(found.budget)]), ("what is left", [left(found)]), ("these drives", blind(found)),
+             ("next drive", [following(found)])]
     said = [(question, [text for text in answer if text]) for question, answer in lines]
     return [(question, answer) for question, answer in said if answer]
 
