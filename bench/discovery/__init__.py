@@ -1,4 +1,4 @@
-"""Blind benchmark of discovery: hidden effects in two plants and in real drives, what is said of them, and the score."""
+"""Blind benchmark of discovery: hidden effects in two plants and real drives, what is said of them, the score."""
 
 from collections.abc import Sequence
 

@@ -203,8 +203,8 @@ def _bound(set_: str, index: int) -> Case:
     return {"place": _at_places, "time": _begun, "unknown": _unknown}[kind](case, number, draw)
 
 
-def _with(case: Case, hidden: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
-    chosen = [(hidden, scale, int(draw.choice(hidden.signs)))]
+def _with(case: Case, what: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
+    chosen = [(what, scale, int(draw.choice(what.signs)))]
     return replace(case, settings=_changed(case.settings, chosen), words=_words(chosen), scales=(scale,), **others)
 
 

@@ -67,7 +67,7 @@ def _say(r: Record) -> None:
     names = " + ".join("|".join(group) for group in score.groups(r)) or "-"
     told = "".join(f" bound: {name} to {to}" for name, to in r["bound"])
     position = r.get("position")
-    errors = "" if not position else " 5 s {base:.2f} -> {found:.2f} (oracle {oracle:.2f}) m".format(**position)
+    errors = "" if not position else " 5 s " + ", ".join(f"{k} {v:.2f}" for k, v in position.items()) + " m;"
     words = f"{r['plant']}, {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
     print(f"{r['block']} {r['index']} [{words}] -> {r['outcome']}: {names}{told};{errors} {r.get('cpu_s', 0):.1f} of "
           f"{r['case_s']:.1f} s {r.get('error', '')}", flush=True)

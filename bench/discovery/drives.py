@@ -24,8 +24,8 @@ IDENTIFIED = ("front_stiffness", "rear_stiffness", "friction", "steering_ratio",
 @dataclass(frozen=True)
 class Drives:
     """reference, suspect: what `discover` gets, with `vehicle` as the file. held_out: more drives of the suspect car;
-    twin: the same programmes driven by the healthy car, where that is asked for. truth: values of the hidden effects
-    and of all others the plant has a switch for."""
+    twin: the same programmes driven by the healthy car, where that is asked for. truth: values of all effects the plant
+    has a switch for; of what an identified file holds they are not known."""
 
     reference: tuple[DriveLog, ...]
     suspect: tuple[DriveLog, ...]
@@ -57,7 +57,7 @@ def drives_of(case: Case) -> Drives:
     if case.reference:
         reference = _reference(case.car, tuple(sorted(case.file.items())), case.with_vy)
     twin = _held_out(case, vehicle, case.car.settings) if case.block in "DE" else []
-    truth = true_values(case.settings, case.file, vehicle) if case.file is not None else {}
+    truth = true_values(case.settings, case.file or case.settings, vehicle)
     return Drives(reference, tuple(suspect), tuple(held_out), tuple(twin), vehicle, truth)
 
 

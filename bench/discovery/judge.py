@@ -10,7 +10,7 @@ from st_core.effects import get_effect
 from .cars import LEAF
 from .cases import Case
 from .drives import Drives, settings_of
-from .effects import DIFFERENT, members
+from .effects import DIFFERENT, SCATTER, members
 from .oracle import Judge, Oracle, Point, everything
 
 Record = dict[str, Any]
@@ -35,15 +35,17 @@ def judged(case: Case, drives: Drives, found: Discovery) -> Record:
         healthy = Judge(drives.twin, drives.vehicle, settings)
         judge.size = np.sqrt(np.nanmean(np.square(healthy.errors(base)), axis=0))
         oracle = Oracle(drives.suspect, drives.vehicle, case.hidden, {}, settings, base)
-        record = _compared(judge, base, said, oracle.best)
-        return _rounded(record | {"detectability": 1.0 - judge.square(oracle.best) / judge.square(base)})
-    names = {*case.hidden, *(n for n in different(case.car.plant) if n in everything().values and members(n) == (n,))}
+        without = judge.square(oracle.without(case.hidden))
+        record = _compared(judge, base=base, found=said, oracle=oracle.best)
+        return _rounded(record | {"detectability": 1.0 - judge.square(oracle.best) / without})
+    structural = [n for n in different(case.car.plant) if members(n) == (n,)]
+    names = {*case.hidden, *SCATTER, *structural}
     if case.kind == "base":
         names = set()
     start = {n: drives.truth[n] for n in names if n in drives.truth}
     oracle = Oracle(drives.suspect, drives.vehicle, names, start, settings)
     judge.sized_by(oracle.best)
-    record = _compared(judge, oracle.base, said, oracle.best)
+    record = _compared(judge, base=oracle.base, found=said, oracle=oracle.best)
     least = judge.loss(oracle.best)
     record["worth"] = {n: judge.loss(oracle.without([n])) / least for n in case.hidden}
     record["shares"] = _shares(judge, oracle, names)
@@ -51,8 +53,7 @@ def judged(case: Case, drives: Drives, found: Discovery) -> Record:
     return _rounded(record)
 
 
-def _compared(judge: Judge, base: Point, said: Point, oracle: Point) -> Record:
-    points = {"base": base, "found": said, "oracle": oracle}
+def _compared(judge: Judge, **points: Point) -> Record:
     return {"position": {k: judge.position(p) for k, p in points.items()},
             "loss": {k: judge.loss(p) for k, p in points.items()}}
 
@@ -62,7 +63,7 @@ def _visible(case: Case, drives: Drives, judge: Judge, base: Point, said: Point)
     healthy = Judge(drives.twin, drives.vehicle, settings_of(case))
     healthy.sized_by(base)
     judge.size = healthy.size
-    return _compared(judge, base, said, base) | {"seen": judge.loss(base) / healthy.loss(base)}
+    return _compared(judge, base=base, found=said) | {"seen": judge.loss(base) / healthy.loss(base)}
 
 
 def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:

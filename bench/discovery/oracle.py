@@ -24,9 +24,9 @@ LARGEST = 30.0
 """Errors count as so many sizes at the most: one window that diverges must not be the whole sum."""
 GAIN, GAIN_UNIT = 0.05, 0.05
 """What the accelerometer shows more than the motion as the body rolls [1]: where a fit starts, and its unit."""
-ROUNDS = 4
-SHARES = (1.0, 0.4, 0.1, 0.03)
-"""Of a step that are tried."""
+ROUNDS, REFITS, DAMPING = 8, 4, (1e-4, 1e-2, 0.3, 10.0)
+SETTLED = 1e-3
+"""Fall of the loss below which a fit is done."""
 STEP = 0.1
 """Of the usual size of an effect: for difference quotients."""
 
@@ -115,14 +115,24 @@ class Oracle:
         return self._at(np.append(self._null[:-1], self._x[-1]))
 
     def without(self, names: Collection[str]) -> Point:
+        """With the slopes about the best; a few evaluations, where a fit of its own takes a hundred."""
         gone = np.array([n in names for n, _ in self._free] + [False])
         if not gone.any():
             return self.best
         d = np.where(gone, (self._null - self._x) / self._unit, 0.0)
+        stay = np.flatnonzero(~gone)
         h = self._hessian
-        stay = ~gone
         d[stay] = np.linalg.solve(h[np.ix_(stay, stay)], -h[np.ix_(stay, gone)] @ d[gone])
-        return self._at(self._inside(self._x + d * self._unit))
+        x = min((self._inside(self._x + d * self._unit), np.where(gone, self._null, self._x)), key=self._cost)
+        for _ in range(REFITS):
+            z = self._z(x)
+            j = self._slopes[stay]
+            weight = 1.0 / (1.0 + np.square(z) / TAIL)
+            moved = self._moved(x, z, (j * weight) @ j.T, (j * weight) @ z, stay)
+            if moved is None:
+                break
+            x = moved
+        return self._at(x)
 
     def only(self, names: Collection[str]) -> Point:
         return self.without([n for n, _ in self._free if n not in names])
@@ -136,52 +146,61 @@ class Oracle:
     def _inside(self, x: np.ndarray) -> np.ndarray:
         return np.clip(x, self._low, self._high)
 
-    def _errors(self, x: np.ndarray) -> np.ndarray:
+    def _z(self, x: np.ndarray) -> np.ndarray:
         at = self._at(x)
-        return self._windows.errors(at.model, at.gain).values
+        return scaled(self._windows.errors(at.model, at.gain).values, self._size)
+
+    def _cost(self, x: np.ndarray) -> float:
+        return float(np.log1p(np.square(self._z(x)) / TAIL).sum())
 
     def _fit(self) -> None:
-        errors = self._errors(self._x)
-        size = sizes(errors)
-        z = scaled(errors, size)
+        """Levenberg's steps; the sizes of the errors are renewed in each round."""
+        free = np.arange(len(self._x))
         for _ in range(ROUNDS):
-            j = self._slopes(z, size)
+            at = self._at(self._x)
+            self._size = sizes(self._windows.errors(at.model, at.gain).values)
+            z = self._z(self._x)
+            j = self._slopes = self._differences(z)
             weight = 1.0 / (1.0 + np.square(z) / TAIL)
             self._hessian = (j * weight) @ j.T
             self._hessian += 1e-6 * np.trace(self._hessian) / len(j) * np.eye(len(j))
-            d = self._step(self._hessian, (j * weight) @ z)
-            for share in SHARES:
-                x = self._inside(self._x + share * d * self._unit)
-                new = scaled(self._errors(x), size)
-                fall = np.log1p(np.square(z) / TAIL).sum() - np.log1p(np.square(new) / TAIL).sum()
-                if fall > 0:
-                    break
-            else:
+            moved = self._moved(self._x, z, self._hessian, (j * weight) @ z, free)
+            if moved is None:
                 return
-            self._x, z = x, new
-            if fall < 1e-3 * len(z):
-                return
+            self._x = moved
 
-    def _step(self, hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    def _moved(self, x: np.ndarray, z: np.ndarray, hessian: np.ndarray, gradient: np.ndarray,
+               free: np.ndarray) -> np.ndarray | None:
+        """A step that lowers the cost by more than SETTLED; None where there is none."""
+        before = np.log1p(np.square(z) / TAIL).sum()
+        for damping in DAMPING:
+            d = self._step(x, hessian + damping * np.diag(np.diag(hessian)), gradient, free)
+            moved = x.copy()
+            moved[free] += d * self._unit[free]
+            moved = self._inside(moved)
+            if before - self._cost(moved) > SETTLED * len(z):
+                return moved
+        return None
+
+    def _step(self, x: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, free: np.ndarray) -> np.ndarray:
         """The minimum of the quadratic within the bounds, in usual sizes: what would leave them is held at them."""
-        low, high = (self._low - self._x) / self._unit, (self._high - self._x) / self._unit
-        d, held = np.zeros(len(gradient)), np.zeros(len(gradient), bool)
-        for _ in gradient:
-            free = ~held
-            rest = gradient[free] - hessian[np.ix_(free, held)] @ d[held]
-            d[free] = np.linalg.solve(hessian[np.ix_(free, free)], rest)
-            outside = free & ((d < low) | (d > high))
+        low, high = (((side - x) / self._unit)[free] for side in (self._low, self._high))
+        d, held = np.zeros(len(free)), np.zeros(len(free), bool)
+        for _ in free:
+            rest = gradient[~held] - hessian[np.ix_(~held, held)] @ d[held]
+            d[~held] = np.linalg.solve(hessian[np.ix_(~held, ~held)], rest)
+            outside = ~held & ((d < low) | (d > high))
             if not outside.any():
                 break
             d, held = np.clip(d, low, high), held | outside
         return d
 
-    def _slopes(self, z: np.ndarray, size: np.ndarray) -> np.ndarray:
+    def _differences(self, z: np.ndarray) -> np.ndarray:
         """(p, n) minus the change of z per usual size."""
         slopes = np.zeros((len(self._x), len(z)))
         for i, unit in enumerate(self._unit):
             sign = 1.0 if self._x[i] + STEP * unit <= self._high[i] else -1.0
             moved = self._x.copy()
             moved[i] += sign * STEP * unit
-            slopes[i] = (z - scaled(self._errors(moved), size)) / (sign * STEP)
+            slopes[i] = (z - self._z(moved)) / (sign * STEP)
         return slopes

@@ -16,6 +16,7 @@ from . import baselines, edits
 from .cases import PER_CAR, Case, cases_of
 from .drives import drives_of, settings_of
 from .edits import EditCase
+from .effects import SCATTER
 from .judge import judged
 from .next_drive import driven_again
 
@@ -23,29 +24,34 @@ COMPARED = 3
 """Every so many-th case of blocks A and B is given to the other methods as well."""
 
 Record = dict[str, Any]
-Any_ = Case | EditCase
+Question = Case | EditCase
 
 
-def run_case(case: Any_, limits: Limits | None = None, whole: bool = True) -> Record:
+def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -> Record:
     """Everything the score needs to know of a case, as plain data. whole: with baselines and suggested drives."""
     limits = limits or Limits()
     if isinstance(case, EditCase):
         logs, vehicle = edits.drives_of(case)
         found, seconds = _timed(logs, vehicle, (), DiscoverySettings(where=False, limits=limits))
-        return {"kind": case.name or "unedited", "size": case.size, "cpu_s": seconds, **answer(found)}
+        return {**about(case), "cpu_s": seconds, **answer(found)}
     drives = drives_of(case)
     settings = replace(settings_of(case), limits=limits)
     found, seconds = _timed(drives.suspect, drives.vehicle, drives.reference, settings)
-    record = {
-        "kind": case.kind, "plant": case.car.plant, "hidden": list(case.hidden), "words": case.words,
-        "scales": list(case.scales), "with_vy": case.with_vy, "shifted": case.shifted, "cpu_s": seconds,
-        "truth": {n: drives.truth[n] for n in case.hidden if n in drives.truth}, **answer(found),
-        **judged(case, drives, found)}
+    record = {**about(case), "cpu_s": seconds, "truth": {n: drives.truth[n] for n in case.hidden if n in drives.truth},
+              "scatter": {n: drives.truth[n] for n in SCATTER}, **answer(found), **judged(case, drives, found)}
     if whole:
         record |= driven_again(case, drives, found, settings)
         if case.block in "AB" and case.index % COMPARED == 0:
             record["baselines"] = baselines.compared(case, drives)
     return record
+
+
+def about(case: Question) -> Record:
+    """What is asked, whatever is answered."""
+    if isinstance(case, EditCase):
+        return {"kind": case.name or "unedited", "size": case.size}
+    return {"kind": case.kind, "plant": case.car.plant, "hidden": list(case.hidden), "words": case.words,
+            "scales": list(case.scales), "with_vy": case.with_vy, "shifted": case.shifted}
 
 
 def _timed(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Discovery, float]:
@@ -63,6 +69,7 @@ def answer(found: Discovery) -> Record:
                      "position_5s": round(e.position_5s, 4),
                      "values": {n: [p.value, *p.interval] for n, p in e.parameters.items()}} for e in found.effects],
         "bound": [[b.resembles, b.to] for b in found.bound],
+        "unexplained": bool(found.signature),
         "steps": [[s.action, s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
                   for s in found.steps],
         "budget": {b.part: [round(v, 4) for v in (b.share_last, b.share_first)] for b in found.budget},
@@ -74,7 +81,7 @@ def answer(found: Discovery) -> Record:
     }
 
 
-def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Any_]:
+def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Question]:
     """All blocks side by side: wherever it is stopped, each is about equally far.
 
     part: (k, n), every n-th group from the k-th on, for one of n processes. What shares a reference stays together; the
@@ -83,7 +90,7 @@ def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0,
     groups = []
     for block, count in counts.items():
         if block == "F":
-            cases: list[Any_] = list(edits.cases_of(set_, count)) if count else []
+            cases: list[Question] = list(edits.cases_of(set_, count)) if count else []
         else:
             cases = list(cases_of(set_, block, count))
         size = PER_CAR if block == "D" else 1
@@ -94,7 +101,7 @@ def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0,
         yield from group
 
 
-def key_of(case: Any_) -> tuple[str, str, int]:
+def key_of(case: Question) -> tuple[str, str, int]:
     return case.set_, case.block, case.index
 
 
@@ -106,7 +113,7 @@ def read(file: Path) -> dict[tuple[str, str, int], Record]:
     return {(r["set"], r["block"], r["index"]): r for r in lines}
 
 
-def run_all(cases: Iterable[Any_], file: Path, until: float | None, say: Callable[[Record], None],
+def run_all(cases: Iterable[Question], file: Path, until: float | None, say: Callable[[Record], None],
             limits: Limits | None = None, whole: bool = True) -> list[Record]:
     """Records of all cases, appended to the file one by one; those in it are not computed again. until: no case begins
     after this Unix time."""
@@ -128,13 +135,10 @@ def run_all(cases: Iterable[Any_], file: Path, until: float | None, say: Callabl
     return records
 
 
-def _guarded(case: Any_, limits: Limits | None, whole: bool) -> Record:
+def _guarded(case: Question, limits: Limits | None, whole: bool) -> Record:
     # A discovery that raises is a wrong answer of the product, not the end of the benchmark.
     try:
         return run_case(case, limits, whole)
     except Exception as error:
-        said = {"outcome": "error", "effects": [], "bound": [], "error": f"{type(error).__name__}: {error}"[:300]}
-        if isinstance(case, EditCase):
-            return {"kind": case.name or "unedited", "size": case.size, **said}
-        return {"kind": case.kind, "plant": case.car.plant, "hidden": list(case.hidden), "words": case.words,
-                "scales": list(case.scales), "with_vy": case.with_vy, "shifted": case.shifted, "truth": {}, **said}
+        return {**about(case), "outcome": "error", "effects": [], "bound": [], "truth": {}, "scatter": {},
+                "error": f"{type(error).__name__}: {error}"[:300]}

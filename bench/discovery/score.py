@@ -46,7 +46,7 @@ def stratum(detectability: float) -> str:
 
 def groups(r: Record) -> list[list[str]]:
     """The statements of an answer: each its name followed by its alternatives."""
-    return [[e["name"], *e["alternatives"]] for e in r["effects"]]
+    return [_names(e) for e in r["effects"]]
 
 
 def covers(name: str, hidden: str) -> bool:
@@ -59,10 +59,22 @@ def states(r: Record, hidden: str) -> bool:
     return any(covers(name, hidden) for group in groups(r) for name in group)
 
 
-def is_false(r: Record, group: Sequence[str]) -> bool:
-    """Nothing in the statement is hidden, a declared twin of that, or truly different between plant and model."""
+def is_false(r: Record, effect: Record) -> bool:
+    """Nothing in a statement is hidden, a declared twin of that, or truly different between plant and model."""
     true = different(r["plant"])
-    return not any(name in true or any(alike(name, h) for h in r["hidden"]) for name in group)
+    if any(name in true or any(alike(name, h) for h in r["hidden"]) for name in _names(effect)):
+        return False
+    value = r["scatter"].get(effect["name"], {})
+    return not value or not all(low <= value.get(n, math.inf) <= high for n, (_, low, high) in effect["values"].items())
+
+
+def false_ones(r: Record) -> list[list[str]]:
+    """The statements that are false."""
+    return [_names(e) for e in r["effects"] if is_false(r, e)]
+
+
+def _names(effect: Record) -> list[str]:
+    return [effect["name"], *effect["alternatives"]]
 
 
 def exact(r: Record) -> bool:
@@ -89,8 +101,8 @@ def values_inside(r: Record) -> list[tuple[str, bool]]:
 
 def closed(r: Record) -> float | None:
     """Share of the oracle's gain in held-out 5 s position; None where the oracle gains too little to speak of."""
-    p = r.get("position")
-    if not p or p["base"] - p["oracle"] < max(CLOSABLE[0], CLOSABLE[1] * p["base"]):
+    p = r.get("position", {})
+    if "oracle" not in p or p["base"] - p["oracle"] < max(CLOSABLE[0], CLOSABLE[1] * p["base"]):
         return None
     return (p["base"] - p["found"]) / (p["base"] - p["oracle"])
 
@@ -100,9 +112,9 @@ def is_worse(r: Record) -> bool:
 
 
 def is_told(r: Record) -> bool:
-    """Block E: told as bound or unknown, and not named: no statement that is neither different in truth."""
-    told = bool(r["bound"]) or r["outcome"] in ("bound", "unknown")
-    return told and not any(is_false({**r, "hidden": []}, g) for g in groups(r))
+    """Block E: told as bound, unknown or unexplained, and not named: nothing is stated but what is truly different."""
+    told = bool(r["bound"]) or r["outcome"] in ("bound", "unknown") or r.get("unexplained", False)
+    return told and not false_ones({**r, "hidden": []})
 
 
 def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
@@ -195,7 +207,7 @@ def _parameters_found(table: Table, rows: list[Record], who: str) -> None:
     table.add(f"{who}A and B: effects that matter, stated alone or in a set", slack + "90 %", "97 %",
               share_of([states(r, n) for r in rows for n in matters(r)]))
     table.add(f"{who}A and B: statements that are false", slack + "≤ 4 %", "≤ 1 %",
-              share_of([is_false(r, g) for r in rows for g in groups(r)]))
+              share_of([is_false(r, e) for r in rows for e in r["effects"]]))
     table.add(f"{who}A and B: mean set size", "≤ 1.6", "≤ 1.25", value_of([len(g) for r in rows for g in groups(r)]))
     table.add(f"{who}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
               share_of([inside for r in rows for _, inside in values_inside(r)]))
@@ -208,14 +220,13 @@ def _parameters_found(table: Table, rows: list[Record], who: str) -> None:
 
 
 def _nothing_hidden(table: Table, rows: list[Record], who: str) -> None:
-    def false(r: Record) -> bool:
-        return any(is_false(r, g) for g in groups(r))
     exactly = [r for r in rows if r["kind"] == "base"]
     identified = [r for r in rows if r["kind"] == "identified"]
     table.add(f"{who}C: something stated", "≤ 3 %", "≤ 1 %",
-              share_of([*(bool(r["effects"]) for r in exactly), *map(false, identified)]))
+              share_of([*(bool(r["effects"]) for r in exactly), *(bool(false_ones(r)) for r in identified)]))
     table.add(f"  {who}base exactly right: something stated", "", "", share(exactly, lambda r: bool(r["effects"])))
-    table.add(f"  {who}file identified: something stated that is not truly different", "", "", share(identified, false))
+    table.add(f"  {who}file identified: something stated that is not truly different", "", "", share(
+        identified, lambda r: bool(false_ones(r))))
     table.add(f"  {who}file identified: anything stated", "", "", share(identified, lambda r: bool(r["effects"])))
     table.add(f"  {who}C: held-out made worse", "≤ 1 %", "0", share([r for r in rows if "position" in r], is_worse))
 

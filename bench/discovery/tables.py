@@ -170,7 +170,7 @@ def failures(r: Record, plain: Record | None) -> list[str]:
         return ["not told, or named"] if r.get("seen", 0.0) >= score.SEEN and not score.is_told(r) else []
     if block == "C" and r["kind"] == "base":
         return ["something is stated"] if r["effects"] else []
-    wrong = [f"false: {' or '.join(g)}" for g in groups(r) if score.is_false(r, g)]
+    wrong = [f"false: {' or '.join(names)}" for names in score.false_ones(r)]
     wrong += [f"missed: {n} (x{r['worth'][n]:.2f})" for n in matters(r) if not score.states(r, n)]
     wrong += [f"value of {n} outside" for n, inside in score.values_inside(r) if not inside]
     if "position" in r and score.is_worse(r):
