@@ -1,22 +1,9 @@
 """From drives to the name of what a model lacks: `discover`."""
 
-from .discover import Progress, discover
-from .result import (
-    OUTCOMES,
-    Candidate,
-    Discovery,
-    FittedParameter,
-    FoundEffect,
-    Gap,
-    NextManoeuvre,
-    NotTestable,
-    Outcome,
-    Separability,
-    Split,
-    WhereStatement,
-)
+from .discover import Progress, discover, fit_effects
+from .limits import Limits
+from .result import OUTCOMES, PARTS, Discovery, Outcome
 from .settings import CHANNELS, UNITS, DiscoverySettings
 
-__all__ = ["CHANNELS", "OUTCOMES", "UNITS", "Candidate", "Discovery", "DiscoverySettings", "FittedParameter",
-           "FoundEffect", "Gap", "NextManoeuvre", "NotTestable", "Outcome", "Progress", "Separability", "Split",
-           "WhereStatement", "discover"]
+__all__ = ["CHANNELS", "OUTCOMES", "PARTS", "UNITS", "Discovery", "DiscoverySettings", "Limits", "Outcome", "Progress",
+           "discover", "fit_effects"]

@@ -1,44 +1,161 @@
-"""What a discovery says: outcome, names, values, where. Plain data; `Discovery.document` is discovery.json."""
+"""What a discovery says. Plain data; `Discovery.document` is the body of discovery.json."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from ..augmented import AugmentedModel
+from ..effects import EFFECT_KINDS
 
-Outcome = Literal["none", "named", "ambiguous", "several", "unknown", "not_testable"]
+Outcome = Literal["none", "named", "ambiguous", "several", "bound", "unknown", "not_testable"]
+OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "bound", "unknown", "not_testable")
+PARTS = (*EFFECT_KINDS, "place or time", "unexplained")
+"""Of the gap budget."""
 Interval = tuple[float, float]
-
-OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "unknown", "not_testable")
 
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """value and interval [unit]: 95 %, what the base model gets wrong by itself included."""
+    """value, null and 95 % interval [unit]; dependent windows and the spread between runs are in the interval."""
 
     value: float
     unit: str
     interval: Interval
+    null: float
+
+
+@dataclass(frozen=True)
+class Change:
+    """An error before and after, on driving the values were not fitted to. base, augmented [unit]; 95 % interval of
+    base - augmented."""
+
+    base: float
+    augmented: float
+    interval: Interval
+    unit: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the waterfall. action: added, removed or exchanged (then `instead` is what went). parameters: of the
+    effect after the step. position_5s: mean error after 5 s [m]; channels: root mean square at the end of the horizon;
+    runs: mean position error after 5 s [m] of each run, before and after. All on held-out folds."""
+
+    effect: str
+    action: Literal["added", "removed", "exchanged"]
+    kind: str
+    parameters: Mapping[str, FittedParameter]
+    position_5s: Change
+    channels: Mapping[str, Change]
+    runs: Mapping[str, tuple[float, float]]
+    instead: str = ""
+
+
+@dataclass(frozen=True)
+class Value:
+    """An effect as one run, site, time, place or condition shows it: share of the value stated (1: just that, 0: none
+    of it) and its standard deviation."""
+
+    where: str
+    share: float
+    deviation: float
 
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """One effect of the answer. alternatives: names the data cannot tell from it, best first. probability: 0 to 1, of
-    the name among itself and its alternatives."""
+    """One effect of the answer. kind: one of PARTS[:4]. alternatives: names the data cannot tell from it, best first.
+
+    position_5s [m]: by how much the mean error after 5 s grows without it (added last). agreement: by level (run,
+    site, time, place, condition) what each part of the driving shows of it."""
 
     name: str
+    kind: str
     parameters: Mapping[str, FittedParameter]
     alternatives: tuple[str, ...]
-    probability: float
+    position_5s: float
+    agreement: Mapping[str, tuple[Value, ...]]
+
+
+@dataclass(frozen=True)
+class BoundEffect:
+    """Something sure that is not the same everywhere. resembles: the effect of the library that describes it best.
+
+    to: run, site, time, place or condition. values: what each part shows. position_5s [m]: what it takes away."""
+
+    resembles: str
+    to: str
+    parameters: Mapping[str, FittedParameter]
+    values: tuple[Value, ...]
+    position_5s: float
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One rule of `decision` as it was applied. subject: an effect, or "answer". figures: what it looked at."""
+
+    rule: str
+    subject: str
+    figures: Mapping[str, float]
+    text: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect of the library on top of the answer (or as part of it). gain: share of the size of the errors it
+    takes away. verdict: stated, alternative, bound, or the rule that refused it. why: in a sentence, with figures."""
+
+    name: str
+    kind: str
+    parameters: Mapping[str, float]
+    gain: float
+    verdict: str
+    why: str
+
+
+@dataclass(frozen=True)
+class BudgetLine:
+    """One part of the gap (PARTS). last, first [m]: of the held-out mean position error after 5 s, when this part is
+    added last, and first. share_last, share_first: of that error of the base; loss_last, loss_first: of the loss."""
+
+    part: str
+    last: float
+    first: float
+    share_last: float
+    share_first: float
+    loss_last: float
+    loss_first: float
+
+
+@dataclass(frozen=True)
+class Power:
+    """An effect put into the user's own drives. size [unit] of it; found times out of `of`, as itself or in a set."""
+
+    effect: str
+    parameter: str
+    unit: str
+    size: float
+    found: float
+    of: int
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What these drives can show. powers: three sizes of each effect. alarms of `of`: statements on the same inputs
+    re-simulated with noise and without any effect. driven: whether the whole search ran on each case (--certify), or
+    the power was predicted from the curvature of the loss (short form; then `of` is 0)."""
+
+    powers: tuple[Power, ...]
+    alarms: int
+    of: int
+    driven: bool
 
 
 @dataclass(frozen=True)
 class WhereStatement:
-    """Where the base model misses more than the floor.
-
-    channel: one of settings.CHANNELS. condition: in words, as "steering rate above 0.2 rad/s, both directions".
-    excess: error over the floor's, root mean square [1]; interval: 95 %.
-    """
+    """Where the model misses more than the floor. channel: one of settings.CHANNELS. condition: in words. excess: error
+    over the floor's, root mean square [1]; interval: 95 %."""
 
     channel: str
     condition: str
@@ -48,18 +165,15 @@ class WhereStatement:
 
 @dataclass(frozen=True)
 class Gap:
-    """Error on runs that served nothing else, root mean square, before and after.
-
-    base, augmented [unit]. interval: 95 % of base - augmented [unit], above zero where it surely shrank. floor: what
-    the base leaves on reference drives [unit]; None without reference. worst_run, worst: the run with the largest
-    augmented error and that error. worse_runs: runs on which the error grew by more than a tenth of the floor.
-    """
+    """Error of a channel on held-out driving, before and after. base, augmented [unit]: root mean square at the end of
+    the horizon; of position_5s the mean. interval: 95 % of base - augmented. floor: what noise alone leaves [unit].
+    worst_run, worst: the run with the largest error after. worse_runs: those on which it grew by more than the floor."""
 
     base: float
     augmented: float
     interval: Interval
     unit: str
-    floor: float | None = None
+    floor: float
     worst_run: str = ""
     worst: float = 0.0
     worse_runs: tuple[str, ...] = ()
@@ -67,22 +181,20 @@ class Gap:
 
 @dataclass(frozen=True)
 class NotTestable:
-    """An effect these data cannot show. reason: one sentence."""
+    """An effect these data cannot show. reason: one sentence. manoeuvre: of the catalogue, that would show it; ""."""
 
     name: str
     reason: str
+    manoeuvre: str = ""
 
 
 @dataclass(frozen=True)
 class NextManoeuvre:
-    """The drive that would tell most. name: as in the catalogue. scenario: what st_sim calls it.
-
-    separates: the pair least well told apart by it. strength: of that pair, in standard deviations, once it has
-    been driven so many times and added to the runs. options: strength of every manoeuvre tried, by name.
-    """
+    """The drive that would tell most. name: in the catalogue and of the virtual car's scenario. separates: the pair
+    least well told apart by it. strength: of that pair, in standard deviations, once it has been driven `times` times
+    and added to the runs. options: strength of every manoeuvre tried."""
 
     name: str
-    scenario: str
     separates: tuple[str, str]
     strength: float
     options: Mapping[str, float]
@@ -94,8 +206,8 @@ class NextManoeuvre:
 
 @dataclass(frozen=True)
 class Separability:
-    """Two effects in these data. cosine: between their signatures, 1 = the same. strength: of what one leaves
-    unexplained of the other, in standard deviations; below 3 they cannot be told apart."""
+    """Two effects in these data. cosine: between their signatures, 1 = the same. strength: of what one leaves of the
+    other, in standard deviations."""
 
     first: str
     second: str
@@ -104,83 +216,63 @@ class Separability:
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """One hypothesis as it was tried alone. gain: share of the base's squared error on the selection data it takes
-    away. p: that healthy data let any effect gain as much. verdict: chosen, alternative or why not."""
+class Run:
+    """A drive of the discovery. role: suspect or reference. site: number of the place; runs near each other share it.
+    windows: predictions looked at."""
 
     name: str
-    parameters: Mapping[str, float]
-    gain: float
-    p: float
-    verdict: str
-
-
-@dataclass(frozen=True)
-class Split:
-    """Which run, or which part of it, served what; "name 0-30 s" for a part. note: in words."""
-
-    fit: tuple[str, ...]
-    select: tuple[str, ...]
-    report: tuple[str, ...]
-    note: str
+    role: Literal["suspect", "reference"]
+    seconds: float
+    site: int
+    windows: int
 
 
 @dataclass(frozen=True, eq=False)
 class Discovery:
     """The answer of `discover`.
 
-    outcome: none = nothing beyond what healthy drives show; named = one effect; ambiguous = one effect, several names;
-    several = more than one effect; unknown = a gap no effect explains; not_testable = the data show too little.
-    base: the model errors are counted from, steered drive force and what the reference taught included. model: base
-    with the effects found; None without any. signature: of an unknown effect, in words. acceleration_gain: what the
-    accelerometer shows more than the motion, as the body rolls [1]. noise: by channel, root mean square at the end of
-    the horizon that a healthy car leaves [SI].
+    outcome: none = what is left is near the noise, or nothing of it is sure; named = one effect; ambiguous = one, by
+    several names; several = more than one effect; bound = sure, but tied to run, place, time or condition; unknown = a
+    gap for sure that no effect of the library explains; not_testable = the drives show too little. start: what the
+    search began from, "vehicle file" or "reference". base: the model of the start; model: with the effects found, None
+    without any. steps: from base to model. gap: by channel, and position_5s. budget: PARTS. reasons: every rule that
+    decided. acceleration_gain: what the accelerometer shows more than the motion, as the body rolls [1]. noise: by
+    channel, at the end of the horizon [SI]. signature: of what is unexplained, in words.
     """
 
     outcome: Outcome
     effects: tuple[FoundEffect, ...]
-    where: tuple[WhereStatement, ...]
+    bound: tuple[BoundEffect, ...]
+    steps: tuple[Step, ...]
     gap: Mapping[str, Gap]
+    budget: tuple[BudgetLine, ...]
+    reasons: tuple[Reason, ...]
+    candidates: tuple[Candidate, ...]
+    where: tuple[WhereStatement, ...]
     not_testable: tuple[NotTestable, ...]
     next_manoeuvre: NextManoeuvre | None
     separability: tuple[Separability, ...]
+    certificate: Certificate
     signature: tuple[str, ...]
-    candidates: tuple[Candidate, ...]
+    runs: tuple[Run, ...]
+    start: Literal["vehicle file", "reference"]
     base: AugmentedModel
     model: AugmentedModel | None
-    split: Split
-    p: float
     warnings: tuple[str, ...] = ()
     acceleration_gain: float = 0.0
     noise: Mapping[str, float] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """The body of discovery.json: dicts, lists, texts and numbers only."""
-        return {
-            "outcome": self.outcome,
-            "p": self.p,
-            "effects": [{"name": e.name,
-                         "parameters": {n: {"value": p.value, "unit": p.unit, "interval": list(p.interval)}
-                                        for n, p in e.parameters.items()},
-                         "alternatives": list(e.alternatives), "probability": e.probability} for e in self.effects],
-            "where": [{"channel": w.channel, "condition": w.condition, "excess": w.excess,
-                       "interval": list(w.interval)} for w in self.where],
-            "gap": {name: {"base": g.base, "augmented": g.augmented, "interval": list(g.interval), "unit": g.unit,
-                           "floor": g.floor, "worst_run": g.worst_run, "worst": g.worst,
-                           "worse_runs": list(g.worse_runs)} for name, g in self.gap.items()},
-            "not_testable": [{"name": n.name, "reason": n.reason} for n in self.not_testable],
-            "next_manoeuvre": None if self.next_manoeuvre is None else {
-                "name": self.next_manoeuvre.name, "scenario": self.next_manoeuvre.scenario,
-                "separates": list(self.next_manoeuvre.separates), "strength": self.next_manoeuvre.strength,
-                "options": dict(self.next_manoeuvre.options), "times": self.next_manoeuvre.times,
-                "duration": self.next_manoeuvre.duration, "speed": self.next_manoeuvre.speed,
-                "reason": self.next_manoeuvre.reason},
-            "separability": [{"first": s.first, "second": s.second, "cosine": s.cosine, "strength": s.strength}
-                             for s in self.separability],
-            "signature": list(self.signature),
-            "candidates": [{"name": c.name, "parameters": dict(c.parameters), "gain": c.gain, "p": c.p,
-                            "verdict": c.verdict} for c in self.candidates],
-            "split": {"fit": list(self.split.fit), "select": list(self.split.select),
-                      "report": list(self.split.report), "note": self.split.note},
-            "warnings": list(self.warnings),
-        }
+        return {name: plain(getattr(self, name)) for name in self.__dataclass_fields__ if name not in ("base", "model")}
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses, mappings, tuples and NumPy numbers as dicts, lists and numbers."""
+    if is_dataclass(value):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [plain(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value

@@ -13,10 +13,7 @@ from ..models import Model, get_model
 from .settings import DiscoverySettings
 
 GAIN = "acceleration_gain"
-GAIN_USUAL, GAIN_SPREAD, GAIN_BOUNDS = 0.05, 0.05, (-0.3, 0.5)  # body roll 2 to 8 mrad s^2/m, times g
-ALWAYS = {"steered_drive_force": {"share": 1.0}}  # of every car, missing in the models of the paper only
-THEORY = {"lateral_load_transfer": {"share": 1.0}, "combined_slip": {"share": 1.0}}  # a real car has these
-LIFTED = ("tyre_slip", "tyre_saturation")  # what turns one base into the next is never a nuisance
+GAIN_USUAL, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # body roll of 5 mrad s^2/m, times g
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,8 @@ class Free:
 
 
 class Space:
-    """base: the model discoveries are changes of. names: hypotheses, the effects that take part."""
+    """base: the model discoveries are changes of. hypotheses: names of the effects that take part. null: (p,) the
+    vector of the base; scale, low, high: (p,) usual sizes and bounds."""
 
     def __init__(self, base: str | Model, settings: DiscoverySettings):
         base = get_model(base)
@@ -41,27 +39,19 @@ class Space:
         known = applicable(kind.name)
         self.without_signal = tuple(n for n in known if get_effect(n).signals)
         takes_part = [n for n in known if n not in self.without_signal]
-        self.hypotheses = _chosen(takes_part, settings.effects, known)
+        self.hypotheses = _chosen(takes_part, settings, known)
         everything = neutral(augment(kind, takes_part))
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
-        for name, given in ALWAYS.items():
-            if name in takes_part and name not in values:
-                values[name] = given
         self.model = everything.with_values(values)
-        self.free = tuple(Free(e, p.name, p.unit, p.null, usual_size(e, p.unit), p.bounds,
-                               1.0 if p.initial > p.null else -1.0) for e, p in self.model.free)
+        self.null = np.append(self.model.vector, 0.0)
+        self.free = tuple(Free(e, p.name, p.unit, float(null), usual_size(e, p.unit), p.bounds,
+                               1.0 if p.initial > p.null else -1.0)
+                          for (e, p), null in zip(self.model.free, self.null[:-1], strict=True))
         self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
-        self.scale = np.array([f.usual for f in self.free] + [GAIN_SPREAD])
+        self.scale = np.array([f.usual for f in self.free] + [GAIN_USUAL])
+        self.sign = np.array([f.sign for f in self.free] + [1.0])
         self.low = np.array([f.bounds[0] for f in self.free] + [GAIN_BOUNDS[0]])
         self.high = np.array([f.bounds[1] for f in self.free] + [GAIN_BOUNDS[1]])
-        self.start = np.append(self.model.vector, GAIN_USUAL)
-        real = {n: v for n, v in THEORY.items() if n in takes_part and n not in values}
-        self.healthy = np.append(self.model.with_values(real).vector, GAIN_USUAL)
-
-    @property
-    def key(self) -> tuple:
-        """The same for two spaces of the same numbers."""
-        return self.model.base.name, tuple(self.effect_of), self.start.tobytes()
 
     def __len__(self) -> int:
         return len(self.scale)
@@ -77,19 +67,26 @@ class Space:
         """Where the parameters of effects are in the vector."""
         return np.flatnonzero(np.isin(self.effect_of, names))
 
+    def overlaps(self, name: str, names: Sequence[str]) -> bool:
+        """Whether an effect is one of `names`, or made of one of them, or one of them of it."""
+        own = {name, *get_effect(name).members}
+        return any(own & {other, *get_effect(other).members} for other in names)
+
 
 def usual_size(effect: str, unit: str) -> float:
     """The largest |initial - null| of the effect's parameters of a unit: wind comes from any side."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
-def _chosen(takes_part: Sequence[str], wanted: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
+def _chosen(takes_part: Sequence[str], settings: DiscoverySettings, known: Sequence[str]) -> tuple[str, ...]:
+    wanted = settings.effects
     for name in wanted or ():
         if name not in EFFECTS:
             get_effect(name)
         if name not in known:
             raise ConfigurationError(f"effects: {name} does not apply to this base; there are {', '.join(known)}")
-    chosen = tuple(n for n in takes_part if (wanted is None or n in wanted) and n not in ALWAYS)
+    chosen = tuple(n for n in takes_part if (wanted is None or n in wanted)
+                   and set(get_effect(n).needs) <= set(settings.channels))
     if not chosen:
-        raise ConfigurationError("effects: none of those wanted can be tried on this base")
+        raise ConfigurationError("effects: none of those wanted can be tried on this base with these channels")
     return chosen

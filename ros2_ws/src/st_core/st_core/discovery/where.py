@@ -25,6 +25,7 @@ from .where_bins import (
 from .where_places import CELL, RELEVANT_STEP, SHUFFLES, Cell, Part, cells, changes
 from .where_samples import sample
 
+RESAMPLES = 1000  # of the bootstrap
 MOST_RANGES = 3  # statements about conditions per channel
 SIDED = ("lateral acceleration", "steering angle", "steering rate")
 CONTRAST = 1.15  # a range is worth a sentence when it is so many times worse than the channel everywhere
@@ -67,9 +68,9 @@ def survey(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehiclePara
         samples = _only(samples, common)
     sigma = {channel: (noise or {}).get(channel, 0.0) for channel in samples.squares}
     ranges, members = membership(samples)
-    bins = excesses(samples, members, ranges, expected, sigma, settings.seed, settings.resamples)
+    bins = excesses(samples, members, ranges, expected, sigma, settings.seed, RESAMPLES)
     parts, places = [], []
-    shuffles = min(settings.resamples, SHUFFLES)
+    shuffles = min(RESAMPLES, SHUFFLES)
     for channel in samples.squares:
         parts += changes(samples, channel, sigma[channel], settings.block, settings.seed, shuffles)
         places += cells(samples, channel, sigma[channel])

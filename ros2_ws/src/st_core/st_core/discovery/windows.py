@@ -8,6 +8,7 @@ cornering and is scored once that guess is forgotten.
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,12 +30,8 @@ GUESSED = 0.75  # s until a guessed sideslip is forgotten
 MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is known there too
 SLOWEST = 1.5  # m/s. Slower windows say nothing of lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
-CORNERING, BRAKING = (3.0, 5.0, 7.0, 8.5), 2.0  # m/s^2, bounds between the kinds of driving
-LIMITED = (0.8, 0.4)  # s of horizon that are scored in the two hardest; of 2 s, to the points at 0.5 and 0.2 s
-CONDITIONS = 2 * (len(CORNERING) + 1)
-# Of the horizon: where it is scored. More points bring next to nothing new, and how the errors at them go together is
-# learnt from the windows of a few healthy drives.
-SHARES = (0.1, 0.25, 0.5, 1.0)
+CLOSEST = 0.5  # s between the starts of two windows, at the least: closer ones bring next to nothing new
+SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 COLUMNS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position_lateral", "position_longitudinal")
 CHANNEL_OF = {"position_lateral": "position", "position_longitudinal": "position"}
 
@@ -120,7 +117,7 @@ class Windows:
         self.columns, self._points = columns_of(settings), score_points(settings)
         self.time = STEP * self._points
         joined, offsets = _join(runs)
-        self._raw = joined
+        self.joined = joined
         horizon = int(self._points[-1]) + 1
         if starts_ns is None:
             starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
@@ -134,8 +131,7 @@ class Windows:
         self._times, self._measured = times, self._readings(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds
         self.block = _blocks(run, seconds, settings.block) if len(seconds) else np.zeros(len(starts), int)
-        self.condition = self._conditions(horizon * STEP)
-        self.scored = self._scored()
+        self._length = horizon * STEP
 
     def __len__(self) -> int:
         return len(self.starts_ns)
@@ -145,8 +141,12 @@ class Windows:
         """(n, points) forward speed at the points of the windows that are compared [m/s]."""
         return self._measured["velocity_x"]
 
+    def measured_at(self, times: np.ndarray, *names: str) -> tuple[np.ndarray, ...]:
+        """What was measured at any times [ns] of the common clock."""
+        return self._batch.signals.ins_at(times, *names)
+
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
-        log, width = self._raw, round(2 * STEP / NANOSECOND)
+        log, width = self.joined, round(2 * STEP / NANOSECOND)
         signals = Signals(log, 0.1)
         result = dict(zip(("x", "y", "yaw", "velocity_y", "velocity_x"), signals.ins_at(
             times, "x", "y", "yaw", "velocity_y", "velocity_x"), strict=True))
@@ -158,25 +158,22 @@ class Windows:
             result["acceleration_y"] = signals.sample(time_ns, smooth, times)
         return result
 
-    def _conditions(self, length: float) -> np.ndarray:
-        """(n,) number of the kind of driving of each window, below CONDITIONS: how hard it corners and brakes."""
-        log = self._raw
-        grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, length, 12) / NANOSECOND).astype(np.int64)
-        signals = self._batch.signals
-        rate, speed, acceleration = signals.ins_at(grid, "yaw_rate", "velocity_x", "velocity_x_dot")
-        if not len(log.x):
-            return np.zeros(0, int)
-        lateral = np.abs(np.nan_to_num(rate * speed)).max(axis=1, initial=0.0)
-        braking = np.abs(np.nan_to_num(acceleration)).max(axis=1, initial=0.0) > BRAKING
-        return np.searchsorted(CORNERING, lateral) + (len(CORNERING) + 1) * braking
+    @cached_property
+    def known(self) -> np.ndarray:
+        """(n, m) which errors of a window, all points and columns in a row, have a measurement."""
+        m = {**self._measured, "position_lateral": self._measured["x"] + self._measured["y"]}
+        m["position_longitudinal"] = m["position_lateral"]
+        there = [np.isfinite(m[column]) for column in self.columns]
+        return np.stack(there, axis=-1).reshape(len(self), -1)
 
-    def _scored(self) -> np.ndarray:
-        """(CONDITIONS, m) which errors of a row count: near the limit a small error soon becomes a spin."""
-        within = np.tile(np.concatenate([np.full(len(CORNERING) - 1, np.inf), LIMITED]), 2)
-        if "velocity_y" not in self.settings.channels:
-            within = np.full(CONDITIONS, np.inf)
-        within = np.maximum(within, self.time[0])  # something is, however long the horizon
-        return np.repeat(self.time[None] <= within[:, None] + 1e-9, len(self.columns), axis=1)
+    @cached_property
+    def driven(self) -> dict[str, np.ndarray]:
+        """(n,) of each window: x, y [m] of its start, speed [m/s], lateral acceleration [m/s^2] in magnitude, means."""
+        grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self._length, 12) / NANOSECOND).astype(np.int64)
+        x, y, rate, speed = self._batch.signals.ins_at(grid, "x", "y", "yaw_rate", "velocity_x")
+        with np.errstate(all="ignore"):
+            return {"x": x[:, 0], "y": y[:, 0], "speed": np.nan_to_num(speed).mean(axis=1),
+                    "lateral_acceleration": np.abs(np.nan_to_num(rate * speed)).mean(axis=1)}
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> Errors:
         """Errors of a model; gain: what the accelerometer shows more than the motion, as a body that rolls makes it."""
@@ -205,7 +202,8 @@ class Windows:
             a_y = (ends[1].velocity_y - ends[0].velocity_y) / (2 * STEP) + (
                 turning[0] + 4.0 * turning[1] + turning[2]) / 6.0
             rate = (ends[0].yaw_rate + 4.0 * true.yaw_rate + ends[1].yaw_rate) / 6.0
-            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y, acceleration_y=a_y + self._felt(model, here))
+            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y, acceleration_y=a_y + self._felt(model, here),
+                                 yaw_acceleration=(ends[1].yaw_rate - ends[0].yaw_rate) / (2 * STEP))
             return model.observe(true)
 
     def _felt(self, model: AugmentedModel, states: np.ndarray):
@@ -258,8 +256,10 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
 
 def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float, settings: DiscoverySettings):
     """Instants, run and seconds into the run of all windows driven faster than SLOWEST."""
-    spacing = round(round(settings.interval / (STEP / 2)) * (STEP / 2) / NANOSECOND)
     length = round(horizon / NANOSECOND)
+    usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
+    interval = max(CLOSEST, usable / settings.windows)
+    spacing = round(round(interval / (STEP / 2)) * (STEP / 2) / NANOSECOND)
     starts, number, seconds = [], [], []
     for i, (run, offset) in enumerate(zip(runs, offsets, strict=True)):
         if not run.overlap:

@@ -1,0 +1,105 @@
+"""What these drives can show: known effects put into them, and nothing put into them.
+
+Drives are imitated on the errors themselves: those the answer leaves, with the signs of whole blocks drawn by chance,
+plus what the effect would change. The same tests then say whether it is found.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from ..effects import get_effect
+from .evidence import FLIPS, Scores, chance, score
+from .fit import Fit, Problem
+from .limits import Limits
+from .loss import Quadratic
+from .result import Certificate, Power
+
+SIZES = (0.25, 0.5, 1.0)  # of the usual size of an effect
+DRAWS = 20
+
+
+def predicted(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Certificate:
+    """By the curvature about the answer: twice the gain over the design effect is noncentral chi-square."""
+    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).values)
+    q = q.summed(problem.block, problem.blocks)
+    powers = []
+    for effect in problem.space.hypotheses:
+        names = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
+        information = score(q, problem, names, effect)[1]
+        own = problem.space.indices(effect)
+        best = int(np.argmax(information))
+        free = problem.space.free[own[best]]
+        for share in SIZES:
+            powers.append(Power(effect, free.parameter, free.unit, share * free.usual,
+                                _power(problem, fit, own[best], share, information[best], scores, limits), 0))
+    return Certificate(tuple(powers), 0, 0, False)
+
+
+def _power(problem: Problem, fit: Fit, index: int, share: float, information: float, scores: Scores,
+           limits: Limits) -> float:
+    library = len(problem.space.hypotheses)
+    needed = float(stats.chi2.isf(limits.false_alarm / library, 1))
+    slopes = problem.everything(fit.vector).values[index]
+    rows = problem.errors.at(fit.vector)
+    before, after = problem.position(rows), problem.position(rows + share * slopes)
+    moved = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
+    asked = limits.negligible if moved > limits.worth_position else limits.worth
+    needed = max(needed, 2.0 * asked * problem.number / scores.design)
+    return float(stats.ncx2.sf(needed, 1, max(2.0 * share**2 * information / scores.design, 1e-9)))
+
+
+def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick) -> Certificate:
+    """The test of a forward step on imitated drives, DRAWS of each size of each effect and FLIPS / 4 without any."""
+    rng = np.random.default_rng(seed)
+    rows = np.nan_to_num(problem.errors.at(fit.vector))
+    slopes = problem.everything(fit.vector).values
+    powers = []
+    for effect in problem.space.hypotheses:
+        own = problem.space.indices(effect)
+        index = own[int(np.argmax(np.square(slopes[own] / problem.loss.scale).sum(axis=(1, 2))))]
+        free = problem.space.free[index]
+        for share in SIZES:
+            moved = fit.vector.copy()
+            moved[index] += share * free.usual * problem.space.sign[index]
+            moved = problem.space.inside(moved)
+            change = rows - np.nan_to_num(problem.errors.at(moved))
+            found = sum(effect in _found(problem, fit, rows, change, slopes, limits, rng) for _ in range(DRAWS))
+            powers.append(Power(effect, free.parameter, free.unit, share * free.usual, found / DRAWS, DRAWS))
+        tick()
+    draws = FLIPS // 4
+    alarms = sum(bool(_found(problem, fit, rows, 0.0 * rows, slopes, limits, rng)) for _ in range(draws))
+    return Certificate(tuple(powers), alarms, draws, True)
+
+
+def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slopes: np.ndarray, limits: Limits,
+           rng: np.random.Generator) -> list[str]:
+    """Names that would be stated, alone or as a set, on one imitated drive; none if nothing would."""
+    signs = rng.choice([-1.0, 1.0], problem.blocks)
+    imitated = signs[problem.block][:, None] * rows + change
+    q = problem.loss.quadratic(imitated, slopes).summed(problem.block, problem.blocks)
+    base = _held_out(problem, q, fit.names, fit.vector)
+    gains, own = {}, {}
+    for effect in problem.space.hypotheses:
+        names = fit.names
+        if problem.space.overlaps(effect, names):
+            names = tuple(n for n in names if not problem.space.overlaps(effect, (n,)))
+        own[effect] = score(q, problem, names, effect)[0]
+        gains[effect] = (_held_out(problem, q, names, fit.vector) if names != fit.names else base
+                         ) - _held_out(problem, q, (*names, effect), fit.vector)
+    best = max(gains, key=lambda e: gains[e].sum())
+    signs = rng.choice([-1.0, 1.0], (FLIPS // 4, problem.blocks))
+    largest = np.max([np.einsum("fi,ij,fj->f", signs @ s, np.linalg.pinv(s.T @ s), signs @ s)
+                      for s in own.values()], axis=0)
+    share = float(gains[best].sum()) / problem.number
+    sure = chance(own[best], gains[best], Scores(own, largest, 1.0, {}), len(own)) <= limits.false_alarm
+    if not sure or share < limits.worth:
+        return []
+    return [e for e in gains if gains[e].sum() > (1.0 - limits.doubt) * gains[best].sum()
+            or e in get_effect(best).twins and gains[e].sum() > limits.rival * gains[best].sum()]
+
+
+def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:
+    which = problem.which(names)
+    return problem.leave_out(q.only(which), names, vector, which, problem.fold)[1]

@@ -1,0 +1,121 @@
+"""What follows from the evidence: pure functions of figures and limits. No statistics here, no decisions elsewhere."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from .evidence import Evidence
+from .limits import Limits
+from .result import Outcome, Reason
+
+STATED, NEGLIGIBLE, CHANCE, UNWORTHY, SENSORS, BOUND, VARIES = (
+    "stated", "too small", "may be chance", "not worth it", "refuted by the sensors", "on a bound", "varies")
+RULES = (NEGLIGIBLE, CHANCE, UNWORTHY, SENSORS, BOUND, VARIES)
+"""In the order in which they are asked; the first that refuses an effect is its verdict."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another name in the place of a stated one. share [1]: of its gain. worse [1]: chance that it is no worse.
+    evidence: its own, there."""
+
+    name: str
+    share: float
+    worse: float
+    evidence: Evidence
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Everything the outcome depends on. left [1]: errors that are left, over the noise. lost [1]: share of the windows
+    in which the base diverges. seen [1]: share of the library whose usual size these drives would show."""
+
+    stated: Sequence[Evidence]
+    rivals: Mapping[str, Sequence[Rival]]
+    refused: Sequence[Evidence]
+    left: float
+    seen: float
+
+
+def judge(e: Evidence, limits: Limits) -> Reason:
+    """The verdict on one effect in a set: the same for adding, keeping and exchanging it."""
+    if e.gain < limits.negligible:
+        return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
+                      f"it takes away {e.gain:.1%} of the size of the errors; {limits.negligible:.1%} are looked at")
+    if e.chance > limits.false_alarm:
+        return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
+                      f"with probability {e.chance:.2g} something gains as much where nothing is")
+    position = max(e.position, e.position_somewhere)
+    if e.gain < limits.worth and position < limits.worth_position:
+        return Reason(UNWORTHY, e.name, {"gain": e.gain, "position": position, "worth": limits.worth,
+                                         "worth_position": limits.worth_position},
+                      f"it is sure, but takes away {e.gain:.1%} of the size of the errors and {100 * position:.1f} cm "
+                      f"after 5 s; {limits.worth:.1%} or {100 * limits.worth_position:.0f} cm are asked for")
+    if e.sensors is not None and e.sensors < limits.doubt:
+        return Reason(SENSORS, e.name, {"chance": e.sensors, "doubt": limits.doubt},
+                      f"its value contradicts what the sensors say among themselves (probability {e.sensors:.2g})")
+    if e.bound < limits.bound:
+        return Reason(BOUND, e.name, {"distance": e.bound, "bound": limits.bound},
+                      "its value is on a bound: nothing physical was found")
+    level = varies_over(e, limits)
+    if level:
+        a = e.agreement[level]
+        return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.doubt,
+                                       "false_alarm": limits.false_alarm},
+                      f"it is not the same over {WORDS[level]} (probability {a.differ:.2g} that it is), and the next "
+                      f"would show none of it or the opposite with probability {a.absent:.2g}")
+    return Reason(STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
+                  f"it takes away {e.gain:.1%} of the size of the errors and {100 * e.position:.1f} cm after 5 s, by "
+                  f"chance with probability {e.chance:.2g}, and is the same everywhere")
+
+
+WORDS = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
+         "condition": "the kinds of driving"}
+
+
+def varies_over(e: Evidence, limits: Limits) -> str:
+    """The level over which an effect surely differs so much that the next part may show none of it; "" for none."""
+    found = [level for level, a in e.agreement.items() if a.differ < limits.false_alarm and a.absent > limits.doubt]
+    return max(found, key=lambda level: e.agreement[level].absent, default="")
+
+
+def alternative(rival: Rival, limits: Limits) -> Reason:
+    """Whether another name stays beside a stated one."""
+    verdict = judge(rival.evidence, limits)
+    figures = {"share": rival.share, "no_worse": rival.worse, "rival": limits.rival, "doubt": limits.doubt}
+    if rival.share < limits.rival or rival.worse < limits.doubt:
+        return Reason("explains less", rival.name, figures, f"in its place it explains {rival.share:.0%} of that, and "
+                      f"is no worse with probability {rival.worse:.2g}")
+    if verdict.rule not in (STATED, UNWORTHY):
+        return verdict
+    return Reason("alternative", rival.name, figures, f"in its place it explains {rival.share:.0%} of that; no worse "
+                  f"with probability {rival.worse:.2g}")
+
+
+def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
+    """The outcome, and the rule that made it."""
+    def because(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
+        return outcome, Reason(outcome, "answer", figures, text)
+
+    kept = {name: [r for r in others if alternative(r, limits).rule == "alternative"]
+            for name, others in a.rivals.items()}
+    if len(a.stated) > 1:
+        return because("several", f"{len(a.stated)} effects are sure, worth it and the same everywhere",
+                       effects=len(a.stated))
+    if a.stated:
+        name = a.stated[0].name
+        others = kept.get(name, [])
+        if others:
+            return because("ambiguous", f"{1 + len(others)} names explain it equally well", names=1 + len(others))
+        return because("named", "one effect is sure, worth it and the same everywhere")
+    verdicts = [judge(e, limits) for e in a.refused]
+    if any(v.rule == VARIES for v in verdicts):
+        return because("bound", "something is sure, but not the same everywhere")
+    if any(v.rule in (BOUND, SENSORS) for v in verdicts):
+        return because("unknown", "something is sure, but no effect of the library describes it within its bounds")
+    if a.seen < limits.shown:
+        return because("not_testable", f"{a.seen:.0%} of the library would be seen in these drives at a usual size",
+                       seen=a.seen, shown=limits.shown)
+    if a.left > limits.left:
+        return because("unknown", f"errors are {a.left:.1f} times the noise, and no effect of the library surely takes "
+                       "them away", left=a.left, limit=limits.left)
+    return because("none", f"errors are {a.left:.1f} times the noise", left=a.left, limit=limits.left)

@@ -1,0 +1,247 @@
+"""What the drives say of one effect in a set: figures only. What follows from them: `decision`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import stats
+
+from ..effects import get_effect
+from .fit import Fit, Problem, Slopes
+from .levels import Level
+from .loss import Quadratic
+
+FLIPS = 400
+HELD = 0.05  # of the whole curvature: a part of the driving need not show everything else by itself
+LEAST_OF_A_PART = 0.02  # of the information; a part with less has no say
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """An effect over the parts of a level. shares: of the value stated, with deviations, by part. differ [1]: chance
+    that parts of one value differ so. absent [1]: chance that the next part shows none of it or the opposite."""
+
+    shares: Mapping[str, tuple[float, float]]
+    differ: float
+    absent: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """name: of the effect. gain [1]: fall of the held-out loss for each scored error, about the share of their size.
+
+    chance [1]: that anything of the library gains so much where nothing is. position [m]: fall of the mean held-out
+    position error at the end of the horizon; position_somewhere: the largest in one driving condition, surely (95 %).
+    bound [1]: distance to the nearest bound in usual sizes. sensors [1]: chance of the fitted value by what the
+    sensors say among themselves; None where they say nothing. agreement: by level.
+    """
+
+    name: str
+    gain: float
+    chance: float
+    position: float = 0.0
+    position_somewhere: float = 0.0
+    bound: float = 1.0
+    sensors: float | None = None
+    agreement: Mapping[str, Agreement] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Efficient scores of the library on top of a fit. own: (b, k) by effect; information: (k, k). largest: (FLIPS,)
+    statistic of the best effect when the signs of the blocks are chance. design: what dependent windows make of the
+    variance of a score, pooled over the library [1]. gains: (b,) linear gain, and the vector it leads to, by effect."""
+
+    own: Mapping[str, np.ndarray]
+    largest: np.ndarray
+    design: float
+    gains: Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+
+def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str) -> tuple[np.ndarray, np.ndarray]:
+    """((b, k) score of an effect that the effects `names` do not explain, (k,) information). q: by block, everything."""
+    new = problem.space.indices(effect)
+    which = np.setdiff1d(problem.which(names), new)
+    held = problem.held((*names, effect), np.arange(len(problem.space))) if problem.prior is not None else None
+    h = q.hessian.sum(axis=0)
+    if held is not None:
+        h = h + held
+    if not len(which):
+        return q.gradient[:, new], np.diag(h)[new]
+    a = h[np.ix_(which, which)]
+    a = a + 1e-9 * (np.trace(a) / len(a) + 1e-12) * np.eye(len(a))
+    cross = np.linalg.solve(a, h[np.ix_(which, new)])
+    left = h[np.ix_(new, new)] - h[np.ix_(new, which)] @ cross
+    return q.gradient[:, new] - q.gradient[:, which] @ cross, np.maximum(np.diag(left), 0.0)
+
+
+def statistic(own: np.ndarray) -> float:
+    """s' (sum of s s')^-1 s: how far the sum of the blocks' scores is from what their signs by chance would give."""
+    total = own.sum(axis=0)
+    return float(total @ np.linalg.pinv(own.T @ own) @ total)
+
+
+def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
+    """Every effect of the library that is not in the fit, by the slopes about it."""
+    rows = problem.errors.at(fit.vector)
+    q = problem.loss.quadratic(rows, problem.everything(fit.vector).values).summed(problem.block, problem.blocks)
+    own, gains, ratios = {}, {}, []
+    for effect in problem.space.hypotheses:
+        if problem.space.overlaps(effect, fit.names):
+            continue
+        names = (*fit.names, effect)
+        own[effect], information = score(q, problem, fit.names, effect)
+        seen = information > 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
+        ratios += list(2.0 * np.square(own[effect]).sum(axis=0)[seen] / information[seen])
+        which = problem.which(names)
+        part = q.only(which)
+        held_out = problem.leave_out(part, names, fit.vector, which, problem.fold)[1]
+        step = problem.best_step(part.hessian.sum(axis=0), part.gradient.sum(axis=0), names, fit.vector, which)
+        gains[effect] = fit.held_out - held_out, problem.moved(fit.vector, which, step)
+    signs = rng.choice([-1.0, 1.0], (FLIPS, problem.blocks))
+    largest = np.zeros(FLIPS)
+    for s in own.values():
+        drawn = signs @ s
+        largest = np.maximum(largest, np.einsum("fi,ij,fj->f", drawn, np.linalg.pinv(s.T @ s), drawn))
+    return Scores(own, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
+
+
+def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
+    """That something of the library does as well where nothing is: the smaller of what two tests say.
+
+    Signs of blocks: the score beyond the largest of the library with signs drawn by chance, and a gain that is above
+    zero over the blocks. Likelihood ratio: twice the gain over the design effect, chi-square, for all of the library;
+    needed for what acts in a few blocks only.
+    """
+    flipped = (1 + int((scores.largest >= statistic(own)).sum())) / (1 + len(scores.largest))
+    spread = float(gain.std(ddof=1)) * np.sqrt(len(gain)) if len(gain) > 1 else np.inf
+    even = float(stats.norm.sf(gain.sum() / max(spread, 1e-12)))
+    ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design
+    return min(max(flipped, even), library * float(stats.chi2.sf(ratio, own.shape[1])), 1.0)
+
+
+def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, levels: Mapping[str, Level],
+             sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
+    """Of an effect of `fit`, against `without` it. scores: of the library, on about that. sensors: parameters of the
+    effect as the sensors say among themselves, (value, low, high)."""
+    gain = without.held_out - fit.held_out
+    own = scores.own.get(effect)
+    if own is None:
+        own = score_of(problem, without, effect, fit.slopes)
+    before, after = problem.position(problem.held_out_rows(without)), problem.position(problem.held_out_rows(fit))
+    overall, somewhere = _falls(before - after, levels.get("condition"))
+    return Evidence(effect, float(gain.sum()) / problem.number,
+                    chance(own, gain, scores, len(problem.space.hypotheses)), overall, somewhere,
+                    to_bound(problem, fit, effect), by_sensors(problem, fit, effect, sensors),
+                    {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
+
+
+def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndarray:
+    """(b, k) efficient scores of an effect on top of a fit. slopes: of both, about a point near by."""
+    which = np.union1d(fit.which, problem.space.indices(effect))
+    q = problem.loss.quadratic(problem.errors.at(fit.vector), slopes.of(which)).summed(problem.block, problem.blocks)
+    whole = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
+                      np.zeros((problem.blocks, len(problem.space), len(problem.space))))
+    whole.gradient[:, which] = q.gradient
+    whole.hessian[:, which[:, None], which] = q.hessian
+    return score(whole, problem, fit.names, effect)[0]
+
+
+def _falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
+    known = np.isfinite(fall)
+    if not known.any():
+        return 0.0, 0.0
+    overall = float(fall[known].mean())
+    if condition is None:
+        return overall, overall
+    parts = [fall[known & (condition[0] == k)] for k in np.unique(condition[0])]
+    sure = [float(p.mean() - 1.645 * p.std(ddof=1) / np.sqrt(len(p))) for p in parts if len(p) > 2]
+    return overall, max(sure, default=overall)
+
+
+def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
+    """Distance of the effect's values to their nearest bounds, in usual sizes; a bound at the null is none."""
+    space, nearest = problem.space, np.inf
+    for i in space.indices(effect):
+        for edge in (space.low[i], space.high[i]):
+            if edge != space.null[i]:
+                nearest = min(nearest, abs(fit.vector[i] - edge) / space.scale[i])
+    return float(nearest)
+
+
+def by_sensors(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> float | None:
+    """Chance of a value at least as far from what the sensors say among themselves; None where they say nothing."""
+    said = []
+    deviations = deviation(problem, fit, effect)
+    for own, i in zip(deviations, problem.space.indices(effect), strict=True):
+        known = sensors.get(f"{effect}.{problem.space.free[i].parameter}")
+        if known:
+            value, low, high = known
+            spread = np.hypot((high - low) / 3.92, own)
+            said.append(2.0 * float(stats.norm.sf(abs(fit.vector[i] - value) / max(spread, 1e-12))))
+    return min(said) if said else None
+
+
+def inverse(h: np.ndarray) -> np.ndarray:
+    return np.linalg.pinv(h + 1e-9 * (np.trace(h) / max(len(h), 1) + 1e-12) * np.eye(len(h)))
+
+
+def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
+    """(k,) standard deviations of the values of an effect [unit]: blocks independent, everything fitted joint."""
+    variance = covariance(problem, fit)
+    own = np.searchsorted(fit.which, problem.space.indices(effect))
+    return np.sqrt(np.maximum(np.diag(variance)[own], 0.0)) * problem.space.scale[fit.which[own]]
+
+
+def covariance(problem: Problem, fit: Fit) -> np.ndarray:
+    """(a, a) of what moved, in usual sizes: sandwich over the blocks."""
+    q = fit.quadratic.summed(problem.block, problem.blocks)
+    h = inverse(q.hessian.sum(axis=0) + problem.held(fit.names, fit.which))
+    scatter = q.gradient.T @ q.gradient * problem.blocks / max(problem.blocks - 1, 1)
+    return h @ scatter @ h
+
+
+def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called: list[str]) -> Agreement:
+    """How much of an effect each part of the driving shows, by random effects (DerSimonian and Laird 1986).
+
+    Along the values stated, d, a part shows the share a = 1 + what its own gradient moves it by, everything else that
+    was fitted being free but held a little to the whole. Variances carry the design effect of dependent windows.
+    """
+    own = np.searchsorted(fit.which, problem.space.indices(effect))
+    rest = np.setdiff1d(np.arange(len(fit.which)), own)
+    d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.which[own]]
+    turn = np.zeros((len(fit.which), 1 + len(rest)))
+    turn[own, 0] = d
+    turn[rest, 1 + np.arange(len(rest))] = 1.0
+    q = fit.quadratic.summed(part)
+    g, h = q.gradient @ turn, turn.T @ q.hessian @ turn
+    whole = h.sum(axis=0)
+    everything = inverse(whole)
+    blocks = fit.quadratic.summed(problem.block, problem.blocks).gradient @ turn
+    design = max(float((everything @ (blocks.T @ blocks) @ everything)[0, 0] / max(everything[0, 0], 1e-30)), 0.5)
+    hold = HELD * whole / len(h)
+    hold[0, :] = hold[:, 0] = 0.0
+    shares, variances, names = [], [], []
+    total = 1.0 / max(everything[0, 0], 1e-30)
+    for k in range(len(h)):
+        own_inverse = inverse(h[k] + hold)
+        information = 1.0 / max(own_inverse[0, 0], 1e-30)
+        if h[k, 0, 0] <= 0.0 or information < LEAST_OF_A_PART * total:
+            continue
+        shares.append(1.0 + float((own_inverse @ g[k])[0]))
+        variances.append(design / information)
+        names.append(called[k])
+    return pooled(np.array(shares), np.array(variances), names)
+
+
+def pooled(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
+    said = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
+    if len(shares) < 2:
+        return Agreement(said, 1.0, 0.0)
+    w = 1.0 / variances
+    q = float(w @ np.square(shares - w @ shares / w.sum()))
+    between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
+    w = 1.0 / (variances + between)
+    mean = float(w @ shares / w.sum())
+    return Agreement(said, float(stats.chi2.sf(q, len(shares) - 1)),
+                     float(stats.norm.sf(mean / np.sqrt(between + 1.0 / w.sum()))))

@@ -1,0 +1,258 @@
+"""Sets of effects fitted jointly through the simulator, and what they lose on driving they were not fitted to."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .loss import Loss, Quadratic
+from .space import GAIN
+
+ITERATIONS, SHARES = 5, (1.0, 0.5, 0.2)
+SETTLED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
+FOLDS = 8
+FAR = 100.0  # m: a prediction that diverges is that far off
+RIDGE = 1e-6  # of the mean curvature: keeps solutions finite where driving shows nothing
+
+
+def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Minimum of x'Ax - 2 b'x with low <= x <= high (low <= 0 <= high), by an active set."""
+    x = np.linalg.solve(a, b)
+    if ((x >= low) & (x <= high)).all():
+        return x
+    x = np.clip(x, low, high)
+    for _ in range(50):
+        free = ~(((x <= low) & (b - a @ x < 0)) | ((x >= high) & (b - a @ x > 0)))
+        if not free.any():
+            break
+        step = np.zeros_like(x)
+        step[free] = np.linalg.solve(a[np.ix_(free, free)], (b - a[:, ~free] @ x[~free])[free]) - x[free]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(step > 0, (high - x) / step, np.where(step < 0, (low - x) / step, np.inf))
+        step *= min(1.0, max(float(room.min()), 0.0))
+        x = np.clip(x + step, low, high)
+        if np.abs(step).max() < 1e-9:
+            break
+    return x
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Fall of the errors per usual size, (a, n, m), of the parameters `which`, about `vector`."""
+
+    vector: np.ndarray
+    which: np.ndarray
+    values: np.ndarray
+
+    def of(self, which: np.ndarray) -> np.ndarray:
+        return self.values[np.searchsorted(self.which, which)]
+
+    def moved(self, vector: np.ndarray, scale: np.ndarray, taken: np.ndarray) -> "Slopes":
+        """About another vector: they give for the step there what the errors (n, m) have just lost (Broyden 1965)."""
+        step = ((vector - self.vector) / scale)[self.which]
+        square = float(step @ step)
+        if square == 0.0:
+            return self
+        missed = taken - np.tensordot(step, self.values, 1)
+        missed[~np.isfinite(missed)] = 0.0  # a window that has just diverged, or come back, says nothing of slopes
+        return Slopes(vector, self.which, self.values + (step / square)[:, None, None] * missed)
+
+    def renewed(self, which: np.ndarray, values: np.ndarray) -> "Slopes":
+        """With those of some parameters known anew."""
+        new = self.values.copy()
+        new[np.searchsorted(self.which, which)] = values
+        return Slopes(self.vector, self.which, new)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A set of effects at its best. which: parameters that moved. slopes: of those at least. quadratic: by window, of
+    `which`. folds: step of the values fitted without each fold; held_out: (b,) loss of each block under those."""
+
+    names: tuple[str, ...]
+    vector: np.ndarray
+    which: np.ndarray
+    slopes: Slopes
+    quadratic: Quadratic
+    folds: dict[int, np.ndarray]
+    held_out: np.ndarray
+
+
+class Problem:
+    """One loss and the sets of effects that may lower it.
+
+    start: (p,) where every search begins. prior: (p, p) curvature about `start` of everything that is not an effect of
+    the set, from reference drives; None: all of that stays where it is, but for the gain of the accelerometer.
+    block: (n,) number of the block of each window.
+    """
+
+    def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None):
+        self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
+        self.errors = loss.errors
+        self.block, self.blocks = block, int(block.max()) + 1
+        self.fold = np.arange(self.blocks) % min(FOLDS, self.blocks)
+        self._whole: dict[bytes, Slopes] = {}
+
+    @property
+    def number(self) -> int:
+        """Errors that are scored."""
+        return self.loss.number
+
+    def which(self, names: Iterable[str]) -> np.ndarray:
+        """Parameters that move when the effects `names` are free."""
+        if self.prior is not None:
+            return np.arange(len(self.space))
+        always = (GAIN,) if "acceleration_y" in self.errors.windows.columns else ()
+        return self.space.indices(*names, *always)
+
+    def held(self, names: Iterable[str], which: np.ndarray) -> np.ndarray:
+        """(a, a) curvature that holds the parameters which are not of the effects `names` to the start."""
+        if self.prior is None:
+            return np.zeros((len(which), len(which)))
+        free = self.space.indices(*names)
+        rest = np.setdiff1d(np.arange(len(self.space)), free)
+        p = self.prior
+        held = np.zeros_like(p)
+        cross = p[np.ix_(rest, free)]
+        inside = p[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
+        held[np.ix_(rest, rest)] = p[np.ix_(rest, rest)] - cross @ np.linalg.solve(inside, cross.T)
+        return held
+
+    def room(self, vector: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        s = self.space
+        return ((np.minimum(s.low - vector, 0.0) / s.scale)[which], (np.maximum(s.high - vector, 0.0) / s.scale)[which])
+
+    def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
+              windows=slice(None)) -> np.ndarray:
+        """(a,) the step from `vector` to the best point of a quadratic by window; within the bounds."""
+        return self.best_step(q.hessian[windows].sum(axis=0), q.gradient[windows].sum(axis=0), names, vector, which)
+
+    def best_step(self, h: np.ndarray, g: np.ndarray, names: Iterable[str], vector: np.ndarray,
+                  which: np.ndarray) -> np.ndarray:
+        if not len(which):
+            return np.zeros(0)
+        held = self.held(names, which)
+        away = ((vector - self.start) / self.space.scale)[which]
+        h, g = h + held, g - held @ away
+        h = h + (RIDGE * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
+        return bounded(h, g, *self.room(vector, which))
+
+    def cost(self, names: Iterable[str], vector: np.ndarray, which: np.ndarray) -> float:
+        away = ((vector - self.start) / self.space.scale)[which]
+        return self.loss.total(vector) + float(away @ self.held(names, which) @ away)
+
+    def everything(self, vector: np.ndarray) -> Slopes:
+        """Slopes of the whole library, remembered."""
+        key = vector.tobytes()
+        if key not in self._whole:
+            while len(self._whole) >= 3:
+                self._whole.pop(next(iter(self._whole)))
+            which = np.arange(len(self.space))
+            self._whole[key] = Slopes(vector, which, np.nan_to_num(self.loss.slopes(vector, which), posinf=0.0,
+                                                                   neginf=0.0))
+        return self._whole[key]
+
+    def moved(self, vector: np.ndarray, which: np.ndarray, step: np.ndarray) -> np.ndarray:
+        there = vector.copy()
+        there[which] += step * self.space.scale[which]
+        return self.space.inside(there)
+
+    def begin(self, names: Iterable[str], vector: np.ndarray) -> np.ndarray:
+        """The vector with what is not of the effects `names`, nor moves beside them, back at the start."""
+        names = tuple(names)
+        keep = np.union1d(self.space.indices(*names), self.which(names))
+        there = self.start.copy()
+        there[keep] = vector[keep]
+        return there
+
+    def fit(self, names: Iterable[str], slopes: Slopes, vector: np.ndarray | None = None, fresh: Iterable[str] = (),
+            iterations: int = ITERATIONS) -> Fit:
+        """Robust Gauss-Newton. slopes: known ones, of all that moves at least, about a point near by; they follow the
+        steps. vector: where to begin, there if not given. fresh: effects whose slopes are computed anew at each step.
+        """
+        names = tuple(names)
+        which, new = self.which(names), self.space.indices(*fresh)
+        vector = self.begin(names, slopes.vector if vector is None else vector)
+        slopes = self._follow(slopes, vector, new)
+        cost = self.cost(names, vector, which)
+        for _ in range(iterations if len(which) else 0):
+            q = self.loss.quadratic(self.errors.at(vector), slopes.of(which))
+            step = self.solve(q, names, vector, which)
+            for share in SHARES:
+                trial = self.moved(vector, which, share * step)
+                lower = self.cost(names, trial, which)
+                if lower < cost:
+                    break
+            else:
+                break
+            gained, vector, cost = cost - lower, trial, lower
+            slopes = self._follow(slopes, vector, new)
+            if gained < SETTLED * self.number:
+                break
+        return self.about(names, vector, which, slopes)
+
+    def renewed(self, fit: Fit, iterations: int = 2) -> Fit:
+        """A fit with its slopes computed anew, and gone on with."""
+        own = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
+        fresh = Slopes(fit.vector, fit.slopes.which, fit.slopes.values)
+        if len(own):
+            known = np.intersect1d(own, fit.slopes.which)
+            fresh = fresh.renewed(known, np.nan_to_num(self.loss.slopes(fit.vector, known), posinf=0.0, neginf=0.0))
+        return self.fit(fit.names, fresh, iterations=iterations)
+
+    def _follow(self, slopes: Slopes, vector: np.ndarray, new: np.ndarray) -> Slopes:
+        if not np.array_equal(vector, slopes.vector):
+            taken = self.errors.at(slopes.vector) - self.errors.at(vector)
+            slopes = slopes.moved(vector, self.space.scale, taken)
+        if len(new):
+            values = np.nan_to_num(self.loss.slopes(vector, new), posinf=0.0, neginf=0.0)
+            slopes = slopes.renewed(new, values)
+        return slopes
+
+    def about(self, names: tuple[str, ...], vector: np.ndarray, which: np.ndarray, slopes: Slopes) -> Fit:
+        q = self.loss.quadratic(self.errors.at(vector), slopes.of(which))
+        folds, held_out = self.leave_out(q.summed(self.block, self.blocks), names, vector, which, self.fold)
+        return Fit(names, vector, which, slopes, q, folds, held_out)
+
+    def leave_out(self, q: Quadratic, names, vector, which, fold: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
+        """({fold: step of the values fitted without it}, (b,) loss of each block under them). q: by block."""
+        h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
+        steps, held_out = {}, np.zeros(len(q.cost))
+        for k in np.unique(fold):
+            mine = fold == k
+            d = self.best_step(h - q.hessian[mine].sum(axis=0), g - q.gradient[mine].sum(axis=0), names, vector, which)
+            steps[int(k)] = d
+            held_out[mine] = q.cost[mine] - 2.0 * q.gradient[mine] @ d + np.einsum("i,bij,j->b", d, q.hessian[mine], d)
+        return steps, held_out
+
+    def held_out_rows(self, fit: Fit, fold: np.ndarray | None = None) -> np.ndarray:
+        """(n, m) errors of each window under values fitted to other driving. fold: (b,), of `fit.folds` if not given."""
+        rows = self.errors.at(fit.vector)
+        steps = fit.folds
+        if fold is None:
+            fold = self.fold
+        else:
+            q = fit.quadratic.summed(self.block, self.blocks)
+            steps = self.leave_out(q, fit.names, fit.vector, fit.which, fold)[0]
+        result = rows.copy()
+        slopes = fit.slopes.of(fit.which)
+        for k, d in steps.items():
+            mine = fold[self.block] == k
+            result[mine] -= np.einsum("p,pnm->nm", d, slopes[:, mine])
+        return result
+
+    @cached_property
+    def end_of(self) -> tuple[int, int]:
+        """Columns of a row: lateral and longitudinal position at the end of the horizon."""
+        columns = self.errors.windows.columns
+        last = len(columns) * (len(self.errors.windows.time) - 1)
+        return last + columns.index("position_lateral"), last + columns.index("position_longitudinal")
+
+    def position(self, rows: np.ndarray) -> np.ndarray:
+        """(n,) position error at the end of the horizon [m], FAR at the most; NaN where it was not measured."""
+        if "position_lateral" not in self.errors.windows.columns:
+            return np.full(len(rows), np.nan)
+        ends = list(self.end_of)
+        error = np.minimum(np.nan_to_num(np.hypot(*rows[:, ends].T), nan=FAR), FAR)
+        return np.where(self.loss.known[:, ends].all(axis=1), error, np.nan)

@@ -1,0 +1,130 @@
+"""The drive to do next: which of the catalogue would tell the names of an answer apart, or show an effect at all."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .evidence import inverse
+from .fit import Fit, Problem
+from .loss import Errors, Loss
+from .manoeuvres import CATALOGUE, drive
+from .result import FoundEffect, NextManoeuvre, Separability
+from .windows import Windows
+
+TIMES = 3  # each manoeuvre is driven, as ISO 7401 asks for at least
+TOLD = 3.0  # standard deviations a pair must be put apart
+FASTER = 1.15  # times the speed driven: further off nobody has seen how large errors are
+MOST_LATERAL = 9.0  # m/s^2: beyond that the simulation of the base says little
+
+
+@dataclass(frozen=True, eq=False)
+class Catalogue:
+    """Curvature of the loss, (p, p), that each manoeuvre adds when driven TIMES times, by its name."""
+
+    curvature: dict[str, np.ndarray]
+
+
+def catalogue(problem: Problem, fit: Fit) -> Catalogue:
+    """All manoeuvres at speeds like those driven, simulated with the answer."""
+    windows, space = problem.errors.windows, problem.space
+    model = space.at(fit.vector)
+    fastest = FASTER * float(np.nanquantile(windows.speeds, 0.95))
+    settings = replace(windows.settings, windows=50)
+    result = {}
+    for manoeuvre in CATALOGUE:
+        if manoeuvre.speed > fastest:
+            continue
+        log = drive(manoeuvre, model, windows.vehicle)
+        lateral = np.abs(log.velocity_x * log.yaw_rate)
+        if not np.isfinite(lateral).all():
+            continue
+        if (lateral > MOST_LATERAL).any():
+            log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(lateral > MOST_LATERAL)) - 1, 1)]))
+        if log.overlap < settings.horizon + 3.0:
+            continue
+        driven = Windows([log] if windows.joined.acceleration_y is not None else [replace(log, acceleration_y=None)],
+                         windows.vehicle, settings)
+        if not len(driven):
+            continue
+        loss = Loss(Errors(driven, space, problem.errors.threads), fit.vector)
+        loss.scale = problem.loss.scale
+        rows = loss.errors.at(fit.vector)
+        q = loss.quadratic(0.0 * np.nan_to_num(rows), loss.slopes(fit.vector, np.arange(len(space))))
+        result[manoeuvre.name] = TIMES * q.hessian.sum(axis=0)
+    return Catalogue(result)
+
+
+def apart(h: np.ndarray, problem: Problem, fit: Fit, rest: Sequence[str], first: str, second: str,
+          values: np.ndarray, design: float) -> tuple[float, float]:
+    """(cosine of the signatures, what `second` leaves of `first` in standard deviations) under a curvature. values:
+    (p,) deviation of `first` from its null in usual sizes."""
+    own, other = problem.space.indices(first), problem.space.indices(second)
+    free = np.setdiff1d(problem.which((*rest, second)), own)
+    d = values[own]
+    inside = h[np.ix_(own, own)]
+    cross = h[np.ix_(own, free)] @ inverse(h[np.ix_(free, free)])
+    left = float(d @ (inside - cross @ h[np.ix_(free, own)]) @ d)
+    e = inverse(h[np.ix_(other, other)]) @ h[np.ix_(other, own)] @ d
+    sizes = np.sqrt(max(float(d @ inside @ d), 1e-12) * max(float(e @ h[np.ix_(other, other)] @ e), 1e-12))
+    cosine = float(d @ h[np.ix_(own, other)] @ e) / sizes
+    return float(np.clip(cosine, -1.0, 1.0)), float(np.sqrt(max(2.0 * left / design, 0.0)))
+
+
+def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], design: float) -> tuple[Separability, ...]:
+    """Of every stated name and its alternatives, in the drives at hand."""
+    h = _curvature(problem, fit)
+    values = (fit.vector - problem.space.null) / problem.space.scale
+    said = []
+    for effect in effects:
+        rest = tuple(n for n in fit.names if n != effect.name)
+        for other in effect.alternatives:
+            said.append(Separability(effect.name, other,
+                                     *apart(h, problem, fit, rest, effect.name, other, values, design)))
+    return tuple(said)
+
+
+def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
+              design: float) -> NextManoeuvre | None:
+    """The manoeuvre with the largest smallest strength over all pairs; None where none reaches TOLD."""
+    pairs = [(e.name, other) for e in effects for other in e.alternatives]
+    if not pairs:
+        return None
+    h = _curvature(problem, fit)
+    values = (fit.vector - problem.space.null) / problem.space.scale
+    weakest = {}
+    for name, more in driven.curvature.items():
+        strengths = {}
+        for first, second in pairs:
+            rest = tuple(n for n in fit.names if n != first)
+            strengths[first, second] = apart(h + more, problem, fit, rest, first, second, values, design)[1]
+        pair = min(strengths, key=strengths.get)
+        weakest[name] = strengths[pair], pair
+    name = max(weakest, key=lambda n: weakest[n][0], default="")
+    if not name or weakest[name][0] < TOLD:
+        return None
+    strength, pair = weakest[name]
+    chosen = next(m for m in CATALOGUE if m.name == name)
+    return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, TIMES, chosen.duration,
+                         chosen.speed, f"{pair[0]} and {pair[1]} differ most there of all manoeuvres of the catalogue")
+
+
+def shows(problem: Problem, effect: str, driven: Catalogue) -> str:
+    """The manoeuvre in which a usual size of an effect stands out most; "" without any."""
+    own = problem.space.indices(effect)
+    strength = {}
+    for name, h in driven.curvature.items():
+        others = np.setdiff1d(problem.which(()), own)
+        left = h[np.ix_(own, own)]
+        if len(others):
+            left = left - h[np.ix_(own, others)] @ inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, own)]
+        strength[name] = float(np.diag(left).max())
+    return max(strength, key=strength.get, default="")
+
+
+def _curvature(problem: Problem, fit: Fit) -> np.ndarray:
+    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).values)
+    return q.hessian.sum(axis=0)
+
+
+__all__ = ["TOLD", "Catalogue", "apart", "catalogue", "following", "separability", "shows"]

@@ -1,0 +1,78 @@
+"""Ways to divide the driving: by run, site, time, place and kind of driving. An effect that is real is in all of them."""
+
+import numpy as np
+
+from .windows import Windows
+
+CELL = 50.0  # m, side of a place on the map
+SHARED = 0.2  # of the places of the shorter of two runs: then they are of one site
+FEWEST = 5  # runs; with fewer each is divided into stretches
+TIMES = ("the first third of the runs", "the second third", "the last third")
+KINDS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
+
+Level = tuple[np.ndarray, list[str]]  # number of the part of each window, names of the parts
+
+
+def levels(windows: Windows) -> dict[str, Level]:
+    """(n,) number of the part of each window, and what the parts are called; only levels of two parts and more."""
+    site = sites(windows)
+    driven = windows.driven
+    parts = {
+        "run": runs(windows),
+        "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
+        "time": (_thirds(windows), list(TIMES)),
+        "place": places(driven["x"], driven["y"]),
+        "condition": conditions(driven["speed"], driven["lateral_acceleration"]),
+    }
+    if site.max() + 1 == len(windows.names):
+        del parts["site"]  # nothing beyond the runs
+    return {name: (number, called) for name, (number, called) in parts.items() if len(np.unique(number)) > 1}
+
+
+def runs(windows: Windows) -> Level:
+    numbers = np.unique(windows.run)
+    if len(numbers) >= FEWEST:
+        return windows.run, list(windows.names)
+    pieces = int(np.ceil(6 / len(numbers)))
+    part = np.zeros(len(windows), int)
+    for run in numbers:
+        mine = windows.run == run
+        seconds = windows.seconds[mine]
+        edges = np.linspace(seconds.min(), seconds.max() + 1e-6, pieces + 1)
+        part[mine] = run * pieces + np.searchsorted(edges, seconds, side="right") - 1
+    return part, [f"{name}, part {k + 1}" for name in windows.names for k in range(pieces)]
+
+
+def sites(windows: Windows) -> np.ndarray:
+    """(n,) number of the site of each window: runs that share places, or share them with the same run, are of one. The
+    origin of a map may be another at each site, so that nearness alone says nothing."""
+    number = places(windows.driven["x"], windows.driven["y"])[0]
+    visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
+    site = list(range(len(visited)))
+    for i, a in enumerate(visited):
+        for j, b in enumerate(visited[:i]):
+            if len(a & b) > SHARED * max(min(len(a), len(b)), 1):
+                site = [site[j] if s == site[i] else s for s in site]
+    return np.unique(np.array(site), return_inverse=True)[1][windows.run]
+
+
+def places(x: np.ndarray, y: np.ndarray) -> Level:
+    cells = np.stack([np.floor(x / CELL), np.floor(y / CELL)], axis=1)
+    unique, number = np.unique(cells, axis=0, return_inverse=True)
+    return number.ravel(), [f"east {CELL * (a + 0.5):.0f} m, north {CELL * (b + 0.5):.0f} m" for a, b in unique]
+
+
+def conditions(speed: np.ndarray, lateral: np.ndarray) -> Level:
+    """Halves by speed, and by how hard it corners at that speed."""
+    fast = speed > np.median(speed)
+    hard = np.zeros(len(speed), bool)
+    for half in (fast, ~fast):
+        hard[half] = lateral[half] > np.median(lateral[half]) if half.any() else False
+    return fast + 2 * hard, list(KINDS)
+
+
+def _thirds(windows: Windows) -> np.ndarray:
+    longest = np.zeros(len(windows.names))
+    np.maximum.at(longest, windows.run, windows.seconds)
+    share = windows.seconds / np.maximum(longest[windows.run], 1e-9)
+    return np.minimum((3.0 * share).astype(int), 2)

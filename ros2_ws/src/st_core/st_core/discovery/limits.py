@@ -1,0 +1,41 @@
+"""The limits of the decision: every number that decides what is stated, with meaning and unit. There are no others.
+
+What the benchmark's scores become at half and twice each of them: docs/discovery_scores.md.
+"""
+
+from dataclasses import dataclass, fields
+
+from ..errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Raises ConfigurationError naming the limit that is not a positive number.
+
+    false_alarm [1]: chance, over the whole library, that drives without any gap make one statement.
+    doubt [1]: chance at which a comparison counts as undecided: two names, a value over runs, an interval.
+    worth [1]: share of the size of the errors, over all channels, an effect must take away to be worth a name ...
+    worth_position [m]: ... or this much of the mean position error after 5 s, over all or in one driving condition.
+    negligible [1]: share of the size of the errors below which nothing is looked at, however sure.
+    rival [1]: share of an effect's gain another name must reach to be called an alternative.
+    bound [1]: distance to a bound, as share of the usual size of an effect, below which a value counts as on it.
+    left [1]: times the noise floor: errors beyond that need an explanation, or are told as unexplained.
+    shown [1]: share of drawn cases in which a size must be found to be called visible in these drives.
+    most [1]: effects in one answer.
+    """
+
+    false_alarm: float = 0.01
+    doubt: float = 0.05
+    worth: float = 0.025
+    worth_position: float = 0.02
+    negligible: float = 0.01
+    rival: float = 0.5
+    bound: float = 0.001
+    left: float = 2.0
+    shown: float = 0.8
+    most: int = 10
+
+    def __post_init__(self):
+        for field in fields(self):
+            if not getattr(self, field.name) > 0:
+                raise ConfigurationError(f"limit {field.name}: {getattr(self, field.name)!r} is not above 0")

@@ -1,0 +1,162 @@
+"""How far the gap shrinks: step by step, by channel, by part; on driving the values were not fitted to."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy import stats
+
+from ..effects import get_effect
+from .evidence import agreement, covariance
+from .fit import Fit, Problem
+from .levels import Level
+from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
+from .settings import UNITS
+from .windows import CHANNEL_OF
+
+RESAMPLES = 400
+
+
+def folds(problem: Problem) -> np.ndarray:
+    """(b,) whole runs where there are three or more, else the folds of blocks of the search."""
+    run = problem.errors.windows.run
+    of_block = np.zeros(problem.blocks, int)
+    of_block[problem.block] = run
+    return of_block if len(np.unique(run)) > 2 else problem.fold
+
+
+class Ends:
+    """Errors at the end of the horizon on held-out driving."""
+
+    def __init__(self, problem: Problem, seed: int):
+        self.problem, self.fold = problem, folds(problem)
+        self.names = problem.errors.windows.names
+        self.run, self.block = problem.errors.windows.run, problem.block
+        draws = np.random.default_rng(seed).integers(problem.blocks, size=(RESAMPLES, problem.blocks))
+        self._weights = np.stack([np.bincount(d, minlength=problem.blocks) for d in draws])
+
+    def of(self, fit: Fit) -> dict[str, np.ndarray]:
+        """(n,) by channel: square error at the end of the horizon; position_5s: the error itself [m]."""
+        p = self.problem
+        rows = p.held_out_rows(fit, self.fold)
+        last = rows.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
+        known = p.loss.known.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
+        last = np.where(known, np.clip(np.nan_to_num(last, nan=1e2), -1e2, 1e2), np.nan)
+        result: dict[str, np.ndarray] = {}
+        for column, values in zip(p.errors.windows.columns, last.T, strict=True):
+            channel = CHANNEL_OF.get(column, column)
+            result[channel] = result.get(channel, 0.0) + np.square(values)
+        if "position" in result:
+            result["position_5s"] = np.sqrt(result["position"])
+        return result
+
+    def change(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
+        """With a 95 % interval of the fall from whole blocks drawn again."""
+        turn = (lambda v: v) if channel == "position_5s" else np.sqrt
+        known = np.isfinite(before) & np.isfinite(after)
+        if not known.any():
+            return Change(float("nan"), float("nan"), (float("nan"), float("nan")), UNITS[channel])
+        count = np.bincount(self.block[known], minlength=self.problem.blocks)
+        sums = [np.bincount(self.block[known], v[known], self.problem.blocks) for v in (before, after)]
+        number = np.maximum(self._weights @ count, 1)
+        fall = turn(self._weights @ sums[0] / number) - turn(self._weights @ sums[1] / number)
+        low, high = np.quantile(fall, (0.025, 0.975))
+        whole = [float(turn(v[known].mean())) for v in (before, after)]
+        return Change(*whole, (float(low), float(high)), UNITS[channel])
+
+    def by_run(self, values: np.ndarray) -> dict[str, float]:
+        return {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
+                if np.isfinite(values[self.run == k]).any()}
+
+
+def parameters(problem: Problem, fit: Fit, effect: str, runs: Level | None = None) -> dict[str, FittedParameter]:
+    """Values with 95 % intervals: the wider of blocks taken as independent and of what runs differ by."""
+    space, result = problem.space, {}
+    own = space.indices(effect)
+    place = np.searchsorted(fit.which, own)
+    spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[place], 0.0)) * space.scale[own]
+    reach = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.which), 2))) * spread
+    if runs is not None:
+        said = agreement(problem, fit, effect, *runs).shares
+        shares, deviations = np.array(list(said.values())).T if said else (np.zeros(0), np.zeros(0))
+        if len(shares) > 2:
+            w = 1.0 / np.square(deviations)
+            q = float(w @ np.square(shares - w @ shares / w.sum()))
+            between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
+            error = 1.0 / np.sqrt((1.0 / (np.square(deviations) + between)).sum())
+            change = np.abs(fit.vector - space.null)[own]
+            reach = np.maximum(reach, float(stats.t.ppf(0.975, len(shares) - 1)) * error * change)
+    for i, r in zip(own, reach, strict=True):
+        f, value = space.free[i], float(fit.vector[i])
+        # A change against the start, so that with a reference the value is what has changed since.
+        value = f.null + value - float(problem.start[i]) if problem.prior is not None else value
+        result[f.parameter] = FittedParameter(value, f.unit, (value - float(r), value + float(r)), f.null)
+    return result
+
+
+def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends, runs: Level | None) -> tuple[list[Step], Fit]:
+    """From the base to the answer, one effect more at a time; and the fit of the base. Leaves the scale of the loss."""
+    scale = problem.loss.scale.copy()
+    problem.loss.rescale(problem.start)
+    fit = base = problem.fit((), problem.everything(problem.start), iterations=2)
+    said, before = [], ends.of(fit)
+    for k, effect in enumerate(order):
+        if k == len(order) - 1:
+            fit = final
+        else:
+            fit = problem.fit(order[:k + 1], fit.slopes, None, (effect,), 3)
+            problem.loss.rescale(fit.vector)
+            fit = problem.renewed(fit, 1)
+        after = ends.of(fit)
+        changes = {c: ends.change(c, before[c], after[c]) for c in after}
+        position = changes.pop("position_5s", None) or next(iter(changes.values()))
+        key = "position_5s" if "position_5s" in after else next(iter(after))
+        old, new = ends.by_run(before[key]), ends.by_run(after[key])
+        said.append(Step(effect, "added", get_effect(effect).kind, parameters(problem, fit, effect, runs), position,
+                         changes, {n: (old[n], new[n]) for n in new}))
+        before = after
+    problem.loss.scale = scale
+    return said, base
+
+
+def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, Gap]:
+    """By channel, and of the position after 5 s."""
+    before, after, result = ends.of(base), ends.of(final), {}
+    for channel in after:
+        change = ends.change(channel, before[channel], after[channel])
+        old, new = ends.by_run(before[channel]), ends.by_run(after[channel])
+        if channel != "position_5s":
+            old, new = ({n: float(np.sqrt(v)) for n, v in values.items()} for values in (old, new))
+        noise = floor.get(channel, 0.0)
+        worst = max(new, key=new.get, default="")
+        result[channel] = Gap(change.base, change.augmented, change.interval, change.unit, noise, worst,
+                              new.get(worst, 0.0), tuple(n for n in new if new[n] > old[n] + noise))
+    return result
+
+
+def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: Ends) -> list[BudgetLine]:
+    """Every part added last and added first: of the mean position error after 5 s, and of the loss at the scale of the
+    answer. bound: a fit with what is bound to place, time or condition besides."""
+    def size(fit: Fit) -> tuple[float, float]:
+        end = ends.of(fit)
+        values = end.get("position_5s", np.zeros(1))
+        return float(np.nanmean(values)), float(fit.held_out.sum()) / problem.number
+
+    def line(part: str, last: tuple[float, float], first: tuple[float, float]) -> BudgetLine:
+        return BudgetLine(part, last[0], first[0], last[0] / max(start[0], 1e-9), first[0] / max(start[0], 1e-9),
+                          last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
+    base = problem.about(base.names, base.vector, base.which, base.slopes)
+    start, end = size(base), size(final)
+    lines = []
+    for part in PARTS[:4]:
+        mine = tuple(n for n in final.names if get_effect(n).kind == part)
+        if not mine:
+            continue
+        rest = tuple(n for n in final.names if n not in mine)
+        without = size(problem.fit(rest, final.slopes, iterations=3)) if rest else start
+        alone = size(problem.fit(mine, final.slopes, iterations=3)) if rest else end
+        lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
+    if bound is not None:
+        more = size(bound)
+        lines.append(line(PARTS[4], tuple(np.subtract(end, more)), tuple(np.subtract(end, more))))
+        end = more
+    return [*lines, line(PARTS[5], end, end)]
