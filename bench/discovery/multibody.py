@@ -34,8 +34,8 @@ DECIDE, SENSED = round(PERIOD / STEP), round(STEERING_PHASE / STEP) - 1
 """Steps between two decisions of hand and foot; the step after which the steering sensor samples."""
 SLOWEST = 2.5
 """m/s."""
-STEEPEST = 0.5
-"""rad of roll."""
+STEEPEST = 0.25
+"""rad of roll. Beyond it wheels lift, which the package has no equations for: its tyres would pull the car down."""
 SETTLING = 2.0
 """s of straight driving on a level road before the drive begins."""
 
