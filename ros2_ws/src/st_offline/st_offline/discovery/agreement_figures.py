@@ -2,6 +2,7 @@
 
 import re
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
@@ -29,25 +30,29 @@ def agreement(scene: Scene) -> Drawn | None:
     if not effects:
         return None
     effects = sorted(effects, key=lambda e: -e.position_5s)[:MOST_PANELS]
-    labels = list(dict.fromkeys(_row(level, v, entries) for e in effects for level, entries in e.agreement.items()
-                                for v in entries))
-    rows = {label: row for row, label in enumerate(labels)}
+    every = {e.name: [(level, v) for level, entries in e.agreement.items() for v in entries] for e in effects}
+    met = dict.fromkeys((level, v.where) for entries in every.values() for level, v in entries)
+    count = Counter(level for level, _ in met)
+    crowded = {level for level in count if level == "place" or count[level] > MOST_ROWS}
+    names = {(level, where): (level, f"{count[level]} {level}s") if level in crowded else (level, where)
+             for level, where in met}
+    labels = sorted(dict.fromkeys(names.values()), key=lambda label: list(count).index(label[0]))
+    rows = {key: labels.index(label) for key, label in names.items()}
     with style():
         figure, panels = plt.subplots(1, len(effects), figsize=(WIDTH, 1.3 + 0.2 * len(labels)), sharey=True,
                                       squeeze=False)
         for axes, effect in zip(panels[0], effects, strict=True):
-            every = [(level, v, entries) for level, entries in effect.agreement.items() for v in entries]
-            _shares(axes, [(rows[_row(*one)], one[1]) for one in every if len(one[2]) <= MOST_ROWS])
-            for one in (one for one in every if len(one[2]) > MOST_ROWS):
-                axes.plot(np.clip(one[1].share, *axes.get_xlim()), rows[_row(*one)], "|", ms=7, color=AFTER, alpha=0.5)
+            shares = [(level, rows[level, v.where], v) for level, v in every[effect.name]]
+            _shares(axes, [(row, v) for level, row, v in shares if level not in crowded])
+            for _, row, v in (one for one in shares if one[0] in crowded):
+                axes.plot(np.clip(v.share, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
             heading = [words.plain(effect.name), words.short_values(effect.parameters)]
             axes.set_title("\n".join(line for text in heading for line in textwrap.wrap(text, 90 // len(effects))),
                            fontsize=8)
             axes.set_xlabel("share")
-        for (level, _), row in rows.items():
-            if row and labels[row - 1][0] != level:
-                for axes in panels[0]:
-                    axes.axhline(row - 0.5, color=TEXT, lw=0.5)
+        for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
+            for axes in panels[0]:
+                axes.axhline(row - 0.5, color=TEXT, lw=0.5)
         panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
         panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
         caption = ("Point: share of the value stated that each part of the driving shows by itself, the other effects "
@@ -62,15 +67,10 @@ def _agreed(effects: Sequence[FoundEffect]) -> str:
               if e.agreement.get("run")}
     every = [name for name, (shown, of) in counts.items() if shown == of]
     some = [f"{name} in {shown} of {of}" for name, (shown, of) in counts.items() if shown < of]
-    told = [f"{', '.join(every)} shows in every run by itself"] if every else []
+    told = [f"in every run by itself: {', '.join(every)}"] if every else []
     told += [f"{', '.join(some)} runs or parts of them"] if some else []
     text = "; ".join(told) or "what each part of the driving shows by itself"
     return text[0].upper() + text[1:]
-
-
-def _row(level: str, one: Value, entries: Sequence[Value]) -> tuple[str, str]:
-    """Of a level of many parts all stand in one row."""
-    return (level, one.where) if len(entries) <= MOST_ROWS else (level, f"{len(entries)} {level}s")
 
 
 def _shares(axes: plt.Axes, shares: Sequence[tuple[int, Value]]) -> None:

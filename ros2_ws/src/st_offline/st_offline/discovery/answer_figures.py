@@ -4,7 +4,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from st_core.discovery.limits import Limits
 
 from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, finish, style
 from ..style import MEASURED_COLOUR
@@ -13,14 +12,13 @@ from .figures import AFTER, Scene
 
 UNEXPLAINED = "unexplained"
 SIZES = ("small", "medium", "large")
-SHOWN = Limits().shown
 
 
 def waterfall(scene: Scene) -> Drawn | None:
     """Held-out 5 s position error from the base model to the last step."""
     steps = scene.found.steps
-    if not steps:
-        return None
+    if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
+        return None  # without the position there is no such error
     floor = scene.found.gap["position_5s"].floor if "position_5s" in scene.found.gap else 0.0
     with style():
         figure, axes = plt.subplots(figsize=(WIDTH, 1.2 + 0.36 * (len(steps) + 2)))
@@ -62,7 +60,7 @@ def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
 
 def budget(scene: Scene) -> Drawn | None:
     """What each part takes of the error: added last, and added first."""
-    lines = scene.found.budget
+    lines = [one for one in scene.found.budget if np.isfinite((one.last, one.first)).all()]
     if not lines:
         return None
     with style():
@@ -95,7 +93,8 @@ def runs(scene: Scene) -> Drawn | None:
         return None
     before = {name: pair[0] for name, pair in steps[0].runs.items()}
     after = {name: pair[1] for name, pair in steps[-1].runs.items()}
-    names = sorted((name for name in before if name in after), key=lambda name: -before[name])
+    names = sorted((name for name in before if np.isfinite((before[name], after.get(name, np.nan))).all()),
+                   key=lambda name: -before[name])
     if not names:
         return None
     with style():
@@ -144,7 +143,7 @@ def certificate(scene: Scene) -> Drawn | None:
         axes.set_xticks(range(most), SIZES[:most] if most <= len(SIZES) else range(1, most + 1))
         axes.tick_params(length=0)
         figure.colorbar(image, ax=axes, label="found, share of cases", pad=0.01)
-        seen = sum(max(p.found for p in entries) >= SHOWN for entries in ranked)
+        seen = sum(max(p.found for p in entries) >= words.SHOWN for entries in ranked)
         title = f"Of {len(ranked)} effects, {seen} would be found in these drives at one of three sizes"
         certificate = scene.found.certificate
         caption = ("Known effects put into these recordings and searched for" if certificate.driven else

@@ -192,11 +192,11 @@ def draw(found: Discovery, question: Question, place: Place) -> list[Drawn]:
     """The figures that there are data for, in the order of the page."""
     suspect, reference = _logs(question.runs), _logs(question.reference)
     # The channels that were used: one that not every run has was left out.
-    channels = tuple(c for c in question.settings.channels if c in found.noise)
-    settings = replace(question.settings, channels=channels)
+    noise = {channel: one.floor for channel, one in found.gap.items() if channel in question.settings.channels}
+    settings = replace(question.settings, channels=tuple(noise))
 
     def look(model):
-        return survey(suspect, model, question.vehicle, settings, reference, found.noise, found.acceleration_gain)
+        return survey(suspect, model, question.vehicle, settings, reference, noise, found.acceleration_gain)
 
     scene = Scene(found, suspect, question.vehicle, look(found.base), look(found.model) if found.model else None, place)
     makers = (waterfall, budget, runs, agreement, bound, gap, conditions, maps, over_time, paths, candidates,

@@ -147,7 +147,7 @@ def _worst_run(scene: Scene, of_area: bool = False) -> tuple[int | None, np.ndar
 def _ends(scene: Scene, log: DriveLog):
     signals = LogSignals(log, 0.1, 5.0)
     starts, _ = usable_starts(signals, scene.vehicle, regular_starts(log, 0.25), SLOWEST)
-    batch = LogBatch(signals, starts, HORIZON, STEP)
+    batch = LogBatch(signals, starts, HORIZON, STEP, substeps="auto")
     prediction = batch.predict(scene.found.base, scene.vehicle)
     distance = np.hypot(*np.moveaxis(batch.errors(prediction)[:, -1, :2], -1, 0))
     return log, np.nan_to_num(distance, nan=-1.0), batch, prediction.states

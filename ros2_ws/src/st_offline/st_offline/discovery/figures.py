@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator
 from st_core.discovery.result import Discovery
 from st_core.discovery.where import Survey
 from st_core.discovery.where_bins import EVERYWHERE, BinExcess
@@ -113,6 +114,7 @@ def conditions(scene: Scene) -> Drawn | None:
             unit = "" if mine[0].range.low is None else f", {mine[0].range.label.rsplit(' ', 1)[1]}"
             axes.set_xlabel(quantity + unit)
             axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(lambda v, _: f"{v:g}")
             axes.yaxis.set_minor_formatter(lambda v, _: "")
         for axes in panels.flat[len(quantities):]:

@@ -24,6 +24,7 @@ from st_core.yaml_text import number, quoted
 from .question import Question
 
 HORIZON, STEP, EVERY = 5.0, 0.05, 5.0  # s: predictions the two descriptions are compared by, and between their starts
+SLOWEST = 1.5  # m/s
 SAME = 1e-3  # m, rad; at every start, at the end of the horizon
 DIGITS = 6
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
@@ -116,8 +117,8 @@ def _errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[
         if drive.steering_wheel_angle is not None:
             log = replace(drive, road_wheel_angle=vehicle.road_wheel_angle(drive.steering_wheel_angle))
         signals = LogSignals(log, 0.1, 5.0)
-        starts, _ = usable_starts(signals, vehicle, regular_starts(log, EVERY), 1.0)
-        batch = LogBatch(signals, starts, HORIZON, STEP, points=(HORIZON,))
+        starts, _ = usable_starts(signals, vehicle, regular_starts(log, EVERY), SLOWEST)
+        batch = LogBatch(signals, starts, HORIZON, STEP, points=(HORIZON,), substeps="auto")
         found.append(batch.errors(batch.predict(model, vehicle))[:, -1, :])
     return found
 

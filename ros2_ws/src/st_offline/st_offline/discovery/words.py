@@ -3,13 +3,16 @@
 import math
 from collections.abc import Mapping, Sequence
 
+from st_core.discovery.limits import Limits
 from st_core.discovery.result import (
+    PARTS,
     BoundEffect,
     BudgetLine,
     Discovery,
     FittedParameter,
     FoundEffect,
     Gap,
+    Power,
     Step,
     Value,
     WhereStatement,
@@ -25,6 +28,7 @@ MOST_PARTS = 6
 MOST_BLIND = 8  # told in a sentence; all are in the table
 LEAST = 0.005  # m; a step that changes the position by less is told by the channel it changes most
 SURE = 1.96
+SHOWN = Limits().shown
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
 
@@ -58,6 +62,8 @@ def size(value: float, unit: str) -> str:
 
 
 def metres(value: float) -> str:
+    if not math.isfinite(value):
+        return "unknown"
     return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
 
 
@@ -89,6 +95,12 @@ def values(name: str, parameters: Mapping[str, FittedParameter]) -> str:
     meanings = {p.name: p.meaning for p in EFFECTS[name].parameters} if name in EFFECTS else {}
     return ", ".join(f"{plain(key)} {value(p)}{', ' + meanings[key] if key in meanings else ''}"
                      for key, p in parameters.items())
+
+
+def fitted(name: str, numbers: Mapping[str, float]) -> str:
+    """Values of an effect without intervals."""
+    units = {p.name: p.unit for p in EFFECTS[name].parameters} if name in EFFECTS else {}
+    return ", ".join(f"{plain(key)} {size(number, units.get(key, '1'))}" for key, number in numbers.items())
 
 
 def by_any_name(effect: FoundEffect) -> str:
@@ -265,14 +277,17 @@ def blind(found: Discovery) -> list[str]:
     return told
 
 
-def visible(found: Discovery, most: int = 4) -> str:
-    """The smallest sizes these drives show nine times of ten."""
-    best: dict[str, str] = {}
+def visible(found: Discovery) -> str:
+    """The smallest sizes these drives would show, vehicle parameters first."""
+    best: dict[str, Power] = {}
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
-        if power.found >= 0.9:
-            best.setdefault(power.effect, f"{plain(power.effect)} of {change(power.size, power.unit)}")
-    return ("would show " + ", ".join(list(best.values())[:most]) + (", …" if len(best) > most else "")
-            if best else "")
+        if power.found >= SHOWN:
+            best.setdefault(power.effect, power)
+    kinds = {c.name: PARTS.index(c.kind) for c in found.candidates}
+    ranked = sorted(best.values(), key=lambda p: (kinds.get(p.effect) != PARTS.index("vehicle parameters"),
+                                                  kinds.get(p.effect, len(PARTS))))
+    told = [f"{plain(p.effect)} of {change(p.size, p.unit)}" for p in ranked[:MOST_BLIND]]
+    return f"would show {', '.join(told)}{', …' if len(ranked) > MOST_BLIND else ''}" if told else ""
 
 
 def change(size_of: float, unit: str) -> str:
