@@ -22,6 +22,11 @@ def different(plant: str) -> dict[str, str]:
     return DIFFERENT["leaf" if plant == LEAF else "multibody"]
 
 
+def there(case: Case) -> set[str]:
+    """Everything that is there: what is hidden, the scatter of the car, what is different in its plant."""
+    return {*case.hidden, *SCATTER, *(n for n in different(case.car.plant) if members(n) == (n,))}
+
+
 def judged(case: Case, drives: Drives, found: Discovery) -> Record:
     """position [m] and loss of base, found and oracle; worth: by hidden effect, loss without it over the oracle's;
     shares: by part (last, first) of the base's position error; fitted: values of the oracle."""
@@ -38,10 +43,7 @@ def judged(case: Case, drives: Drives, found: Discovery) -> Record:
         without = judge.square(oracle.without(case.hidden))
         record = _compared(judge, base=base, found=said, oracle=oracle.best)
         return _rounded(record | {"detectability": 1.0 - judge.square(oracle.best) / without})
-    structural = [n for n in different(case.car.plant) if members(n) == (n,)]
-    names = {*case.hidden, *SCATTER, *structural}
-    if case.kind == "base":
-        names = set()
+    names = set() if case.kind == "base" else there(case)
     start = {n: drives.truth[n] for n in names if n in drives.truth}
     oracle = Oracle(drives.suspect, drives.vehicle, names, start, settings)
     judge.sized_by(oracle.best)
