@@ -32,6 +32,19 @@ def weave(seconds: float = 14.0, speed: float = 8.0, curvature: float = 0.03) ->
     return np.stack(columns, axis=1)[::20]
 
 
+def circle(seconds: float = 40.0, speed: float = 8.0, curvature: float = 0.03) -> np.ndarray:
+    """As `weave`, but to the left all the time."""
+    time = np.arange(0.0, seconds, 0.02)
+    beta = np.arctan(1.524 * curvature)
+    speed = speed * (1.0 + 0.01 * np.sin(2 * np.pi * time / 5.0))
+    yaw_rate, across = speed * curvature, speed * 1.524 * curvature
+    yaw = np.concatenate([[0.0], np.cumsum(yaw_rate[:-1] * 0.02)])
+    course = speed / np.cos(beta)
+    x, y = (np.concatenate([[0.0], np.cumsum((course * turn(yaw + beta))[:-1] * 0.02)]) for turn in (np.cos, np.sin))
+    return np.stack([time, x, y, yaw, speed, across, yaw_rate, np.gradient(speed, 0.02) - across * yaw_rate,
+                     np.gradient(across, 0.02) + speed * yaw_rate, np.full_like(time, np.arctan(2.7 * curvature))], 1)
+
+
 def write_drive(path: Path, rows: np.ndarray) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="", fmt="%.6f")

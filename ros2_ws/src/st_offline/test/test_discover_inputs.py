@@ -1,13 +1,17 @@
 """What st discover takes in: drives kept between starts, model files, and what it refuses in one line."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from drives import weave, write_drive
+from drives import circle, weave, write_drive, write_vehicle
 from st_core.augmented import augment
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile, Provenance
 from st_core.vehicle import VehicleParameters
 from st_offline.cli import app
+from st_offline.discovery.command import CommandError, _refuse_twice, measured
 from st_offline.discovery.drives import _key, read_drive, read_drives
 from st_offline.fourth_model import fourth_model
 from st_offline.runs import ReadSettings, find_runs
@@ -124,6 +128,38 @@ def test_a_drive_cannot_be_its_own_reference(drive, tmp_path):
     assert result.exit_code == 2 and "is given as a run and as --reference" in result.output
 
 
+def test_a_reference_of_another_car_is_refused(drive, tmp_path):
+    """Recordings of the suite carry their vehicle file; its name says which car it is."""
+    def of(car_name, file):
+        read = read_drive(find_runs([write_drive(tmp_path / file, weave(9.0))])[0], car(LEAF), ReadSettings(), None)
+        digest = {"files": {file: file}, "vehicle": car_name}
+        return replace(read, name=file, about={**read.about, **digest})
+    leaf, genesis, unknown = of("Leaf", "a.csv"), of("Genesis", "b.csv"), of("", "c.csv")
+    with pytest.raises(CommandError, match=r"--reference b\.csv is of 'Genesis', a\.csv of 'Leaf', as"):
+        _refuse_twice([leaf], [unknown, genesis])
+    _refuse_twice([leaf, unknown], [of("Leaf", "d.csv"), of("", "e.csv")])
+
+
+def test_references_are_listed_and_runs_must_be_left(drive, tmp_path):
+    healthy = [write_drive(tmp_path / "healthy" / f"{name}.csv", weave(seconds)) for name, seconds in
+               (("a", 9.0), ("b", 10.0))]
+    for words in (["--figures", "gif", drive, "--reference", *healthy],
+                  ["--figures", "gif", "--reference", *healthy, "--", drive]):
+        assert "--figures: gif is not one of" in discover(*words).output
+    result = discover("--reference", drive, *healthy)
+    assert result.exit_code == 2 and "no runs are left: --reference takes every path" in " ".join(
+        result.output.replace("│", " ").split())
+
+
+def test_what_the_checks_measured_is_pooled_over_the_runs(tmp_path):
+    files = [write_drive(tmp_path / f"{seconds:.0f}.csv", weave(seconds)) for seconds in (30.0, 40.0)]
+    one, two = read_drives(find_runs(files), car(LEAF), ReadSettings(), 1, None, lambda: None)
+    alone, both = measured([one]), measured([one, two])
+    assert alone["yaw_rate_bias"] == tuple(one.about["estimates"]["yaw_rate_bias"])
+    value, low, high = both["yaw_rate_bias"]
+    assert low <= value <= high and set(both) >= set(alone)
+
+
 def test_effects_that_do_not_load_are_one_line(drive, tmp_path):
     (tmp_path / "effects").mkdir()
     (tmp_path / "effects" / "broken.py").write_text("import nothing_of_this_name\n")
@@ -162,7 +198,7 @@ def test_results_are_never_overwritten(drive, tmp_path):
 def test_a_run_too_short_says_what_is_needed(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     result = discover(write_drive(tmp_path / "short.csv", weave(3.0)), "--output", tmp_path / "o")
-    assert result.exit_code == 2 and "no run is long enough: a run needs 4 s" in result.output
+    assert result.exit_code == 2 and "no run is long enough: a run needs 7 s" in result.output
 
 
 def test_what_a_run_file_says_is_part_of_what_is_kept(drive, tmp_path):
@@ -175,3 +211,47 @@ def test_what_a_run_file_says_is_part_of_what_is_kept(drive, tmp_path):
             (source,) = find_runs([run_file])
             keys.add(_key(source, {"": hashes(source)[str(source.where)]}, car(LEAF), ReadSettings()))
     assert len(keys) == 6
+
+
+def answer(tmp_path, *rows, change=str):
+    """(discovery.json, what was said) of drives made of rows, with the noise of an INS; no figures."""
+    rng, files = np.random.default_rng(5), []
+    for number, given in enumerate(rows):
+        noisy = given.copy()
+        noisy[:, 1:] += rng.normal(size=noisy[:, 1:].shape) * NOISE
+        files.append(write_drive(tmp_path / "in" / f"{number}.csv", noisy))
+    files[0].write_text(change(files[0].read_text()))
+    words = ["discover", *files, "--vehicle", write_vehicle(tmp_path / "car.yaml", LEAF), "--no-report", "--output",
+             tmp_path / "o"]
+    result = CliRunner().invoke(app, [str(w) for w in words],
+                                env={"XDG_CACHE_HOME": str(tmp_path / "cache"), "COLUMNS": "300"})
+    assert result.exit_code == 0 and "Traceback" not in result.output, result.output
+    return json.loads((tmp_path / "o" / "discovery.json").read_text()), result.output
+
+
+NOISE = np.array([0.01, 0.01, 0.0005, 0.02, 0.02, 0.002, 0.05, 0.05, 0.0005])
+
+
+@pytest.mark.slow
+def test_straight_driving_says_what_it_cannot_show(tmp_path):
+    content, said = answer(tmp_path, weave(30.0, curvature=1e-9), weave(30.0, 10.0, 1e-9))
+    assert content["outcome"] in ("not_testable", "none") and not content["effects"]
+    assert {"friction", "mass", "front_stiffness"} <= {n["name"] for n in content["not_testable"]}
+    assert "straight driving" in said and "two runs: whether runs agree cannot be said" in said
+
+
+@pytest.mark.slow
+def test_one_bend_and_one_run_are_said(tmp_path):
+    _, said = answer(tmp_path, circle(40.0))
+    assert "bends to one side only" in said and "one run: whether runs agree cannot be said" in said
+    assert "suspect: 1 run, 40 s: 0 40 s" in said and "reference: none" in said
+
+
+@pytest.mark.slow
+def test_a_channel_that_one_run_lacks_is_left_out_and_said(tmp_path):
+    def without_acceleration(text):
+        rows = [line.split(",") for line in text.splitlines()]
+        return "\n".join(",".join(row[:8] + row[9:]) for row in rows) + "\n"
+    content, said = answer(tmp_path, weave(20.0), weave(20.0, 10.0), change=without_acceleration)
+    assert "acceleration_y" not in content["gap"] and "velocity_y" in content["gap"]
+    assert "acceleration_y" in said and "0" in said

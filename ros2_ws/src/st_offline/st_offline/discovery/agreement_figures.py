@@ -67,8 +67,8 @@ def _agreed(effects: Sequence[FoundEffect]) -> str:
               if e.agreement.get("run")}
     every = [name for name, (shown, of) in counts.items() if shown == of]
     some = [f"{name} in {shown} of {of}" for name, (shown, of) in counts.items() if shown < of]
-    told = [f"in every run by itself: {', '.join(every)}"] if every else []
-    told += [f"{', '.join(some)} runs or parts of them"] if some else []
+    told = [f"in every run that can tell by itself: {', '.join(every)}"] if every else []
+    told += [f"{', '.join(some)} runs that can tell"] if some else []
     text = "; ".join(told) or "what each part of the driving shows by itself"
     return text[0].upper() + text[1:]
 

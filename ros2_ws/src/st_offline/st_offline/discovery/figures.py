@@ -124,7 +124,7 @@ def conditions(scene: Scene) -> Drawn | None:
         figure.legend(handles=scene.handles(), loc="outside lower left", ncols=3)
         said = [w for w in scene.found.where if w.channel == channel and w.condition != EVERYWHERE]
         title = words.statement(said[0]) if said else f"{words.channel(channel)}: no condition stands out"
-        expected = "the healthy car's in the same range" if scene.before.reference else "what a healthy car may leave"
+        expected = "the reference drives' in the same range" if scene.before.reference else "what noise alone leaves"
         caption = (f"Root mean square over {expected}; 1 = as expected. Filled: significant over all ranges together "
                    "(false discovery rate 5 %). Bars: 95 %, whole blocks of time resampled.")
         return finish(figure, scene.place, "conditions", title[0].upper() + title[1:], caption)

@@ -10,7 +10,7 @@ import yaml
 from st_core.augmented import AugmentedModel
 from st_core.batch import LogBatch
 from st_core.discovery.result import Discovery
-from st_core.effects import Effect
+from st_core.effects import Effect, get_effect
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.identification.apply import value_of
 from st_core.identification.result import quantity
@@ -130,17 +130,18 @@ def _alike(errors: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
 
 def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
               key: str) -> tuple[float, float]:
-    """95 % of a key of the file: the intervals of the effects in it, as if they were independent."""
+    """95 % of a key of the file: the intervals of the effects in it, inside their bounds, taken as independent."""
     values = {name: dict(entry) for name, entry in found.model.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
     below = above = 0.0
     names = {effect.name for effect in folded}
     for effect in (e for e in found.effects if e.name in names):
-        own = values[effect.name]
+        own, bounds = values[effect.name], {p.name: p.bounds for p in get_effect(effect.name).parameters}
         for name, p in effect.parameters.items():
             ends = [centre]
             for edge in p.interval:
-                moved = {**values, effect.name: {**own, name: own[name] + edge - p.value}}
+                limited = float(np.clip(own[name] + edge - p.value, *bounds[name]))
+                moved = {**values, effect.name: {**own, name: limited}}
                 ends.append(value_of(fold(vehicle, folded, moved), key))
             below += (centre - min(ends)) ** 2
             above += (max(ends) - centre) ** 2

@@ -226,7 +226,7 @@ def agreed(effect: FoundEffect) -> str:
         entries = effect.agreement.get(level, ())
         called = "parts of the runs" if any(", part " in v.where for v in entries) else f"{level}s"
         told += [f"{showing(entries)} of {len(entries)} {called}"] if entries else []
-    return f"{plain(effect.name)} shows by itself in {', '.join(told)}" if told else ""
+    return f"{plain(effect.name)} shows by itself in {', '.join(told)} that can tell" if told else ""
 
 
 def sure(found: Discovery) -> list[str]:
@@ -265,7 +265,8 @@ def left(found: Discovery) -> str:
     text = f"{metres(after)} of the 5 s position error remain; noise alone leaves {metres(gap.floor)}"
     worst = f"; the worst run is {gap.worst_run} with {metres(gap.worst)}" if gap.worst_run else ""
     worse = sorted({run for one in found.gap.values() for run in one.worse_runs})
-    return f"{text}{worst}; " + (f"made worse on {', '.join(worse)}" if worse else "no run became worse")
+    compared = f"; made worse on {', '.join(worse)}" if worse else "; no run became worse"
+    return f"{text}{worst}{compared if found.model else ''}"
 
 
 def blind(found: Discovery) -> list[str]:
@@ -323,7 +324,10 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
         told.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.outcome == "unknown":
         told.append("look where and when it misses; an effect of one's own can be added (docs/effects.md)")
-    if found.outcome in ("not_testable", "ambiguous") and found.next_manoeuvre is not None:
+    shows = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
+    if found.outcome == "not_testable":
+        told.append(f"drive more{': ' + ', '.join(shows) if shows else ''}, and add it to the runs")
+    if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
         told.append("drive what is suggested and add it to the runs")
     return told or ["nothing"]
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import click
 import typer
 from typer.core import TyperCommand
 
@@ -16,14 +15,15 @@ class WithReferences(TyperCommand):
     """`--reference a b c` takes all three, as `--reference a --reference b` does; the next option or -- ends the list.
     """
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+        given = spread(args)
         try:
-            return super().parse_args(ctx, spread(args))
-        except click.MissingParameter as error:
-            if REFERENCE not in args or error.param is None or error.param.name != "runs":
+            return super().parse_args(ctx, list(given))
+        except typer.BadParameter as error:
+            if REFERENCE not in given or error.param is None or error.param.name != "runs":
                 raise
-            raise click.UsageError(f"no runs are left: {REFERENCE} takes every path that follows it; name the runs "
-                                   "before it, or put -- between", ctx) from None
+            raise typer.BadParameter(f"no runs are left: {REFERENCE} takes every path that follows it; name the runs "
+                                     "before it, or put -- between", ctx) from None
 
 
 def spread(words: Sequence[str]) -> list[str]:
