@@ -136,7 +136,7 @@ def test_verb_names_both_and_the_run_it_could_not_use(command):
     assert content["schema"] == 2
     names = {name for e in content["effects"] for name in (e["name"], *e["alternatives"])}
     assert {"steering_lag", "steering_ratio"} <= names
-    assert {one["part"] for one in content["budget"]} >= {"sensors", "vehicle parameters", "physics", "unexplained"}
+    assert {one["part"] for one in content["budget"]} >= {"vehicle parameters", "physics", "unexplained"}
     about = content["provenance"]
     assert len(about["runs"]) == 3 and not about["reference"] and len(about["not_used"]) == 1
     files = [digest for run in about["runs"].values() for digest in run["files"].values()]
