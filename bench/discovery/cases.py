@@ -13,7 +13,7 @@ from st_sim.settings import Settings
 
 from . import manoeuvres as m
 from .cars import LEAF, PLANTS, HealthyCar, has, healthy_car
-from .effects import BY_NAME, FOREIGN, KNOWN, PHYSICS, PLACES, SENSORS, Hidden
+from .effects import BY_NAME, FOREIGN, KNOWN, PHYSICS, PLACES, SENSORS, Hidden, alike
 
 SEALED = "single track, discovery, sealed set 11"
 COUNTS = {"A": 100, "B": 120, "C": 120, "D": 150, "E": 60, "F": 100}
@@ -222,11 +222,11 @@ def _begun(case: Case, number: int, draw: np.random.Generator) -> Case:
 
 
 def _unknown(case: Case, number: int, draw: np.random.Generator) -> Case:
-    """In turn a switch no effect equals, and an effect of the library that is left out."""
+    """In turn a switch no effect equals, and an effect of the library that is left out, with all that is like it."""
     if number % 2 == 0:
         return _with(case, FOREIGN[number // 2 % len(FOREIGN)], 1.0, draw)
     pool = [h for h in _usable(LEAF) if not h.with_]
     hidden = pool[draw.integers(len(pool))]
-    names = tuple(n for n in applicable("nonlinear") if n != hidden.library)
+    names = tuple(n for n in applicable("nonlinear") if not alike(n, hidden.library))
     return _with(case, hidden, 1.0, draw, effects=names, hidden=(hidden.library,))
 

@@ -39,7 +39,8 @@ def judged(case: Case, drives: Drives, found: Discovery) -> Record:
     if case.block == "D":
         healthy = Judge(drives.twin, drives.vehicle, settings)
         judge.size = np.sqrt(np.nanmean(np.square(healthy.errors(base)), axis=0))
-        oracle = Oracle(drives.suspect, drives.vehicle, case.hidden, {}, settings, base)
+        start = {n: drives.truth[n] for n in case.hidden}
+        oracle = Oracle(drives.suspect, drives.vehicle, case.hidden, start, settings, base)
         without = judge.square(oracle.without(case.hidden))
         record = _compared(judge, base=base, found=said, oracle=oracle.best)
         return _rounded(record | {"detectability": 1.0 - judge.square(oracle.best) / without})

@@ -1,5 +1,6 @@
 """The drive a discovery asks for, driven by the car in question; then the question again with it added."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from st_core.discovery import Discovery, DiscoverySettings, discover
@@ -8,15 +9,19 @@ from . import manoeuvres as m
 from .cases import Case
 from .drives import Drives, driven_more
 from .plants import Order
+from .score import matters, stratum
 
 
-def driven_again(case: Case, drives: Drives, found: Discovery, settings: DiscoverySettings) -> dict[str, Any]:
+def driven_again(case: Case, drives: Drives, found: Discovery, settings: DiscoverySettings,
+                 record: Mapping[str, Any]) -> dict[str, Any]:
     """Whether the suggested drive settles what was hidden: then it is stated by its own name alone.
 
-    Asked where one effect is hidden, visible or not, it is not settled yet, and a drive was suggested.
+    Asked where one effect is hidden that matters, it is not settled yet, and a drive was suggested. record: of the case
+    so far.
     """
     suggested = found.next_manoeuvre
-    if case.kind != "one" or _settled(case, found) or suggested is None:
+    visible = matters(record) or stratum(record.get("detectability", 0.0)) != "invisible"
+    if case.kind != "one" or not visible or _settled(case, found) or suggested is None:
         return {}
     part = m.suggested(suggested.name)
     orders = [Order(f"next_{i + 1}", (case.seed, 300 + i), case.settings, (part,)) for i in range(suggested.times)]

@@ -40,7 +40,7 @@ def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -
     record = {**about(case), "cpu_s": seconds, "truth": {n: drives.truth[n] for n in case.hidden if n in drives.truth},
               "scatter": {n: drives.truth[n] for n in SCATTER}, **answer(found), **judged(case, drives, found)}
     if whole:
-        record |= driven_again(case, drives, found, settings)
+        record |= driven_again(case, drives, found, settings, record)
         if case.block in "AB" and case.index % COMPARED == 0:
             record["baselines"] = baselines.compared(case, drives)
     return record

@@ -231,6 +231,12 @@ def test_every_effect_has_its_turn_in_block_a():
     assert min(map(hidden.count, known)) >= 2
 
 
+def test_what_is_left_out_has_no_twin_left():
+    left_out = [c for c in cases_of("development", "E") if c.effects is not None]
+    assert len(left_out) == 10
+    assert not any(alike(name, c.hidden[0]) for c in left_out for name in c.effects)
+
+
 def test_wrong_files_of_block_b():
     for case in cases_of("development", "B"):
         assert len(set(case.hidden)) == len(case.hidden)
