@@ -160,11 +160,13 @@ def _falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
 
 
 def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
-    """Distance of the effect's values to their nearest bounds, in usual sizes; a bound at the null is none."""
+    """Distance of the effect's values to their nearest bounds, in usual sizes. A bound at the null, or at what theory
+    says (the initial value), is none."""
     space, nearest = problem.space, np.inf
+    expected = {p.name: (p.null, p.initial) for p in get_effect(effect).parameters}
     for i in space.indices(effect):
         for edge in (space.low[i], space.high[i]):
-            if edge != space.null[i]:
+            if edge not in expected[space.free[i].parameter]:
                 nearest = min(nearest, abs(fit.vector[i] - edge) / space.scale[i])
     return float(nearest)
 

@@ -10,6 +10,7 @@ from .loss import Loss, Quadratic
 from .space import GAIN
 
 ITERATIONS, SHARES = 5, (1.0, 0.5, 0.2)
+NEAR, MOST_KEPT = 0.25, 4  # usual sizes: slopes of a point so near will do; points remembered
 SETTLED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
 FOLDS = 8
 FAR = 100.0  # m: a prediction that diverges is that far off
@@ -92,7 +93,7 @@ class Problem:
         self.errors = loss.errors
         self.block, self.blocks = block, int(block.max()) + 1
         self.fold = np.arange(self.blocks) % min(FOLDS, self.blocks)
-        self._whole: dict[bytes, Slopes] = {}
+        self._whole: list[Slopes] = []
 
     @property
     def number(self) -> int:
@@ -143,15 +144,14 @@ class Problem:
         return self.loss.total(vector) + float(away @ self.held(names, which) @ away)
 
     def everything(self, vector: np.ndarray) -> Slopes:
-        """Slopes of the whole library, remembered."""
-        key = vector.tobytes()
-        if key not in self._whole:
-            while len(self._whole) >= 3:
-                self._whole.pop(next(iter(self._whole)))
-            which = np.arange(len(self.space))
-            self._whole[key] = Slopes(vector, which, np.nan_to_num(self.loss.slopes(vector, which), posinf=0.0,
-                                                                   neginf=0.0))
-        return self._whole[key]
+        """Slopes of the whole library: those of a point near by, if there is one, that follow the step; else anew."""
+        for known in reversed(self._whole):
+            if np.abs((vector - known.vector) / self.space.scale).max() < NEAR:
+                return self._follow(known, vector, np.zeros(0, int))
+        which = np.arange(len(self.space))
+        new = Slopes(vector, which, np.nan_to_num(self.loss.slopes(vector, which), posinf=0.0, neginf=0.0))
+        self._whole = [*self._whole[-MOST_KEPT + 1:], new]
+        return new
 
     def moved(self, vector: np.ndarray, which: np.ndarray, step: np.ndarray) -> np.ndarray:
         there = vector.copy()

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..augmented import augment
+from ..errors import StCoreError
 from .evidence import inverse
 from .fit import Fit, Problem
 from .loss import Errors, Loss
@@ -26,19 +28,21 @@ class Catalogue:
 
 
 def catalogue(problem: Problem, fit: Fit) -> Catalogue:
-    """All manoeuvres at speeds like those driven, simulated with the answer."""
+    """All manoeuvres at speeds like those driven, simulated with the bare base model: size and kind of the motion are
+    what matters here."""
     windows, space = problem.errors.windows, problem.space
-    model = space.at(fit.vector)
+    model = augment(space.model.base, {})
     fastest = FASTER * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)
     result = {}
     for manoeuvre in CATALOGUE:
         if manoeuvre.speed > fastest:
             continue
-        log = drive(manoeuvre, model, windows.vehicle)
+        try:
+            log = drive(manoeuvre, model, windows.vehicle)
+        except StCoreError:
+            continue  # the base spins there
         lateral = np.abs(log.velocity_x * log.yaw_rate)
-        if not np.isfinite(lateral).all():
-            continue
         if (lateral > MOST_LATERAL).any():
             log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(lateral > MOST_LATERAL)) - 1, 1)]))
         if log.overlap < settings.horizon + 3.0:

@@ -33,7 +33,7 @@ class Limits:
     bound: float = 0.001
     left: float = 2.0
     shown: float = 0.8
-    most: int = 10
+    most: int = 16
 
     def __post_init__(self):
         for field in fields(self):

@@ -1,7 +1,7 @@
 """The set of effects that explains the drives best: forward, backward and exchange steps with one and the same test."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import stats
@@ -17,8 +17,8 @@ from .result import Reason
 
 CONTENDERS = 4  # refitted through the simulator in a step
 NEAR = 0.5  # of the best one's gain: contenders below that are not looked at
-STARTS = 3  # different first effects
-LOOSE = 3.0  # usual sizes: how far everything at once may go
+LOOSE, FIXED = 3.0, 1e9  # usual sizes: how far everything at once may go; curvature of what may not
+JOINT, SETTLED = 4, 0.1  # fits of many effects at once, and the step in usual sizes after which there is no other
 EXCHANGES = 3  # rounds
 
 
@@ -47,32 +47,27 @@ class Search:
         self._seen: set[frozenset[str]] = set()
 
     def run(self) -> Found:
-        """The best of several starts: from nothing, from everything at once, from other first effects."""
-        p, rng = self.problem, np.random.default_rng(self.seed)
-        at = p.loss.scale.copy()
+        """The best of three starts: nothing; what that found and all physics at once; everything at once."""
+        p = self.problem
         base = p.fit((), p.everything(p.start))
-        first = screen(p, base, rng)
-        ranked = sorted(first.gains, key=lambda e: -first.gains[e][0].sum())
-        best = first.gains[ranked[0]][0].sum()
-        answers = [self._from(base, first)]
-        pruned = self._pruned(answers[0].fit.vector, at)
-        if pruned:
-            answers.append(self._from(self._cleaned(pruned)))
-        for name in ranked[1:STARTS]:
-            if first.gains[name][0].sum() > NEAR * best > self.limits.negligible * p.number:
-                p.loss.scale = at.copy()
-                start = p.fit((name,), p.everything(p.start), first.gains[name][1], (name,), 2)
-                answers.append(self._from(start))
+        first = self._from(base)
+        answers = [first]
+        physics = [n for n in p.space.hypotheses if get_effect(n).kind == "physics"]
+        for names in ([*first.fit.names, *physics], [n for n in p.space.hypotheses if not get_effect(n).members]):
+            start = self._pruned(first.fit.vector, list(dict.fromkeys(names)))
+            answers.append(self._from(self._cleaned(start)) if start else None)
         return self._settled(self._best([a for a in answers if a]))
 
-    def _from(self, fit: Fit, scores: Scores | None = None) -> Found | None:
-        """Steps until nothing is accepted; None where they lead to a set that was seen before."""
-        p = self.problem
-        found = Found(fit, list(fit.names), scores=scores)
+    def _from(self, fit: Fit, anew: bool = False) -> Found | None:
+        """Steps until nothing is accepted; None where they lead to a set another start has been at, if not `anew`."""
+        found, here = Found(fit, list(fit.names)), set()
         while True:
             key = frozenset(found.fit.names)
-            if key in self._seen:
+            if key in self._seen - here and not anew:
                 return None
+            if key in here:
+                return found
+            here.add(key)
             self._seen.add(key)
             added = self._forward(found) if len(found.fit.names) < self.limits.most else None
             if added is None:
@@ -89,12 +84,19 @@ class Search:
     def _cleaned(self, fit: Fit) -> Fit:
         """Without the effects that fail the test, weakest first."""
         while fit.names:
-            found = Found(fit, list(fit.names))
-            smaller = self._measured(found)
-            if smaller is None:
+            found = Found(fit, list(fit.names), scores=self._scores(fit))
+            weakest = self._measured(found, self.limits.worth)
+            if not weakest:
                 break
-            fit = self._renewed(smaller)
+            fit = self._renewed(self._less(fit, weakest))
         return fit
+
+    def _scores(self, fit: Fit) -> Scores:
+        return screen(self.problem, fit, np.random.default_rng(self.seed))
+
+    def _less(self, fit: Fit, name: str) -> Fit:
+        self.tick()
+        return self.problem.fit(tuple(n for n in fit.names if n != name), fit.slopes, iterations=2)
 
     def _best(self, answers: list[Found]) -> Found:
         """At the scale of the one with the smallest errors; one effect more must be worth it."""
@@ -111,11 +113,10 @@ class Search:
         """The best effect more that is accepted; None if there is none."""
         p, limits = self.problem, self.limits
         self.tick()
-        if found.scores is None:
-            found.scores = screen(p, found.fit, np.random.default_rng(self.seed))
+        found.scores = found.scores or self._scores(found.fit)
         gains = found.scores.gains
-        least = limits.negligible * p.number
-        ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum()) if gains[e][0].sum() > 0.5 * least]
+        least = max(limits.negligible * p.number, NEAR * max(g.sum() for g, _ in gains.values()))
+        ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum()) if gains[e][0].sum() > NEAR * least]
         fits = {effect: self._more(found.fit, effect, gains[effect][1]) for effect in ranked[:CONTENDERS]}
         if not fits:
             return None
@@ -180,8 +181,7 @@ class Search:
             weakest = min(promised, key=promised.get)
             if promised[weakest] > 3.0 * self.limits.worth * p.number:
                 return fit
-            self.tick()
-            without = p.fit(tuple(n for n in fit.names if n != weakest), fit.slopes, iterations=2)
+            without = self._less(fit, weakest)
             if judge(self._evidence(without, fit, weakest, scores), self.limits).rule == STATED:
                 return fit
             fit = without
@@ -193,33 +193,33 @@ class Search:
         q = fit.quadratic
         rest = tuple(n for n in fit.names if n != name)
         gone = np.isin(fit.which, np.setdiff1d(p.space.indices(name), p.space.indices(*rest)))
-        d = _held_at(p, q, rest, fit.which, np.where(gone, ((p.space.null - fit.vector) / p.space.scale)[fit.which], 0.0),
-                     ~gone)
+        d = _held_at(q, np.where(gone, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0), ~gone)
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         return float(d @ h @ d - 2.0 * g @ d)
 
-    def _pruned(self, vector: np.ndarray, scale: np.ndarray) -> Fit | None:
-        """From everything at once, held a little, by leaving out what is missed least. At the scale the first answer
-        left, which is finer than `scale`, that of the beginning."""
+    def _pruned(self, vector: np.ndarray, names: list[str]) -> Fit | None:
+        """From many effects at once, held a little, by leaving out what is missed least; None if that is nothing new."""
         p = self.problem
-        library = [n for n in p.space.hypotheses if not get_effect(n).members]
-        everything = np.arange(len(p.space))
-        loose = Problem(p.loss, p.start, p.block, np.eye(len(p.space)) / LOOSE**2)
-        self.tick()
-        q = p.loss.quadratic(p.errors.at(vector), p.everything(vector).values)
-        there = loose.moved(vector, everything, loose.solve(q, (), vector, everything))
-        if p.loss.total(there) < p.loss.total(vector):
+        scale = p.loss.scale.copy()
+        free = np.isin(np.arange(len(p.space)), p.which(names))
+        loose = Problem(p.loss, p.start, p.block, np.diag(np.where(free, LOOSE**-2, FIXED)))
+        p.loss.rescale(vector)
+        for _ in range(JOINT):
             self.tick()
-            vector = there
-            q = p.loss.quadratic(p.errors.at(vector), p.everything(vector).values)
+            before = vector
+            vector = loose.fit((), p.everything(vector), vector, iterations=2).vector
+            p.loss.rescale(vector)
+            if np.abs((vector - before) / p.space.scale).max() < SETTLED:
+                break
+        everything = p.everything(vector)
+        q = p.loss.quadratic(p.errors.at(vector), everything.values)
         back = (p.start - vector) / p.space.scale
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
 
         def cost(kept: list[str]) -> float:
-            free = np.isin(everything, p.which(kept))
-            d = _held_at(p, q, kept, everything, np.where(free, 0.0, back), free)
+            free = np.isin(everything.which, p.which(kept))
+            d = _held_at(q, np.where(free, 0.0, back), free)
             return float(d @ h @ d - 2.0 * g @ d)
-        names = list(library)
         while names:
             now = cost(names)
             missed = {n: cost([m for m in names if m != n]) - now for n in names}
@@ -228,40 +228,47 @@ class Search:
                 break
             names.remove(weakest)
         if not names or frozenset(names) in self._seen:
+            p.loss.scale = scale
             return None
-        return self._renewed(p.fit(tuple(names), p.everything(vector), iterations=2))
+        return self._renewed(p.fit(tuple(names), everything, iterations=2))
 
     def _settled(self, found: Found) -> Found:
-        """Exchanges where that is better and leaving out where the test says so, until all hold; then the search goes
-        on from there once more."""
+        """Exchanges where that is better, and without what the test says no to, until all hold."""
         for _ in range(EXCHANGES):
-            better = self._measured(found) or self._exchanged(found)
+            found = self._held(found)
+            better = self._exchanged(found)
             if better is None:
-                break
-            self._seen.discard(frozenset(better.names))
-            further = self._from(self._renewed(better))
-            if further is None:
-                break
+                return found
+            further = self._from(self._renewed(better), anew=True)
             further.order = [n for n in dict.fromkeys((*found.order, *further.fit.names)) if n in further.fit.names]
             found = further
-        else:
-            self._measured(found)
+        return self._held(found)
+
+    def _held(self, found: Found) -> Found:
+        """With what fails the test left out; evidence filled in."""
+        while weakest := self._measured(found):
+            fit = self._renewed(found.without[weakest])
+            refused = {weakest: (found.evidence[weakest], judge(found.evidence[weakest], self.limits), found.fit)}
+            found = Found(fit, [n for n in found.order if n != weakest], refused={**found.refused, **refused})
         return found
 
-    def _measured(self, found: Found) -> Fit | None:
-        """Fill in `evidence` and `without`. The fit without the weakest effect that fails the test; None if none does."""
+    def _measured(self, found: Found, sure: float = np.inf) -> str:
+        """Fill in `evidence` and `without`. The weakest effect that fails the test; "" if none does. sure: of the size
+        of the errors; an effect whose leaving out surely costs three times that is not refitted without."""
         p = self.problem
-        if found.scores is None:
-            found.scores = screen(p, found.fit, np.random.default_rng(self.seed))
+        found.scores = found.scores or self._scores(found.fit)
         found.evidence, found.without = {}, {}
         for name in found.fit.names:
-            self.tick()
-            found.without[name] = p.fit(tuple(n for n in found.fit.names if n != name), found.fit.slopes, iterations=2)
-            found.evidence[name] = self._evidence(found.without[name], found.fit, name, found.scores)
+            promised = self._promised(found.fit, name) / p.number
+            if promised > 3.0 * sure:
+                without = found.without[name] = found.fit
+                e = self._evidence(found.fit, found.fit, name, found.scores)
+                found.evidence[name] = replace(e, gain=promised, chance=0.0)
+                continue
+            without = found.without[name] = self._less(found.fit, name)
+            found.evidence[name] = self._evidence(without, found.fit, name, found.scores)
         failing = [n for n, e in found.evidence.items() if judge(e, self.limits).rule != STATED]
-        if not failing:
-            return None
-        return found.without[min(failing, key=lambda n: found.evidence[n].gain)]
+        return min(failing, key=lambda n: found.evidence[n].gain, default="")
 
     def _exchanged(self, found: Found) -> Fit | None:
         """Fill in `rivals`. The fit with one effect exchanged that is better than the present one; None if none is."""
@@ -294,13 +301,12 @@ class Search:
         p = self.problem
         everything = np.arange(len(p.space))
         free = np.isin(everything, p.which((*rest, other)))
-        back = np.where(free, 0.0, (p.space.null - fit.vector) / p.space.scale)
-        d = _held_at(p, q, (*rest, other), everything, back, free)
+        d = _held_at(q, np.where(free, 0.0, (p.start - fit.vector) / p.space.scale), free)
         cost = float(d @ q.hessian.sum(axis=0) @ d - 2.0 * q.gradient.sum(axis=0) @ d)
         return cost, p.moved(fit.vector, everything, d)
 
 
-def _held_at(p: Problem, q: Quadratic, names, which: np.ndarray, fixed: np.ndarray, free: np.ndarray) -> np.ndarray:
+def _held_at(q: Quadratic, fixed: np.ndarray, free: np.ndarray) -> np.ndarray:
     """The best step with some of its parts `fixed`, the others `free`."""
     d = np.array(fixed)
     if free.any():

@@ -17,8 +17,8 @@ class DiscoverySettings:
 
     channels: what of the log is used as measurement. Without velocity_y the sideslip is not looked at at all, neither
     as a measurement nor as the start of a prediction. seed: of every drawing of numbers. horizon [s]: of the
-    predictions. windows: predictions looked at, about; their starts are as far apart as that makes them, half a second
-    at least. block [s]: driving further apart counts as independent. effects: names that take part; None: all that
+    predictions. windows: predictions looked at, about; their starts are as far apart as that makes them, a second at
+    least. block [s]: driving further apart counts as independent. effects: names that take part; None: all that
     apply. limits: of the decision. certify: run the whole search on drives with known effects. where: say where the
     model misses. noise: one standard deviation by channel, as measured; None: from the data.
     """
