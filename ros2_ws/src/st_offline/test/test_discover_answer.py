@@ -12,7 +12,7 @@ from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.result import BoundEffect, Change, Step, Value
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery import answers, words
+from st_offline.discovery import answers, quantities, words
 from st_offline.discovery.agreement_figures import agreement, bound
 from st_offline.discovery.answer_figures import budget, certificate, runs, waterfall
 from st_offline.discovery.document import document
@@ -95,8 +95,8 @@ def test_what_replaces_another_inherits_its_metres():
 
 def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):
     (p,) = fitted("heading_misalignment", {"angle": math.radians(0.5)}).values()
-    assert words.value(p) == "0.500° (0.490 to 0.510)" and words.short_value(p) == "0.50°"
-    assert words.change(0.03, "1") == "3 %" and words.change(math.radians(-1.0), "rad") == "1°"
+    assert quantities.value(p) == "0.500° (0.490 to 0.510)" and quantities.short_value(p) == "0.50°"
+    assert quantities.change(0.03, "1") == "3 %" and quantities.change(math.radians(-1.0), "rad") == "1°"
 
 
 def scene(found, logs, folder=None):

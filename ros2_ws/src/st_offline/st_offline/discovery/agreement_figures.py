@@ -13,7 +13,7 @@ from st_core.discovery.result import BoundEffect, FoundEffect, Value
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, finish, style
 from ..style import MEASURED_COLOUR
-from . import words
+from . import quantities, words
 from .figures import AFTER, Scene
 
 MOST_SITES = 4
@@ -46,7 +46,7 @@ def agreement(scene: Scene) -> Drawn | None:
             _shares(axes, [(row, v) for level, row, v in shares if level not in crowded])
             for _, row, v in (one for one in shares if one[0] in crowded):
                 axes.plot(np.clip(v.share, *axes.get_xlim()), row, "|", ms=7, color=AFTER, alpha=0.6)
-            heading = [words.plain(effect.name), words.short_values(effect.parameters)]
+            heading = [quantities.plain(effect.name), quantities.short_values(effect.parameters)]
             axes.set_title("\n".join(line for text in heading for line in textwrap.wrap(text, 90 // len(effects))),
                            fontsize=8)
             axes.set_xlabel("share")
@@ -63,7 +63,7 @@ def agreement(scene: Scene) -> Drawn | None:
 
 def _agreed(effects: Sequence[FoundEffect]) -> str:
     """Which effects show in every run, and which do not."""
-    counts = {words.plain(e.name): (words.showing(e.agreement["run"]), len(e.agreement["run"])) for e in effects
+    counts = {quantities.plain(e.name): (words.showing(e.agreement["run"]), len(e.agreement["run"])) for e in effects
               if e.agreement.get("run")}
     every = [name for name, (shown, of) in counts.items() if shown == of]
     some = [f"{name} in {shown} of {of}" for name, (shown, of) in counts.items() if shown < of]
@@ -105,9 +105,9 @@ def bound(scene: Scene) -> Drawn | None:
         axes.set_xlabel("share")
         if count:
             _maps(figure, [figure.add_subplot(grid[k + 1]) for k in range(count)], groups, shown, scene)
-        title = (f"Tied to {one.to}, and not named: something like {words.plain(one.resembles)} "
-                 f"({words.metres(one.position_5s)} after 5 s)")
-        others = [words.plain(b.resembles) for b in scene.found.bound if b is not one]
+        title = (f"Tied to {one.to}, and not named: something like {quantities.plain(one.resembles)} "
+                 f"({quantities.metres(one.position_5s)} after 5 s)")
+        others = [quantities.plain(b.resembles) for b in scene.found.bound if b is not one]
         caption = ("Share of the fitted value that each part shows, the clearest ones; a property of the car would be "
                    "the same in all.") + (f" Not drawn: {', '.join(others)}." if others else "")
         return finish(figure, scene.place, "bound", title, caption)

@@ -7,7 +7,7 @@ from matplotlib.patches import Patch
 
 from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, finish, style
 from ..style import MEASURED_COLOUR
-from . import words
+from . import quantities, words
 from .figures import AFTER, Scene
 
 UNEXPLAINED = "unexplained"
@@ -26,7 +26,7 @@ def waterfall(scene: Scene) -> Drawn | None:
         first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
         rows = [f"{scene.found.base.base.name} model, {scene.found.start}"]
         axes.barh(0, first, color=scene.colour, height=0.62)
-        _label(axes, first, 0, words.metres(first))
+        _label(axes, first, 0, quantities.metres(first))
         for row, step in enumerate(steps, 1):
             before, after = step.position_5s.base, step.position_5s.augmented
             axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT, lw=0.6, alpha=0.5)
@@ -36,10 +36,10 @@ def waterfall(scene: Scene) -> Drawn | None:
             change = f"{after - before:+.2f} m".replace("-", "−")
             small = abs(after - before) < words.LEAST and words.other_channel(step)
             _label(axes, max(before, after, *ends), row, small or change)
-            rows.append(f"{words.step_name(step)}  {words.short_values(step.parameters)}")
+            rows.append(f"{words.step_name(step)}  {quantities.short_values(step.parameters)}")
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
-        _label(axes, last, len(steps) + 1, words.metres(last))
+        _label(axes, last, len(steps) + 1, quantities.metres(last))
         axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
         axes.set_yticks(range(len(steps) + 2), [*rows, "with all that was found"])
         axes.set_ylim(len(steps) + 1.6, -0.6)
@@ -132,14 +132,14 @@ def certificate(scene: Scene) -> Drawn | None:
         for row, entries in enumerate(ranked):
             for column, power in enumerate(entries):
                 grid[row, column] = power.found
-                text = f"{words.change(power.size, power.unit)}: {100 * power.found:.0f} %"
+                text = f"{quantities.change(power.size, power.unit)}: {100 * power.found:.0f} %"
                 axes.text(column, row, text, ha="center", va="center", fontsize=8,
                           color="white" if power.found < 0.55 else "black")
         image = axes.imshow(grid, aspect="auto", cmap="cividis", vmin=0.0, vmax=1.0)
         axes.grid(False)
         alone = {effect: sum(e == effect for e, _ in rows) == 1 for effect, _ in rows}
-        axes.set_yticks(range(len(ranked)), [words.plain(e[0].effect) + ("" if alone[e[0].effect] else
-                                             f", {words.plain(e[0].parameter)}") for e in ranked])
+        axes.set_yticks(range(len(ranked)), [quantities.plain(e[0].effect) + ("" if alone[e[0].effect] else
+                                             f", {quantities.plain(e[0].parameter)}") for e in ranked])
         axes.set_xticks(range(most), SIZES[:most] if most <= len(SIZES) else range(1, most + 1))
         axes.tick_params(length=0)
         figure.colorbar(image, ax=axes, label="found, share of cases", pad=0.01)

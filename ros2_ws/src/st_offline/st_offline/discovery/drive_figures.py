@@ -13,7 +13,7 @@ from st_core.readings import readings
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, finish, style, thinned
 from ..style import MEASURED_COLOUR
-from . import words
+from . import quantities
 from .figures import AFTER, Scene
 
 HORIZON, STEP, SLOWEST = 5.0, 0.05, 1.5  # s, s, m/s
@@ -27,7 +27,7 @@ def maps(scene: Scene) -> Drawn | None:
     if run is None:
         return None
     sides = [("before", scene.before)] + ([("after", scene.after)] if scene.after else [])
-    top = words.factor(UNITS[scene.channel]) * max(float(np.nanmax(levels)), 1e-12)
+    top = quantities.factor(UNITS[scene.channel]) * max(float(np.nanmax(levels)), 1e-12)
     unit = UNITS[scene.channel]
     with style():
         log = scene.runs[run]
@@ -39,7 +39,7 @@ def maps(scene: Scene) -> Drawn | None:
             rows = np.flatnonzero(survey.samples.run == run)
             rows = rows[:: max(1, len(rows) // 500)]
             x, y = survey.samples.x[rows], survey.samples.y[rows]
-            level = words.factor(unit) * np.sqrt(survey.samples.squares[scene.channel][rows])
+            level = quantities.factor(unit) * np.sqrt(survey.samples.squares[scene.channel][rows])
             axes.plot(log.x[::every], log.y[::every], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
             points = axes.scatter(x, y, c=level, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
                                   vmin=0.0, vmax=top)
@@ -49,8 +49,8 @@ def maps(scene: Scene) -> Drawn | None:
             axes.set_xlabel("east, m")
         panels[0][0].set_ylabel("north, m")
         bar = figure.colorbar(points, ax=list(panels[0]))
-        bar.set_label(f"{words.channel(scene.channel)} error, {words.shown_unit(unit)}")
-        title = f"{log.name}: where on the track the {words.channel(scene.channel)} is missed"
+        bar.set_label(f"{quantities.channel(scene.channel)} error, {quantities.shown_unit(unit)}")
+        title = f"{log.name}: where on the track the {quantities.channel(scene.channel)} is missed"
         return finish(figure, scene.place, "map", title, "Every point is one prediction, coloured by its error; the "
                       "same colours on both sides.")
 
@@ -67,19 +67,19 @@ def over_time(scene: Scene) -> Drawn | None:
             if survey is None:
                 continue
             rows = survey.samples.run == run
-            level = words.factor(unit) * np.sqrt(survey.samples.squares[scene.channel][rows])
+            level = quantities.factor(unit) * np.sqrt(survey.samples.squares[scene.channel][rows])
             axes.plot(*thinned(survey.samples.time[rows], level), color=colour, lw=1.2)
         parts = [p for p in scene.before.parts if p.run == run and p.channel == scene.channel]
         for part in parts:
             axes.axvspan(part.start, part.end, color=MEASURED_COLOUR, alpha=0.15, lw=0)
         axes.set_ylim(bottom=0)
         axes.set_xlabel("time in the run, s")
-        axes.set_ylabel(f"{words.channel(scene.channel)}\nerror, {words.shown_unit(unit)}")
+        axes.set_ylabel(f"{quantities.channel(scene.channel)}\nerror, {quantities.shown_unit(unit)}")
         figure.legend(handles=scene.handles("s"), loc="outside lower left", ncols=3)
         caption = "Root mean square of each prediction." + (
             " Shaded: worse than like conditions on the rest of the run." if parts else
             " No part of the run is worse than like conditions elsewhere.")
-        title = f"{scene.runs[run].name}: {words.channel(scene.channel)} error over the run"
+        title = f"{scene.runs[run].name}: {quantities.channel(scene.channel)} error over the run"
         return finish(figure, scene.place, "time", title, caption)
 
 

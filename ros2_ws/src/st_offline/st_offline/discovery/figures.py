@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..style import MEASURED_COLOUR, MODEL_COLOUR
-from . import words
+from . import quantities, words
 
 AFTER = MODEL_COLOUR["augmented"]
 MOST_CANDIDATES = 14
@@ -66,11 +66,11 @@ def gap(scene: Scene) -> Drawn | None:
                 axes.plot(shown, row, "o", ms=8, color=AFTER, zorder=3)
             if one.floor > 0.0:
                 axes.plot(percent * one.floor, row, "|", ms=14, mew=2, color=MEASURED_COLOUR, zorder=3)
-            text = words.size(one.base, one.unit)
+            text = quantities.size(one.base, one.unit)
             if scene.found.model:
-                text += f" → {words.size(one.augmented, one.unit)}"
+                text += f" → {quantities.size(one.augmented, one.unit)}"
             axes.annotate(text, (1.01, row), xycoords=("axes fraction", "data"), va="center", fontsize=8)
-        axes.set_yticks(range(len(entries)), [words.channel(n) for n, _ in entries])
+        axes.set_yticks(range(len(entries)), [quantities.channel(n) for n, _ in entries])
         axes.set_ylim(len(entries) - 0.5, -0.5)
         axes.set_xlim(left=0)
         axes.set_xlabel("error on held-out driving, % of the base model's")
@@ -89,7 +89,7 @@ def _gap_title(found: Discovery) -> str:
         return "No held-out error surely changes with what was found"
     first = certain[0]
     return (f"{len(certain)} of {len(found.gap)} held-out errors surely change, most that of the "
-            f"{words.channel(first)}: {words.before_and_after(found.gap[first])}")
+            f"{quantities.channel(first)}: {words.before_and_after(found.gap[first])}")
 
 
 def conditions(scene: Scene) -> Drawn | None:
@@ -120,10 +120,10 @@ def conditions(scene: Scene) -> Drawn | None:
         for axes in panels.flat[len(quantities):]:
             axes.set_visible(False)
         for axes in panels[:, 0]:
-            axes.set_ylabel(f"{words.channel(channel)} error,\ntimes the expected")
+            axes.set_ylabel(f"{quantities.channel(channel)} error,\ntimes the expected")
         figure.legend(handles=scene.handles(), loc="outside lower left", ncols=3)
         said = [w for w in scene.found.where if w.channel == channel and w.condition != EVERYWHERE]
-        title = words.statement(said[0]) if said else f"{words.channel(channel)}: no condition stands out"
+        title = words.statement(said[0]) if said else f"{quantities.channel(channel)}: no condition stands out"
         expected = "the reference drives' in the same range" if scene.before.reference else "what noise alone leaves"
         caption = (f"Root mean square over {expected}; 1 = as expected. Filled: significant over all ranges together "
                    "(false discovery rate 5 %). Bars: 95 %, whole blocks of time resampled.")
@@ -162,7 +162,7 @@ def candidates(scene: Scene) -> Drawn | None:
                       hatch="///" if one.name in alternatives else None, edgecolor=TEXT, lw=0)
             axes.annotate(one.verdict, (max(100 * one.gain, 0.0), row), xytext=(5, 0), textcoords="offset points",
                           va="center", fontsize=8)
-        axes.set_yticks(range(len(ranked)), [words.plain(c.name) for c in ranked])
+        axes.set_yticks(range(len(ranked)), [quantities.plain(c.name) for c in ranked])
         axes.set_ylim(len(ranked) - 0.5, -0.6)
         top = 100 * max(*(c.gain for c in ranked), 0.01)
         axes.set_xlim(0.0, 1.5 * top)  # room for the words; there is no share above 100 %

@@ -8,7 +8,7 @@ from st_core.discovery.result import Discovery
 
 from ..evaluation.drawing import Drawn
 from ..pages import template
-from . import words
+from . import quantities, words
 from .mending import Mended
 
 VERDICTS = ("stated", "alternative", "bound")  # first in the table of all effects
@@ -21,8 +21,8 @@ def write_page(file: Path, found: Discovery, mended: Mended | None, content: dic
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     order = {verdict: place for place, verdict in enumerate(VERDICTS)}
     ranked = sorted(found.candidates, key=lambda c: (order.get(c.verdict, len(order)), -c.gain))
-    text = template("discovery", "discovery.html.jinja", plain=words.plain, channel=words.channel).render(
+    text = template("discovery", "discovery.html.jinja", plain=quantities.plain, channel=quantities.channel).render(
         title=words.title(found), found=found, verdict=words.verdict(found, mended), content=content, figures=figures,
-        candidates=ranked, words=words, size=words.size,
+        candidates=ranked, words=words, quantities=quantities, size=quantities.size,
         recordings={**refused, **about["runs"], **about["reference"]})
     file.write_text(text, encoding="utf-8")

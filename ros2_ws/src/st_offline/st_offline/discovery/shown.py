@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 from st_core.discovery.result import Discovery
 
-from . import words
+from . import quantities, words
 from .drives import Drive
 from .mending import Mended
 
@@ -56,7 +56,7 @@ def waterfall(found: Discovery) -> Table | None:
     for step in found.steps:
         change = step.position_5s
         low, high = change.interval
-        table.add_row(escape(words.step_name(step)), escape(words.short_values(step.parameters)),
+        table.add_row(escape(words.step_name(step)), escape(quantities.short_values(step.parameters)),
                       f"{change.augmented:.3f}", f"{change.base - change.augmented:.3f}", f"{low:.3f} to {high:.3f}")
     return table
 
