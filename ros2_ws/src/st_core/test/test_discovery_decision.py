@@ -1,0 +1,195 @@
+"""Every rule of the decision as a line: figures, the rule that answers. And every limit with a line it turns."""
+
+import ast
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+from st_core.discovery import OUTCOMES, Limits, decision
+from st_core.discovery.decision import (
+    BOUND,
+    CHANCE,
+    NEGLIGIBLE,
+    RULES,
+    SENSORS,
+    STATED,
+    UNWORTHY,
+    VARIES,
+    WORDS,
+    Answer,
+    Rival,
+    alternative,
+    decide,
+    judge,
+    varies_over,
+)
+from st_core.discovery.evidence import Agreement, Evidence
+from st_core.errors import ConfigurationError
+
+LIMITS = Limits()
+GOOD = Evidence("mass", gain=0.2, chance=1e-4, position=0.5, position_somewhere=0.5)
+SAME = Agreement({}, differ=0.5, absent=1e-6)
+DIFFERENT = Agreement({}, differ=1e-4, absent=0.2)
+SMALL, LUCKY = replace(GOOD, gain=0.005), replace(GOOD, chance=0.02)
+CHEAP = replace(GOOD, gain=0.02, position=0.01, position_somewhere=0.015)
+DENIED, EDGE = replace(GOOD, sensors=0.01), replace(GOOD, bound=0.0)
+LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
+EQUAL = Rival("rear_stiffness", share=0.9, worse=0.4, evidence=replace(GOOD, name="rear_stiffness"))
+NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
+
+
+@pytest.mark.parametrize(("evidence", "rule", "figures"), [
+    (GOOD, STATED, {"gain": 0.2, "chance": 1e-4, "position": 0.5}),
+    (SMALL, NEGLIGIBLE, {"gain": 0.005, "negligible": 0.01}),
+    (LUCKY, CHANCE, {"chance": 0.02, "false_alarm": 0.01}),
+    (CHEAP, UNWORTHY, {"gain": 0.02, "position": 0.015}),
+    (replace(CHEAP, gain=0.03), STATED, {}),
+    (replace(CHEAP, position=0.03), STATED, {}),
+    (replace(CHEAP, position_somewhere=0.03), STATED, {}),
+    (DENIED, SENSORS, {"chance": 0.01, "doubt": 0.05}),
+    (replace(GOOD, sensors=0.3), STATED, {}),
+    (EDGE, BOUND, {"distance": 0.0, "bound": 0.001}),
+    (LOCAL, VARIES, {"differ": 1e-4, "absent": 0.2}),
+    (replace(GOOD, agreement={"run": Agreement({}, 1e-4, 0.01)}), STATED, {}),  # differs, yet is everywhere
+    (replace(GOOD, agreement={"run": Agreement({}, 0.3, 0.4)}), STATED, {}),  # absent may be, differs not surely
+])
+def test_verdict_on_one_effect(evidence, rule, figures):
+    verdict = judge(evidence, LIMITS)
+    assert (verdict.rule, verdict.subject) == (rule, "mass")
+    assert {k: verdict.figures[k] for k in figures} == figures
+    assert verdict.text
+
+
+def test_rules_are_asked_in_their_order():
+    """Of an effect that fails them all the first is the verdict; mended one by one, the next."""
+    worst = Evidence("mass", gain=0.005, chance=0.5, sensors=0.001, bound=0.0, agreement={"run": DIFFERENT})
+    mended = ({"gain": 0.02}, {"chance": 1e-4}, {"position": 1.0}, {"sensors": None}, {"bound": 1.0},
+              {"agreement": {}})
+    asked = []
+    for mend in mended:
+        asked.append(judge(worst, LIMITS).rule)
+        worst = replace(worst, **mend)
+    assert tuple(asked) == RULES
+    assert judge(worst, LIMITS).rule == STATED
+
+
+@pytest.mark.parametrize(("agreement", "level"), [
+    ({}, ""),
+    ({"run": SAME, "site": SAME}, ""),
+    ({"run": SAME, "site": DIFFERENT}, "site"),
+    ({"run": DIFFERENT, "time": Agreement({}, 1e-4, 0.4), "site": SAME}, "time"),  # the one that denies it most
+    ({"run": Agreement({}, 0.02, 0.4)}, ""),
+    ({"run": Agreement({}, 1e-4, 0.04)}, ""),
+])
+def test_level_over_which_an_effect_varies(agreement, level):
+    assert varies_over(replace(GOOD, agreement=agreement), LIMITS) == level
+
+
+def test_every_level_has_words():
+    for level, words in WORDS.items():
+        assert words in judge(replace(GOOD, agreement={level: DIFFERENT}), LIMITS).text
+
+
+@pytest.mark.parametrize(("rival", "rule"), [
+    (EQUAL, "alternative"),
+    (replace(EQUAL, share=0.4), "explains less"),
+    (replace(EQUAL, worse=0.01), "explains less"),
+    (replace(EQUAL, evidence=CHEAP), "alternative"),  # worth is a matter of the stated one
+    (replace(EQUAL, evidence=SMALL), NEGLIGIBLE),
+    (replace(EQUAL, evidence=LUCKY), CHANCE),
+    (replace(EQUAL, evidence=DENIED), SENSORS),
+    (replace(EQUAL, evidence=EDGE), BOUND),
+    (replace(EQUAL, evidence=LOCAL), VARIES),
+    (replace(EQUAL, share=0.4, evidence=EDGE), "explains less"),  # asked first
+])
+def test_another_name(rival, rule):
+    assert alternative(rival, LIMITS).rule == rule
+
+
+@pytest.mark.parametrize(("answer", "outcome", "figures"), [
+    (replace(NOTHING, stated=[GOOD, replace(GOOD, name="friction")], rivals={"mass": [EQUAL]}), "several",
+     {"effects": 2}),
+    (replace(NOTHING, stated=[GOOD]), "named", {}),
+    (replace(NOTHING, stated=[GOOD], rivals={"mass": [replace(EQUAL, share=0.1)]}), "named", {}),
+    (replace(NOTHING, stated=[GOOD], rivals={"friction": [EQUAL]}), "named", {}),  # of something else
+    (replace(NOTHING, stated=[GOOD], rivals={"mass": [EQUAL]}), "ambiguous", {"names": 2}),
+    (replace(NOTHING, stated=[GOOD], refused=[LOCAL], left=9.0, seen=0.1), "named", {}),
+    (replace(NOTHING, refused=[EDGE, LOCAL], left=9.0, seen=0.1), "bound", {}),
+    (replace(NOTHING, refused=[EDGE], seen=0.1), "unknown", {}),
+    (replace(NOTHING, refused=[DENIED], seen=0.1), "unknown", {}),
+    (replace(NOTHING, refused=[SMALL, LUCKY, CHEAP]), "none", {"left": 1.0}),
+    (replace(NOTHING, seen=0.7, left=9.0), "not_testable", {"seen": 0.7, "shown": 0.8}),
+    (replace(NOTHING, left=2.5), "unknown", {"left": 2.5, "limit": 2.0}),
+    (NOTHING, "none", {"left": 1.0, "limit": 2.0}),
+])
+def test_outcome(answer, outcome, figures):
+    said, why = decide(answer, LIMITS)
+    assert said == outcome and said in OUTCOMES
+    assert (why.rule, why.subject) == (outcome, "answer")
+    assert {k: why.figures[k] for k in figures} == figures
+
+
+TURNED = {
+    "false_alarm": (lambda limits: judge(LUCKY, limits).rule, 1.0, CHANCE, STATED),
+    "doubt": (lambda limits: judge(DENIED, limits).rule, 1e-9, SENSORS, STATED),
+    "worth": (lambda limits: judge(CHEAP, limits).rule, 1e-9, UNWORTHY, STATED),
+    "worth_position": (lambda limits: judge(CHEAP, limits).rule, 1e-9, UNWORTHY, STATED),
+    "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, STATED),
+    "rival": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
+              "alternative"),
+    "bound": (lambda limits: judge(replace(EDGE, bound=1e-4), limits).rule, 1e-9, BOUND, STATED),
+    "left": (lambda limits: decide(replace(NOTHING, left=9.0), limits)[0], 1e9, "unknown", "none"),
+    "shown": (lambda limits: decide(replace(NOTHING, seen=0.1), limits)[0], 1e-9, "not_testable", "none"),
+}
+"""By limit: what is asked, the value at which the limit is off, and the answer with the limit and without."""
+ELSEWHERE = {"most": "test_discovery.py"}
+"""Limits that the search itself needs, and where they are tested."""
+
+
+@pytest.mark.parametrize("limit", [f.name for f in fields(Limits) if f.name not in ELSEWHERE])
+def test_limit_turns_an_answer(limit):
+    asked, off, on, without = TURNED[limit]
+    assert asked(LIMITS) == on
+    assert asked(replace(LIMITS, **{limit: off})) == without
+
+
+@pytest.mark.parametrize(("limit", "off", "asked", "on", "without"), [
+    ("false_alarm", 1e-9, lambda limits: judge(replace(LOCAL, chance=0.0), limits).rule, VARIES, STATED),
+    ("doubt", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, STATED),
+    ("doubt", 1e-9, lambda limits: alternative(replace(EQUAL, worse=0.01), limits).rule, "explains less",
+     "alternative"),
+])
+def test_limit_that_is_asked_twice_turns_both(limit, off, asked, on, without):
+    assert asked(LIMITS) == on
+    assert asked(replace(LIMITS, **{limit: off})) == without
+
+
+def test_limits_are_few_and_positive():
+    assert len(fields(Limits)) <= 15
+    for field in fields(Limits):
+        with pytest.raises(ConfigurationError, match=f"limit {field.name}"):
+            Limits(**{field.name: 0.0})
+
+
+def test_decision_is_pure():
+    """No numbers are made there: neither numpy nor scipy, nor anything of the search."""
+    imported = set()
+    for node in ast.walk(ast.parse(Path(decision.__file__).read_text())):
+        if isinstance(node, ast.Import):
+            imported |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add("." * node.level + (node.module or ""))
+    assert imported == {"collections.abc", "dataclasses", ".evidence", ".limits", ".result"}
+
+
+def test_limits_are_compared_in_few_places():
+    """What is stated is decided in `decision`; the search orders and saves work by them, the certificate repeats them
+    on imitated drives, and `discover` asks what could be seen."""
+    folder = Path(decision.__file__).parent
+    names = {f.name for f in fields(Limits)}
+    using = set()
+    for file in folder.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Attribute) and node.attr in names and ast.unparse(node.value).endswith("limits"):
+                using.add(file.name)
+    assert using == {"decision.py", "search.py", "certificate.py", "discover.py"}
