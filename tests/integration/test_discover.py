@@ -13,8 +13,7 @@ from typing import Any
 
 import pytest
 from raw_drives import LEAF, write_drives
-from st_core.discovery import DiscoverySettings
-from st_core.discovery.discover import discover
+from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters

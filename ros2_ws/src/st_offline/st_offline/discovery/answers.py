@@ -14,8 +14,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 import st_core
 from st_core.augmented import AugmentedModel, augment
-from st_core.discovery import DiscoverySettings
-from st_core.discovery.result import Discovery
+from st_core.discovery import Discovery, DiscoverySettings
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model

@@ -10,9 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from st_core.checks import pooled
-from st_core.discovery import DiscoverySettings
-from st_core.discovery.discover import discover
-from st_core.discovery.result import Discovery
+from st_core.discovery import Discovery, DiscoverySettings, discover
 from st_core.discovery.where import survey
 from st_core.effects import load_folder
 from st_core.log import DriveLog

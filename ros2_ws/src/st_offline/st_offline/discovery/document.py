@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from st_core.discovery.result import Discovery
+from st_core.discovery import Discovery
 from st_core.model_file import Interval, ModelFile, Provenance
 
 from ..plain_json import finite

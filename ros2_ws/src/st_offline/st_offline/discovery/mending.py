@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from st_core.augmented import AugmentedModel
 from st_core.batch import LogBatch
-from st_core.discovery.result import Discovery
+from st_core.discovery import Discovery
 from st_core.effects import Effect, get_effect
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.identification.apply import value_of

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from st_core.discovery.result import Discovery
+from st_core.discovery import Discovery
 
 from ..evaluation.drawing import Drawn
 from ..pages import template

@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from st_core.discovery.result import Discovery
+from st_core.discovery import Discovery
 
 from . import quantities, words
 from .drives import Drive
