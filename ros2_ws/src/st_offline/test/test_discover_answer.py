@@ -11,13 +11,15 @@ from drives import weave, write_drive
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.result import BoundEffect, Change, Step, Value
+from st_core.discovery.where import survey
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import answers, quantities, words
 from st_offline.discovery.agreement_figures import agreement, bound
 from st_offline.discovery.answer_figures import budget, certificate, runs, waterfall
 from st_offline.discovery.document import document
+from st_offline.discovery.drive_figures import maps, over_time, paths
 from st_offline.discovery.drives import read_drive
-from st_offline.discovery.figures import Scene, candidates, gap
+from st_offline.discovery.figures import Scene, candidates, conditions, gap
 from st_offline.discovery.mending import mend
 from st_offline.discovery.page import write_page
 from st_offline.discovery.question import Question
@@ -111,6 +113,18 @@ def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
         drawn = make(scene(full, logs, tmp_path))
         assert drawn.svg.startswith("<svg") and (tmp_path / f"{drawn.key}.png").stat().st_size > 5000
         assert make(scene(empty, logs)) is None
+
+
+def test_figures_of_the_driving_are_drawn_from_surveys(tmp_path):
+    files = [write_drive(tmp_path / f"{speed}.csv", weave(90.0, speed)) for speed in (7.0, 9.0)]
+    long = [read_drive(source, CAR, ReadSettings(), None, force=True).log for source in find_runs(files)]
+    found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
+    before, after = (survey(long, model, CAR, settings, noise={"yaw_rate": 0.002, "position": 0.05})
+                     for model in (found.base, found.model))
+    one = Scene(found, long, CAR, before, after, Place(tmp_path, ("png",)))
+    drawn = [make(one) for make in (conditions, maps, over_time, paths)]
+    assert [d.key for d in drawn] == ["conditions", "map", "time", "paths"]
+    assert "yaw rate error," in drawn[0].svg and "with what was found" in drawn[3].svg
 
 
 @pytest.mark.parametrize("to", ["run", "site", "time", "condition", "place at east 10 m, north 5 m, "])

@@ -96,13 +96,13 @@ def conditions(scene: Scene) -> Drawn | None:
     """Error of the most affected channel by condition, before and after."""
     channel = scene.channel
     before = [b for b in scene.before.bins if b.channel == channel and b.range.quantity != EVERYWHERE]
-    quantities = list(dict.fromkeys(b.range.quantity for b in before))
-    if not quantities:
+    sorts = list(dict.fromkeys(b.range.quantity for b in before))
+    if not sorts:
         return None
     after = {b.range: b for b in scene.after.bins if b.channel == channel} if scene.after else {}
     with style():
         figure, panels = plt.subplots(2, 3, figsize=(WIDTH, 5.2), sharey=True)
-        for axes, quantity in zip(panels.flat, quantities, strict=False):
+        for axes, quantity in zip(panels.flat, sorts, strict=False):
             mine = [b for b in before if b.range.quantity == quantity]
             for k, one in enumerate(mine):
                 _bar(axes, k - 0.12, one, scene.colour)
@@ -117,7 +117,7 @@ def conditions(scene: Scene) -> Drawn | None:
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(lambda v, _: f"{v:g}")
             axes.yaxis.set_minor_formatter(lambda v, _: "")
-        for axes in panels.flat[len(quantities):]:
+        for axes in panels.flat[len(sorts):]:
             axes.set_visible(False)
         for axes in panels[:, 0]:
             axes.set_ylabel(f"{quantities.channel(channel)} error,\ntimes the expected")
