@@ -7,19 +7,26 @@ from st_core import frames
 from st_core.batch import predict_log
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
+from st_sim.settings import REALISTIC
 
 from .oracle import BASE
 from .sensing import ROUNDING, noise_of
 
 MARGIN_NS = 700_000_000
 """At both ends: the smoothed forward acceleration is known there."""
+STEERING_NOISE = REALISTIC["steering_sensor_noise"]
+"""rad at the hand wheel."""
+WIDTH = 15
+"""Samples of 10 ms a recorded angle is smoothed over: a hand turns the wheel more slowly."""
 
 
 def resimulated(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog:
     """From the first instant on to the end in one prediction, every 10 ms; noise and rounding as of the virtual INS.
 
-    The speed is the recorded one's integral, so inputs and motion agree. Raises ValueError where the model spins.
+    The speed is the recorded one's integral and the wheels follow the steering without the noise of its sensor, so
+    inputs and motion agree; the sensor reads that angle with noise of its own. Raises ValueError where the model spins.
     """
+    log = replace(log, road_wheel_angle=_smooth(log.road_wheel_angle), steering_wheel_angle=None)
     time = log.ins_time_ns[(log.ins_time_ns > log.start_ns + MARGIN_NS) & (log.ins_time_ns < log.end_ns - MARGIN_NS)]
     step = 0.01
     # A whole number of steps from the first to the last sample.
@@ -37,9 +44,20 @@ def resimulated(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLo
     def read(values: np.ndarray, what: str, rounding: str) -> np.ndarray:
         return np.round((values + noise[what]) / ROUNDING[rounding]) * ROUNDING[rounding]
 
+    hand = log.road_wheel_angle * vehicle.steering_ratio + vehicle.steering_wheel_offset
+    hand = hand + STEERING_NOISE * np.random.default_rng([seed, 4]).standard_normal(len(hand))
+    hand = np.round(hand / ROUNDING["steering"]) * ROUNDING["steering"]
     return replace(
-        log, ins_time_ns=time[0] + np.round(np.arange(steps + 1) * step * 1e9).astype(np.int64),
+        log, road_wheel_angle=vehicle.road_wheel_angle(hand), steering_wheel_angle=hand,
+        ins_time_ns=time[0] + np.round(np.arange(steps + 1) * step * 1e9).astype(np.int64),
         x=x + noise["x"], y=y + noise["y"], yaw=read(yaw, "yaw", "angle"),
         velocity_x=read(v_x - rate * dy, "velocity_x", "velocity"),
         velocity_y=read(v_y + rate * dx, "velocity_y", "velocity"), yaw_rate=read(rate, "rate", "rate"),
         acceleration_x=None, acceleration_y=read(a_y + turning * dx - rate**2 * dy, "force", "force"))
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    """Without delay; the ends are held."""
+    window = np.hanning(WIDTH + 2)[1:-1]
+    padded = np.pad(values, WIDTH // 2, mode="edge")
+    return np.convolve(padded, window / window.sum(), "valid")
