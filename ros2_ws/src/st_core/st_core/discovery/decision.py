@@ -7,9 +7,10 @@ from .evidence import Evidence
 from .limits import Limits
 from .result import Outcome, Reason
 
-STATED, NEGLIGIBLE, CHANCE, UNWORTHY, SENSORS, BOUND, VARIES = (
-    "stated", "too small", "may be chance", "not worth it", "refuted by the sensors", "on a bound", "varies")
-RULES = (NEGLIGIBLE, CHANCE, UNWORTHY, SENSORS, BOUND, VARIES)
+STATED, NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, BOUND, VARIES, MINOR = (
+    "stated", "too small", "may be chance", "not surely there", "not worth it", "refuted by the sensors", "on a bound",
+    "varies", "minor")
+RULES = (NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, BOUND, VARIES)
 """In the order in which they are asked; the first that refuses an effect is its verdict."""
 
 
@@ -44,6 +45,9 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     if e.chance > limits.false_alarm:
         return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
                       f"with probability {e.chance:.2g} something gains as much where nothing is")
+    if e.null > limits.doubt:
+        return Reason(NULL, e.name, {"chance": e.null, "doubt": limits.doubt},
+                      f"values as far from their null come by chance with probability {e.null:.2g}")
     position = max(e.position, e.position_somewhere)
     if e.gain < limits.worth and position < limits.worth_position:
         return Reason(UNWORTHY, e.name, {"gain": e.gain, "position": position, "worth": limits.worth,
@@ -66,6 +70,18 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     return Reason(STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
                   f"it takes away {e.gain:.1%} of the size of the errors and {100 * e.position:.1f} cm after 5 s, by "
                   f"chance with probability {e.chance:.2g}, and is the same everywhere")
+
+
+def worth_a_name(e: Evidence, limits: Limits) -> Reason:
+    """Whether an effect that holds is stated, or only kept beside what is, so that it does not bend other values."""
+    position = max(e.position, e.position_somewhere)
+    share = max((share for share, over in e.shares.values() if over > limits.left), default=0.0)
+    figures = {"share": share, "position": position, "worth": limits.worth, "worth_position": limits.worth_position}
+    if share >= limits.worth or position >= limits.worth_position:
+        return Reason(STATED, e.name, figures, f"it takes away {share:.1%} of the errors of the start in the channel "
+                      f"where it acts most, and {100 * position:.1f} cm after 5 s")
+    return Reason(MINOR, e.name, figures, f"it is sure, but takes away {share:.1%} of the errors of the start in any "
+                  f"channel that is above the noise, and {100 * position:.1f} cm after 5 s: kept, not named")
 
 
 WORDS = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",

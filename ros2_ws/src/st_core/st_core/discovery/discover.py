@@ -11,7 +11,7 @@ from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
 from . import certificate, noise, waterfall
-from .decision import VARIES, WORDS, Answer, alternative, decide, judge, varies_over
+from .decision import MINOR, STATED, VARIES, WORDS, Answer, alternative, decide, judge, varies_over, worth_a_name
 from .evidence import Evidence, chance
 from .fit import Fit, Problem
 from .following import Catalogue, catalogue, following, separability, shows
@@ -101,7 +101,9 @@ class _Work:
         if self.reference:
             start, prior = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
         loss = Loss(Errors(self.windows, space, self.threads), start)
-        self.problem = problem = Problem(loss, start, self.windows.block, prior)
+        by_column = noise.floor(self.windows)
+        self.problem = problem = Problem(loss, start, self.windows.block, prior,
+                                         np.array([by_column[c] for c in self.windows.columns]))
         self._say_little(problem)
         parts = levels(self.windows)
         search = Search(problem, limits, parts, self.sensors, settings.seed, self._tick("searching"))
@@ -110,24 +112,25 @@ class _Work:
         ends = waterfall.Ends(problem, settings.seed)
         runs = runs_level(self.windows)
         bound = self._bound(found)
-        effects = tuple(self._effect(n, found, runs) for n in found.order)
+        effects, minor = ([self._effect(n, found, runs) for n in found.order if worth_a_name(
+            found.evidence[n], limits).rule == rule] for rule in (STATED, MINOR))
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, runs)
-        floor = self._floor()
+        floor = self._floor(by_column)
         gap = waterfall.gaps(ends, base, found.fit, floor)
         lines = waterfall.budget(problem, base, found.fit, bound[0][1] if bound else None, ends)
         told = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
                 if settings.certify else certificate.predicted(problem, found.fit, found.scores, limits))
-        stated = {name for e in effects for name in (e.name, *e.alternatives)}
+        stated = {name for e in (*effects, *minor) for name in (e.name, *e.alternatives)}
         driven = self._catalogue(found, effects)
         untestable = self._untestable(told, stated, driven)
         seen = 1.0 - sum(n.name in space.hypotheses for n in untestable) / len(space.hypotheses)
         left = gap["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9) if "position_5s" in gap else 1.0
-        answer = Answer([found.evidence[n] for n in found.order], found.rivals,
+        answer = Answer([found.evidence[e.name] for e in effects], found.rivals,
                         [e for e, *_ in found.refused.values()], left, seen)
         outcome, why = decide(answer, limits)
         statements = self._where(base, floor) if settings.where else ()
         return Discovery(
-            outcome=outcome, effects=effects, bound=tuple(b for b, _ in bound), steps=tuple(steps), gap=gap,
+            outcome=outcome, effects=tuple(effects), minor=tuple(minor), bound=tuple(b for b, _ in bound), steps=tuple(steps), gap=gap,
             budget=tuple(lines), reasons=(why, *self._reasons(found)), candidates=self._candidates(found),
             where=statements, not_testable=untestable,
             next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
@@ -199,7 +202,7 @@ class _Work:
         return said
 
     def _reasons(self, found: Found) -> list[Reason]:
-        said = [judge(found.evidence[n], self.limits) for n in found.order]
+        said = [worth_a_name(found.evidence[n], self.limits) for n in found.order]
         said += [alternative(r, self.limits) for others in found.rivals.values() for r in others]
         return [*said, *(verdict for _, verdict, _ in found.refused.values())]
 
@@ -210,7 +213,7 @@ class _Work:
         for name in space.hypotheses:
             vector = found.fit.vector
             if name in found.evidence:
-                verdict, gain = judge(found.evidence[name], self.limits), found.evidence[name].gain
+                verdict, gain = worth_a_name(found.evidence[name], self.limits), found.evidence[name].gain
             elif name in found.refused:
                 evidence, verdict, fit = found.refused[name]
                 gain, vector = evidence.gain, fit.vector
@@ -221,7 +224,7 @@ class _Work:
                 gain = float(each.sum()) / problem.number
                 verdict = judge(Evidence(name, gain, chance(found.scores.own[name], each, found.scores,
                                                             len(space.hypotheses))), self.limits)
-                if verdict.rule == "stated":
+                if verdict.rule == STATED:
                     verdict = Reason("explains less", name, {"gain": gain}, f"it takes away {gain:.1%} of the size of "
                                      "the errors; others take away more, and were asked first")
             else:
@@ -251,9 +254,10 @@ class _Work:
             said.append(NotTestable(name, f"it needs the signal {signals}, which is not there"))
         return (*said, *(NotTestable(name, reason) for name, reason in ALREADY_GIVEN.items()))
 
-    def _floor(self) -> dict[str, float]:
+    @staticmethod
+    def _floor(by_column: Mapping[str, float]) -> dict[str, float]:
         """Of each channel at the end of the horizon, and of the mean position error."""
-        by_column, result = noise.floor(self.windows), {}
+        result: dict[str, float] = {}
         for column, value in by_column.items():
             channel = CHANNEL_OF.get(column, column)
             result[channel] = float(np.hypot(result.get(channel, 0.0), value))

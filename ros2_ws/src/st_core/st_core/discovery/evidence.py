@@ -30,7 +30,10 @@ class Agreement:
 class Evidence:
     """name: of the effect. gain [1]: fall of the held-out loss for each scored error, about the share of their size.
 
-    chance [1]: that anything of the library gains so much where nothing is. position [m]: fall of the mean held-out
+    shares: by column of the errors, (what it takes away of the size of the errors of the start, size without it over
+    the noise) [1].
+    chance [1]: that anything of the library gains so much where nothing is. null [1]: of values at least as far from
+    their null, were that the truth. position [m]: fall of the mean held-out
     position error at the end of the horizon; position_somewhere: the largest in one driving condition, surely (95 %).
     bound [1]: distance to the nearest bound in usual sizes. sensors [1]: chance of the fitted value by what the
     sensors say among themselves; None where they say nothing. agreement: by level.
@@ -39,6 +42,8 @@ class Evidence:
     name: str
     gain: float
     chance: float
+    null: float = 0.0
+    shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     position: float = 0.0
     position_somewhere: float = 0.0
     bound: float = 1.0
@@ -110,14 +115,17 @@ def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> f
     """That something of the library does as well where nothing is: the smaller of what two tests say.
 
     Signs of blocks: the score beyond the largest of the library with signs drawn by chance, and a gain that is above
-    zero over the blocks. Likelihood ratio: twice the gain over the design effect, chi-square, for all of the library;
-    needed for what acts in a few blocks only.
+    zero over the blocks. Likelihood ratio: twice the gain over the design effect, for all of the library; needed for
+    what acts in a few blocks only. The design effect is known from so many blocks: Fisher's F, not chi-square.
     """
+    blocks, values = own.shape
+    if blocks < 2:
+        return 1.0
     flipped = (1 + int((scores.largest >= statistic(own)).sum())) / (1 + len(scores.largest))
     spread = float(gain.std(ddof=1)) * np.sqrt(len(gain)) if len(gain) > 1 else np.inf
     even = float(stats.norm.sf(gain.sum() / max(spread, 1e-12)))
     ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design
-    return min(max(flipped, even), library * float(stats.chi2.sf(ratio, own.shape[1])), 1.0)
+    return min(max(flipped, even), library * float(stats.f.sf(ratio / values, values, blocks - 1)), 1.0)
 
 
 def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, levels: Mapping[str, Level],
@@ -128,12 +136,22 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     own = scores.own.get(effect)
     if own is None:
         own = score_of(problem, without, effect, fit.slopes)
-    before, after = problem.position(problem.held_out_rows(without)), problem.position(problem.held_out_rows(fit))
+    rows = problem.held_out_rows(without), problem.held_out_rows(fit)
+    before, after = (problem.position(r) for r in rows)
     overall, somewhere = _falls(before - after, levels.get("condition"))
     return Evidence(effect, float(gain.sum()) / problem.number,
-                    chance(own, gain, scores, len(problem.space.hypotheses)), overall, somewhere,
+                    chance(own, gain, scores, len(problem.space.hypotheses)), of_null(problem, fit, effect),
+                    shares(problem, *rows), overall, somewhere,
                     to_bound(problem, fit, effect), by_sensors(problem, fit, effect, sensors),
                     {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
+
+
+def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str, tuple[float, float]]:
+    """By column: fall of the size of the errors over that of the start, and the size before over the noise."""
+    before, after = problem.sizes(without), problem.sizes(rows)
+    return {column: (float(fall), float(over)) for column, fall, over in zip(
+        problem.errors.windows.columns, (before - after) / problem.size_of_start,
+        before / np.maximum(problem.noise, 1e-12), strict=True)}
 
 
 def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndarray:
@@ -201,6 +219,19 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     h = inverse(q.hessian.sum(axis=0) + problem.held(fit.names, fit.which))
     scatter = q.gradient.T @ q.gradient * problem.blocks / max(problem.blocks - 1, 1)
     return h @ scatter @ h
+
+
+def of_null(problem: Problem, fit: Fit, effect: str) -> float:
+    """Chance of values as far from the start as these, by their sandwich covariance (Hotelling's T^2)."""
+    own = problem.space.indices(effect)
+    place = np.searchsorted(fit.which, own)
+    variance = covariance(problem, fit)[np.ix_(place, place)]
+    d = ((fit.vector - problem.start) / problem.space.scale)[own]
+    freedom = problem.blocks - len(own)
+    if freedom < 1:
+        return 1.0
+    square = float(d @ np.linalg.pinv(variance) @ d)
+    return float(stats.f.sf(square * freedom / (len(own) * max(problem.blocks - 1, 1)), len(own), freedom))
 
 
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called: list[str]) -> Agreement:

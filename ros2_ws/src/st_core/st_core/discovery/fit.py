@@ -13,6 +13,7 @@ ITERATIONS, SHARES = 5, (1.0, 0.5, 0.2)
 NEAR, MOST_KEPT = 0.25, 4  # usual sizes: slopes of a point so near will do; points remembered
 SETTLED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
 FOLDS = 8
+MOST = 5.0
 FAR = 100.0  # m: a prediction that diverges is that far off
 RIDGE = 1e-6  # of the mean curvature: keeps solutions finite where driving shows nothing
 
@@ -85,15 +86,34 @@ class Problem:
 
     start: (p,) where every search begins. prior: (p, p) curvature about `start` of everything that is not an effect of
     the set, from reference drives; None: all of that stays where it is, but for the gain of the accelerometer.
-    block: (n,) number of the block of each window.
+    block: (n,) number of the block of each window. noise: (c,) what noise alone leaves of each column [SI].
     """
 
-    def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None):
+    def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
+                 noise: np.ndarray | None = None):
         self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
         self.errors = loss.errors
+        self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1
         self.fold = np.arange(self.blocks) % min(FOLDS, self.blocks)
         self._whole: list[Slopes] = []
+
+    @cached_property
+    def size_of_start(self) -> np.ndarray:
+        """(c,) `sizes` where the search begins."""
+        return np.maximum(self.sizes(self.errors.at(self.start)), 1e-12)
+
+    def sizes(self, rows: np.ndarray) -> np.ndarray:
+        """(c,) root mean square error of each column over the horizon [SI]; one that is beyond MOST times what two
+        thirds of the start's are below counts as that."""
+        most = MOST * self._scale_of_start
+        square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -most, most))
+        points = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
+        return np.sqrt(points.reshape(len(self.errors.windows.time), -1).mean(axis=0))
+
+    @cached_property
+    def _scale_of_start(self) -> np.ndarray:
+        return self.loss.scale_of(self.start)
 
     @property
     def number(self) -> int:

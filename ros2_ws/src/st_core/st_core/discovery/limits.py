@@ -14,7 +14,8 @@ class Limits:
 
     false_alarm [1]: chance, over the whole library, that drives without any gap make one statement.
     doubt [1]: chance at which a comparison counts as undecided: two names, a value over runs, an interval.
-    worth [1]: share of the size of the errors, over all channels, an effect must take away to be worth a name ...
+    worth [1]: share of the size of the errors an effect must take away to be worth it: of those without it, over all
+    channels, to be kept; of those of the start, in one channel, to be named ...
     worth_position [m]: ... or this much of the mean position error after 5 s, over all or in one driving condition.
     negligible [1]: share of the size of the errors below which nothing is looked at, however sure.
     rival [1]: share of an effect's gain another name must reach to be called an alternative.
@@ -30,7 +31,7 @@ class Limits:
     worth_position: float = 0.02
     negligible: float = 0.01
     rival: float = 0.5
-    bound: float = 0.001
+    bound: float = 0.05
     left: float = 2.0
     shown: float = 0.8
     most: int = 16

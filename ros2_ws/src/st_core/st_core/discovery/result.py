@@ -234,7 +234,8 @@ class Discovery:
     outcome: none = what is left is near the noise, or nothing of it is sure; named = one effect; ambiguous = one, by
     several names; several = more than one effect; bound = sure, but tied to run, place, time or condition; unknown = a
     gap for sure that no effect of the library explains; not_testable = the drives show too little. start: what the
-    search began from, "vehicle file" or "reference". base: the model of the start; model: with the effects found, None
+    search began from, "vehicle file" or "reference". minor: sure, but too small to be named; part of the model, so that
+    they do not bend the values of what is. base: the model of the start; model: with the effects found, None
     without any. steps: from base to model. gap: by channel, and position_5s. budget: PARTS. reasons: every rule that
     decided. acceleration_gain: what the accelerometer shows more than the motion, as the body rolls [1]. noise: by
     channel, at the end of the horizon [SI]. signature: of what is unexplained, in words.
@@ -242,6 +243,7 @@ class Discovery:
 
     outcome: Outcome
     effects: tuple[FoundEffect, ...]
+    minor: tuple[FoundEffect, ...]
     bound: tuple[BoundEffect, ...]
     steps: tuple[Step, ...]
     gap: Mapping[str, Gap]

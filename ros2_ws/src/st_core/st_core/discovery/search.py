@@ -56,7 +56,9 @@ class Search:
         for names in ([*first.fit.names, *physics], [n for n in p.space.hypotheses if not get_effect(n).members]):
             start = self._pruned(first.fit.vector, list(dict.fromkeys(names)))
             answers.append(self._from(self._cleaned(start)) if start else None)
-        return self._settled(self._best([a for a in answers if a]))
+        found = self._settled(self._best([a for a in answers if a]))
+        found.order = sorted(found.fit.names, key=lambda n: -found.evidence[n].gain)
+        return found
 
     def _from(self, fit: Fit, anew: bool = False) -> Found | None:
         """Steps until nothing is accepted; None where they lead to a set another start has been at, if not `anew`."""

@@ -26,7 +26,7 @@ class DiscoverySettings:
     channels: tuple[str, ...] = CHANNELS
     seed: int = 0
     horizon: float = 5.0
-    windows: int = 600
+    windows: int = 400
     block: float = 10.0
     effects: tuple[str, ...] | None = None
     limits: Limits = field(default_factory=Limits)
