@@ -9,7 +9,9 @@ from st_core.discovery import OUTCOMES, Limits, decision
 from st_core.discovery.decision import (
     BOUND,
     CHANCE,
+    MINOR,
     NEGLIGIBLE,
+    NULL,
     RULES,
     SENSORS,
     STATED,
@@ -22,6 +24,7 @@ from st_core.discovery.decision import (
     decide,
     judge,
     varies_over,
+    worth_a_name,
 )
 from st_core.discovery.evidence import Agreement, Evidence
 from st_core.errors import ConfigurationError
@@ -32,7 +35,9 @@ SAME = Agreement({}, differ=0.5, absent=1e-6)
 DIFFERENT = Agreement({}, differ=1e-4, absent=0.2)
 SMALL, LUCKY = replace(GOOD, gain=0.005), replace(GOOD, chance=0.02)
 CHEAP = replace(GOOD, gain=0.02, position=0.01, position_somewhere=0.015)
+MAYBE_NULL = replace(GOOD, null=0.2)
 DENIED, EDGE = replace(GOOD, sensors=0.01), replace(GOOD, bound=0.0)
+SLIGHT = replace(GOOD, position=0.01, position_somewhere=0.0)
 LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
 EQUAL = Rival("rear_stiffness", share=0.9, worse=0.4, evidence=replace(GOOD, name="rear_stiffness"))
 NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
@@ -42,13 +47,14 @@ NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
     (GOOD, STATED, {"gain": 0.2, "chance": 1e-4, "position": 0.5}),
     (SMALL, NEGLIGIBLE, {"gain": 0.005, "negligible": 0.01}),
     (LUCKY, CHANCE, {"chance": 0.02, "false_alarm": 0.01}),
+    (MAYBE_NULL, NULL, {"chance": 0.2, "doubt": 0.05}),
     (CHEAP, UNWORTHY, {"gain": 0.02, "position": 0.015}),
     (replace(CHEAP, gain=0.03), STATED, {}),
     (replace(CHEAP, position=0.03), STATED, {}),
     (replace(CHEAP, position_somewhere=0.03), STATED, {}),
     (DENIED, SENSORS, {"chance": 0.01, "doubt": 0.05}),
     (replace(GOOD, sensors=0.3), STATED, {}),
-    (EDGE, BOUND, {"distance": 0.0, "bound": 0.001}),
+    (EDGE, BOUND, {"distance": 0.0, "bound": LIMITS.bound}),
     (LOCAL, VARIES, {"differ": 1e-4, "absent": 0.2}),
     (replace(GOOD, agreement={"run": Agreement({}, 1e-4, 0.01)}), STATED, {}),  # differs, yet is everywhere
     (replace(GOOD, agreement={"run": Agreement({}, 0.3, 0.4)}), STATED, {}),  # absent may be, differs not surely
@@ -62,15 +68,30 @@ def test_verdict_on_one_effect(evidence, rule, figures):
 
 def test_rules_are_asked_in_their_order():
     """Of an effect that fails them all the first is the verdict; mended one by one, the next."""
-    worst = Evidence("mass", gain=0.005, chance=0.5, sensors=0.001, bound=0.0, agreement={"run": DIFFERENT})
-    mended = ({"gain": 0.02}, {"chance": 1e-4}, {"position": 1.0}, {"sensors": None}, {"bound": 1.0},
-              {"agreement": {}})
+    worst = Evidence("mass", gain=0.005, chance=0.5, null=0.5, sensors=0.001, bound=0.0, agreement={"run": DIFFERENT})
+    mended = ({"gain": 0.02}, {"chance": 1e-4}, {"null": 0.0}, {"position": 1.0}, {"sensors": None},
+              {"bound": 1.0}, {"agreement": {}})
     asked = []
     for mend in mended:
         asked.append(judge(worst, LIMITS).rule)
         worst = replace(worst, **mend)
     assert tuple(asked) == RULES
     assert judge(worst, LIMITS).rule == STATED
+
+
+@pytest.mark.parametrize(("evidence", "rule", "figures"), [
+    (replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), STATED, {"share": 0.1}),
+    (replace(SLIGHT, shares={"yaw": (0.01, 5.0), "yaw_rate": (0.2, 9.0)}), STATED, {"share": 0.2}),  # where it is most
+    (replace(SLIGHT, shares={"yaw": (0.1, 1.5)}), MINOR, {"share": 0.0}),  # a channel that is noise
+    (replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), MINOR, {"share": 0.01, "position": 0.01}),
+    (replace(SLIGHT, position=0.03), STATED, {"position": 0.03}),
+    (replace(SLIGHT, position_somewhere=0.03), STATED, {"position": 0.03}),
+    (SLIGHT, MINOR, {"share": 0.0}),
+])
+def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
+    verdict = worth_a_name(evidence, LIMITS)
+    assert verdict.rule == rule and verdict.subject == "mass" and verdict.text
+    assert {k: verdict.figures[k] for k in figures} == figures
 
 
 @pytest.mark.parametrize(("agreement", "level"), [
@@ -97,6 +118,7 @@ def test_every_level_has_words():
     (replace(EQUAL, evidence=CHEAP), "alternative"),  # worth is a matter of the stated one
     (replace(EQUAL, evidence=SMALL), NEGLIGIBLE),
     (replace(EQUAL, evidence=LUCKY), CHANCE),
+    (replace(EQUAL, evidence=MAYBE_NULL), NULL),
     (replace(EQUAL, evidence=DENIED), SENSORS),
     (replace(EQUAL, evidence=EDGE), BOUND),
     (replace(EQUAL, evidence=LOCAL), VARIES),
@@ -137,7 +159,7 @@ TURNED = {
     "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, STATED),
     "rival": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
               "alternative"),
-    "bound": (lambda limits: judge(replace(EDGE, bound=1e-4), limits).rule, 1e-9, BOUND, STATED),
+    "bound": (lambda limits: judge(replace(EDGE, bound=0.001), limits).rule, 1e-9, BOUND, STATED),
     "left": (lambda limits: decide(replace(NOTHING, left=9.0), limits)[0], 1e9, "unknown", "none"),
     "shown": (lambda limits: decide(replace(NOTHING, seen=0.1), limits)[0], 1e-9, "not_testable", "none"),
 }
@@ -158,8 +180,13 @@ def test_limit_turns_an_answer(limit):
     ("doubt", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, STATED),
     ("doubt", 1e-9, lambda limits: alternative(replace(EQUAL, worse=0.01), limits).rule, "explains less",
      "alternative"),
+    ("doubt", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, STATED),
+    ("worth", 1e-9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
+     STATED),
+    ("worth_position", 1e-9, lambda limits: worth_a_name(SLIGHT, limits).rule, MINOR, STATED),
+    ("left", 1e9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule, STATED, MINOR),
 ])
-def test_limit_that_is_asked_twice_turns_both(limit, off, asked, on, without):
+def test_limit_that_is_asked_again_turns_that_too(limit, off, asked, on, without):
     assert asked(LIMITS) == on
     assert asked(replace(LIMITS, **{limit: off})) == without
 

@@ -1,0 +1,276 @@
+"""The loss and the joint fits: against scipy, against finite differences, and against values that were put in."""
+
+import numpy as np
+import pytest
+from discovery_drives import linear_problem, recorded
+from scipy import optimize, stats
+from st_core.discovery import DiscoverySettings, fit_effects
+from st_core.discovery.fit import FOLDS, Problem, Slopes
+from st_core.discovery.loss import FURTHEST, NU, SMALLEST, Errors, Loss, rho, weight
+from st_core.discovery.space import GAIN, Space
+from st_core.discovery.windows import COLUMNS, Windows
+
+FEW = ("steering_offset", "mass", "yaw_inertia")
+
+
+def fitted(problem: Problem, names, vector=None, iterations: int = 30):
+    start = problem.start if vector is None else vector
+    return problem.fit(names, problem.everything(start), iterations=iterations)
+
+
+def small_noise(problem: Problem, share: float) -> Problem:
+    """The same with less noise, and a scale of it."""
+    problem.errors.noise = share * problem.errors.noise
+    problem.loss.rescale(problem.errors.truth)
+    return problem
+
+
+# The loss
+
+
+def test_rho_is_the_likelihood_of_students_distribution():
+    z = np.linspace(-30.0, 30.0, 121)
+    expected = stats.t(NU).logpdf(0.0) - stats.t(NU).logpdf(z)
+    np.testing.assert_allclose(rho(z), expected, atol=1e-12)
+    slope = (rho(z + 1e-6) - rho(z - 1e-6)) / 2e-6
+    np.testing.assert_allclose(2.0 * z * weight(z), slope, atol=1e-6)
+
+
+def test_scale_is_what_two_thirds_of_the_errors_are_below():
+    problem = linear_problem(FEW, {}, 1, count=4000, common=0.0, size=0.02)
+    np.testing.assert_allclose(problem.loss.scale, 0.02, rtol=0.06)
+    larger = problem.start.copy()
+    larger[problem.space.indices("mass")] += 3.0 * problem.space.scale[problem.space.indices("mass")]
+    problem.loss.rescale(larger)
+    np.testing.assert_allclose(problem.loss.scale, 0.02 * np.sqrt(10.0), rtol=0.06)
+
+
+def test_scale_stops_at_the_resolution_of_the_sensors():
+    problem = small_noise(linear_problem(FEW, {}, 1), 1e-9)
+    smallest = [SMALLEST[c] for c in COLUMNS] * 4
+    np.testing.assert_array_equal(problem.loss.scale, smallest)
+
+
+def test_what_was_not_measured_does_not_count():
+    problem = linear_problem(FEW, {"mass": 1.0}, 2)
+    problem.errors.windows.known[1:, 2::6] = False  # one column, at all points
+    problem.errors.windows.known[5] = False  # one window
+    loss = Loss(problem.errors, problem.start)
+    before = loss.total(problem.start)
+    assert loss.number == (160 - 1) * 20 + 4
+    assert loss.by_window(problem.start)[5] == 0.0
+    scale = loss.scale.copy()
+    problem.errors.noise[1:, 2::6] = 1e3
+    problem.errors.noise[5] = np.nan
+    assert loss.total(problem.start) == before
+    loss.scale = scale
+    q = loss.quadratic(loss.errors.at(problem.start), problem.errors.signatures)
+    assert np.isfinite(q.hessian).all() and not q.gradient[5].any() and not q.hessian[5].any()
+
+
+def test_prediction_that_diverges_is_far_off_and_says_nothing_of_slopes():
+    problem = linear_problem(FEW, {}, 3)
+    loss = Loss(problem.errors, problem.start)
+    before = loss.by_window(problem.start)
+    problem.errors.noise[7] = np.nan  # measured, lost by a later vector only
+    problem.errors.noise[8] = 1e9
+    after = loss.by_window(problem.start)
+    assert after[7] == after[8] == pytest.approx(24 * rho(np.array(FURTHEST)))
+    np.testing.assert_array_equal(np.delete(after, (7, 8)), np.delete(before, (7, 8)))
+    q = loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
+    assert not q.gradient[7:9].any() and not q.hessian[7:9].any()
+    assert np.isfinite(loss.scale_of(problem.start)).all()
+
+
+def test_windows_without_any_prediction_at_the_start_are_left_out():
+    problem = linear_problem(FEW, {}, 3)
+    problem.errors.noise[7] = np.nan
+    loss = Loss(problem.errors, problem.start)
+    assert loss.number == (160 - 1) * 24 and loss.by_window(problem.start)[7] == 0.0
+
+
+def test_quadratic_touches_the_loss_and_lies_above_it():
+    """Reweighted squares: the slope is that of the loss, and of the errors that are linear it is never below."""
+    problem = linear_problem(FEW, {"mass": 2.0, "yaw_inertia": -1.0}, 4)
+    loss, space = problem.loss, problem.space
+    q = loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
+    np.testing.assert_allclose(q.cost, loss.by_window(problem.start))
+    rng = np.random.default_rng(0)
+    for size in (1e-4, 0.3, 3.0):
+        d = np.where(np.isin(space.effect_of, FEW), size * rng.standard_normal(len(space)), 0.0)
+        true = loss.by_window(problem.start + d * space.scale)
+        told = q.cost - 2.0 * q.gradient @ d + np.einsum("i,nij,j->n", d, q.hessian, d)
+        assert (told >= true - 1e-9).all()
+        if size == 1e-4:
+            np.testing.assert_allclose(told - q.cost, true - q.cost, atol=1e-6)
+
+
+def test_quadratic_by_group_is_the_sum_of_its_windows():
+    problem = linear_problem(FEW, {}, 5)
+    q = problem.loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
+    groups = np.arange(160) % 3
+    for part, whole in zip(("cost", "gradient", "hessian"), (q.cost, q.gradient, q.hessian), strict=True):
+        summed = getattr(q.summed(groups), part)
+        np.testing.assert_allclose(summed, [whole[groups == k].sum(axis=0) for k in range(3)])
+    which = problem.space.indices("mass", "yaw_inertia")
+    np.testing.assert_array_equal(q.only(which).hessian, q.hessian[:, which[:, None], which])
+
+
+def test_slopes_say_how_errors_fall_also_at_a_bound():
+    problem = linear_problem(FEW, {}, 6)
+    which = problem.space.indices(*FEW)
+    for edge in (problem.space.low, problem.space.high):
+        vector = problem.start.copy()
+        vector[which] = edge[which]
+        np.testing.assert_allclose(problem.loss.slopes(vector, which), problem.errors.signatures[which], atol=1e-9)
+
+
+def test_slopes_of_the_simulation_have_the_sign_of_the_effect(leaf):
+    """A car that steers to the left of what is measured: errors fall as the offset rises."""
+    settings = DiscoverySettings(windows=50)
+    space = Space("nonlinear", settings)
+    runs = recorded(leaf, {"steering_offset": {"angle": 0.005}}, 1, ("slalom",), noise=0.0)
+    loss = Loss(Errors(Windows(runs, leaf, settings), space), space.null)
+    own = space.indices("steering_offset")
+    rows, fall = loss.errors.at(space.null), loss.slopes(space.null, own)[0]
+    np.testing.assert_allclose(fall[:, -2], rows[:, -2], rtol=0.1)  # one usual size: all of the lateral error
+
+
+# Solvers
+
+
+def test_broyden_gives_what_was_lost_for_the_step_and_nothing_else_new():
+    rng = np.random.default_rng(1)
+    slopes = Slopes(np.zeros(3), np.arange(3), rng.standard_normal((3, 5, 4)))
+    scale, there = np.array([0.1, 1.0, 10.0]), np.array([0.05, 0.0, -3.0])
+    taken = rng.standard_normal((5, 4))
+    taken[0, 0] = np.nan
+    moved = slopes.moved(there, scale, taken)
+    step = there / scale
+    known = np.isfinite(taken)
+    np.testing.assert_allclose(np.tensordot(step, moved.values, 1)[known], taken[known])
+    assert moved.values[:, 0, 0] == pytest.approx(slopes.values[:, 0, 0])
+    across = np.array([step[2], 5.0, -step[0]])
+    np.testing.assert_allclose(np.tensordot(across, moved.values, 1), np.tensordot(across, slopes.values, 1))
+    assert slopes.moved(slopes.vector, scale, taken) is slopes
+
+
+# Fits
+
+
+def test_fit_recovers_what_was_put_in():
+    """To the noise: what blocks share is a fiftieth of what the effects do."""
+    truth = {"steering_offset": 2.0, "mass": -1.0, "yaw_inertia": 0.5}
+    problem = small_noise(linear_problem(FEW, truth, 7), 0.05)
+    fit = fitted(problem, FEW)
+    off = (fit.vector - problem.errors.truth) / problem.space.scale
+    assert np.abs(off).max() < 0.01
+    assert set(problem.space.effect_of[fit.which]) == {*FEW, GAIN}
+
+
+def test_fit_is_the_minimum_scipy_finds():
+    problem = linear_problem(FEW, {"mass": 1.0}, 8)
+    fit = fitted(problem, FEW, iterations=100)
+
+    def total(d):
+        vector = problem.start.copy()
+        vector[fit.which] += d * problem.space.scale[fit.which]
+        return problem.loss.total(vector)
+    best = optimize.minimize(total, np.zeros(len(fit.which)), method="BFGS", options={"gtol": 1e-4})
+    assert problem.loss.total(fit.vector) <= best.fun + 2e-4 * problem.number
+
+
+def test_windows_that_are_wrong_move_a_fit_little():
+    problem = small_noise(linear_problem(FEW, {"mass": 1.0}, 9), 0.1)
+    problem.errors.noise[::10] += 5.0  # a tenth of them, metres off
+    own = problem.space.indices("mass")
+    off = (fitted(problem, FEW).vector - problem.errors.truth)[own] / problem.space.scale[own]
+    assert np.abs(off).max() < 0.05
+
+
+def test_fit_stays_within_bounds():
+    problem = small_noise(linear_problem(("steering_lag", "mass"), {"steering_lag": -2.0}, 10), 0.1)
+    fit = fitted(problem, ("steering_lag", "mass"))
+    assert fit.vector[problem.space.indices("steering_lag")] == 0.0
+
+
+def test_only_effects_of_the_set_move_without_a_prior():
+    problem = linear_problem(FEW, {"mass": 1.0, "yaw_inertia": 1.0}, 11)
+    fit = fitted(problem, ("mass",))
+    moved = np.flatnonzero(fit.vector != problem.start)
+    assert set(problem.space.effect_of[moved]) <= {"mass", GAIN}
+    more = problem.fit(("yaw_inertia",), fit.slopes)  # what is not of the set goes back to the start
+    assert (more.vector[problem.space.indices("mass")] == problem.start[problem.space.indices("mass")]).all()
+
+
+def correlated(size: int, seed: int) -> np.ndarray:
+    root = np.random.default_rng(seed).standard_normal((size, size))
+    return root @ root.T + 5.0 * np.eye(size)
+
+
+def test_prior_holds_the_rest_as_if_the_set_were_unknown():
+    """The curvature that is left is the inverse of the covariance of the rest alone."""
+    problem = linear_problem(FEW, {}, 12)
+    prior = correlated(len(problem.space), 1)
+    problem = Problem(problem.loss, problem.start, problem.block, prior)
+    everything = np.arange(len(problem.space))
+    free = problem.space.indices("mass", "steering_offset")
+    rest = np.setdiff1d(everything, free)
+    held = problem.held(("mass", "steering_offset"), everything)
+    np.testing.assert_allclose(held[np.ix_(rest, rest)], np.linalg.inv(np.linalg.inv(prior)[np.ix_(rest, rest)]),
+                               rtol=1e-6, atol=1e-7)
+    assert not held[free].any() and not held[:, free].any()
+    np.testing.assert_allclose(problem.held((), everything), prior)
+
+
+@pytest.mark.parametrize("strength", [1.0, 1e8])
+def test_firm_prior_keeps_the_rest_at_the_start(strength):
+    problem = small_noise(linear_problem(FEW, {"mass": 1.0, "yaw_inertia": 1.0}, 13), 0.1)
+    prior = strength * np.eye(len(problem.space))
+    problem = Problem(problem.loss, problem.start, problem.block, prior)
+    fit = fitted(problem, ("mass",))
+    by = (fit.vector - problem.start) / problem.space.scale
+    mass, inertia = by[problem.space.indices("mass")], by[problem.space.indices("yaw_inertia")]
+    assert mass == pytest.approx(1.0, abs=0.05)
+    assert inertia == pytest.approx(1.0 if strength == 1.0 else 0.0, abs=0.05)
+
+
+def test_held_out_loss_is_that_of_fits_without_the_fold():
+    """Their optimism, block by block of a fold, is what single refits show, but for terms of third order."""
+    problem = linear_problem(FEW, {"mass": 1.0}, 14, count=320)
+    fit = fitted(problem, FEW, iterations=100)
+    inside = problem.loss.by_window(fit.vector)
+    promised = fit.held_out.sum() - inside.sum()
+    shown = 0.0
+    for fold in range(FOLDS):
+        mine = problem.fold[problem.block] == fold
+        loss = Loss(problem.errors, problem.start)
+        loss.known, loss.scale = problem.loss.known & ~mine[:, None], problem.loss.scale
+        rest = Problem(loss, problem.start, problem.block)
+        vector = rest.fit(FEW, problem.everything(problem.start), iterations=100).vector
+        shown += float((problem.loss.by_window(vector) - inside)[mine].sum())
+    assert promised > 0.0 and shown > 0.0
+    assert promised == pytest.approx(shown, rel=0.25)
+
+
+def test_held_out_rows_are_those_of_the_fold_values():
+    problem = linear_problem(FEW, {"mass": 1.0}, 15)
+    fit = fitted(problem, FEW, iterations=100)
+    rows = problem.held_out_rows(fit)
+    for fold, step in fit.folds.items():
+        mine = problem.fold[problem.block] == fold
+        vector = fit.vector.copy()
+        vector[fit.which] += step * problem.space.scale[fit.which]
+        np.testing.assert_allclose(rows[mine], problem.errors.at(vector)[mine], atol=1e-8)
+
+
+@pytest.mark.parametrize("values", [
+    {"steering_offset": {"angle": 0.006}},
+    {"steering_ratio": {"factor": 0.93}, "yaw_inertia": {"factor": 1.2}},
+])
+def test_effects_of_a_simulated_drive_are_recovered(leaf, values):
+    runs = recorded(leaf, values, 2, ("lane_change", "slalom"), noise=0.2)
+    model = fit_effects(runs, leaf, "nonlinear", tuple(values), DiscoverySettings(windows=50))
+    for name, parameters in values.items():
+        for parameter, value in parameters.items():
+            assert model.values[name][parameter] == pytest.approx(value, rel=0.02)

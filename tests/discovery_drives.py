@@ -1,0 +1,91 @@
+"""Drives of a car that is the model with some effects, as sensors with noise record them; and problems made of numbers.
+
+A plant of its own, the sealed cases and raw files are in bench/discovery and st_offline/test.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from st_core.augmented import augment
+from st_core.discovery import DiscoverySettings
+from st_core.discovery.fit import Problem
+from st_core.discovery.loss import Loss
+from st_core.discovery.manoeuvres import CATALOGUE, drive
+from st_core.discovery.space import Space
+from st_core.discovery.windows import COLUMNS
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+NOISE = {"x": 0.01, "y": 0.01, "yaw": 1e-4, "velocity_x": 0.003, "velocity_y": 0.003, "yaw_rate": 0.002,
+         "acceleration_y": 0.05}
+"""Standard deviations of white noise, SI."""
+DRIVEN = ("lane_change", "slalom", "circle")
+
+
+def recorded(vehicle: VehicleParameters, effects: Mapping, seed: int, names: Sequence[str] = DRIVEN,
+             base: str = "nonlinear", noise: float = 1.0) -> list[DriveLog]:
+    """One log for each manoeuvre of the catalogue named. effects: {name: {parameter: value}}."""
+    rng, model, logs = np.random.default_rng(seed), augment(base, effects), []
+    for k, name in enumerate(names):
+        log = drive(next(m for m in CATALOGUE if m.name == name), model, vehicle)
+        noisy = {key: getattr(log, key) + noise * size * rng.standard_normal(len(log.x)) for key, size in NOISE.items()}
+        logs.append(replace(log, name=f"{name} {k + 1}", **noisy))
+    return logs
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """What `Errors` asks of windows."""
+
+    count: int
+    run: np.ndarray
+    columns = COLUMNS
+    time = np.array([0.5, 1.25, 2.5, 5.0])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"run {k + 1}" for k in range(int(self.run.max()) + 1))
+
+    @cached_property
+    def known(self) -> np.ndarray:
+        return np.ones((self.count, len(self.time) * len(self.columns)), bool)
+
+
+class LinearErrors:
+    """Errors that fall by `signatures` (p, n, m) for each usual size a value is moved, from those at `truth`: noise."""
+
+    def __init__(self, space: Space, truth: np.ndarray, signatures: np.ndarray, noise: np.ndarray, runs: int):
+        count = len(noise)
+        self.space, self.truth, self.signatures, self.noise = space, truth, signatures, noise
+        self.windows = Rows(count, np.arange(count) * runs // count)
+        self.threads = 1
+
+    def at(self, vector: np.ndarray) -> np.ndarray:
+        return self.noise + np.tensordot((self.truth - vector) / self.space.scale, self.signatures, 1)
+
+    def many(self, vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
+        return [self.at(v) for v in vectors]
+
+
+def linear_problem(effects: Sequence[str], truth: Mapping[str, float], seed: int, count: int = 160, block: int = 8,
+                   runs: int = 4, common: float = 0.5, size: float = 0.02, prior: np.ndarray | None = None) -> Problem:
+    """A problem whose errors are known in closed form: signatures drawn anew for each window, noise that windows of a
+    block share in part (`common`, share of its variance). truth: {"effect": by how many usual sizes of its first
+    parameter the car differs}."""
+    rng = np.random.default_rng(seed)
+    space = Space("nonlinear", DiscoverySettings(effects=tuple(effects)))
+    shape = (count, len(Rows.time) * len(COLUMNS))
+    taking_part = np.isin(space.effect_of, effects)
+    signatures = np.zeros((len(space), *shape))
+    signatures[taking_part] = size * rng.standard_normal((int(taking_part.sum()), *shape))
+    blocks = np.arange(count) // block
+    noise = size * (np.sqrt(common) * rng.standard_normal((blocks.max() + 1, shape[1]))[blocks]
+                    + np.sqrt(1.0 - common) * rng.standard_normal(shape))
+    at = space.null.copy()
+    for name, by in truth.items():
+        first = space.indices(name)[0]
+        at[first] += by * space.scale[first]
+    errors = LinearErrors(space, at, signatures, noise, runs)
+    return Problem(Loss(errors, space.null), space.null, blocks, prior)
