@@ -71,18 +71,21 @@ class LinearErrors:
 
 def linear_problem(effects: Sequence[str], truth: Mapping[str, float], seed: int, count: int = 160, block: int = 8,
                    runs: int = 4, common: float = 0.5, size: float = 0.02, prior: np.ndarray | None = None) -> Problem:
-    """A problem whose errors are known in closed form: signatures drawn anew for each window, noise that windows of a
-    block share in part (`common`, share of its variance). truth: {"effect": by how many usual sizes of its first
-    parameter the car differs}."""
+    """A problem whose errors are known in closed form: signatures and noise are drawn; windows of a block share a part
+    of both (`common`, of the variance). truth: {"effect": by how many usual sizes of its first parameter the car
+    differs}."""
     rng = np.random.default_rng(seed)
     space = Space("nonlinear", DiscoverySettings(effects=tuple(effects)))
     shape = (count, len(Rows.time) * len(COLUMNS))
     taking_part = np.isin(space.effect_of, effects)
-    signatures = np.zeros((len(space), *shape))
-    signatures[taking_part] = size * rng.standard_normal((int(taking_part.sum()), *shape))
     blocks = np.arange(count) // block
-    noise = size * (np.sqrt(common) * rng.standard_normal((blocks.max() + 1, shape[1]))[blocks]
-                    + np.sqrt(1.0 - common) * rng.standard_normal(shape))
+
+    def drawn() -> np.ndarray:
+        return size * (np.sqrt(common) * rng.standard_normal((blocks.max() + 1, shape[1]))[blocks]
+                       + np.sqrt(1.0 - common) * rng.standard_normal(shape))
+    signatures = np.zeros((len(space), *shape))
+    signatures[taking_part] = [drawn() for _ in range(int(taking_part.sum()))]
+    noise = drawn()
     at = space.null.copy()
     for name, by in truth.items():
         first = space.indices(name)[0]
