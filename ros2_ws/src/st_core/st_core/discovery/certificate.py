@@ -97,7 +97,7 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
     if not sure or share < limits.worth:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.doubt) * gains[best].sum()
-            or e in get_effect(best).twins and gains[e].sum() > limits.rival * gains[best].sum()]
+            or (e in get_effect(best).twins and gains[e].sum() > limits.rival * gains[best].sum())]
 
 
 def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:

@@ -27,14 +27,15 @@ class Rival:
 
 @dataclass(frozen=True)
 class Answer:
-    """Everything the outcome depends on. left [1]: errors that are left, over the noise. lost [1]: share of the windows
-    in which the base diverges. seen [1]: share of the library whose usual size these drives would show."""
+    """Everything the outcome depends on. left [1]: errors that are left, over the noise. seen [1]: share of the library
+    whose usual size these drives would show. bound: number of effects that come and go."""
 
     stated: Sequence[Evidence]
     rivals: Mapping[str, Sequence[Rival]]
     refused: Sequence[Evidence]
     left: float
     seen: float
+    bound: int = 0
 
 
 def judge(e: Evidence, limits: Limits) -> Reason:
@@ -94,6 +95,11 @@ def varies_over(e: Evidence, limits: Limits) -> str:
     return max(found, key=lambda level: e.agreement[level].absent, default="")
 
 
+def comes_and_goes(gain: float, chance: float, limits: Limits) -> bool:
+    """Whether an effect that has another value in each part of the driving is told as bound to it."""
+    return chance < limits.false_alarm and gain > limits.worth
+
+
 def alternative(rival: Rival, limits: Limits) -> Reason:
     """Whether another name stays beside a stated one."""
     verdict = judge(rival.evidence, limits)
@@ -124,7 +130,7 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
             return because("ambiguous", f"{1 + len(others)} names explain it equally well", names=1 + len(others))
         return because("named", "one effect is sure, worth it and the same everywhere")
     verdicts = [judge(e, limits) for e in a.refused]
-    if any(v.rule == VARIES for v in verdicts):
+    if a.bound or any(v.rule == VARIES for v in verdicts):
         return because("bound", "something is sure, but not the same everywhere")
     if any(v.rule in (BOUND, SENSORS) for v in verdicts):
         return because("unknown", "something is sure, but no effect of the library describes it within its bounds")

@@ -5,17 +5,30 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import StCoreError
 from ..effects import get_effect
+from ..errors import StCoreError
 from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
 from . import certificate, noise, waterfall
-from .decision import MINOR, STATED, VARIES, WORDS, Answer, alternative, decide, judge, varies_over, worth_a_name
+from .decision import (
+    MINOR,
+    STATED,
+    VARIES,
+    WORDS,
+    Answer,
+    alternative,
+    comes_and_goes,
+    decide,
+    judge,
+    varies_over,
+    worth_a_name,
+)
 from .evidence import Evidence, chance
 from .fit import Fit, Problem
 from .following import Catalogue, catalogue, following, separability, shows
-from .levels import levels, runs as runs_level, sites
+from .levels import Level, levels, sites
+from .levels import runs as runs_level
 from .loss import Errors, Loss
 from .reference import learn
 from .result import (
@@ -23,6 +36,7 @@ from .result import (
     Candidate,
     Certificate,
     Discovery,
+    FittedParameter,
     FoundEffect,
     NotTestable,
     Reason,
@@ -33,6 +47,7 @@ from .result import (
 from .search import Found, Search
 from .settings import DiscoverySettings
 from .space import Space
+from .varying import Varying, varying
 from .where import where
 from .windows import CHANNEL_OF, MARGIN_NS, Windows
 
@@ -90,8 +105,8 @@ class _Work:
         self.space = Space(base, settings)
         self.windows = Windows(self.runs, vehicle, settings)
         if len(self.windows) < 3:
-            raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: drive "
-                              "longer, above walking speed, without gaps")
+            raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: "
+                              "drive longer, above walking speed, without gaps")
         self.sensors = self._by_sensors(identities)
         self.threads = parallel
 
@@ -111,13 +126,13 @@ class _Work:
         self._tick("explaining")()
         ends = waterfall.Ends(problem, settings.seed)
         runs = runs_level(self.windows)
-        bound = self._bound(found)
+        bound = self._bound(found, parts)
         effects, minor = ([self._effect(n, found, runs) for n in found.order if worth_a_name(
             found.evidence[n], limits).rule == rule] for rule in (STATED, MINOR))
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, runs)
         floor = self._floor(by_column)
         gap = waterfall.gaps(ends, base, found.fit, floor)
-        lines = waterfall.budget(problem, base, found.fit, bound[0][1] if bound else None, ends)
+        lines = waterfall.budget(problem, base, found.fit, next((fit for _, fit in bound), None), ends)
         told = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
                 if settings.certify else certificate.predicted(problem, found.fit, found.scores, limits))
         stated = {name for e in (*effects, *minor) for name in (e.name, *e.alternatives)}
@@ -126,16 +141,17 @@ class _Work:
         seen = 1.0 - sum(n.name in space.hypotheses for n in untestable) / len(space.hypotheses)
         left = gap["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9) if "position_5s" in gap else 1.0
         answer = Answer([found.evidence[e.name] for e in effects], found.rivals,
-                        [e for e, *_ in found.refused.values()], left, seen)
+                        [e for e, *_ in found.refused.values()], left, seen, len(bound))
         outcome, why = decide(answer, limits)
         statements = self._where(base, floor) if settings.where else ()
         return Discovery(
-            outcome=outcome, effects=tuple(effects), minor=tuple(minor), bound=tuple(b for b, _ in bound), steps=tuple(steps), gap=gap,
-            budget=tuple(lines), reasons=(why, *self._reasons(found)), candidates=self._candidates(found),
+            outcome=outcome, effects=tuple(effects), minor=tuple(minor), bound=tuple(b for b, _ in bound),
+            steps=tuple(steps), gap=gap, budget=tuple(lines),
+            reasons=(why, *self._reasons(found)), candidates=self._candidates(found),
             where=statements, not_testable=untestable,
             next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
             separability=separability(problem, found.fit, effects, found.scores.design), certificate=told,
-            signature=tuple(f"{w.channel}: {w.condition}" for w in statements[:6]) if outcome == "unknown" else (),
+            signature=self._left(left, statements),
             runs=self._who(), start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(found.fit.vector) if found.fit.names else None, warnings=tuple(self.warnings),
             acceleration_gain=float(found.fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
@@ -190,16 +206,33 @@ class _Work:
             name, get_effect(name).kind, waterfall.parameters(self.problem, found.fit, name, runs),
             tuple(r.name for r in others), evidence.position, _values(evidence))
 
-    def _bound(self, found: Found) -> list[tuple[BoundEffect, Fit]]:
-        said = []
+    def _bound(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
+        """What is sure but not the same everywhere: effects that were refused for that, or else the one that comes and
+        goes most."""
+        said: list[tuple[BoundEffect, Fit | None]] = []
         for name, (evidence, verdict, fit) in found.refused.items():
             if verdict.rule == VARIES and not said:
                 level = varies_over(evidence, self.limits)
                 said.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name),
                                          _values(evidence)[level], evidence.position), fit))
-                self.warnings.append(f"something that resembles {name} is sure, but differs over {WORDS[level]}: it is "
-                                     "told, not named")
+        if not said:
+            for v in varying(self.problem, found.fit, parts, found.scores.design):
+                if comes_and_goes(v.gain, v.chance, self.limits):
+                    said.append((self._coming(v), None))
+                    break
+        for bound, _ in said:
+            self.warnings.append(f"something that resembles {bound.resembles} is sure, but differs over "
+                                 f"{WORDS[bound.to]}: it is told, not named")
         return said
+
+    def _coming(self, v: Varying) -> BoundEffect:
+        """Shares are of the largest change any part shows."""
+        free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
+        value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
+        change = value - free.null or free.usual
+        shares = tuple(Value(part, (x - free.null) / change, s / abs(change)) for part, (x, s) in v.values.items())
+        found = FittedParameter(value, free.unit, (value - 1.96 * spread, value + 1.96 * spread), free.null)
+        return BoundEffect(v.name, v.level, {v.parameter: found}, shares, 0.0)
 
     def _reasons(self, found: Found) -> list[Reason]:
         said = [worth_a_name(found.evidence[n], self.limits) for n in found.order]
@@ -264,6 +297,12 @@ class _Work:
         if "position" in result:
             result["position_5s"] = result["position"] * float(np.sqrt(np.pi) / 2.0)  # mean of a Rayleigh distribution
         return result
+
+    def _left(self, left: float, statements: Sequence[WhereStatement]) -> tuple[str, ...]:
+        """What is unexplained, in words."""
+        if left <= self.limits.left:
+            return ()
+        return (f"errors are {left:.1f} times the noise", *(f"{w.channel}: {w.condition}" for w in statements[:5]))
 
     def _where(self, fit: Fit, floor: Mapping[str, float]) -> tuple[WhereStatement, ...]:
         self._tick("where")()

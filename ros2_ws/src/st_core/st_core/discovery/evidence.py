@@ -64,7 +64,7 @@ class Scores:
 
 
 def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str) -> tuple[np.ndarray, np.ndarray]:
-    """((b, k) score of an effect that the effects `names` do not explain, (k,) information). q: by block, everything."""
+    """((b, k) score of an effect that the effects `names` do not explain, (k,) information). q: by block, of all."""
     new = problem.space.indices(effect)
     which = np.setdiff1d(problem.which(names), new)
     held = problem.held((*names, effect), np.arange(len(problem.space))) if problem.prior is not None else None

@@ -235,7 +235,8 @@ class Problem:
         folds, held_out = self.leave_out(q.summed(self.block, self.blocks), names, vector, which, self.fold)
         return Fit(names, vector, which, slopes, q, folds, held_out)
 
-    def leave_out(self, q: Quadratic, names, vector, which, fold: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
+    def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
+                  fold: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step of the values fitted without it}, (b,) loss of each block under them). q: by block."""
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         steps, held_out = {}, np.zeros(len(q.cost))
@@ -247,7 +248,7 @@ class Problem:
         return steps, held_out
 
     def held_out_rows(self, fit: Fit, fold: np.ndarray | None = None) -> np.ndarray:
-        """(n, m) errors of each window under values fitted to other driving. fold: (b,), of `fit.folds` if not given."""
+        """(n, m) errors of each window under values fitted to other driving. fold: (b,); None: those of the search."""
         rows = self.errors.at(fit.vector)
         steps = fit.folds
         if fold is None:

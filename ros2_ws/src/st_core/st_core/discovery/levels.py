@@ -1,4 +1,4 @@
-"""Ways to divide the driving: by run, site, time, place and kind of driving. An effect that is real is in all of them."""
+"""Ways to divide the driving: by run, site, time, place and kind of driving. What is real is in all of them."""
 
 import numpy as np
 

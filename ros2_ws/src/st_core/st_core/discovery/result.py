@@ -167,7 +167,7 @@ class WhereStatement:
 class Gap:
     """Error of a channel on held-out driving, before and after. base, augmented [unit]: root mean square at the end of
     the horizon; of position_5s the mean. interval: 95 % of base - augmented. floor: what noise alone leaves [unit].
-    worst_run, worst: the run with the largest error after. worse_runs: those on which it grew by more than the floor."""
+    worst_run, worst: the run with the largest error after. worse_runs: on which it grew by more than the floor."""
 
     base: float
     augmented: float

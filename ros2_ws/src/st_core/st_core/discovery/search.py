@@ -200,7 +200,7 @@ class Search:
         return float(d @ h @ d - 2.0 * g @ d)
 
     def _pruned(self, vector: np.ndarray, names: list[str]) -> Fit | None:
-        """From many effects at once, held a little, by leaving out what is missed least; None if that is nothing new."""
+        """From many effects at once, held a little, without those that are missed least; None if that is not new."""
         p = self.problem
         scale = p.loss.scale.copy()
         free = np.isin(np.arange(len(p.space)), p.which(names))
