@@ -1,20 +1,22 @@
 """The cars of the multi-body plant: parameter sets and equations of the package commonroad-vehicle-models.
 
 The package's 29 equations are used as they are. It gives one tyre to all wheels; here each axle has its own, by naming
-`p.tire_front` or `p.tire_rear` where its source says `p.tire` (`per_axle`).
+`p.tire_front` or `p.tire_rear` where its source says `p.tire` (`PerAxle`).
 
 Axes: its equations are written with y to the right and z down, and hold for y to the left (yaw left +) as their mirror
 image. So its roll is + when the left side goes down, its "left" wheels stand on the right; pitch is + nose up.
 Source: Althoff and Wuersching, CommonRoad: Vehicle Models, 2020. Checked by: tests/bench/test_discovery_multibody.py.
 """
 
-import ast
 import dataclasses
-import inspect
+import re
 from collections import Counter, namedtuple
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.abc import ExecutionLoader
+from importlib.util import find_spec, module_from_spec, spec_from_loader
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -79,24 +81,34 @@ def complete(settings: Mapping[str, float]) -> dict[str, float]:
     return {**HEALTHY, **settings}
 
 
+class PerAxle(ExecutionLoader):
+    """Imports a module of the package with the tyre of each call named by axle, lines as they are. Nothing is kept
+    beside the package. Raises ImportError if its source is another one."""
+
+    def get_filename(self, fullname: str) -> str:
+        return find_spec(fullname).origin
+
+    def get_source(self, fullname: str) -> str:
+        seen: Counter = Counter()
+
+        def named(call: re.Match) -> str:
+            # The first argument is the slip of one wheel: s_lf, alpha_RR.
+            axle = {"f": "tire_front", "r": "tire_rear"}[call[2].lower()]
+            seen[axle] += 1
+            return f"{call[1]}p.{axle})"
+        source = re.sub(r"(\btireModel\.\w+\(\w+_[lr]([fr]), .*)\bp\.tire\)",
+                        named, Path(self.get_filename(fullname)).read_text("utf-8"), flags=re.IGNORECASE)
+        if seen != {"tire_front": 8, "tire_rear": 8} or re.search(r"\bp\.tire\b", source):
+            raise ImportError(f"{fullname}: {dict(seen)} calls of the tyre, 8 per axle in version 3.0.2")
+        return source
+
+
 def per_axle(function: Callable) -> Callable:
-    """The same function with the tyre of each call named by axle. Raises ValueError if its source is another one."""
-    tree = ast.parse(inspect.getsource(function))
-    seen: Counter = Counter()
-    for node in ast.walk(tree):
-        if not (isinstance(node, ast.Call) and ast.unparse(node.func).startswith("tireModel.")):
-            continue
-        # The first argument is the slip of one wheel: s_lf, alpha_RR.
-        axle = {"f": "tire_front", "r": "tire_rear"}[ast.unparse(node.args[0])[-1].lower()]
-        if ast.unparse(node.args[-1]) != "p.tire":
-            raise ValueError(f"{ast.unparse(node)}: no tyre where it was in version 3.0.2")
-        node.args[-1].attr = axle
-        seen[axle] += 1
-    if seen != {"tire_front": 8, "tire_rear": 8}:
-        raise ValueError(f"{function.__name__}: {dict(seen)} calls of the tyre, 8 per axle in version 3.0.2")
-    space = dict(function.__globals__)
-    exec(compile(tree, inspect.getsourcefile(function), "exec"), space)
-    return space[function.__name__]
+    """The same function of the package, from its module imported by `PerAxle`."""
+    specification = spec_from_loader(function.__module__, PerAxle())
+    module = module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return getattr(module, function.__name__)
 
 
 dynamics = per_axle(vehicle_dynamics_mb)
