@@ -191,6 +191,11 @@ def test_limit_that_is_asked_again_turns_that_too(limit, off, asked, on, without
     assert asked(replace(LIMITS, **{limit: off})) == without
 
 
+def test_limits_elsewhere_are_tested_there():
+    for limit, file in ELSEWHERE.items():
+        assert f"Limits({limit}=" in (Path(__file__).parent / file).read_text()
+
+
 def test_limits_are_few_and_positive():
     assert len(fields(Limits)) <= 15
     for field in fields(Limits):

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core.augmented import augment
-from st_core.discovery import DiscoverySettings
-from st_core.discovery.floor import noisier
+from st_core.discovery import DiscoverySettings, noise
 from st_core.discovery.manoeuvres import CATALOGUE, drive
 from st_core.discovery.windows import Windows
 from st_core.identification.run_samples import run_samples
@@ -50,5 +49,7 @@ def test_windows_are_scored_where_it_is_known(logs, leaf):
     assert np.abs(holed - whole)[both].max() < 0.05
 
 
-def test_noise_is_that_of_the_samples_there_are(logs):
-    assert noisier([logs[1]], [logs[0]]) == noisier([logs[0]], [logs[0]]) == 1.0
+def test_noise_is_that_of_the_samples_there_are(logs, leaf):
+    whole, holed = (noise.floor(Windows([log], leaf, DiscoverySettings())) for log in logs)
+    assert whole["acceleration_y"] == pytest.approx(0.01, rel=0.2)
+    assert holed["acceleration_y"] == pytest.approx(whole["acceleration_y"], rel=0.05)
