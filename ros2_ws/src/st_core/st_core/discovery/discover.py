@@ -28,7 +28,6 @@ from .evidence import Evidence, chance
 from .fit import Fit, Problem
 from .following import Catalogue, catalogue, following, separability, shows
 from .levels import Level, levels, sites
-from .levels import runs as runs_level
 from .loss import Errors, Loss
 from .reference import learn
 from .result import (
@@ -125,11 +124,10 @@ class _Work:
         found = search.run()
         self._tick("explaining")()
         ends = waterfall.Ends(problem, settings.seed)
-        runs = runs_level(self.windows)
         bound = self._bound(found, parts)
-        effects, minor = ([self._effect(n, found, runs) for n in found.order if worth_a_name(
+        effects, minor = ([self._effect(n, found, parts) for n in found.order if worth_a_name(
             found.evidence[n], limits).rule == rule] for rule in (STATED, MINOR))
-        steps, base = waterfall.steps(problem, found.fit, found.order, ends, runs)
+        steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
         floor = self._floor(by_column)
         gap = waterfall.gaps(ends, base, found.fit, floor)
         lines = waterfall.budget(problem, base, found.fit, next((fit for _, fit in bound), None), ends)
@@ -198,12 +196,12 @@ class _Work:
 
     # What comes out
 
-    def _effect(self, name: str, found: Found, runs) -> FoundEffect:
+    def _effect(self, name: str, found: Found, parts: Mapping[str, Level]) -> FoundEffect:
         evidence = found.evidence[name]
         others = sorted((r for r in found.rivals.get(name, ()) if alternative(r, self.limits).rule == "alternative"),
                         key=lambda r: -r.share)
         return FoundEffect(
-            name, get_effect(name).kind, waterfall.parameters(self.problem, found.fit, name, runs),
+            name, get_effect(name).kind, waterfall.parameters(self.problem, found.fit, name, parts),
             tuple(r.name for r in others), evidence.position, _values(evidence))
 
     def _bound(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
@@ -213,7 +211,7 @@ class _Work:
         for name, (evidence, verdict, fit) in found.refused.items():
             if verdict.rule == VARIES and not said:
                 level = varies_over(evidence, self.limits)
-                said.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name),
+                said.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
                                          _values(evidence)[level], evidence.position), fit))
         if not said:
             for v in varying(self.problem, found.fit, parts, found.scores.design):

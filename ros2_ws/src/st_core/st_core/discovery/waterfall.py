@@ -68,32 +68,40 @@ class Ends:
                 if np.isfinite(values[self.run == k]).any()}
 
 
-def parameters(problem: Problem, fit: Fit, effect: str, runs: Level | None = None) -> dict[str, FittedParameter]:
-    """Values with 95 % intervals: the wider of blocks taken as independent and of what runs differ by."""
+def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Level]) -> dict[str, FittedParameter]:
+    """Values with 95 % intervals: the widest of blocks taken as independent and of what the parts of any level differ
+    by, so that what the equations of the model are not those of the car is in it too."""
     space, result = problem.space, {}
     own = space.indices(effect)
     place = np.searchsorted(fit.which, own)
     spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[place], 0.0)) * space.scale[own]
     reach = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.which), 2))) * spread
-    if runs is not None:
-        said = agreement(problem, fit, effect, *runs).shares
-        shares, deviations = np.array(list(said.values())).T if said else (np.zeros(0), np.zeros(0))
-        if len(shares) > 2:
-            w = 1.0 / np.square(deviations)
-            q = float(w @ np.square(shares - w @ shares / w.sum()))
-            between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
-            error = 1.0 / np.sqrt((1.0 / (np.square(deviations) + between)).sum())
-            change = np.abs(fit.vector - space.null)[own]
-            reach = np.maximum(reach, float(stats.t.ppf(0.975, len(shares) - 1)) * error * change)
+    change = np.abs(fit.vector - space.null)[own]
+    for name, level in levels.items():
+        if name != "place":
+            reach = np.maximum(reach, change * _over_parts(agreement(problem, fit, effect, *level).shares))
     for i, r in zip(own, reach, strict=True):
         f, value = space.free[i], float(fit.vector[i])
-        # A change against the start, so that with a reference the value is what has changed since.
+        # With a reference the value is what has changed since.
         value = f.null + value - float(problem.start[i]) if problem.prior is not None else value
         result[f.parameter] = FittedParameter(value, f.unit, (value - float(r), value + float(r)), f.null)
     return result
 
 
-def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends, runs: Level | None) -> tuple[list[Step], Fit]:
+def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
+    """Half width of the 95 % interval of a mean over parts, in shares of the value; 0 where two parts or less speak."""
+    if len(said) < 3:
+        return 0.0
+    shares, deviations = np.array(list(said.values())).T
+    w = 1.0 / np.square(deviations)
+    q = float(w @ np.square(shares - w @ shares / w.sum()))
+    between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
+    error = 1.0 / np.sqrt((1.0 / (np.square(deviations) + between)).sum())
+    return float(stats.t.ppf(0.975, len(shares) - 1)) * error
+
+
+def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
+          levels: Mapping[str, Level]) -> tuple[list[Step], Fit]:
     """From the base to the answer, one effect more at a time; and the fit of the base. Leaves the scale of the loss."""
     scale = problem.loss.scale.copy()
     problem.loss.rescale(problem.start)
@@ -111,7 +119,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends, runs: 
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
         key = "position_5s" if "position_5s" in after else next(iter(after))
         old, new = ends.by_run(before[key]), ends.by_run(after[key])
-        said.append(Step(effect, "added", get_effect(effect).kind, parameters(problem, fit, effect, runs), position,
+        said.append(Step(effect, "added", get_effect(effect).kind, parameters(problem, fit, effect, levels), position,
                          changes, {n: (old[n], new[n]) for n in new}))
         before = after
     problem.loss.scale = scale
