@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import agreement, covariance
+from .evidence import agreement, covariance, inverse
 from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
@@ -75,6 +75,8 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     own = space.indices(effect)
     place = np.searchsorted(fit.which, own)
     spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[place], 0.0)) * space.scale[own]
+    if problem.prior is not None:  # the reference does not know the healthy car exactly either
+        spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[own]) * space.scale[own])
     reach = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.which), 2))) * spread
     change = np.abs(fit.vector - space.null)[own]
     for name, level in levels.items():
