@@ -21,6 +21,7 @@ from st_core.discovery.decision import (
     Answer,
     Rival,
     alternative,
+    comes_and_goes,
     decide,
     judge,
     varies_over,
@@ -106,6 +107,11 @@ def test_level_over_which_an_effect_varies(agreement, level):
     assert varies_over(replace(GOOD, agreement=agreement), LIMITS) == level
 
 
+@pytest.mark.parametrize(("gain", "chance", "told"), [(0.2, 1e-4, True), (0.2, 0.02, False), (0.02, 1e-4, False)])
+def test_effect_with_a_value_of_its_own_in_each_part(gain, chance, told):
+    assert comes_and_goes(gain, chance, LIMITS) == told
+
+
 def test_every_level_has_words():
     for level, words in WORDS.items():
         assert words in judge(replace(GOOD, agreement={level: DIFFERENT}), LIMITS).text
@@ -137,6 +143,8 @@ def test_another_name(rival, rule):
     (replace(NOTHING, stated=[GOOD], rivals={"mass": [EQUAL]}), "ambiguous", {"names": 2}),
     (replace(NOTHING, stated=[GOOD], refused=[LOCAL], left=9.0, seen=0.1), "named", {}),
     (replace(NOTHING, refused=[EDGE, LOCAL], left=9.0, seen=0.1), "bound", {}),
+    (replace(NOTHING, refused=[EDGE], bound=1, left=9.0, seen=0.1), "bound", {}),
+    (replace(NOTHING, stated=[GOOD], bound=1), "named", {}),
     (replace(NOTHING, refused=[EDGE], seen=0.1), "unknown", {}),
     (replace(NOTHING, refused=[DENIED], seen=0.1), "unknown", {}),
     (replace(NOTHING, refused=[SMALL, LUCKY, CHEAP]), "none", {"left": 1.0}),
@@ -183,6 +191,8 @@ def test_limit_turns_an_answer(limit):
     ("doubt", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, STATED),
     ("worth", 1e-9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
      STATED),
+    ("worth", 1e-9, lambda limits: comes_and_goes(0.02, 1e-4, limits), False, True),
+    ("false_alarm", 1.0, lambda limits: comes_and_goes(0.2, 0.02, limits), False, True),
     ("worth_position", 1e-9, lambda limits: worth_a_name(SLIGHT, limits).rule, MINOR, STATED),
     ("left", 1e9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule, STATED, MINOR),
 ])
