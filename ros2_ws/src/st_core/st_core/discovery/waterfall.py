@@ -91,15 +91,16 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
 
 
 def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
-    """Half width of the 95 % interval of a mean over parts, in shares of the value; 0 where two parts or less speak."""
+    """Half width of the interval that holds the value of the next part in 95 %, in shares of the value: where parts
+    differ, the equations of the model are not those of the car. 0 where two parts or less speak."""
     if len(said) < 3:
         return 0.0
     shares, deviations = np.array(list(said.values())).T
     w = 1.0 / np.square(deviations)
     q = float(w @ np.square(shares - w @ shares / w.sum()))
     between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
-    error = 1.0 / np.sqrt((1.0 / (np.square(deviations) + between)).sum())
-    return float(stats.t.ppf(0.975, len(shares) - 1)) * error
+    error = 1.0 / (1.0 / (np.square(deviations) + between)).sum()
+    return float(stats.t.ppf(0.975, len(shares) - 1)) * float(np.sqrt(between + error))
 
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
