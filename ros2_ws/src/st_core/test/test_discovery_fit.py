@@ -5,7 +5,7 @@ import pytest
 from discovery_drives import linear_problem, recorded
 from scipy import optimize, stats
 from st_core.discovery import DiscoverySettings, fit_effects
-from st_core.discovery.fit import FOLDS, Problem, Slopes
+from st_core.discovery.fit import FOLDS, Problem, Slopes, bounded
 from st_core.discovery.loss import FURTHEST, NU, SMALLEST, Errors, Loss, rho, weight
 from st_core.discovery.space import GAIN, Space
 from st_core.discovery.windows import COLUMNS, Windows
@@ -274,3 +274,31 @@ def test_effects_of_a_simulated_drive_are_recovered(leaf, values):
     for name, parameters in values.items():
         for parameter, value in parameters.items():
             assert model.values[name][parameter] == pytest.approx(value, rel=0.02)
+
+
+def test_held_out_loss_is_not_below_the_loss_of_the_fit(leaf):
+    """Leaving out cannot help: fold by fold the values fitted to everything else do worse on it."""
+    settings = DiscoverySettings(windows=100)
+    space = Space("nonlinear", settings)
+    w = Windows(recorded(leaf, {}, 1, ("sweep", "brake_in_turn", "step")), leaf, settings)
+    loss = Loss(Errors(w, space), space.null)
+    p = Problem(loss, space.null, w.block)
+    fit = p.fit(("steering_lag", "steering_delay"), p.everything(space.null))
+    inside = loss.total(fit.vector)
+    assert fit.held_out.sum() >= inside
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_bounded_is_the_minimum_within_bounds(seed):
+    rng = np.random.default_rng(seed)
+    k = int(rng.integers(1, 12))
+    root = rng.standard_normal((k + 3, k)) * 10.0 ** rng.uniform(-1.0, 1.0, k)
+    a, b = root.T @ root + 1e-6 * np.eye(k), root.T @ (3.0 * rng.standard_normal(k + 3))
+    low, high = -rng.uniform(0.0, 2.0, k), rng.uniform(0.0, 2.0, k)
+    low[rng.uniform(size=k) < 0.3] = 0.0  # already on a bound
+    x = bounded(a, b, low, high)
+    assert ((low <= x) & (x <= high)).all()
+    factor = np.linalg.cholesky(a)
+    best = optimize.lsq_linear(factor.T, np.linalg.solve(factor, b), (low, high + 1e-12), tol=1e-14).x
+    value, least = (float(v @ a @ v - 2.0 * b @ v) for v in (x, best))
+    assert value <= least + 1e-6 * max(abs(least), 1.0)

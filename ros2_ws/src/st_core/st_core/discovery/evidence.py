@@ -12,6 +12,7 @@ from .levels import Level
 from .loss import Quadratic
 
 FLIPS = 400
+FLATTEST = 0.3
 HELD = 0.05  # of the whole curvature: a part of the driving need not show everything else by itself
 LEAST_OF_A_PART = 0.02  # of the information; a part with less has no say
 
@@ -214,11 +215,22 @@ def deviation(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
 
 
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
-    """(a, a) of what moved, in usual sizes: sandwich over the blocks."""
+    """(a, a) of what moved, in usual sizes: sandwich over the blocks, about the second derivative of the loss."""
     q = fit.quadratic.summed(problem.block, problem.blocks)
-    h = inverse(q.hessian.sum(axis=0) + problem.held(fit.names, fit.which))
+    bent = problem.loss.curvature(problem.errors.at(fit.vector), fit.slopes.of(fit.which))
+    h = inverse(_no_flatter(bent, q.hessian.sum(axis=0)) + problem.held(fit.names, fit.which))
     scatter = q.gradient.T @ q.gradient * problem.blocks / max(problem.blocks - 1, 1)
     return h @ scatter @ h
+
+
+def _no_flatter(bent: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """A curvature that is FLATTEST of `whole`, that of the reweighted squares, at the least in any direction."""
+    if not len(bent):
+        return bent
+    root = np.linalg.cholesky(whole + 1e-9 * (np.trace(whole) / len(whole) + 1e-12) * np.eye(len(whole)))
+    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, bent).T))
+    turn = root @ vectors
+    return (turn * np.maximum(values, FLATTEST)) @ turn.T
 
 
 def of_null(problem: Problem, fit: Fit, effect: str) -> float:

@@ -19,23 +19,29 @@ RIDGE = 1e-6  # of the mean curvature: keeps solutions finite where driving show
 
 
 def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Minimum of x'Ax - 2 b'x with low <= x <= high (low <= 0 <= high), by an active set."""
+    """Minimum of x'Ax - 2 b'x with low <= x <= high (low <= 0 <= high), by an active set that lets go one at a time."""
     x = np.linalg.solve(a, b)
     if ((x >= low) & (x <= high)).all():
         return x
-    x = np.clip(x, low, high)
-    for _ in range(50):
-        free = ~(((x <= low) & (b - a @ x < 0)) | ((x >= high) & (b - a @ x > 0)))
-        if not free.any():
-            break
-        step = np.zeros_like(x)
-        step[free] = np.linalg.solve(a[np.ix_(free, free)], (b - a[:, ~free] @ x[~free])[free]) - x[free]
+    x, fixed = np.zeros(len(b)), (low >= 0.0) | (high <= 0.0)
+    for _ in range(30 * len(b) + 50):
+        free, step = ~fixed, np.zeros(len(b))
+        if free.any():
+            step[free] = np.linalg.solve(a[np.ix_(free, free)], (b - a @ x)[free])
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.where(step > 0, (high - x) / step, np.where(step < 0, (low - x) / step, np.inf))
-        step *= min(1.0, max(float(room.min()), 0.0))
-        x = np.clip(x + step, low, high)
-        if np.abs(step).max() < 1e-9:
+        first = int(np.argmin(room))
+        if room[first] < 1.0:
+            x = np.clip(x + max(room[first], 0.0) * step, low, high)
+            x[first], fixed[first] = low[first] if step[first] < 0 else high[first], True
+            continue
+        x = x + step
+        pull = b - a @ x
+        inwards = np.where(fixed & (x <= low) & (x < high), pull, np.where(fixed & (x >= high) & (x > low), -pull, 0.0))
+        most = int(np.argmax(inwards))
+        if inwards[most] <= 1e-9 * max(1.0, float(np.abs(b).max())):
             break
+        fixed[most] = False
     return x
 
 
@@ -232,19 +238,23 @@ class Problem:
 
     def about(self, names: tuple[str, ...], vector: np.ndarray, which: np.ndarray, slopes: Slopes) -> Fit:
         q = self.loss.quadratic(self.errors.at(vector), slopes.of(which))
-        folds, held_out = self.leave_out(q.summed(self.block, self.blocks), names, vector, which, self.fold)
+        folds, held_out = self.leave_out(q.summed(self.block, self.blocks), names, vector, which, self.fold, True)
         return Fit(names, vector, which, slopes, q, folds, held_out)
 
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
-                  fold: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step of the values fitted without it}, (b,) loss of each block under them). q: by block."""
+                  fold: np.ndarray, settled: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
+        """({fold: step of the values fitted without it}, (b,) loss of each block under them). q: by block. settled:
+        the vector is the best there is, whatever more the quadratic promises; only what a fold moves it by counts."""
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         steps, held_out = {}, np.zeros(len(q.cost))
+        promised = self.best_step(h, g, names, vector, which) if settled else np.zeros(len(which))
+        gradient = q.gradient - q.hessian @ promised
         for k in np.unique(fold):
             mine = fold == k
-            d = self.best_step(h - q.hessian[mine].sum(axis=0), g - q.gradient[mine].sum(axis=0), names, vector, which)
+            d = self.best_step(h - q.hessian[mine].sum(axis=0), g - q.gradient[mine].sum(axis=0), names, vector,
+                               which) - promised
             steps[int(k)] = d
-            held_out[mine] = q.cost[mine] - 2.0 * q.gradient[mine] @ d + np.einsum("i,bij,j->b", d, q.hessian[mine], d)
+            held_out[mine] = q.cost[mine] - 2.0 * gradient[mine] @ d + np.einsum("i,bij,j->b", d, q.hessian[mine], d)
         return steps, held_out
 
     def held_out_rows(self, fit: Fit, fold: np.ndarray | None = None) -> np.ndarray:
@@ -255,7 +265,7 @@ class Problem:
             fold = self.fold
         else:
             q = fit.quadratic.summed(self.block, self.blocks)
-            steps = self.leave_out(q, fit.names, fit.vector, fit.which, fold)[0]
+            steps = self.leave_out(q, fit.names, fit.vector, fit.which, fold, True)[0]
         result = rows.copy()
         slopes = fit.slopes.of(fit.which)
         for k, d in steps.items():

@@ -135,3 +135,11 @@ class Loss:
         w = weight(z)
         jw = np.moveaxis(j * w, 1, 0)  # (n, p, m)
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
+
+    def curvature(self, rows: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """(p, p) half the second derivative of the loss, errors taken as linear: errors far out count against it."""
+        z = self.scaled(rows)
+        j = np.where(self.known & (np.abs(z) < FURTHEST), np.nan_to_num(slopes / self.scale), 0.0)
+        bend = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))
+        flat = j.reshape(len(j), -1)
+        return (flat * bend.ravel()) @ flat.T

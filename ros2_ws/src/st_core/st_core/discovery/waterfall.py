@@ -106,9 +106,13 @@ def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
 def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
           levels: Mapping[str, Level]) -> tuple[list[Step], Fit]:
     """From the base to the answer, one effect more at a time; and the fit of the base. Leaves the scale of the loss."""
+    if not order:
+        return [], final
     scale = problem.loss.scale.copy()
     problem.loss.rescale(problem.start)
-    fit = base = problem.fit((), problem.everything(problem.start), iterations=2)
+    fit = problem.fit((), problem.everything(problem.start))
+    problem.loss.rescale(fit.vector)
+    fit = base = problem.renewed(fit)
     said, before = [], ends.of(fit)
     for k, effect in enumerate(order):
         if k == len(order) - 1:
