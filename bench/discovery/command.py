@@ -8,7 +8,7 @@ from pathlib import Path
 
 from . import ablation, score, tables
 from .cases import COUNTS
-from .run import Record, in_fair_order, read, run_all
+from .run import Record, in_fair_order, read_all, run_all
 
 FOLDER = Path(tempfile.gettempdir()) / "st_bench_discovery"
 
@@ -29,10 +29,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--ablation", action="store_true",
                         help="the same cases with half and twice each limit of the decision")
     parser.add_argument("--tables", type=Path, nargs="+", metavar="FILE",
-                        help="run nothing: write docs/discovery_scores.md from these files")
+                        help="run nothing: write docs/discovery_scores.md from these files; a case in several is "
+                             "taken from the last")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
-        records = [r for file in chosen.tables for r in read(file).values()]
+        records = read_all(chosen.tables)
         tables.write(records)
         print(score.as_text(score.scores([r for r in records if "limit" not in r])))
         return 0

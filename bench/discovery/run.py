@@ -113,6 +113,12 @@ def read(file: Path) -> dict[tuple[str, str, int], Record]:
     return {(r["set"], r["block"], r["index"]): r for r in lines}
 
 
+def read_all(files: Iterable[Path]) -> list[Record]:
+    """Records of several files, each case once for each limit it was answered with: that of the last file."""
+    kept = {(*key, *r.get("limit", ())): r for file in files for key, r in read(file).items()}
+    return list(kept.values())
+
+
 def run_all(cases: Iterable[Question], file: Path, until: float | None, say: Callable[[Record], None],
             limits: Limits | None = None, whole: bool = True) -> list[Record]:
     """Records of all cases, appended to the file one by one; those in it are not computed again. until: no case begins

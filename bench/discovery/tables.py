@@ -1,6 +1,6 @@
 """Records as docs/discovery_scores.md: scores, both plants, effects, other methods, limits, and all that failed."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from . import score
 from .cars import LEAF
+from .cases import COUNTS
 from .edit_score import edited
 from .effects import DIFFERENT, KNOWN
 from .figures import confusion
@@ -17,6 +18,7 @@ from .score import groups, matters, share, share_of, shown, value_of
 Record = dict[str, Any]
 PAGE = ROOT / "docs" / "discovery_scores.md"
 FIGURE = ROOT / "docs" / "images" / "discovery_confusion.png"
+NOT_RUN = "Not run with these records."
 INTRODUCTION = """# Scores of `st discover`
 
 Written by `./st bench discovery --tables FILE ...`; do not edit. How it is measured: [discovery.md](discovery.md).
@@ -37,14 +39,8 @@ def write(records: Sequence[Record]) -> None:
 
 
 def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
-    counts = defaultdict(int)
-    for r in records:
-        counts[r["block"]] += r["index"] >= 0
-    sets, versions = ({r[key] for r in records} for key in ("set", "version"))
     parts = [
-        INTRODUCTION,
-        f"Set: {', '.join(sorted(sets))}. Version {', '.join(sorted(versions))}. Cases: "
-        + ", ".join(f"{n} {block}" for block, n in sorted(counts.items())) + ".",
+        INTRODUCTION, _origin(records),
         "## Scores", table(("score", "measured", "floor", "goal"), [
             (r["name"].strip(), shown(r), r["floor"], r["goal"]) for r in score.scores(records)]),
         "## The two plants", _plants(records),
@@ -59,6 +55,25 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
         "## What failed", *_failures(records),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _origin(records: Sequence[Record]) -> str:
+    """Set, versions and numbers of cases; and a warning where these are no figures of the sealed set."""
+    counts = Counter(r["block"] for r in records if r["index"] >= 0)
+    sets, versions = (sorted({r[key] for r in records}) for key in ("set", "version"))
+    text = (f"Set: {', '.join(sets)}. Version {', '.join(versions)}. Cases: "
+            + ", ".join(f"{counts[block]} {block} of {n}" for block, n in COUNTS.items()) + ".")
+    looked_at = sum(r["set"] != "sealed" for r in records if r["index"] >= 0)
+    if not looked_at:
+        return text
+    which = f"All {looked_at}" if looked_at == counts.total() else f"{looked_at} of the {counts.total()}"
+    warning = (f"**Development cases.** {which} cases below were looked at while the decision was "
+               "written: they show where it stands, not how good it is.")
+    if "sealed" not in sets:
+        warning += " **The sealed set has not been opened yet.**"
+    if len(versions) > 1:
+        warning += f" They were answered by {len(versions)} versions, so no score is that of one."
+    return f"{warning}\n\n{text}"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -90,6 +105,8 @@ def _by_effect(records: Sequence[Record]) -> str:
 
 def _methods(records: Sequence[Record]) -> str:
     compared = [r for r in records if r.get("baselines") and score.closed(r) is not None]
+    if not compared:
+        return NOT_RUN
 
     def row(name: str, position: Callable[[Record], float]) -> tuple[str, ...]:
         shares = [(r["position"]["base"] - position(r)) / (r["position"]["base"] - r["position"]["oracle"])
@@ -117,7 +134,7 @@ ABLATED = ("A and B: effects that matter, stated alone or in a set", "A and B: s
 
 def _ablation(records: Sequence[Record]) -> str:
     if not records:
-        return "Not run with these records."
+        return NOT_RUN
     by: dict[tuple[str, float], list[Record]] = defaultdict(list)
     for r in records:
         by[r["limit"][0], r["limit"][1]].append(r)

@@ -31,6 +31,17 @@ def test_what_is_in_the_file_is_not_computed_again(tmp_path):
     assert run.run_all(cases_of("development", "A", 1), file, time.time() - 1, said.append) == []
 
 
+def test_of_several_files_the_last_answer_to_a_case_counts(tmp_path):
+    old, new = tmp_path / "old.jsonl", tmp_path / "new.jsonl"
+    case = {"set": "development", "block": "A", "index": 1, "version": "old"}
+    old.write_text("".join(json.dumps(r) + "\n" for r in (case, {**case, "index": 2})))
+    new.write_text(json.dumps({**case, "version": "new"}) + "\n")
+    halved = tmp_path / "halved.jsonl"
+    halved.write_text(json.dumps({**case, "limit": ["sure", 0.5]}) + "\n")
+    found = [(r["index"], r["version"], "limit" in r) for r in run.read_all([old, new, halved])]
+    assert found == [(1, "new", False), (2, "old", False), (1, "old", True)]
+
+
 @pytest.mark.slow
 def test_an_answer_that_raises_is_a_wrong_answer(tmp_path):
     class Broken(Limits):

@@ -116,6 +116,19 @@ def test_scores_of_a_handful_of_cases():
     assert "| A 0 | leaf: something | named: speed_scale | false: speed_scale; missed: mass (x1.50); value" not in page
     assert "false: speed_scale; missed: mass (x1.50); held-out made worse" in page
     assert "| C 0 | leaf: something | named: tyre_relaxation | something is stated |" in page
+    assert page.count(tables.NOT_RUN) == 2
+
+
+def test_the_page_says_which_cases_were_looked_at():
+    looked_at, sealed = record(), record(set="sealed")
+    page = tables.as_markdown([looked_at, record(version="other")], [])
+    assert "All 2 cases below were looked at" in page
+    assert "**The sealed set has not been opened yet.**" in page
+    assert "answered by 2 versions" in page
+    assert "2 A of 100, 0 B of 120" in page
+    page = tables.as_markdown([looked_at, sealed], [])
+    assert "1 of the 2 cases below were looked at" in page and "not been opened" not in page
+    assert "looked at" not in tables.as_markdown([sealed], [])
 
 
 def test_promised_power_is_read_at_the_size_that_is_hidden():
