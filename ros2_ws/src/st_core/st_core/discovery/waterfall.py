@@ -14,6 +14,7 @@ from .settings import UNITS
 from .windows import CHANNEL_OF
 
 RESAMPLES = 400
+TWO_SIDED = float(stats.norm.ppf(0.975))
 
 
 def folds(problem: Problem) -> np.ndarray:
@@ -100,7 +101,7 @@ def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
     q = float(w @ np.square(shares - w @ shares / w.sum()))
     between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
     error = 1.0 / (1.0 / (np.square(deviations) + between)).sum()
-    return float(stats.t.ppf(0.975, len(shares) - 1)) * float(np.sqrt(between + error))
+    return TWO_SIDED * float(np.sqrt(between + error))
 
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
