@@ -76,17 +76,20 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
     candidates.append(Candidate("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
                                 "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
     return Discovery(
-        outcome, tuple(effects), tuple(bound), tuple(told), gap, budget,
-        (Reason("sure", "answer", {"score": 44.0, "threshold": 12.0}, "the gain is 44; chance gives 12 at most"),
-         *(Reason("worth", e.name, {"share": 0.2}, "takes 20 % of the size of the errors away") for e in effects)),
-        tuple(candidates),
-        (WhereStatement("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),
-        (NotTestable("friction", "no drive comes near the limit", "ramp_to_limit"),),
-        NextManoeuvre("sweep", ("steering_ratio", "front_stiffness"), 5.5, {"sweep": 5.5, "step": 2.0}, 3, 30.0, 14.0,
-                      "they differ most there"),
-        (Separability("steering_ratio", "front_stiffness", 0.97, 2.2),), Certificate(powers, 0, 0, False),
-        ("It grows with speed.",),
-        tuple(Run(log.name, "suspect", log.duration, k % 2, 40) for k, log in enumerate(runs))
+        outcome=outcome, effects=tuple(effects), minor=(), bound=tuple(bound), steps=tuple(told), gap=gap,
+        budget=budget,
+        reasons=(Reason("sure", "answer", {"score": 44.0, "threshold": 12.0},
+                        "the gain is 44; chance gives 12 at most"),
+                 *(Reason("worth", e.name, {"share": 0.2}, "takes 20 % of the size of the errors away")
+                   for e in effects)),
+        candidates=tuple(candidates),
+        where=(WhereStatement("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),
+        not_testable=(NotTestable("friction", "no drive comes near the limit", "ramp_to_limit"),),
+        next_manoeuvre=NextManoeuvre("sweep", ("steering_ratio", "front_stiffness"), 5.5, {"sweep": 5.5, "step": 2.0},
+                                     3, 30.0, 14.0, "they differ most there"),
+        separability=(Separability("steering_ratio", "front_stiffness", 0.97, 2.2),),
+        certificate=Certificate(powers, 0, 0, False), signature=("It grows with speed.",),
+        runs=tuple(Run(log.name, "suspect", log.duration, k % 2, 40) for k, log in enumerate(runs))
         + tuple(Run(log.name, "reference", log.duration, 0, 40) for log in reference),
-        "reference" if reference else "vehicle file", start, model, (), 0.0,
-        {"position": 0.02, "yaw": 0.001, "yaw_rate": 0.002, "velocity_y": 0.02, "acceleration_y": 0.1})
+        start="reference" if reference else "vehicle file", base=start, model=model,
+        noise={"position": 0.02, "yaw": 0.001, "yaw_rate": 0.002, "velocity_y": 0.02, "acceleration_y": 0.1})
