@@ -14,8 +14,8 @@ class SensorLeverArm(Effect):
     twins = ("cg_position", "heading_misalignment")
     applies_to = ANY
     parameters = (
-        Parameter("x", "m", null=0.0, initial=0.2, bounds=(-1.5, 1.5), meaning="further forward than the file says",
-                  source="a unit measured from the wrong corner of the car"),
+        Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="further forward than the file says",
+                  source="a unit at the rear axle or the front bumper taken for one at the CG"),
         Parameter("y", "m", null=0.0, initial=0.1, bounds=(-1.0, 1.0), odd=True,
                   meaning="further to the left than the file says", source="half a car's width"),
     )
