@@ -148,7 +148,8 @@ def test_another_name(rival, rule):
     (replace(NOTHING, refused=[EDGE], seen=0.1), "unknown", {}),
     (replace(NOTHING, refused=[DENIED], seen=0.1), "unknown", {}),
     (replace(NOTHING, refused=[SMALL, LUCKY, CHEAP]), "none", {"left": 1.0}),
-    (replace(NOTHING, seen=0.7, left=9.0), "not_testable", {"seen": 0.7, "shown": 0.8}),
+    (replace(NOTHING, seen=0.7), "not_testable", {"seen": 0.7, "shown": 0.8}),
+    (replace(NOTHING, seen=0.7, left=9.0), "unknown", {"left": 9.0}),  # a gap is there, whatever else is not seen
     (replace(NOTHING, left=2.5), "unknown", {"left": 2.5, "limit": 2.0}),
     (NOTHING, "none", {"left": 1.0, "limit": 2.0}),
 ])

@@ -134,10 +134,10 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
         return because("bound", "something is sure, but not the same everywhere")
     if any(v.rule in (BOUND, SENSORS) for v in verdicts):
         return because("unknown", "something is sure, but no effect of the library describes it within its bounds")
-    if a.seen < limits.shown:
-        return because("not_testable", f"{a.seen:.0%} of the library would be seen in these drives at a usual size",
-                       seen=a.seen, shown=limits.shown)
     if a.left > limits.left:
         return because("unknown", f"errors are {a.left:.1f} times the noise, and no effect of the library surely takes "
                        "them away", left=a.left, limit=limits.left)
+    if a.seen < limits.shown:
+        return because("not_testable", f"{a.seen:.0%} of the library would be seen in these drives at a usual size",
+                       seen=a.seen, shown=limits.shown)
     return because("none", f"errors are {a.left:.1f} times the noise", left=a.left, limit=limits.left)

@@ -29,15 +29,15 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Evidence:
-    """name: of the effect. gain [1]: fall of the held-out loss for each scored error, about the share of their size.
+    """name: of the effect. gain [1]: fall of the held-out loss for each scored error, about the share of their size;
+    the smaller of blocks and of whole runs held out.
 
-    shares: by column of the errors, (what it takes away of the size of the errors of the start, size without it over
-    the noise) [1].
     chance [1]: that anything of the library gains so much where nothing is. null [1]: of values at least as far from
-    their null, were that the truth. position [m]: fall of the mean held-out
-    position error at the end of the horizon; position_somewhere: the largest in one driving condition, surely (95 %).
-    bound [1]: distance to the nearest bound in usual sizes. sensors [1]: chance of the fitted value by what the
-    sensors say among themselves; None where they say nothing. agreement: by level.
+    their null, were that the truth. shares: by column of the errors, (what it takes away of the size of the errors of
+    the start, size without it over the noise) [1]. position [m]: fall of the mean held-out position error at the end of
+    the horizon; position_somewhere: the largest in one driving condition, surely (95 %). bound [1]: distance to the
+    nearest bound in usual sizes. sensors [1]: chance of the fitted value by what the sensors say among themselves; None
+    where they say nothing. agreement: by level.
     """
 
     name: str
@@ -134,13 +134,14 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     """Of an effect of `fit`, against `without` it. scores: of the library, on about that. sensors: parameters of the
     effect as the sensors say among themselves, (value, low, high)."""
     gain = without.held_out - fit.held_out
+    by_run = float((problem.held_out_apart(without) - problem.held_out_apart(fit)).sum())
     own = scores.own.get(effect)
     if own is None:
         own = score_of(problem, without, effect, fit.slopes)
-    rows = problem.held_out_rows(without), problem.held_out_rows(fit)
+    rows = problem.held_out_rows(without, problem.apart), problem.held_out_rows(fit, problem.apart)
     before, after = (problem.position(r) for r in rows)
     overall, somewhere = _falls(before - after, levels.get("condition"))
-    return Evidence(effect, float(gain.sum()) / problem.number,
+    return Evidence(effect, min(float(gain.sum()), by_run) / problem.number,
                     chance(own, gain, scores, len(problem.space.hypotheses)), of_null(problem, fit, effect),
                     shares(problem, *rows), overall, somewhere,
                     to_bound(problem, fit, effect), by_sensors(problem, fit, effect, sensors),

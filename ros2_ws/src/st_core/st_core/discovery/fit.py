@@ -121,6 +121,14 @@ class Problem:
     def _scale_of_start(self) -> np.ndarray:
         return self.loss.scale_of(self.start)
 
+    @cached_property
+    def apart(self) -> np.ndarray:
+        """(b,) whole runs where there are three or more, else the folds of blocks: what "held-out" means in reports."""
+        run = self.errors.windows.run
+        of_block = np.zeros(self.blocks, int)
+        of_block[self.block] = run
+        return of_block if len(np.unique(run)) > 2 else self.fold
+
     @property
     def number(self) -> int:
         """Errors that are scored."""
@@ -256,6 +264,11 @@ class Problem:
             steps[int(k)] = d
             held_out[mine] = q.cost[mine] - 2.0 * gradient[mine] @ d + np.einsum("i,bij,j->b", d, q.hessian[mine], d)
         return steps, held_out
+
+    def held_out_apart(self, fit: Fit) -> np.ndarray:
+        """(b,) loss of each block under values fitted to the other runs."""
+        q = fit.quadratic.summed(self.block, self.blocks)
+        return self.leave_out(q, fit.names, fit.vector, fit.which, self.apart, True)[1]
 
     def held_out_rows(self, fit: Fit, fold: np.ndarray | None = None) -> np.ndarray:
         """(n, m) errors of each window under values fitted to other driving. fold: (b,); None: those of the search."""

@@ -17,19 +17,11 @@ RESAMPLES = 400
 TWO_SIDED = float(stats.norm.ppf(0.975))
 
 
-def folds(problem: Problem) -> np.ndarray:
-    """(b,) whole runs where there are three or more, else the folds of blocks of the search."""
-    run = problem.errors.windows.run
-    of_block = np.zeros(problem.blocks, int)
-    of_block[problem.block] = run
-    return of_block if len(np.unique(run)) > 2 else problem.fold
-
-
 class Ends:
     """Errors at the end of the horizon on held-out driving."""
 
     def __init__(self, problem: Problem, seed: int):
-        self.problem, self.fold = problem, folds(problem)
+        self.problem, self.fold = problem, problem.apart
         self.names = problem.errors.windows.names
         self.run, self.block = problem.errors.windows.run, problem.block
         draws = np.random.default_rng(seed).integers(problem.blocks, size=(RESAMPLES, problem.blocks))
