@@ -42,7 +42,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect in a set: the same for adding, keeping and exchanging it."""
     if e.gain < limits.negligible:
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
-                      f"it takes away {e.gain:.1%} of the size of the errors; {limits.negligible:.1%} are looked at")
+                      f"it takes away {e.share:.1%} of the size of the errors; {limits.negligible:.1%} are "
+                      "looked at")
     if e.chance > limits.false_alarm:
         return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
                       f"with probability {e.chance:.2g} something gains as much where nothing is")
@@ -53,8 +54,9 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     if e.gain < limits.worth and position < limits.worth_position:
         return Reason(UNWORTHY, e.name, {"gain": e.gain, "position": position, "worth": limits.worth,
                                          "worth_position": limits.worth_position},
-                      f"it is sure, but takes away {e.gain:.1%} of the size of the errors and {100 * position:.1f} cm "
-                      f"after 5 s; {limits.worth:.1%} or {100 * limits.worth_position:.0f} cm are asked for")
+                      f"it is sure, but takes away {e.share:.1%} of the size of the errors and "
+                      f"{100 * position:.1f} cm after 5 s; {limits.worth:.1%} or {100 * limits.worth_position:.0f} cm "
+                      "are asked for")
     if e.sensors is not None and e.sensors < limits.doubt:
         return Reason(SENSORS, e.name, {"chance": e.sensors, "doubt": limits.doubt},
                       f"its value contradicts what the sensors say among themselves (probability {e.sensors:.2g})")
@@ -69,8 +71,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                       f"it is not the same over {WORDS[level]} (probability {a.differ:.2g} that it is), and the next "
                       f"would show none of it or the opposite with probability {a.absent:.2g}")
     return Reason(STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
-                  f"it takes away {e.gain:.1%} of the size of the errors and {100 * e.position:.1f} cm after 5 s, by "
-                  f"chance with probability {e.chance:.2g}, and is the same everywhere")
+                  f"it takes away {e.share:.1%} of the size of the errors and {100 * e.position:.1f} cm after "
+                  f"5 s, by chance with probability {e.chance:.2g}, and is the same everywhere")
 
 
 def worth_a_name(e: Evidence, limits: Limits) -> Reason:

@@ -24,7 +24,7 @@ from .decision import (
     varies_over,
     worth_a_name,
 )
-from .evidence import Evidence, chance
+from .evidence import Evidence, chance, share_of
 from .fit import Fit, Problem
 from .following import Catalogue, catalogue, following, separability, shows
 from .levels import Level, levels, sites
@@ -256,12 +256,13 @@ class _Work:
                 verdict = judge(Evidence(name, gain, chance(found.scores.own[name], each, found.scores,
                                                             len(space.hypotheses))), self.limits)
                 if verdict.rule == STATED:
-                    verdict = Reason("explains less", name, {"gain": gain}, f"it takes away {gain:.1%} of the size of "
-                                     "the errors; others take away more, and were asked first")
+                    verdict = Reason("explains less", name, {"gain": gain},
+                                     f"it takes away {share_of(gain):.1%} of the size of the errors; others take away "
+                                     "more, and were asked first")
             else:
                 verdict, gain = Reason("part of the answer", name, {}, "a part of what is stated, or made of it"), 0.0
             values = {space.free[i].parameter: float(vector[i]) for i in space.indices(name)}
-            rows.append(Candidate(name, get_effect(name).kind, values, gain, verdict.rule, verdict.text))
+            rows.append(Candidate(name, get_effect(name).kind, values, share_of(gain), verdict.rule, verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 
     def _catalogue(self, found: Found, effects: Sequence[FoundEffect]) -> Catalogue | None:

@@ -51,6 +51,16 @@ class Evidence:
     sensors: float | None = None
     agreement: Mapping[str, Agreement] = field(default_factory=dict)
 
+    @property
+    def share(self) -> float:
+        """Of the size of the errors that is gone when the loss falls by the gain for each of them: 1 - exp(-gain)."""
+        return share_of(self.gain)
+
+
+def share_of(gain: float) -> float:
+    """1 - exp(-gain): below 0 where errors grow."""
+    return -float(np.expm1(-gain))
+
 
 @dataclass(frozen=True, eq=False)
 class Scores:
