@@ -37,7 +37,6 @@ class Exhibit:
 
 
 SIMULATE = "./st shell -- python -m st_sim.run --vehicle config/vehicle/leaf.yaml "
-SCENARIOS = ("sweep", "brake_in_turn", "lane_change", "S6")
 EXHIBITS = (
     Exhibit("A drive through the live nodes", "./st replay {}/bag --fast --output {}/run", "run/paths.png",
             "Measured track, predictions from six starts, and the errors of every start. Hindsight simulates with the "
@@ -54,12 +53,10 @@ EXHIBITS = (
     Exhibit("A parameter identified", "./st identify steering-ratio docs/examples/identification/steering_ratio.csv "
             "--vehicle config/vehicle/leaf.yaml --output {}/identify", "identify/steering-ratio.png",
             "Turntable readings, the one ratio through all sweeps, and what a line leaves over."),
-    Exhibit("A missing effect found", "./st discover {}/suspect --reference {}/healthy --output {}/discover",
-            "discover/figures/candidates.png",
-            "A steering lag of 0.10 s beyond the healthy car's was hidden in four drives. The page report.html says "
-            "where the model misses, which effect it is, and what it is worth on a held-out drive.",
-            tuple(SIMULATE + f"--scenario {scenario} --duration 26 {more}/{scenario}" for scenario in SCENARIOS
-                  for more in ("--to-files {}/healthy", "--seed 21 --effect steering_lag=0.14 --to-files {}/suspect"))),
+    Exhibit("What a vehicle file and the sensors lack", "./st discover examples/data "
+            "--vehicle config/vehicle/hyundai_genesis.yaml --output {}/discover", "discover/figures/waterfall.png",
+            "Two recorded drives and a vehicle file, no healthy drive beside them. The page report.html says what is "
+            "missing, how sure that is, whether it is the same everywhere, and what to do."),
 )
 
 
