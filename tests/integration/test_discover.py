@@ -35,7 +35,6 @@ HIDDEN = [
     ({"steering_delay": 0.08}, "steering_delay", "time", 0.08),
     ({"steering_offset": 0.008}, "steering_offset", "angle", 0.008),
     ({"steering_ratio_factor": 1.08}, "steering_ratio", "factor", 1.08),
-    ({"rear_stiffness_factor": 0.8}, "rear_stiffness", "factor", None),
     ({"velocity_scale": 1.03}, "speed_scale", "factor", None),
     ({"ins_misalignment": 0.02}, "heading_misalignment", "angle", None),
     ({"yaw_rate_scale": 1.06}, "yaw_rate_scale", "factor", None),

@@ -123,11 +123,11 @@ class Problem:
 
     @cached_property
     def apart(self) -> np.ndarray:
-        """(b,) whole runs where there are three or more, else the folds of blocks: what "held-out" means in reports."""
+        """(b,) whole runs where there are four or more, else the folds of blocks: what "held-out" means in reports."""
         run = self.errors.windows.run
         of_block = np.zeros(self.blocks, int)
         of_block[self.block] = run
-        return of_block if len(np.unique(run)) > 2 else self.fold
+        return of_block if len(np.unique(run)) > 3 else self.fold
 
     @property
     def number(self) -> int:
