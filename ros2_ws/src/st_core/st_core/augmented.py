@@ -32,7 +32,7 @@ class AugmentedModel(Model):
     effects: tuple[type[Effect], ...] = field(kw_only=True)
     values: Values = field(kw_only=True)
 
-    @property
+    @cached_property
     def free(self) -> tuple[tuple[str, Parameter], ...]:
         """(effect, parameter) of everything a fit may change, in the order of `vector`."""
         return tuple((e.name, p) for e in self.effects for p in e.parameters if p.fit)
@@ -44,34 +44,45 @@ class AugmentedModel(Model):
 
     def with_vector(self, vector: Sequence[float]) -> "AugmentedModel":
         """The same model with other values of `free`; raises ConfigurationError outside the bounds."""
-        values = {effect: dict(v) for effect, v in self.values.items()}
+        values: dict[str, dict[str, float]] = {}
         for (effect, parameter), value in zip(self.free, vector, strict=True):
-            values[effect][parameter.name] = value
+            if value != self.values[effect][parameter.name]:
+                values.setdefault(effect, {})[parameter.name] = value
         return self.with_values(values)
 
     def with_values(self, values: Values) -> "AugmentedModel":
         """The same model with other values; those not given stay. Raises ConfigurationError naming effect and limit."""
-        merged = {effect: {**old, **values.get(effect, {})} for effect, old in self.values.items()}
-        for name in set(values) - set(merged):
-            raise ConfigurationError(f"effect {name}: not in this model, which has {', '.join(merged) or 'none'}")
-        return _make(self.base, self.effects, merged)
+        for name in set(values) - set(self.values):
+            raise ConfigurationError(f"effect {name}: not in this model, which has {', '.join(self.values) or 'none'}")
+        changed = [e for e in self.effects if e.name in values]
+        return _make(self.base, self.effects, {
+            **self.values, **_checked(changed, {e.name: {**self.values[e.name], **values[e.name]} for e in changed})})
 
     @property
     def has_memory(self) -> bool:
         """Whether `steering` changes anything."""
-        return any(effect.steering for effect in self._active)
+        return any(effect.steering for effect in self.active)
 
     @property
     def has_sensors(self) -> bool:
         """Whether `observe` and `correct` change anything."""
-        return any(effect.observe for effect in self._active)
+        return any(effect.observe for effect in self.active)
+
+    @property
+    def measuring(self) -> tuple:
+        """What decides how `steering` and `correct` change a recording: the same for models that do the same to it."""
+        return tuple((e.name, *self.values[e.name].values()) for e in self.active if e.steering or e.observe)
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The car as the effects make it. Raises ConfigurationError when that is no car."""
-        for effect in self._active:
-            if effect.vehicle:
-                vehicle = effect.vehicle(vehicle, self._bare(effect))
-        return vehicle
+        known = self._cars.get(id(vehicle))
+        if known is None or known[0] is not vehicle:
+            made = vehicle
+            for effect in self.active:
+                if effect.vehicle:
+                    made = effect.vehicle(made, self._bare(effect))
+            known = self._cars[id(vehicle)] = vehicle, made
+        return known[1]
 
     def folded(self, vehicle: VehicleParameters) -> tuple[VehicleParameters, "AugmentedModel"]:
         """(the car with those effects in it that a vehicle file can hold, the model with the others).
@@ -80,10 +91,19 @@ class AugmentedModel(Model):
         (`DriveLog.with_steering`). Only the play of steering_backlash then counts at another angle: divide it by the
         factor of steering_ratio. Raises ConfigurationError when that is no car.
         """
-        for effect in self._active:
+        for effect in self.active:
             if effect.fold:
                 vehicle = effect.fold(vehicle, self._bare(effect))
         return vehicle, _make(self.base, tuple(e for e in self.effects if not e.fold), self.values)
+
+    def lean(self) -> "AugmentedModel":
+        """The same predictions, to the last bit, without the costly effects that are at null."""
+        return self.only(e for e in self.effects if e in self.active or not e.costly)
+
+    def only(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
+        """The model with some of its effects."""
+        kept = tuple(effects)
+        return self if len(kept) == len(self.effects) else _make(self.base, kept, self.values)
 
     def felt(self, state: tuple, w: tuple, p: Any) -> tuple:
         a_x, a_y = Model.felt(self, state, w, p)
@@ -99,28 +119,33 @@ class AugmentedModel(Model):
         A whole recording. time: rising, from any origin. begins: True where a stretch begins, the first sample and each
         after a gap; memory is fresh there.
         """
-        for effect in self._active:
+        for effect in self.active:
             if effect.steering:
                 time, angle = effect.steering(time, angle, begins, self._bare(effect))
         return time, angle
 
     def observe(self, measured: Measured) -> Measured:
         """What the INS shows when `measured` is the truth at the INS point."""
-        for effect in self._active:
+        for effect in self.active:
             if effect.observe:
                 measured = effect.observe(measured, self._bare(effect))
         return measured
 
     def correct(self, measured: Measured) -> Measured:
         """The truth at the INS point when the INS shows `measured`: the inverse of `observe`."""
-        for effect in reversed(self._active):
+        for effect in reversed(self.active):
             if effect.correct:
                 measured = effect.correct(measured, self._bare(effect))
         return measured
 
     @cached_property
-    def _active(self) -> tuple[type[Effect], ...]:
-        # At null an effect changes nothing, to the last bit; outside the equations that need not be computed.
+    def _cars(self) -> dict[int, tuple[VehicleParameters, VehicleParameters]]:
+        """Cars asked for, and what the effects made of them: made once, asked for at every prediction."""
+        return {}
+
+    @cached_property
+    def active(self) -> tuple[type[Effect], ...]:
+        """Effects that are not at null. One that is changes nothing, to the last bit: only the equations compute it."""
         return tuple(e for e in self.effects
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 
@@ -148,7 +173,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
         base, effects = base.base, {**base.values, **effects}
     found = sorted((get_effect(name) for name in effects), key=lambda effect: (effect.order, effect.name))
     _check_applicable(base, found)
-    return _make(base, tuple(found), effects)
+    return _make(base, tuple(found), _checked(found, effects))
 
 
 def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
@@ -162,8 +187,8 @@ def _check_applicable(base: Model, effects: Sequence[type[Effect]]) -> None:
             raise ConfigurationError(f"effect {effect.name}: does not apply to a {base.name} model, only to {allowed}")
 
 
-def _make(base: Model, effects: tuple[type[Effect], ...], values: Values) -> AugmentedModel:
-    checked = MappingProxyType({e.name: MappingProxyType(_checked(e, values[e.name])) for e in effects})
+def _make(base: Model, effects: tuple[type[Effect], ...], checked: Values) -> AugmentedModel:
+    values = MappingProxyType({e.name: checked[e.name] for e in effects})
     composed = compose(base, effects)
 
     def parameters(vehicle: VehicleParameters) -> Any:
@@ -171,11 +196,11 @@ def _make(base: Model, effects: tuple[type[Effect], ...], values: Values) -> Aug
         own = base.parameters(vehicle)
         if not composed.own:
             return own
-        return AugmentedParameters(own, tuple(_theta(e, checked[e.name], vehicle) for e in composed.own))
+        return AugmentedParameters(own, tuple(_theta(e, values[e.name], vehicle) for e in composed.own))
 
     model = AugmentedModel(
         "augmented", parameters, composed.inputs, composed.rhs, composed.extra_states, composed.start, composed.signals,
-        axles=None, base=base, effects=effects, values=checked)
+        axles=None, base=base, effects=effects, values=values)
     return model
 
 
@@ -183,7 +208,11 @@ def _theta(effect: type[Effect], values: Mapping[str, float], vehicle: VehiclePa
     return effect.Theta(**values, car=effect.constants(vehicle) if effect.constants else ())
 
 
-def _checked(effect: type[Effect], values: Mapping[str, float]) -> dict[str, float]:
+def _checked(effects: Iterable[type[Effect]], values: Values) -> Values:
+    return {e.name: MappingProxyType(_checked_one(e, values[e.name])) for e in effects}
+
+
+def _checked_one(effect: type[Effect], values: Mapping[str, float]) -> dict[str, float]:
     result = {}
     for parameter in effect.parameters:
         key = f"effect {effect.name}: {parameter.name}"

@@ -2,11 +2,12 @@
 
 The numbers are those of `prediction.predict` with the inputs the log holds; how they are computed is a backend's
 affair. Work goes block by block: besides what is handed back, memory holds the two inputs of the log on the grid, 16
-bytes each half step, and the tables of one block.
+bytes each half step, as much again for a model that changes what was measured, and the tables of one block.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain, islice
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from .backends import get_backend
 from .errors import ConfigurationError
 from .filtering import NANOSECOND
 from .log import DriveLog
-from .log_signals import Acceleration, LogSignals
+from .log_signals import Acceleration, LogSignals, same
 from .models import Model, get_model
 from .prediction import step_count
 from .readings import corrected_log, has_memory, held_steering, readings
@@ -47,6 +48,14 @@ class LogPrediction:
         if name not in STATE_NAMES:
             raise AttributeError(name)
         return self.states[:, :, STATE_NAMES.index(name)]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A drive as a model takes it. sampled: road wheel angle and velocity_x_dot by block, laid out."""
+
+    signals: LogSignals
+    sampled: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 def predict_log(model: str | Model, vehicle: VehicleParameters, log: DriveLog | LogSignals, starts_ns: np.ndarray,
@@ -91,7 +100,8 @@ class LogBatch:
         self._inputs, self._substeps, self._others = inputs, substeps, dict(signals or {})
         self._unique, self._place = np.unique(self.starts_ns, return_inverse=True)
         self._speeds = self._occurring_speeds()
-        self._sampled: dict[tuple[int, int], list[np.ndarray]] = {}
+        self._recorded = Recording(self.signals)
+        self._only: dict[tuple[int, bool], list[Block]] = {}
 
     def _numbers(self, points: Sequence[float] | None) -> np.ndarray:
         if points is None:
@@ -125,10 +135,11 @@ class LogBatch:
                 raise ConfigurationError(f"model {model.name} needs the signal {name}, which was not given")
         count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
-        signals, apart = self._corrected(model), self._inputs == "held" and has_memory(model)
+        recording, apart = self.recording(model), self._inputs == "held" and has_memory(model)
+        signals = recording.signals
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
         for block in self._blocks(count, apart):
-            values = self._sample_held(block, signals, model) if apart else self._sample(block, signals, model)
+            values = self._sample_held(block, signals, model) if apart else self._sample(block, recording, model)
             states = signals.states_at(block.starts_ns, car).T
             result[:, :, block.rows] = self._advance(block, values, states, model, p, count)
         states = result if np.array_equal(self._unique, self.starts_ns) else result[:, :, self._place]
@@ -152,29 +163,42 @@ class LogBatch:
         stability.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
-    def _blocks(self, count: int, apart: bool) -> Iterator[Block]:
+    def _blocks(self, count: int, apart: bool) -> Iterable[Block]:
+        """Laid out once where there is no more than one."""
+        if (count, apart) not in self._only:
+            blocks = self._planned(count, apart)
+            begun = list(islice(blocks, 2))
+            if len(begun) > 1:
+                return chain(begun, blocks)
+            self._only[count, apart] = begun
+        return self._only[count, apart]
+
+    def _planned(self, count: int, apart: bool) -> Iterator[Block]:
         half_steps = np.arange(2 * self.steps * count + 1) * (0.5 * self.step / count / NANOSECOND)
         # Held inputs are wanted at the start alone, unless the wheels still follow what the steering did before it.
         throughout = self._inputs == "measured" or apart
         wanted = np.round(half_steps).astype(np.int64) if throughout else np.zeros(1, np.int64)
         return plan(self._unique, wanted, self._backend.LANES, share=not apart)
 
-    def _corrected(self, model: Model) -> LogSignals:
+    def recording(self, model: Model) -> Recording:
+        """The drive with what the model says of sensors and steering taken into account."""
         log = corrected_log(model, self.signals.log, self.signals.maximum_gap)
-        return self.signals if log is self.signals.log else self.signals.of(log)
+        return self._recorded if log is self.signals.log else Recording(self.signals.of(log))
 
-    def _sample(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
-        """Road wheel angle, velocity_x_dot and the model's signals at all instants of a block."""
-        key = (block.number, block.times_ns.size)
-        kept = signals is self.signals and block.shared
-        if kept and key in self._sampled:
-            angle, acceleration = self._sampled[key]
+    def _sample(self, block: Block, recording: Recording, model: Model) -> list[np.ndarray]:
+        """Road wheel angle, velocity_x_dot and the model's signals at all instants of a block, laid out."""
+        key, signals, times_ns = (block.number, block.times_ns.size), recording.signals, block.times_ns
+        if key in recording.sampled:
+            angle, acceleration = recording.sampled[key]
         else:
-            angle = signals.road_wheel_angle_at(block.times_ns)
-            acceleration, = signals.ins_at(block.times_ns, "velocity_x_dot")
-        if kept:
-            self._sampled[key] = [angle, acceleration]
-        others = [signals.sample(*self._others[name], block.times_ns) for name in model.signals]
+            angle, acceleration = self._recorded.sampled.get(key, (None, None))
+            if angle is None or not same(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
+                angle = block.laid_out(signals.road_wheel_angle_at(times_ns))
+            if acceleration is None or signals.velocity_x_dot is not self.signals.velocity_x_dot:
+                acceleration = block.laid_out(signals.ins_at(times_ns, "velocity_x_dot")[0])
+        if block.shared:
+            recording.sampled[key] = angle, acceleration
+        others = [block.laid_out(signals.sample(*self._others[name], times_ns)) for name in model.signals]
         return [angle, acceleration, *others]
 
     def _sample_held(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
@@ -185,7 +209,8 @@ class LogBatch:
                   for times, angle in angles]
         acceleration, = signals.ins_at(starts, "velocity_x_dot")
         others = [signals.sample(*self._others[name], starts) for name in model.signals]
-        return [np.array(wheels).T, *(np.broadcast_to(v, block.times_ns.shape) for v in (acceleration, *others))]
+        return [block.laid_out(np.broadcast_to(v, block.times_ns.shape))
+                for v in (np.array(wheels).T, acceleration, *others)]
 
     def _advance(self, block: Block, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
                  substeps: int) -> np.ndarray:

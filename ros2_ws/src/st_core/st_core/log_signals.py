@@ -16,6 +16,12 @@ from .vehicle import VehicleParameters
 Acceleration = Literal["causal", "zero_phase"]
 
 
+def same(log: DriveLog, other: DriveLog, *names: str) -> bool:
+    """Whether two drives hold the very same arrays under these names; another drive has views of its own of them."""
+    pairs = [(getattr(log, name), getattr(other, name)) for name in names]
+    return all(a.size == b.size and a.ctypes.data == b.ctypes.data for a, b in pairs)
+
+
 class LogSignals:
     """Measurements of a DriveLog at wanted instants; NaN where not known.
 
@@ -33,9 +39,7 @@ class LogSignals:
 
     def of(self, log: DriveLog) -> "LogSignals":
         """Another drive, with the same settings."""
-        same = all(np.may_share_memory(getattr(log, name), getattr(self.log, name))
-                   for name in ("ins_time_ns", "velocity_x")) and len(log.velocity_x) == len(self.log.velocity_x)
-        if not same:
+        if not same(log, self.log, "ins_time_ns", "velocity_x"):
             return LogSignals(log, self.maximum_gap, *self._filter)
         other = copy(self)
         other.log = log

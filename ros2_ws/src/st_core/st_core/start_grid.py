@@ -41,14 +41,15 @@ class Block:
         """Whether starts share instants."""
         return self.spacing > 0
 
+    def laid_out(self, values: np.ndarray) -> np.ndarray:
+        """(m,) what is known at times_ns, in the order `offsets` speaks of."""
+        return (values.reshape(-1, self.spacing).T if self.shared else values).ravel()
+
     def table(self, fields: tuple) -> np.ndarray:
-        """(fields, m): quantities known at times_ns, each an array or a number, in the order `offsets` speaks of."""
+        """(fields, m): quantities, each an array that is laid out or a number."""
         result = np.empty((len(fields), self.times_ns.size))
         for row, field in zip(result, fields, strict=True):
-            values = np.broadcast_to(field, self.times_ns.shape)
-            if self.shared:
-                values = values.reshape(-1, self.spacing).T
-            row.reshape(values.shape)[:] = values
+            row[:] = field
         return result
 
 
@@ -58,11 +59,16 @@ def plan(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool
     share: False where the same instant means something else to each start.
     """
     runs = _runs(starts_ns, instants_ns) if share else []
-    columns = sum(_padded(cover, lanes) for _, _, cover in runs)
+    columns = sum(cover + _reach(spacing, instants_ns) for _, spacing, cover in runs)
     if runs and columns <= 2 * len(starts_ns) + lanes:
         yield from _shared(starts_ns, instants_ns, lanes, runs)
     else:
         yield from _own(starts_ns, instants_ns, lanes)
+
+
+def _reach(spacing: int, instants_ns: np.ndarray) -> int:
+    """Columns a window reaches beyond its own."""
+    return (len(instants_ns) - 1) // spacing
 
 
 def _runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, int, int]]:
@@ -86,20 +92,44 @@ def _runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, i
 
 
 def _shared(starts_ns, instants_ns, lanes, runs) -> Iterator[Block]:
-    half, count, number = int(instants_ns[1]), len(instants_ns), 0
-    k = np.arange(count)
+    """Runs one after the other in a block: columns between them, as many as a window reaches, are nobody's."""
+    pieces = []
     for rows, spacing, cover in runs:
-        place = (starts_ns[rows] - starts_ns[rows.start]) // (half * spacing)
+        place = (starts_ns[rows] - starts_ns[rows.start]) // (int(instants_ns[1]) * spacing)
         for first in range(0, cover, SHARED_BLOCK):
-            here = min(SHARED_BLOCK, cover - first)
-            begin, end = np.searchsorted(place, (first, first + here)) + rows.start
-            columns = _padded(here, lanes)
-            indices = columns + (count - 1) // spacing
-            origin = int(starts_ns[rows.start]) + first * half * spacing
-            yield Block(number, slice(int(begin), int(end)), place[begin - rows.start:end - rows.start] - first,
-                        origin + half * spacing * np.arange(here), origin + half * np.arange(indices * spacing),
-                        (k % spacing) * indices + k // spacing, columns, spacing)
-            number += 1
+            begin, end = np.searchsorted(place, (first, first + SHARED_BLOCK))
+            pieces.append((slice(rows.start + int(begin), rows.start + int(end)), spacing, place[begin:end] - first,
+                           int(starts_ns[rows.start]) + first * int(instants_ns[1]) * spacing))
+    together: list[tuple] = []
+    number = 0
+    for piece in pieces:
+        if together and (together[0][1] != piece[1] or sum(_wide(p, instants_ns) for p in (*together, piece))
+                         > SHARED_BLOCK):
+            yield _joined(number, together, instants_ns, lanes)
+            together, number = [], number + 1
+        together.append(piece)
+    yield _joined(number, together, instants_ns, lanes)
+
+
+def _wide(piece: tuple, instants_ns: np.ndarray) -> int:
+    _, spacing, place, _ = piece
+    return int(place[-1]) + 1 + _reach(spacing, instants_ns)
+
+
+def _joined(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: int) -> Block:
+    half, spacing = int(instants_ns[1]), pieces[0][1]
+    width = [_wide(piece, instants_ns) for piece in pieces]
+    first = np.concatenate(([0], np.cumsum(width)))
+    count = int(first[-1]) - _reach(spacing, instants_ns)
+    columns = _padded(count, lanes)
+    width[-1] += columns - count
+    indices = sum(width)
+    times = [origin + half * np.arange(w * spacing) for (*_, origin), w in zip(pieces, width, strict=True)]
+    starts = np.concatenate([t[::spacing] for t in times])[:count]
+    wanted = np.concatenate([place + f for (_, _, place, _), f in zip(pieces, first, strict=False)])
+    k = np.arange(len(instants_ns))
+    return Block(number, slice(pieces[0][0].start, pieces[-1][0].stop), wanted, starts, np.concatenate(times),
+                 (k % spacing) * indices + k // spacing, columns, spacing)
 
 
 def _own(starts_ns, instants_ns, lanes) -> Iterator[Block]:

@@ -107,14 +107,12 @@ class VehicleParameters:
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self):
-        for key, quantity in VEHICLE_QUANTITIES.items():
-            _check_bounds(key, getattr(self, key), quantity)
+        _check_all("", self, VEHICLE_QUANTITIES)
         if not self.cg_to_front_axle < self.wheelbase:
             raise ConfigurationError(f"cg_to_front_axle: {self.cg_to_front_axle:g} m is not below wheelbase "
                                      f"{self.wheelbase:g} m; the CG lies between the axles, correct one of the two")
         for tyre in TYRES:
-            for key, quantity in TYRE_QUANTITIES.items():
-                _check_bounds(f"{tyre}.{key}", getattr(getattr(self, tyre), key), quantity)
+            _check_all(f"{tyre}.", getattr(self, tyre), TYRE_QUANTITIES)
 
     @property
     def cg_to_rear_axle(self) -> float:
@@ -255,6 +253,14 @@ def _read_one(key: str, entry: Any, quantity: Quantity, notes: _Notes) -> float:
     if provenance is not None:
         notes.provenance[key] = provenance
     return si
+
+
+def _check_all(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:
+    # A fit makes a car at each step: no call, no key put together where all is well.
+    for key, quantity in quantities.items():
+        value = getattr(values, key)
+        if not quantity.minimum <= value <= quantity.maximum:
+            _check_bounds(prefix + key, value, quantity)
 
 
 def _check_bounds(key: str, value: float, quantity: Quantity) -> None:

@@ -237,9 +237,12 @@ def test_starts_that_share_a_grid_share_its_instants():
     assert not any(b.shared for b in blocks) and sum(b.count for b in blocks) == 1000
     assert max(b.times_ns.size for b in blocks) <= start_grid.OWN_BLOCK
     hours_apart = np.concatenate([regular(0, 1000), regular(10**7 + 3, 1000)])
-    assert [b.shared for b in plan(hours_apart, instants, 48)] == [True, True]
+    block, = plan(hours_apart, instants, 48)
+    assert block.shared and block.count == 1000 + 50 + 1000
+    faster = np.concatenate([regular(0, 1000), regular(10**7 + 3, 1000)[::2]])
+    assert [b.shared for b in plan(faster, instants, 48)] == [True, True]
     assert list(plan(np.empty(0, np.int64), instants, 1)) == []
-    for b in plan(hours_apart, instants, 48):
+    for b in [*plan(hours_apart, instants, 48), *plan(faster, instants, 48), *plan(regular(0, 20_000), instants, 48)]:
         known = b.times_ns.reshape(-1, b.spacing).T.ravel()
         for k in (0, 1, 77, 200):
             np.testing.assert_array_equal(known[b.offsets[k] + b.wanted], b.starts_ns[b.wanted] + instants[k])

@@ -41,13 +41,13 @@ _lock = Lock()
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
             points: np.ndarray) -> np.ndarray:
     """See the package. A model that numba cannot compile runs in numpy; one line says so."""
-    p = as_floats(p)
-    kernel = _kernel(model, p, len(w), len(start))
+    numbers: list[float] = []
+    kernel = _kernel(model, p, _skeleton(p, numbers), len(w), len(start))
     if kernel is None:
-        return numpy_batch.advance(model, p, start, w, offsets, step, points)
+        return numpy_batch.advance(model, as_floats(p), start, w, offsets, step, points)
     columns = start.shape[1]
     out = np.empty((len(points), len(STATE_NAMES), columns))
-    kernel(np.array(list(_leaves(p))), np.ascontiguousarray(start).ravel(), columns, np.ascontiguousarray(w).ravel(),
+    kernel(np.array(numbers), np.ascontiguousarray(start).ravel(), columns, np.ascontiguousarray(w).ravel(),
            w.shape[1], np.ascontiguousarray(offsets, np.int64), step, np.ascontiguousarray(points, np.int64),
            out.ravel())
     return out
@@ -61,26 +61,22 @@ def as_floats(p: Any) -> Any:
     return type(p)(*values) if hasattr(p, "_fields") else tuple(values)
 
 
-def _leaves(p: Any) -> Iterator[float]:
-    if isinstance(p, tuple):
-        for value in p:
-            yield from _leaves(value)
-    else:
-        yield p
-
-
-def _kernel(model: Model, p: Any, fields: int, states: int):
+def _kernel(model: Model, p: Any, skeleton: Any, fields: int, states: int):
     # Values are not in the key: a fit changes them a thousand times and compiles once.
-    key = (model.rhs, _skeleton(p), fields, states)
+    key = (model.rhs, skeleton, fields, states)
     with _lock:
         if key not in _compiled:
-            _compiled[key] = _compile(model, numba.typeof(p), fields, states)
+            _compiled[key] = _compile(model, numba.typeof(as_floats(p)), fields, states)
         return _compiled[key]
 
 
-def _skeleton(p: Any):
-    """How p is nested and of what types. numba's own type says the same and takes milliseconds to make."""
-    return (type(p), *map(_skeleton, p)) if isinstance(p, tuple) else float
+def _skeleton(p: Any, numbers: list[float]):
+    """How p is nested and of what types; appends its numbers. numba's own type says the same and takes milliseconds to
+    make."""
+    if isinstance(p, tuple):
+        return (type(p), *[_skeleton(value, numbers) for value in p])
+    numbers.append(float(p))
+    return float
 
 
 def _compile(model: Model, shape, fields: int, states: int):

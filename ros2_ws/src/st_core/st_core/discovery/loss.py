@@ -67,7 +67,7 @@ class Errors:
         key = vector.tobytes()
         if key not in self._kept:
             self.calls += 1
-            values = self.windows.errors(self.space.at(vector), float(vector[-1])).values
+            values = self.windows.errors(self.space.at(vector).lean(), float(vector[-1])).values
             while len(self._kept) >= KEPT:
                 self._kept.pop(next(iter(self._kept)), None)
             self._kept[key] = values.reshape(len(values), -1)

@@ -5,6 +5,7 @@ discovery. A window starts from the measured state. Without the measured sidesli
 cornering and is scored once that guess is forgotten.
 """
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -14,14 +15,14 @@ import numpy as np
 
 from .. import frames
 from ..augmented import AugmentedModel
-from ..batch import LogBatch
+from ..batch import LogBatch, Recording
 from ..composition import compose
 from ..effects import Measured
 from ..errors import StCoreError
 from ..filtering import NANOSECOND
 from ..log import DriveLog
-from ..log_signals import LogSignals
-from ..readings import corrected_log, readings
+from ..log_signals import LogSignals, same
+from ..readings import readings
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
@@ -30,6 +31,7 @@ GUESSED = 0.75  # s until a guessed sideslip is forgotten
 MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is known there too
 SLOWEST = 1.5  # m/s. Slower windows say nothing of lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
+RECORDINGS = 4  # remembered, as sensors and steering of the last models change them
 CLOSEST = 1.0  # s between the starts of two windows, at the least: closer ones bring next to nothing new
 SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 COLUMNS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position_lateral", "position_longitudinal")
@@ -48,7 +50,7 @@ class Signals(LogSignals):
         self.velocity_x_dot = (ends[1] - ends[0]) / np.maximum(high - low, STEP)
 
     def of(self, log: DriveLog) -> "Signals":
-        if log.velocity_x is not self.log.velocity_x:
+        if not same(log, self.log, "ins_time_ns", "velocity_x"):
             return Signals(log, self.maximum_gap)
         other = copy(self)
         other.log = log
@@ -56,7 +58,19 @@ class Signals(LogSignals):
 
 
 class Batch(LogBatch):
-    """A LogBatch for thousands of fits: the step is checked once by who makes it."""
+    """A LogBatch for thousands of fits: the step is checked once by who makes it, and the recording is kept for models
+    that make the same of it, as most do that a fit tries one after the other."""
+
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        self._lately: OrderedDict[tuple, Recording] = OrderedDict()
+
+    def recording(self, model):
+        known = self._lately.pop(model.measuring, None) or super().recording(model)
+        self._lately[model.measuring] = known
+        while len(self._lately) > RECORDINGS:
+            self._lately.popitem(last=False)
+        return known
 
     def _count_substeps(self, model, vehicle):
         return self._substeps
@@ -194,23 +208,23 @@ class Windows:
     def _seen(self, model: AugmentedModel) -> Measured:
         """What the INS would show at the points; acceleration and yaw rate as means over 2 STEP, as measured."""
         states = self._batch.predict(model, self.vehicle).states
-        before, here, after = (states[:, i] for i in self._around)
         with np.errstate(all="ignore"):
-            true = readings(MotionOnly(model), self.vehicle, tuple(np.moveaxis(here, -1, 0)))
-            ends = [readings(MotionOnly(model), self.vehicle, tuple(np.moveaxis(s, -1, 0))) for s in (before, after)]
-            turning = [e.velocity_x * e.yaw_rate for e in (ends[0], true, ends[1])]
-            a_y = (ends[1].velocity_y - ends[0].velocity_y) / (2 * STEP) + (
+            shown = readings(MotionOnly(model), self.vehicle, tuple(np.moveaxis(states, -1, 0)))
+            before, true, after = (Measured(*(value[:, i] for value in shown)) for i in self._around)
+            turning = [e.velocity_x * e.yaw_rate for e in (before, true, after)]
+            a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
                 turning[0] + 4.0 * turning[1] + turning[2]) / 6.0
-            rate = (ends[0].yaw_rate + 4.0 * true.yaw_rate + ends[1].yaw_rate) / 6.0
-            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y, acceleration_y=a_y + self._felt(model, here),
-                                 yaw_acceleration=(ends[1].yaw_rate - ends[0].yaw_rate) / (2 * STEP))
+            rate = (before.yaw_rate + 4.0 * true.yaw_rate + after.yaw_rate) / 6.0
+            felt = self._felt(model, states[:, self._around[1]])
+            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y, acceleration_y=a_y + felt,
+                                 yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP))
             return model.observe(true)
 
     def _felt(self, model: AugmentedModel, states: np.ndarray):
         """What an accelerometer shows on top of the motion [m/s^2]."""
-        if not any(e.felt for e in active(model)):
+        if not any(e.felt for e in model.active):
             return 0.0
-        signals = self._batch.signals.of(corrected_log(model, self._batch.signals.log))
+        signals = self._batch.recording(model).signals
         acceleration, = signals.ins_at(self._times, "velocity_x_dot")
         return added_acceleration(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)),
                                   signals.road_wheel_angle_at(self._times), acceleration)
@@ -219,17 +233,14 @@ class Windows:
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
                        acceleration: np.ndarray):
     """a_y an accelerometer at the CG shows on top of the motion [m/s^2]; states: the six, arrays as the inputs."""
+    # Only those effects that are felt, and what changes the inputs they look at.
+    model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.felt or e.inputs)))
     added = compose(model.base, model.effects).felt
-    if added is None or not any(e.felt for e in active(model)):
+    if added is None:
         return 0.0
     p = model.parameters(vehicle)
     extra = [np.zeros(np.shape(angle))] * len(model.extra_states)
     return added((*states, *extra), model.inputs(angle, acceleration, p), p)[1]
-
-
-def active(model: AugmentedModel) -> list:
-    """Effects of a model that are not at null."""
-    return [e for e in model.effects if any(p.fit and model.values[e.name][p.name] != p.null for p in e.parameters)]
 
 
 class MotionOnly:

@@ -135,6 +135,7 @@ class Effect:
     extra_units: of the extra states, for those who export the model.
     kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: those of CHANNELS without
     any one of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
+    costly: computes the tyres once more; where it is at null it had better not be in a model that is to be fast.
     order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
     car, steady circle, step, sweep and limit.
     """
@@ -154,6 +155,7 @@ class Effect:
     prepared: ClassVar[tuple[str, ...]] = ()
     extra_states: ClassVar[tuple[str, ...]] = ()
     extra_units: ClassVar[tuple[str, ...]] = ()
+    costly: ClassVar[bool] = False
     order: ClassVar[int] = 50
     Theta: ClassVar[Callable[..., Any]]
 

@@ -33,6 +33,7 @@ class LateralLoadTransfer(Effect):
     twins = ("friction", "front_stiffness", "rear_stiffness")
     applies_to = frozenset(("nonlinear",))  # a linear tyre does not know its load
     prepared = ("load_front", "load_rear")
+    costly = True
     order = 20
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="of m a_y h / track",

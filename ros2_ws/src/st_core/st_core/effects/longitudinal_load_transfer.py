@@ -28,6 +28,7 @@ class LongitudinalLoadTransfer(Effect):
     twins = ("combined_slip", "steered_drive_force")
     prepared = tuple(f"{what}_{axle}_{when}" for when in ("before", "after") for axle in ("front", "rear")
                      for what in "bde")
+    costly = True
     order = 70
     parameters = (
         Parameter("height", "m", null=0.0, initial=0.4, bounds=(-0.6, 1.2),

@@ -14,6 +14,7 @@ class SteeringCompliance(Effect):
     excited_by = "cornering near the limit; an exact twin of a softer front axle below 0.4 g"
     kind, slot = "physics", "front axle"
     twins = ("front_stiffness", "roll_steer", "steering_ratio")
+    costly = True
     order = 83  # inside steered_drive_force: the force of the tyres alone bends the suspension
     parameters = (
         Parameter("compliance", "rad/N", null=0.0, initial=1.0e-6, bounds=(0.0, 1.0e-5),
