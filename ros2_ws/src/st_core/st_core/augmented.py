@@ -73,6 +73,11 @@ class AugmentedModel(Model):
         """What decides how `steering` and `correct` change a recording: the same for models that do the same to it."""
         return tuple((e.name, *self.values[e.name].values()) for e in self.active if e.steering or e.observe)
 
+    def looked_at(self, p: Any) -> tuple:
+        """What of the parameters `inputs` looks at."""
+        own = compose(self.base, self.effects).own
+        return (p.base, *(t for e, t in zip(own, p.effects, strict=True) if e.inputs or e.prepare)) if own else p
+
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The car as the effects make it. Raises ConfigurationError when that is no car."""
         known = self._cars.get(id(vehicle))

@@ -5,7 +5,7 @@ affair. Work goes block by block: besides what is handed back, memory holds the 
 bytes each half step, as much again for a model that changes what was measured, and the tables of one block.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from typing import Any, Literal
@@ -52,10 +52,11 @@ class LogPrediction:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive as a model takes it. sampled: road wheel angle and velocity_x_dot by block, laid out."""
+    """A drive as a model takes it. sampled: road wheel angle and velocity_x_dot, by block laid out; or at other times.
+    """
 
     signals: LogSignals
-    sampled: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 def predict_log(model: str | Model, vehicle: VehicleParameters, log: DriveLog | LogSignals, starts_ns: np.ndarray,
@@ -212,11 +213,15 @@ class LogBatch:
         return [block.laid_out(np.broadcast_to(v, block.times_ns.shape))
                 for v in (np.array(wheels).T, acceleration, *others)]
 
+    def _table(self, block: Block, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
+        """w at all instants of a block."""
+        angle, acceleration, *others = values
+        return block.table(model.inputs(angle, acceleration, p, *others))
+
     def _advance(self, block: Block, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
                  substeps: int) -> np.ndarray:
-        angle, acceleration, *others = values
         with np.errstate(all="ignore"):
-            w = block.table(model.inputs(angle, acceleration, p, *others))
+            w = self._table(block, values, model, p)
             start = model.start_state(tuple(states), tuple(w[:, block.offsets[0]:block.offsets[0] + block.count]), p)
         columns = np.full((len(start), block.columns), np.nan)
         for column, value in zip(columns, start, strict=True):

@@ -102,6 +102,7 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
     rows = problem.errors.at(fit.vector)
     q = problem.loss.quadratic(rows, problem.everything(fit.vector).values).summed(problem.block, problem.blocks)
     own, gains, ratios = {}, {}, []
+    base = problem.leave_out(q.only(fit.which), fit.names, fit.vector, fit.which, problem.fold)[1]
     for effect in problem.space.hypotheses:
         if problem.space.overlaps(effect, fit.names):
             continue
@@ -113,7 +114,7 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
         part = q.only(which)
         held_out = problem.leave_out(part, names, fit.vector, which, problem.fold)[1]
         step = problem.best_step(part.hessian.sum(axis=0), part.gradient.sum(axis=0), names, fit.vector, which)
-        gains[effect] = fit.held_out - held_out, problem.moved(fit.vector, which, step)
+        gains[effect] = base - held_out, problem.moved(fit.vector, which, step)
     signs = rng.choice([-1.0, 1.0], (FLIPS, problem.blocks))
     largest = np.zeros(FLIPS)
     for s in own.values():
@@ -150,6 +151,8 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
         own = score_of(problem, without, effect, fit.slopes)
     rows = problem.held_out_rows(without, problem.apart), problem.held_out_rows(fit, problem.apart)
     before, after = (problem.position(r) for r in rows)
+    if problem.prior is not None:  # a known car is as it was without the effect: nothing else makes up for it
+        rows = problem.errors.at(problem.put_back(fit, effect)), rows[1]
     overall, somewhere = _falls(before - after, levels.get("condition"))
     return Evidence(effect, min(float(gain.sum()), by_run) / problem.number,
                     chance(own, gain, scores, len(problem.space.hypotheses)), of_null(problem, fit, effect),
@@ -159,10 +162,11 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
 
 
 def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str, tuple[float, float]]:
-    """By column: fall of the size of the errors over that of the start, and the size before over the noise."""
+    """By column: fall of the size of the errors over that of the start, or without the effect if that is larger; and
+    the size without it over the noise."""
     before, after = problem.sizes(without), problem.sizes(rows)
     return {column: (float(fall), float(over)) for column, fall, over in zip(
-        problem.errors.windows.columns, (before - after) / problem.size_of_start,
+        problem.errors.windows.columns, (before - after) / np.maximum(problem.size_of_start, before),
         before / np.maximum(problem.noise, 1e-12), strict=True)}
 
 

@@ -200,6 +200,12 @@ class Problem:
         there[keep] = vector[keep]
         return there
 
+    def put_back(self, fit: Fit, *names: str) -> np.ndarray:
+        """The vector of a fit with the effects `names` at the start."""
+        there, own = fit.vector.copy(), self.space.indices(*names)
+        there[own] = self.start[own]
+        return there
+
     def fit(self, names: Iterable[str], slopes: Slopes, vector: np.ndarray | None = None, fresh: Iterable[str] = (),
             iterations: int = ITERATIONS) -> Fit:
         """Robust Gauss-Newton. slopes: known ones, of all that moves at least, about a point near by; they follow the
@@ -251,18 +257,21 @@ class Problem:
 
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
                   fold: np.ndarray, settled: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step of the values fitted without it}, (b,) loss of each block under them). q: by block. settled:
-        the vector is the best there is, whatever more the quadratic promises; only what a fold moves it by counts."""
+        """({fold: step of the values fitted without it}, (b,) loss of each block under them, and its part of what the
+        prior says against those). q: by block. settled: the vector is the best there is, whatever more the quadratic
+        promises; only what a fold moves it by counts."""
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         steps, held_out = {}, np.zeros(len(q.cost))
         promised = self.best_step(h, g, names, vector, which) if settled else np.zeros(len(which))
         gradient = q.gradient - q.hessian @ promised
+        held, away = self.held(names, which), ((vector - self.start) / self.space.scale)[which]
         for k in np.unique(fold):
             mine = fold == k
             d = self.best_step(h - q.hessian[mine].sum(axis=0), g - q.gradient[mine].sum(axis=0), names, vector,
                                which) - promised
             steps[int(k)] = d
             held_out[mine] = q.cost[mine] - 2.0 * gradient[mine] @ d + np.einsum("i,bij,j->b", d, q.hessian[mine], d)
+            held_out[mine] += (away + d) @ held @ (away + d) / len(q.cost)
         return steps, held_out
 
     def held_out_apart(self, fit: Fit) -> np.ndarray:

@@ -44,10 +44,8 @@ class Quadratic:
     def summed(self, group: np.ndarray, count: int | None = None) -> "Quadratic":
         """The same by group. group: (n,) number of the group of each window."""
         count = int(group.max()) + 1 if count is None else count
-        sums = [np.zeros((count, *values.shape[1:])) for values in (self.cost, self.gradient, self.hessian)]
-        for total, values in zip(sums, (self.cost, self.gradient, self.hessian), strict=True):
-            np.add.at(total, group, values)
-        return Quadratic(*sums)
+        member = (group == np.arange(count)[:, None]).astype(float)
+        return Quadratic(*(np.tensordot(member, values, 1) for values in (self.cost, self.gradient, self.hessian)))
 
     def only(self, which: np.ndarray) -> "Quadratic":
         """Of some of the parameters."""

@@ -8,7 +8,7 @@ from scipy import stats
 
 from ..effects import get_effect
 from .decision import STATED, Rival, judge
-from .evidence import Evidence, Scores, evidence, screen
+from .evidence import Evidence, Scores, chance, evidence, screen
 from .fit import Fit, Problem, Slopes
 from .levels import Level
 from .limits import Limits
@@ -119,7 +119,10 @@ class Search:
         gains = found.scores.gains
         least = max(limits.negligible * p.number, NEAR * max(g.sum() for g, _ in gains.values()))
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum()) if gains[e][0].sum() > NEAR * least]
-        fits = {effect: self._more(found.fit, effect, gains[effect][1]) for effect in ranked[:CONTENDERS]}
+        # What is sure goes first: where much is noise, something gains more by chance.
+        surely = [e for e in ranked if chance(found.scores.own[e], gains[e][0], found.scores, len(p.space.hypotheses))
+                  <= limits.false_alarm]
+        fits = {effect: self._more(found.fit, effect, gains[effect][1]) for effect in (surely or ranked)[:CONTENDERS]}
         if not fits:
             return None
         without, fits = self._finer(found.fit, fits)

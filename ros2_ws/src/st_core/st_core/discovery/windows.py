@@ -31,7 +31,7 @@ GUESSED = 0.75  # s until a guessed sideslip is forgotten
 MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is known there too
 SLOWEST = 1.5  # m/s. Slower windows say nothing of lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
-RECORDINGS = 4  # remembered, as sensors and steering of the last models change them
+REMEMBERED = 4  # recordings, as sensors and steering of the last models change them, and what follows from them
 CLOSEST = 1.0  # s between the starts of two windows, at the least: closer ones bring next to nothing new
 SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 COLUMNS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position_lateral", "position_longitudinal")
@@ -58,22 +58,33 @@ class Signals(LogSignals):
 
 
 class Batch(LogBatch):
-    """A LogBatch for thousands of fits: the step is checked once by who makes it, and the recording is kept for models
-    that make the same of it, as most do that a fit tries one after the other."""
+    """A LogBatch for thousands of fits: the step is checked once by who makes it. The recording, and what depends on
+    the inputs alone, is kept for models that make the same of it, as most do that a fit tries one after the other."""
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
-        self._lately: OrderedDict[tuple, Recording] = OrderedDict()
+        self._recordings: OrderedDict[tuple, Recording] = OrderedDict()
+        self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()
 
     def recording(self, model):
-        known = self._lately.pop(model.measuring, None) or super().recording(model)
-        self._lately[model.measuring] = known
-        while len(self._lately) > RECORDINGS:
-            self._lately.popitem(last=False)
-        return known
+        key = model.measuring
+        return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
+
+    def _table(self, block, values, model, p):
+        # The values are kept as well, so that no others are ever at their place in memory.
+        key = (block.number, model.inputs, model.looked_at(p), *map(id, values))
+        known = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
+        return _remember(self._tables, key, known)[1]
 
     def _count_substeps(self, model, vehicle):
         return self._substeps
+
+
+def _remember(kept: OrderedDict, key: tuple, value):
+    kept[key] = value
+    while len(kept) > REMEMBERED:
+        kept.popitem(last=False)
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,10 +235,13 @@ class Windows:
         """What an accelerometer shows on top of the motion [m/s^2]."""
         if not any(e.felt for e in model.active):
             return 0.0
-        signals = self._batch.recording(model).signals
-        acceleration, = signals.ins_at(self._times, "velocity_x_dot")
+        recording = self._batch.recording(model)
+        if "points" not in recording.sampled:
+            signals = recording.signals
+            recording.sampled["points"] = (signals.road_wheel_angle_at(self._times),
+                                           *signals.ins_at(self._times, "velocity_x_dot"))
         return added_acceleration(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)),
-                                  signals.road_wheel_angle_at(self._times), acceleration)
+                                  *recording.sampled["points"])
 
 
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
