@@ -61,7 +61,7 @@ def as_floats(p: Any) -> Any:
     return type(p)(*values) if hasattr(p, "_fields") else tuple(values)
 
 
-def _kernel(model: Model, p: Any, skeleton: Any, fields: int, states: int):
+def _kernel(model: Model, p: Any, skeleton: tuple, fields: int, states: int):
     # Values are not in the key: a fit changes them a thousand times and compiles once.
     key = (model.rhs, skeleton, fields, states)
     with _lock:
@@ -70,13 +70,17 @@ def _kernel(model: Model, p: Any, skeleton: Any, fields: int, states: int):
         return _compiled[key]
 
 
-def _skeleton(p: Any, numbers: list[float]):
+def _skeleton(p: tuple, numbers: list[float]) -> tuple:
     """How p is nested and of what types; appends its numbers. numba's own type says the same and takes milliseconds to
     make."""
-    if isinstance(p, tuple):
-        return (type(p), *[_skeleton(value, numbers) for value in p])
-    numbers.append(float(p))
-    return float
+    shape: list[Any] = [type(p)]
+    for value in p:
+        if isinstance(value, tuple):
+            shape.append(_skeleton(value, numbers))
+        else:
+            numbers.append(float(value))
+            shape.append(float)
+    return tuple(shape)
 
 
 def _compile(model: Model, shape, fields: int, states: int):
