@@ -6,6 +6,7 @@ Checked by: tests/bench/test_discovery_plant.py.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from math import exp, sin, sqrt
 
 import numba
@@ -74,7 +75,7 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
     for _ in range(4):
         draw()
     out = np.empty((len(programme.hand), RECORDED + 3))
-    kernel = _compiled()
+    kernel = compiled(_loop)
     first = 0
     for s, count in parts:
         steps = count * DECIDE
@@ -93,17 +94,14 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
     return Recording(out[:, :RECORDED], out[:, RECORDED], out[:, RECORDED + 1], out[:, RECORDED + 2])
 
 
-_kernels: list = []
-
-
-def _compiled():
-    if not _kernels:
-        for function in structure.reachable(_loop)[:-1]:
-            register_jitable(function)
-        kernel = numba.njit(error_model="numpy")(_loop)
-        numba_cache.enable(kernel, structure.fingerprint(_loop))
-        _kernels.append(kernel)
-    return _kernels[0]
+@cache
+def compiled(loop):
+    """A loop over steps with everything it reaches as machine code, kept on disk."""
+    for function in structure.reachable(loop)[:-1]:
+        register_jitable(function)
+    kernel = numba.njit(error_model="numpy")(loop)
+    numba_cache.enable(kernel, structure.fingerprint(loop))
+    return kernel
 
 
 def foot(pedal, speed, acceleration, motion, rear, wheelbase):

@@ -25,7 +25,7 @@ IDENTIFIED = ("front_stiffness", "rear_stiffness", "friction", "steering_ratio",
 class Drives:
     """reference, suspect: what `discover` gets, with `vehicle` as the file. held_out: more drives of the suspect car;
     twin: the same programmes driven by the healthy car, where that is asked for. truth: values of all effects the plant
-    has a switch for; of what an identified file holds they are not known."""
+    has a switch for, against that file."""
 
     reference: tuple[DriveLog, ...]
     suspect: tuple[DriveLog, ...]
@@ -45,7 +45,7 @@ def channels_of(case: Case) -> tuple[str, ...]:
 
 def drives_of(case: Case) -> Drives:
     """All drives of a case."""
-    vehicle = _file(case)
+    vehicle, mistaken = _file(case)
     suspect = _suspect(case, vehicle)
     held_out = _held_out(case, vehicle, case.settings)
     if case.kind == "base":
@@ -57,7 +57,7 @@ def drives_of(case: Case) -> Drives:
     if case.reference:
         reference = _reference(case.car, tuple(sorted(case.file.items())), case.with_vy)
     twin = _held_out(case, vehicle, case.car.settings) if case.block in "DE" else []
-    truth = true_values(case.settings, case.file or case.settings, vehicle)
+    truth = true_values(case.settings, case.file or case.settings, vehicle) | mistaken
     return Drives(reference, tuple(suspect), tuple(held_out), tuple(twin), vehicle, truth)
 
 
@@ -72,17 +72,20 @@ def without_vy(log: DriveLog) -> DriveLog:
     return replace(log, velocity_y=np.zeros_like(log.velocity_y))
 
 
-def _file(case: Case) -> VehicleParameters:
-    """The vehicle file: as the case believes, or identified on drives of its own."""
+def _file(case: Case) -> tuple[VehicleParameters, Values]:
+    """The vehicle file, as the case believes or identified on drives of its own, and what of that is not the car's: an
+    axle identified without its compliance is softer than its tyres."""
     if case.file is not None:
-        return vehicle_of(case.car.plant, case.file)
+        return vehicle_of(case.car.plant, case.file), {}
     start = vehicle_of(case.car.plant, case.car.settings)
     logs = [driven(case.car.plant, start, Order(f"identified_{i + 1}", (case.seed, 400 + i), case.settings))
             for i in range(RUNS)]
     model = Oracle(logs, start, IDENTIFIED, {}, DiscoverySettings(where=False)).best.model
     ratio = start.steering_ratio * model.values["steering_ratio"]["factor"]
     offset = start.steering_wheel_offset - model.values["steering_offset"]["angle"] * ratio
-    return replace(model.effective_vehicle(start), steering_ratio=ratio, steering_wheel_offset=offset)
+    mistaken = {n: {"factor": 1.0 / model.values[n]["factor"]} for n in IDENTIFIED if n != "steering_offset"}
+    mistaken["steering_offset"] = {"angle": -model.values["steering_offset"]["angle"]}
+    return replace(model.effective_vehicle(start), steering_ratio=ratio, steering_wheel_offset=offset), mistaken
 
 
 def _suspect(case: Case, vehicle: VehicleParameters) -> list[DriveLog]:

@@ -12,10 +12,7 @@ from collections.abc import Mapping
 from math import exp, sin, sqrt
 from typing import NamedTuple
 
-import numba
 import numpy as np
-from numba.extending import register_jitable
-from st_core.backends import numba_cache, structure
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.car import GRAVITY
@@ -23,7 +20,7 @@ from st_sim.dynamics import LEAN, LEAN_RATE, SQUAT, STATES, VX, VY, WIND_ARM, YA
 from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
 from vehiclemodels.init_mb import init_mb
 
-from .compiled import FASTEST_HAND, RECORDED, Programme, Recording, Stopped, foot
+from .compiled import FASTEST_HAND, RECORDED, Programme, Recording, Stopped, compiled, foot
 from .multibody_car import complete, dynamics, nominal_car, parameters_of, rest_pitch
 from .sensing import PERIOD, STEERING_PHASE, log_of
 
@@ -130,21 +127,8 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
         to_rear=p.b, wheelbase=p.a + p.b, drag_area=s["drag_area"], calm=not (s["wind_speed"] or gust),
         wind=s["wind_speed"], gust=gust)
     delayed = np.full(round(s["steering_delay"] / STEP), state[BODY_STATES])
-    if not _compiled()(state, options, p, slippery, road_of(s), delayed, gusts, *arrays, out[part]):
+    if not compiled(_loop)(state, options, p, slippery, road_of(s), delayed, gusts, *arrays, out[part]):
         raise Stopped
-
-
-_kernels: list = []
-
-
-def _compiled():
-    if not _kernels:
-        for function in structure.reachable(_loop)[:-1]:
-            register_jitable(function)
-        kernel = numba.njit(error_model="numpy")(_loop)
-        numba_cache.enable(kernel, structure.fingerprint(_loop))
-        _kernels.append(kernel)
-    return _kernels[0]
 
 
 def rates(x, steering_rate, acceleration, here, p, drag_area, calm):

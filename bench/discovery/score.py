@@ -64,8 +64,10 @@ def is_false(r: Record, effect: Record) -> bool:
     true = different(r["plant"])
     if any(name in true or any(alike(name, h) for h in r["hidden"]) for name in _names(effect)):
         return False
-    value = r["scatter"].get(effect["name"], {})
-    return not value or not all(low <= value.get(n, math.inf) <= high for n, (_, low, high) in effect["values"].items())
+    parts = members(effect["name"]) if effect["name"] in EFFECTS else (effect["name"],)
+    known = [r["scatter"].get(part) for part in parts]
+    return not all(known) or not all(low <= value.get(n, math.inf) <= high for value in known
+                                     for n, (_, low, high) in effect["values"].items())
 
 
 def false_ones(r: Record) -> list[list[str]]:

@@ -1,7 +1,7 @@
 """A recorded drive as signals in time: known at any instant between two samples that are close enough together.
 
 The vectorised counterpart of `alignment.MeasurementHistory`: at the same instants, from the same samples, it gives the
-same numbers. Checked by: test_log_signals.py.
+same numbers. Checked by: test_batch.py.
 """
 
 from copy import copy

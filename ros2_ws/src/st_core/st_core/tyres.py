@@ -57,6 +57,12 @@ def magic_formula_stiffness(load, tyre: MagicFormula):
             * sin(tyre.p_ky4 * atan(load / (tyre.p_ky2 * tyre.nominal_load))))
 
 
+def magic_formula_peak(load, tyre: MagicFormula):
+    """D = (p_dy1 + p_dy2 df) lambda_muy F_z [N] of one tyre at load [N]; df as below, F_z >= 1 N."""
+    load = maximum(load, MINIMUM_LOAD)
+    return (tyre.p_dy1 + tyre.p_dy2 * (load / tyre.nominal_load - 1.0)) * tyre.lambda_muy * load
+
+
 def magic_formula_coefficients(load, tyre: MagicFormula):
     """(B, D, E) of one tyre at load [N]: what depends on the load alone.
 
@@ -67,7 +73,7 @@ def magic_formula_coefficients(load, tyre: MagicFormula):
     """
     load = maximum(load, MINIMUM_LOAD)
     increment = load / tyre.nominal_load - 1.0
-    peak = (tyre.p_dy1 + tyre.p_dy2 * increment) * tyre.lambda_muy * load
+    peak = magic_formula_peak(load, tyre)
     stiffness_factor = magic_formula_stiffness(load, tyre) / (tyre.p_cy1 * tyre.lambda_cy * peak)
     return stiffness_factor, peak, minimum(tyre.p_ey1 + tyre.p_ey2 * increment, 1.0)
 

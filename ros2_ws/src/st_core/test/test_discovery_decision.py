@@ -40,7 +40,10 @@ MAYBE_NULL = replace(GOOD, null=0.2)
 DENIED, EDGE = replace(GOOD, sensors=0.01), replace(GOOD, bound=0.0)
 SLIGHT = replace(GOOD, position=0.01, position_somewhere=0.0)
 LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
-EQUAL = Rival("rear_stiffness", share=0.9, worse=0.4, evidence=replace(GOOD, name="rear_stiffness"))
+EQUAL = Rival("rear_stiffness", share=0.9, worse=0.4, less=0.02, evidence=replace(GOOD, name="rear_stiffness"))
+WEAK = replace(GOOD, gain=0.1)
+WORSE = replace(EQUAL, worse=0.01)
+AMONG = replace(WORSE, evidence=replace(WORSE.evidence, left=5.0))
 NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
 
 
@@ -88,6 +91,9 @@ def test_rules_are_asked_in_their_order():
     (replace(SLIGHT, position=0.03), STATED, {"position": 0.03}),
     (replace(SLIGHT, position_somewhere=0.03), STATED, {"position": 0.03}),
     (SLIGHT, MINOR, {"share": 0.0}),
+    (WEAK, STATED, {"position": 0.5}),
+    (replace(WEAK, left=5.0), MINOR, {"gain": 0.1, "left": 5.0}),  # beside more than it takes away itself
+    (replace(GOOD, gain=0.3, left=5.0), STATED, {}),
 ])
 def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
     verdict = worth_a_name(evidence, LIMITS)
@@ -120,7 +126,9 @@ def test_every_level_has_words():
 @pytest.mark.parametrize(("rival", "rule"), [
     (EQUAL, "alternative"),
     (replace(EQUAL, share=0.4), "explains less"),
-    (replace(EQUAL, worse=0.01), "explains less"),
+    (WORSE, "explains less"),
+    (AMONG, "alternative"),  # worse by less than nothing describes
+    (replace(AMONG, less=0.3), "explains less"),
     (replace(EQUAL, evidence=CHEAP), "alternative"),  # worth is a matter of the stated one
     (replace(EQUAL, evidence=SMALL), NEGLIGIBLE),
     (replace(EQUAL, evidence=LUCKY), CHANCE),
@@ -169,6 +177,7 @@ TURNED = {
     "rival": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
               "alternative"),
     "bound": (lambda limits: judge(replace(EDGE, bound=0.001), limits).rule, 1e-9, BOUND, STATED),
+    "beside": (lambda limits: alternative(AMONG, limits).rule, 1e-9, "alternative", "explains less"),
     "left": (lambda limits: decide(replace(NOTHING, left=9.0), limits)[0], 1e9, "unknown", "none"),
     "shown": (lambda limits: decide(replace(NOTHING, seen=0.1), limits)[0], 1e-9, "not_testable", "none"),
 }
@@ -187,14 +196,16 @@ def test_limit_turns_an_answer(limit):
 @pytest.mark.parametrize(("limit", "off", "asked", "on", "without"), [
     ("false_alarm", 1e-9, lambda limits: judge(replace(LOCAL, chance=0.0), limits).rule, VARIES, STATED),
     ("doubt", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, STATED),
-    ("doubt", 1e-9, lambda limits: alternative(replace(EQUAL, worse=0.01), limits).rule, "explains less",
-     "alternative"),
+    ("doubt", 1e-9, lambda limits: alternative(WORSE, limits).rule, "explains less", "alternative"),
     ("doubt", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, STATED),
     ("worth", 1e-9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
      STATED),
     ("worth", 1e-9, lambda limits: comes_and_goes(0.02, 1e-4, limits), False, True),
     ("false_alarm", 1.0, lambda limits: comes_and_goes(0.2, 0.02, limits), False, True),
     ("worth_position", 1e-9, lambda limits: worth_a_name(SLIGHT, limits).rule, MINOR, STATED),
+    ("beside", 1e-9, lambda limits: worth_a_name(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
+    ("left", 1e9, lambda limits: worth_a_name(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
+    ("left", 1e9, lambda limits: alternative(AMONG, limits).rule, "alternative", "explains less"),
     ("left", 1e9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule, STATED, MINOR),
 ])
 def test_limit_that_is_asked_again_turns_that_too(limit, off, asked, on, without):

@@ -16,12 +16,13 @@ RULES = (NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, BOUND, VARIES)
 
 @dataclass(frozen=True)
 class Rival:
-    """Another name in the place of a stated one. share [1]: of its gain. worse [1]: chance that it is no worse.
-    evidence: its own, there."""
+    """Another name in the place of a stated one. share [1]: of its gain. worse [1]: chance that it is no worse. less
+    [1]: gain it lacks. evidence: its own, there."""
 
     name: str
     share: float
     worse: float
+    less: float
     evidence: Evidence
 
 
@@ -79,6 +80,10 @@ def worth_a_name(e: Evidence, limits: Limits) -> Reason:
     """Whether an effect that holds is stated, or only kept beside what is, so that it does not bend other values."""
     position = max(e.position, e.position_somewhere)
     share = max((share for share, over in e.shares.values() if over > limits.left), default=0.0)
+    if e.left > limits.left and e.gain < limits.beside:
+        return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "beside": limits.beside, "limit": limits.left},
+                      f"it is sure, but takes away {e.share:.1%} of the errors, and {e.left:.1f} times the noise is "
+                      "left with it: it may imitate what no effect describes; kept, not named")
     figures = {"share": share, "position": position, "worth": limits.worth, "worth_position": limits.worth_position}
     if share >= limits.worth or position >= limits.worth_position:
         return Reason(STATED, e.name, figures, f"it takes away {share:.1%} of the errors of the start in the channel "
@@ -105,8 +110,10 @@ def comes_and_goes(gain: float, chance: float, limits: Limits) -> bool:
 def alternative(rival: Rival, limits: Limits) -> Reason:
     """Whether another name stays beside a stated one."""
     verdict = judge(rival.evidence, limits)
-    figures = {"share": rival.share, "no_worse": rival.worse, "rival": limits.rival, "doubt": limits.doubt}
-    if rival.share < limits.rival or rival.worse < limits.doubt:
+    figures = {"share": rival.share, "no_worse": rival.worse, "less": rival.less, "rival": limits.rival,
+               "doubt": limits.doubt, "beside": limits.beside}
+    unexplained = rival.evidence.left > limits.left and rival.less < limits.beside
+    if rival.share < limits.rival or (rival.worse < limits.doubt and not unexplained):
         return Reason("explains less", rival.name, figures, f"in its place it explains {rival.share:.0%} of that, and "
                       f"is no worse with probability {rival.worse:.2g}")
     if verdict.rule not in (STATED, UNWORTHY):

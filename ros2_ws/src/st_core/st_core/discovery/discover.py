@@ -111,11 +111,13 @@ class _Work:
 
     def result(self) -> Discovery:
         settings, space, limits = self.settings, self.space, self.limits
-        start, prior = space.null, None
+        start, prior, by_column = space.null, None, noise.floor(self.windows)
         if self.reference:
-            start, prior = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
+            start, prior, left = learn(self.reference, self.vehicle, space, settings, self.threads,
+                                       self._tick("reference"))
+            # What nothing describes in the healthy car either is no change of it.
+            by_column = {c: max(by_column[c], float(v)) for c, v in zip(self.windows.columns, left, strict=True)}
         loss = Loss(Errors(self.windows, space, self.threads), start)
-        by_column = noise.floor(self.windows)
         self.problem = problem = Problem(loss, start, self.windows.block, prior,
                                          np.array([by_column[c] for c in self.windows.columns]))
         self._say_little(problem)
@@ -201,7 +203,7 @@ class _Work:
         others = sorted((r for r in found.rivals.get(name, ()) if alternative(r, self.limits).rule == "alternative"),
                         key=lambda r: -r.share)
         return FoundEffect(
-            name, get_effect(name).kind, waterfall.parameters(self.problem, found.fit, name, parts),
+            name, get_effect(name).kind, waterfall.parameters(self.problem, found.fit, name, parts, found.near),
             tuple(r.name for r in others), evidence.position, _values(evidence))
 
     def _bound(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:

@@ -35,7 +35,8 @@ class Evidence:
     chance [1]: that anything of the library gains so much where nothing is. null [1]: of values at least as far from
     their null, were that the truth. shares: by column of the errors, (what it takes away of the size of the errors of
     the start, size without it over the noise) [1]. position [m]: fall of the mean held-out position error at the end of
-    the horizon; position_somewhere: the largest in one driving condition, surely (95 %). bound [1]: distance to the
+    the horizon; position_somewhere: the largest in one driving condition, surely (95 %). left [1]: size of the errors
+    with it over the noise, in the column where that is most. bound [1]: distance to the
     nearest bound in usual sizes. sensors [1]: chance of the fitted value by what the sensors say among themselves; None
     where they say nothing. agreement: by level.
     """
@@ -47,6 +48,7 @@ class Evidence:
     shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     position: float = 0.0
     position_somewhere: float = 0.0
+    left: float = 1.0
     bound: float = 1.0
     sensors: float | None = None
     agreement: Mapping[str, Agreement] = field(default_factory=dict)
@@ -113,7 +115,7 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
         which = problem.which(names)
         part = q.only(which)
         held_out = problem.leave_out(part, names, fit.vector, which, problem.fold)[1]
-        step = problem.best_step(part.hessian.sum(axis=0), part.gradient.sum(axis=0), names, fit.vector, which)
+        step = problem.solve(part, names, fit.vector, which)
         gains[effect] = base - held_out, problem.moved(fit.vector, which, step)
     signs = rng.choice([-1.0, 1.0], (FLIPS, problem.blocks))
     largest = np.zeros(FLIPS)
@@ -157,6 +159,7 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     return Evidence(effect, min(float(gain.sum()), by_run) / problem.number,
                     chance(own, gain, scores, len(problem.space.hypotheses)), of_null(problem, fit, effect),
                     shares(problem, *rows), overall, somewhere,
+                    float((problem.sizes(rows[1]) / np.maximum(problem.noise, 1e-12)).max()),
                     to_bound(problem, fit, effect), by_sensors(problem, fit, effect, sensors),
                     {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
 

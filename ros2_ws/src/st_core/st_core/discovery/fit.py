@@ -1,6 +1,6 @@
 """Sets of effects fitted jointly through the simulator, and what they lose on driving they were not fitted to."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -161,17 +161,22 @@ class Problem:
     def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
               windows=slice(None)) -> np.ndarray:
         """(a,) the step from `vector` to the best point of a quadratic by window; within the bounds."""
-        return self.best_step(q.hessian[windows].sum(axis=0), q.gradient[windows].sum(axis=0), names, vector, which)
+        best_step = self.stepper(names, vector, which)
+        return best_step(q.hessian[windows].sum(axis=0), q.gradient[windows].sum(axis=0))
 
-    def best_step(self, h: np.ndarray, g: np.ndarray, names: Iterable[str], vector: np.ndarray,
-                  which: np.ndarray) -> np.ndarray:
-        if not len(which):
-            return np.zeros(0)
-        held = self.held(names, which)
-        away = ((vector - self.start) / self.space.scale)[which]
-        h, g = h + held, g - held @ away
-        h = h + (RIDGE * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
-        return bounded(h, g, *self.room(vector, which))
+    def stepper(self, names: Iterable[str], vector: np.ndarray,
+                which: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+        """A function from a hessian (a, a) and a gradient (a,) to the best step (a,) from the vector."""
+        held, room = self.held(names, which), self.room(vector, which)
+        pulled = held @ ((vector - self.start) / self.space.scale)[which]
+
+        def best_step(h: np.ndarray, g: np.ndarray) -> np.ndarray:
+            if not len(which):
+                return np.zeros(0)
+            h = h + held
+            h = h + (RIDGE * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
+            return bounded(h, g - pulled, *room)
+        return best_step
 
     def cost(self, names: Iterable[str], vector: np.ndarray, which: np.ndarray) -> float:
         away = ((vector - self.start) / self.space.scale)[which]
@@ -262,13 +267,13 @@ class Problem:
         promises; only what a fold moves it by counts."""
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         steps, held_out = {}, np.zeros(len(q.cost))
-        promised = self.best_step(h, g, names, vector, which) if settled else np.zeros(len(which))
+        best_step = self.stepper(names, vector, which)
+        promised = best_step(h, g) if settled else np.zeros(len(which))
         gradient = q.gradient - q.hessian @ promised
         held, away = self.held(names, which), ((vector - self.start) / self.space.scale)[which]
         for k in np.unique(fold):
             mine = fold == k
-            d = self.best_step(h - q.hessian[mine].sum(axis=0), g - q.gradient[mine].sum(axis=0), names, vector,
-                               which) - promised
+            d = best_step(h - q.hessian[mine].sum(axis=0), g - q.gradient[mine].sum(axis=0)) - promised
             steps[int(k)] = d
             held_out[mine] = q.cost[mine] - 2.0 * gradient[mine] @ d + np.einsum("i,bij,j->b", d, q.hessian[mine], d)
             held_out[mine] += (away + d) @ held @ (away + d) / len(q.cost)

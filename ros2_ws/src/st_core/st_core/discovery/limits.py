@@ -20,6 +20,9 @@ class Limits:
     negligible [1]: share of the size of the errors below which nothing is looked at, however sure.
     rival [1]: share of an effect's gain another name must reach to be called an alternative.
     bound [1]: distance to a bound, as share of the usual size of an effect, below which a value counts as on it.
+    beside [1]: where more is left than `left` times the noise, share of that an effect must take away to be named, a
+    name be better than another to stand alone, and a set of effects be worse than the answer for its values not to be
+    in the intervals: a smaller difference may imitate what no effect describes.
     left [1]: times the noise floor: errors beyond that need an explanation, or are told as unexplained.
     shown [1]: share of drawn cases in which a size must be found to be called visible in these drives.
     most [1]: effects in one answer.
@@ -32,6 +35,7 @@ class Limits:
     negligible: float = 0.01
     rival: float = 0.5
     bound: float = 0.05
+    beside: float = 0.2
     left: float = 2.0
     shown: float = 0.8
     most: int = 16

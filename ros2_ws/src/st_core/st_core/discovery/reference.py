@@ -19,8 +19,9 @@ ROUNDS, SETTLED = 8, 0.02
 
 
 def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
-          threads: int, tick) -> tuple[np.ndarray, np.ndarray]:
-    """((p,) values of the whole library fitted to the reference, (p, p) curvature of the loss about them).
+          threads: int, tick) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """((p,) values of the whole library fitted to the reference, (p, p) curvature of the loss about them, (c,) what is
+    left of each column at the end of the horizon [SI]).
 
     The curvature is what reference drives say of a new drive of the same car: their own, over what dependent windows
     make of it, and beside it how far single reference runs are from each other.
@@ -41,7 +42,7 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
     blocks = q.summed(windows.block)
     scatter = np.square(blocks.gradient).sum(axis=0) / np.maximum(np.diag(q.hessian.sum(axis=0)), 1e-12)
     design = max(2.0 * float(np.median(scatter)), 1.0)
-    return vector, inverse(design * sure + np.diag(spread)) + held
+    return vector, inverse(design * sure + np.diag(spread)) + held, loss.scale_of(vector)[-len(windows.columns):]
 
 
 def textbook(space: Space) -> np.ndarray:

@@ -21,11 +21,14 @@ LOOSE, FIXED = 3.0, 1e9  # usual sizes: how far everything at once may go; curva
 JOINT, SETTLED = 4, 0.1  # fits of many effects at once, and the step in usual sizes after which there is no other
 EXCHANGES = 3  # rounds
 
+Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
+
 
 @dataclass
 class Found:
     """fit: the answer. order: names as they came in. evidence, without: of each of them, the fit without it. refused:
-    what was tried on top of it, with the verdict. rivals: in the place of each. scores: of the library on top of it."""
+    what was tried on top of it, with the verdict. rivals: in the place of each. scores: of the library on top of it.
+    near: other sets that are worse by less than what no effect describes."""
 
     fit: Fit
     order: list[str]
@@ -34,6 +37,7 @@ class Found:
     refused: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
     scores: Scores | None = None
+    near: list[Near] = field(default_factory=list)
 
 
 class Search:
@@ -45,6 +49,7 @@ class Search:
         self.problem, self.limits, self.levels, self.sensors, self.tick = problem, limits, levels, sensors, tick
         self.seed = seed
         self._seen: set[frozenset[str]] = set()
+        self._tried: list[tuple[np.ndarray, Near, float]] = []
 
     def run(self) -> Found:
         """The best of three starts: nothing; what that found and all physics at once; everything at once."""
@@ -58,7 +63,16 @@ class Search:
             answers.append(self._from(self._cleaned(start)) if start else None)
         found = self._settled(self._best([a for a in answers if a]))
         found.order = sorted(found.fit.names, key=lambda n: -found.evidence[n].gain)
+        found.near = self._near(found)
         return found
+
+    def _near(self, found: Found) -> list[Near]:
+        """Sets tried that are worse by less than `limits.beside` of what is left; none where that is noise."""
+        p, limits = self.problem, self.limits
+        if max((e.left for e in found.evidence.values()), default=0.0) <= limits.left:
+            return []
+        most = found.fit.held_out.sum() + limits.beside * p.number
+        return [near for scale, near, loss in self._tried if scale is p.loss.scale and loss < most]
 
     def _from(self, fit: Fit, anew: bool = False) -> Found | None:
         """Steps until nothing is accepted; None where they lead to a set another start has been at, if not `anew`."""
@@ -98,7 +112,11 @@ class Search:
 
     def _less(self, fit: Fit, name: str) -> Fit:
         self.tick()
-        return self.problem.fit(tuple(n for n in fit.names if n != name), fit.slopes, iterations=2)
+        return self._kept(self.problem.fit(tuple(n for n in fit.names if n != name), fit.slopes, iterations=2))
+
+    def _kept(self, fit: Fit) -> Fit:
+        self._tried.append((self.problem.loss.scale, (fit.names, fit.vector), float(fit.held_out.sum())))
+        return fit
 
     def _best(self, answers: list[Found]) -> Found:
         """At the scale of the one with the smallest errors; one effect more must be worth it."""
@@ -145,7 +163,7 @@ class Search:
         self.tick()
         better = p.loss.total(there) < p.loss.total(fit.vector)
         slopes = p.everything(fit.vector) if around is None else around
-        return p.fit((*fit.names, effect), slopes, there if better else fit.vector, (effect,), 2)
+        return self._kept(p.fit((*fit.names, effect), slopes, there if better else fit.vector, (effect,), 2))
 
     @staticmethod
     def _gain(without: Fit, fit: Fit) -> float:
@@ -292,7 +310,7 @@ class Search:
                 fit = self._more(without, other, others[other][1], around)
                 difference = fit.held_out - found.fit.held_out
                 rival = Rival(other, 1.0 - float(difference.sum()) / max(gain, 1e-12), no_worse(difference),
-                              self._evidence(without, fit, other, found.scores))
+                              float(difference.sum()) / p.number, self._evidence(without, fit, other, found.scores))
                 found.rivals[name].append(rival)
                 surely = rival.worse > 1.0 - self.limits.doubt
                 if surely and frozenset(fit.names) not in self._seen and judge(

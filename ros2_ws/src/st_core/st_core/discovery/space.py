@@ -48,6 +48,7 @@ class Space:
                                1.0 if p.initial > p.null else -1.0)
                           for (e, p), null in zip(self.model.free, self.null[:-1], strict=True))
         self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
+        self._places = {name: np.flatnonzero(self.effect_of == name).tolist() for name in dict.fromkeys(self.effect_of)}
         self.scale = np.array([f.usual for f in self.free] + [GAIN_USUAL])
         self.sign = np.array([f.sign for f in self.free] + [1.0])
         self.low = np.array([f.bounds[0] for f in self.free] + [GAIN_BOUNDS[0]])
@@ -64,8 +65,8 @@ class Space:
         return np.clip(vector, self.low, self.high)
 
     def indices(self, *names: str) -> np.ndarray:
-        """Where the parameters of effects are in the vector."""
-        return np.flatnonzero(np.isin(self.effect_of, names))
+        """Where the parameters of effects are in the vector, rising."""
+        return np.array(sorted({i for name in names for i in self._places.get(name, ())}), int)
 
     def overlaps(self, name: str, names: Sequence[str]) -> bool:
         """Whether an effect is one of `names`, or made of one of them, or one of them of it."""

@@ -61,9 +61,11 @@ class Ends:
                 if np.isfinite(values[self.run == k]).any()}
 
 
-def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Level]) -> dict[str, FittedParameter]:
+def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Level],
+               near: Sequence[tuple[Sequence[str], np.ndarray]] = ()) -> dict[str, FittedParameter]:
     """Values with 95 % intervals: the widest of blocks taken as independent and of what the parts of any level differ
-    by, so that what the equations of the model are not those of the car is in it too."""
+    by, and from there to the values in `near`, sets of effects that are nearly as good: so that what the equations of
+    the model are not those of the car is in it too."""
     space, result = problem.space, {}
     own = space.indices(effect)
     place = np.searchsorted(fit.which, own)
@@ -75,11 +77,14 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     for name, level in levels.items():
         if name != "place":
             reach = np.maximum(reach, change * _over_parts(agreement(problem, fit, effect, *level).shares))
-    for i, r in zip(own, reach, strict=True):
+    others = np.array([v[own] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
+    others -= fit.vector[own]
+    for i, r, below, above in zip(own, reach, others.min(axis=0), others.max(axis=0), strict=True):
         f, value = space.free[i], float(fit.vector[i])
         # With a reference the value is what has changed since.
         value = f.null + value - float(problem.start[i]) if problem.prior is not None else value
-        result[f.parameter] = FittedParameter(value, f.unit, (value - float(r), value + float(r)), f.null)
+        interval = value + float(below - r), value + float(above + r)
+        result[f.parameter] = FittedParameter(value, f.unit, interval, f.null)
     return result
 
 

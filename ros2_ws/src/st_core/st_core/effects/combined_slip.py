@@ -10,7 +10,7 @@ from typing import NamedTuple
 from ..models.nonlinear_tyre import Parameters as TyreParameters
 from ..models.nonlinear_tyre import axle_loads, parameters
 from ..ops import minimum, sqrt
-from ..tyres import magic_formula_coefficients
+from ..tyres import magic_formula_peak
 from ._base import Effect, Parameter, register
 from ._drive import BRAKE_FRONT, DRIVE_FRONT, axle_drive_forces
 
@@ -52,8 +52,8 @@ class CombinedSlip(Effect):
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
         tyres = theta.car.tyres
         load_front, load_rear = axle_loads(velocity_x_dot, tyres)
-        return (2.0 * magic_formula_coefficients(0.5 * load_front, tyres.tyre_front)[1],
-                2.0 * magic_formula_coefficients(0.5 * load_rear, tyres.tyre_rear)[1])
+        return (2.0 * magic_formula_peak(0.5 * load_front, tyres.tyre_front),
+                2.0 * magic_formula_peak(0.5 * load_rear, tyres.tyre_rear))
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
