@@ -51,6 +51,8 @@ NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
     (GOOD, STATED, {"gain": 0.2, "chance": 1e-4, "position": 0.5}),
     (SMALL, NEGLIGIBLE, {"gain": 0.005, "negligible": 0.01}),
     (LUCKY, CHANCE, {"chance": 0.02, "false_alarm": 0.01}),
+    (replace(GOOD, healthy=0.3), CHANCE, {"gain": 0.2, "healthy": 0.3}),
+    (replace(GOOD, healthy=0.1), STATED, {}),
     (MAYBE_NULL, NULL, {"chance": 0.2, "doubt": 0.05}),
     (CHEAP, UNWORTHY, {"gain": 0.02, "position": 0.015}),
     (replace(CHEAP, gain=0.03), STATED, {}),
@@ -94,6 +96,8 @@ def test_rules_are_asked_in_their_order():
     (WEAK, STATED, {"position": 0.5}),
     (replace(WEAK, left=5.0), MINOR, {"gain": 0.1, "left": 5.0}),  # beside more than it takes away itself
     (replace(GOOD, gain=0.3, left=5.0), STATED, {}),
+    (replace(WEAK, left=5.0, sensors=0.6, sensors_null=0.3), MINOR, {}),
+    (replace(WEAK, left=5.0, sensors=0.6, sensors_null=0.001), STATED, {}),  # the sensors say so among themselves
 ])
 def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
     verdict = worth_a_name(evidence, LIMITS)
@@ -113,9 +117,10 @@ def test_level_over_which_an_effect_varies(agreement, level):
     assert varies_over(replace(GOOD, agreement=agreement), LIMITS) == level
 
 
-@pytest.mark.parametrize(("gain", "chance", "told"), [(0.2, 1e-4, True), (0.2, 0.02, False), (0.02, 1e-4, False)])
-def test_effect_with_a_value_of_its_own_in_each_part(gain, chance, told):
-    assert comes_and_goes(gain, chance, LIMITS) == told
+@pytest.mark.parametrize(("gain", "chance", "healthy", "told"), [
+    (0.2, 1e-4, 0.0, True), (0.2, 0.02, 0.0, False), (0.02, 1e-4, 0.0, False), (0.2, 1e-4, 0.3, False)])
+def test_effect_with_a_value_of_its_own_in_each_part(gain, chance, healthy, told):
+    assert comes_and_goes(gain, chance, healthy, LIMITS) == told
 
 
 def test_every_level_has_words():
@@ -200,11 +205,13 @@ def test_limit_turns_an_answer(limit):
     ("doubt", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, STATED),
     ("worth", 1e-9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
      STATED),
-    ("worth", 1e-9, lambda limits: comes_and_goes(0.02, 1e-4, limits), False, True),
-    ("false_alarm", 1.0, lambda limits: comes_and_goes(0.2, 0.02, limits), False, True),
+    ("worth", 1e-9, lambda limits: comes_and_goes(0.02, 1e-4, 0.0, limits), False, True),
+    ("false_alarm", 1.0, lambda limits: comes_and_goes(0.2, 0.02, 0.0, limits), False, True),
     ("worth_position", 1e-9, lambda limits: worth_a_name(SLIGHT, limits).rule, MINOR, STATED),
     ("beside", 1e-9, lambda limits: worth_a_name(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
     ("left", 1e9, lambda limits: worth_a_name(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
+    ("doubt", 1e-9, lambda limits: worth_a_name(replace(WEAK, left=5.0, sensors_null=0.01), limits).rule, STATED,
+     MINOR),
     ("left", 1e9, lambda limits: alternative(AMONG, limits).rule, "alternative", "explains less"),
     ("left", 1e9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule, STATED, MINOR),
 ])

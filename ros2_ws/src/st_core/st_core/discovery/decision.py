@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from .evidence import Evidence
+from .evidence import Evidence, share_of
 from .limits import Limits
 from .result import Outcome, Reason
 
@@ -48,6 +48,10 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     if e.chance > limits.false_alarm:
         return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
                       f"with probability {e.chance:.2g} something gains as much where nothing is")
+    if e.gain < e.healthy:
+        return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy},
+                      f"it takes away {e.share:.1%} of the size of the errors; between drives of the healthy car "
+                      f"something takes {share_of(e.healthy):.1%}")
     if e.null > limits.doubt:
         return Reason(NULL, e.name, {"chance": e.null, "doubt": limits.doubt},
                       f"values as far from their null come by chance with probability {e.null:.2g}")
@@ -80,7 +84,8 @@ def worth_a_name(e: Evidence, limits: Limits) -> Reason:
     """Whether an effect that holds is stated, or only kept beside what is, so that it does not bend other values."""
     position = max(e.position, e.position_somewhere)
     share = max((share for share, over in e.shares.values() if over > limits.left), default=0.0)
-    if e.left > limits.left and e.gain < limits.beside:
+    confirmed = e.sensors_null is not None and e.sensors_null < limits.doubt
+    if e.left > limits.left and e.gain < limits.beside and not confirmed:
         return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "beside": limits.beside, "limit": limits.left},
                       f"it is sure, but takes away {e.share:.1%} of the errors, and {e.left:.1f} times the noise is "
                       "left with it: it may imitate what no effect describes; kept, not named")
@@ -102,9 +107,10 @@ def varies_over(e: Evidence, limits: Limits) -> str:
     return max(found, key=lambda level: e.agreement[level].absent, default="")
 
 
-def comes_and_goes(gain: float, chance: float, limits: Limits) -> bool:
-    """Whether an effect that has another value in each part of the driving is told as bound to it."""
-    return chance < limits.false_alarm and gain > limits.worth
+def comes_and_goes(gain: float, chance: float, healthy: float, limits: Limits) -> bool:
+    """Whether an effect that has another value in each part of the driving is told as bound to it. healthy: gain
+    between drives of the healthy car."""
+    return chance < limits.false_alarm and gain > max(limits.worth, healthy)
 
 
 def alternative(rival: Rival, limits: Limits) -> Reason:

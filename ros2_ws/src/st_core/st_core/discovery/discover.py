@@ -111,15 +111,16 @@ class _Work:
 
     def result(self) -> Discovery:
         settings, space, limits = self.settings, self.space, self.limits
-        start, prior, by_column = space.null, None, noise.floor(self.windows)
+        start, prior, between, by_column = space.null, None, 0.0, noise.floor(self.windows)
         if self.reference:
-            start, prior, left = learn(self.reference, self.vehicle, space, settings, self.threads,
-                                       self._tick("reference"))
+            healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
+            start, prior, between = healthy.vector, healthy.prior, healthy.gain
             # What nothing describes in the healthy car either is no change of it.
-            by_column = {c: max(by_column[c], float(v)) for c, v in zip(self.windows.columns, left, strict=True)}
+            by_column = {c: max(by_column[c], float(v))
+                         for c, v in zip(self.windows.columns, healthy.left, strict=True)}
         loss = Loss(Errors(self.windows, space, self.threads), start)
         self.problem = problem = Problem(loss, start, self.windows.block, prior,
-                                         np.array([by_column[c] for c in self.windows.columns]))
+                                         np.array([by_column[c] for c in self.windows.columns]), between)
         self._say_little(problem)
         parts = levels(self.windows)
         search = Search(problem, limits, parts, self.sensors, settings.seed, self._tick("searching"))
@@ -216,8 +217,8 @@ class _Work:
                 said.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
                                          _values(evidence)[level], evidence.position), fit))
         if not said:
-            for v in varying(self.problem, found.fit, parts, found.scores.design):
-                if comes_and_goes(v.gain, v.chance, self.limits):
+            for v in varying(self.problem, found.fit, parts):
+                if comes_and_goes(v.gain, v.chance, self.problem.healthy, self.limits):
                     said.append((self._coming(v), None))
                     break
         for bound, _ in said:

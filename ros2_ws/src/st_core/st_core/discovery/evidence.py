@@ -12,6 +12,7 @@ from .levels import Level
 from .loss import Quadratic
 
 FLIPS = 400
+TWO_SIDED = float(stats.norm.ppf(0.975))
 FLATTEST = 0.3
 HELD = 0.05  # of the whole curvature: a part of the driving need not show everything else by itself
 LEAST_OF_A_PART = 0.02  # of the information; a part with less has no say
@@ -30,15 +31,16 @@ class Agreement:
 @dataclass(frozen=True)
 class Evidence:
     """name: of the effect. gain [1]: fall of the held-out loss for each scored error, about the share of their size;
-    the smaller of blocks and of whole runs held out.
+    the smaller of blocks and of whole runs held out. healthy [1]: the largest such gain of anything between drives of
+    the healthy car.
 
     chance [1]: that anything of the library gains so much where nothing is. null [1]: of values at least as far from
     their null, were that the truth. shares: by column of the errors, (what it takes away of the size of the errors of
     the start, size without it over the noise) [1]. position [m]: fall of the mean held-out position error at the end of
     the horizon; position_somewhere: the largest in one driving condition, surely (95 %). left [1]: size of the errors
     with it over the noise, in the column where that is most. bound [1]: distance to the
-    nearest bound in usual sizes. sensors [1]: chance of the fitted value by what the sensors say among themselves; None
-    where they say nothing. agreement: by level.
+    nearest bound in usual sizes. sensors [1]: chance of the fitted value by what the sensors say among themselves, and
+    sensors_null of the null; None where they say nothing. agreement: by level.
     """
 
     name: str
@@ -50,7 +52,9 @@ class Evidence:
     position_somewhere: float = 0.0
     left: float = 1.0
     bound: float = 1.0
+    healthy: float = 0.0
     sensors: float | None = None
+    sensors_null: float | None = None
     agreement: Mapping[str, Agreement] = field(default_factory=dict)
 
     @property
@@ -159,9 +163,18 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     return Evidence(effect, min(float(gain.sum()), by_run) / problem.number,
                     chance(own, gain, scores, len(problem.space.hypotheses)), of_null(problem, fit, effect),
                     shares(problem, *rows), overall, somewhere,
-                    float((problem.sizes(rows[1]) / np.maximum(problem.noise, 1e-12)).max()),
-                    to_bound(problem, fit, effect), by_sensors(problem, fit, effect, sensors),
+                    _left(problem, rows[1]),
+                    to_bound(problem, fit, effect), problem.healthy,
+                    *by_sensors(problem, fit, effect, sensors),
                     {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
+
+
+def _left(problem: Problem, rows: np.ndarray) -> float:
+    """Size of errors over the noise. With a reference what no effect describes is in the healthy car as well, and no
+    change of it can imitate that: 1."""
+    if problem.prior is not None:
+        return 1.0
+    return float((problem.sizes(rows) / np.maximum(problem.noise, 1e-12)).max())
 
 
 def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str, tuple[float, float]]:
@@ -208,17 +221,20 @@ def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
     return float(nearest)
 
 
-def by_sensors(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> float | None:
-    """Chance of a value at least as far from what the sensors say among themselves; None where they say nothing."""
+def by_sensors(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
+    """Chance of a value at least as far from what the sensors say among themselves, and of the null by that; None where
+    they say nothing."""
     said = []
     deviations = deviation(problem, fit, effect)
     for own, i in zip(deviations, problem.space.indices(effect), strict=True):
-        known = sensors.get(f"{effect}.{problem.space.free[i].parameter}")
+        free = problem.space.free[i]
+        known = sensors.get(f"{effect}.{free.parameter}")
         if known:
             value, low, high = known
-            spread = np.hypot((high - low) / 3.92, own)
-            said.append(2.0 * float(stats.norm.sf(abs(fit.vector[i] - value) / max(spread, 1e-12))))
-    return min(said) if said else None
+            spread = (high - low) / (2.0 * TWO_SIDED)
+            said.append([2.0 * float(stats.norm.sf(abs(value - there) / max(s, 1e-12)))
+                         for there, s in ((fit.vector[i], np.hypot(spread, own)), (free.null, spread))])
+    return tuple(min(chances) for chances in zip(*said, strict=True)) if said else (None, None)
 
 
 def inverse(h: np.ndarray) -> np.ndarray:

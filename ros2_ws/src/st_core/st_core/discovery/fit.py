@@ -87,18 +87,29 @@ class Fit:
     held_out: np.ndarray
 
 
+def freed(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """A curvature (p, p) that says nothing of some parameters, and of the others what it says whatever those are."""
+    rest = np.setdiff1d(np.arange(len(prior)), free)
+    held = np.zeros_like(prior)
+    cross = prior[np.ix_(rest, free)]
+    inside = prior[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
+    held[np.ix_(rest, rest)] = prior[np.ix_(rest, rest)] - cross @ np.linalg.solve(inside, cross.T)
+    return held
+
+
 class Problem:
     """One loss and the sets of effects that may lower it.
 
     start: (p,) where every search begins. prior: (p, p) curvature about `start` of everything that is not an effect of
     the set, from reference drives; None: all of that stays where it is, but for the gain of the accelerometer.
-    block: (n,) number of the block of each window. noise: (c,) what noise alone leaves of each column [SI].
+    block: (n,) number of the block of each window. noise: (c,) what noise alone leaves of each column [SI]. healthy:
+    gain for each scored error that drives of a healthy car show among themselves.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
-                 noise: np.ndarray | None = None):
+                 noise: np.ndarray | None = None, healthy: float = 0.0):
         self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
-        self.errors = loss.errors
+        self.errors, self.healthy = loss.errors, healthy
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1
         self.fold = np.arange(self.blocks) % min(FOLDS, self.blocks)
@@ -145,14 +156,7 @@ class Problem:
         """(a, a) curvature that holds the parameters which are not of the effects `names` to the start."""
         if self.prior is None:
             return np.zeros((len(which), len(which)))
-        free = self.space.indices(*names)
-        rest = np.setdiff1d(np.arange(len(self.space)), free)
-        p = self.prior
-        held = np.zeros_like(p)
-        cross = p[np.ix_(rest, free)]
-        inside = p[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
-        held[np.ix_(rest, rest)] = p[np.ix_(rest, rest)] - cross @ np.linalg.solve(inside, cross.T)
-        return held
+        return freed(self.prior, self.space.indices(*names))
 
     def room(self, vector: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         s = self.space
@@ -264,19 +268,34 @@ class Problem:
                   fold: np.ndarray, settled: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step of the values fitted without it}, (b,) loss of each block under them, and its part of what the
         prior says against those). q: by block. settled: the vector is the best there is, whatever more the quadratic
-        promises; only what a fold moves it by counts."""
+        promises; only what a fold moves it by counts. With a prior a fold moves only what that does not hold.
+        """
+        names = tuple(names)
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
-        steps, held_out = {}, np.zeros(len(q.cost))
         best_step = self.stepper(names, vector, which)
-        promised = best_step(h, g) if settled else np.zeros(len(which))
-        gradient = q.gradient - q.hessian @ promised
+        promised = best_step(h, g)
         held, away = self.held(names, which), ((vector - self.start) / self.space.scale)[which]
+        low, high = (edge - promised for edge in self.room(vector, which))
+        own = np.flatnonzero(np.isin(which, self.space.indices(*names)))
+        gradient = q.gradient - q.hessian @ promised
+        if settled:
+            q, from_ = Quadratic(q.cost, gradient, q.hessian), np.zeros(len(which))
+        else:
+            from_ = promised
+        steps, held_out = {}, np.zeros(len(q.cost))
         for k in np.unique(fold):
             mine = fold == k
-            d = best_step(h - q.hessian[mine].sum(axis=0), g - q.gradient[mine].sum(axis=0)) - promised
-            steps[int(k)] = d
-            held_out[mine] = q.cost[mine] - 2.0 * gradient[mine] @ d + np.einsum("i,bij,j->b", d, q.hessian[mine], d)
-            held_out[mine] += (away + d) @ held @ (away + d) / len(q.cost)
+            rest = h - q.hessian[mine].sum(axis=0)
+            if self.prior is None:
+                d = best_step(rest, g - (gradient + q.hessian @ promised)[mine].sum(axis=0)) - promised
+            else:
+                d = np.zeros(len(which))
+                flat = RIDGE * np.trace(h) / len(h) * np.eye(len(own))
+                d[own] = bounded(rest[np.ix_(own, own)] + flat, gradient[~mine].sum(axis=0)[own],
+                                 np.minimum(low, 0.0)[own], np.maximum(high, 0.0)[own])
+            steps[int(k)] = d = from_ + d
+            held_out[mine] = q.cost[mine] - 2.0 * q.gradient[mine] @ d + np.einsum(
+                "i,bij,j->b", d, q.hessian[mine], d) + (away + d) @ held @ (away + d) / len(q.cost)
         return steps, held_out
 
     def held_out_apart(self, fit: Fit) -> np.ndarray:

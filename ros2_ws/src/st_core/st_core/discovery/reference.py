@@ -1,33 +1,50 @@
 """A healthy car from reference drives: where the search starts, and how firmly everything else is held there."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from scipy import stats
 
 from ..effects import get_effect
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
-from .evidence import inverse
-from .fit import Problem
-from .loss import Errors, Loss
+from .evidence import TWO_SIDED, inverse
+from .fit import Problem, freed
+from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
 from .space import Space
 from .windows import Windows
 
 LOOSE = 3.0  # usual sizes: how far from the vehicle file a healthy car may be before its drives are heard
 ROUNDS, SETTLED = 8, 0.02
+FIXED = 1e6  # curvature of what stays
+
+
+@dataclass(frozen=True, eq=False)
+class Healthy:
+    """vector: (p,) values of the whole library fitted to the reference. prior: (p, p) curvature of the loss about them.
+    left: (c,) error of each column at the end of the horizon [SI], two thirds are below. gain: for each scored error,
+    the largest that any effect shows of one of its runs against the others."""
+
+    vector: np.ndarray
+    prior: np.ndarray
+    left: np.ndarray
+    gain: float
 
 
 def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
-          threads: int, tick) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """((p,) values of the whole library fitted to the reference, (p, p) curvature of the loss about them, (c,) what is
-    left of each column at the end of the horizon [SI]).
+          threads: int, tick) -> "Healthy":
+    """A healthy car from its drives.
 
-    The curvature is what reference drives say of a new drive of the same car: their own, over what dependent windows
-    make of it, and beside it how far single reference runs are from each other.
+    The curvature is what reference drives say of a new drive of the same car: their own, over what windows that depend
+    on each other and drives that differ make of the variance of each value, once for them and once for the new drive.
     """
     windows = Windows(runs, vehicle, settings)
     held = np.eye(len(space)) / LOOSE**2
+    composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
+    held[composite, composite] = FIXED  # its members say the same
     fits = []
     for start in (space.null, textbook(space)):
         loss = Loss(Errors(windows, space, threads), start)
@@ -36,13 +53,48 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
     problem = Problem(loss, space.null, windows.block, held)
     q = loss.quadratic(problem.errors.at(vector), problem.everything(vector).values)
     h = q.hessian.sum(axis=0) + held
-    sure = inverse(h)
-    run = q.summed(windows.run, len(windows.names))
-    spread = _between(run.gradient, run.hessian, sure, held) if len(windows.names) > 2 else np.zeros(len(space))
-    blocks = q.summed(windows.block)
-    scatter = np.square(blocks.gradient).sum(axis=0) / np.maximum(np.diag(q.hessian.sum(axis=0)), 1e-12)
-    design = max(2.0 * float(np.median(scatter)), 1.0)
-    return vector, inverse(design * sure + np.diag(spread)) + held, loss.scale_of(vector)[-len(windows.columns):]
+    spread = np.sqrt(2.0 * _design(q, np.diag(h), windows))
+    return Healthy(vector, _prior(h, spread, held), loss.scale_of(vector)[-len(windows.columns):],
+                   _between_runs(q, space, windows, spread, held))
+
+
+def _prior(h: np.ndarray, spread: np.ndarray, held: np.ndarray) -> np.ndarray:
+    return inverse(spread[:, None] * inverse(h) * spread) + held
+
+
+def _between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarray, held: np.ndarray) -> float:
+    """Largest gain for each scored error any effect shows of a run against the other runs, by the quadratic."""
+    run, most = q.summed(windows.run), 0.0
+    if len(windows.names) < 3:
+        return most
+    h, g = run.hessian.sum(axis=0) + held, run.gradient.sum(axis=0)
+    for k in range(len(windows.names)):
+        other = h - run.hessian[k]
+        there = inverse(other) @ (g - run.gradient[k])
+        prior = _prior(other, spread, held)
+        least = partial(_least, run.hessian[k], run.gradient[k], there)
+        number = max(int(windows.known[windows.run == k].sum()), 1)
+        most = max(most, *((least(prior) - least(freed(prior, space.indices(n)))) / number for n in space.hypotheses))
+    return most
+
+
+def _least(h: np.ndarray, g: np.ndarray, there: np.ndarray, prior: np.ndarray) -> float:
+    """Of x'Hx - 2 g'x and what a prior about `there` says against x."""
+    x = np.linalg.solve(h + prior + 1e-9 * np.eye(len(h)), g + prior @ there)
+    return float(x @ h @ x - 2.0 * g @ x + (x - there) @ prior @ (x - there))
+
+
+def _design(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray:
+    """(p,) what the variance of each value is over that of independent windows, 1 at least: the larger of what blocks
+    and what runs say; of a few it is not well known, so that Student's quantile counts."""
+    design = np.ones(len(curvature))
+    for part in (windows.block, windows.run):
+        gradient = q.summed(part).gradient
+        number = len(gradient)
+        if number > 2:
+            wider = (float(stats.t.ppf(0.975, number - 1)) / TWO_SIDED) ** 2
+            design = np.maximum(design, wider * 2.0 * number * gradient.var(axis=0, ddof=1) / curvature)
+    return design
 
 
 def textbook(space: Space) -> np.ndarray:
@@ -68,19 +120,3 @@ def _fitted(loss: Loss, space: Space, windows: Windows, held: np.ndarray, vector
         if step < SETTLED:
             break
     return vector
-
-
-def _between(gradients: np.ndarray, hessians: np.ndarray, sure: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """(p,) variance of each parameter between runs beyond what the curvature of each run explains, in units of the
-    inverse curvature (DerSimonian and Laird 1986), others free as far as `held` lets them."""
-    h = hessians.sum(axis=0) / len(hessians)
-    values, variances = [], []
-    for g, own in zip(gradients, hessians, strict=True):
-        i = inverse(own + 0.5 * h + held)
-        values.append(i @ g)
-        variances.append(np.diag(i))
-    values, w = np.array(values), 1.0 / np.maximum(np.array(variances), 1e-12)
-    mean = (w * values).sum(axis=0) / w.sum(axis=0)
-    q = (w * np.square(values - mean)).sum(axis=0)
-    beyond = q - (len(values) - 1)
-    return np.maximum(beyond / (w.sum(axis=0) - np.square(w).sum(axis=0) / w.sum(axis=0)), 0.0)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .decision import STATED, Rival, judge
+from .decision import CHANCE, NULL, STATED, Rival, judge
 from .evidence import Evidence, Scores, chance, evidence, screen
 from .fit import Fit, Problem, Slopes
 from .levels import Level
@@ -140,12 +140,13 @@ class Search:
         # What is sure goes first: where much is noise, something gains more by chance.
         surely = [e for e in ranked if chance(found.scores.own[e], gains[e][0], found.scores, len(p.space.hypotheses))
                   <= limits.false_alarm]
-        fits = {effect: self._more(found.fit, effect, gains[effect][1]) for effect in (surely or ranked)[:CONTENDERS]}
+        contenders = (surely or ranked)[:CONTENDERS]
+        contenders += [m for e in contenders for m in get_effect(e).members if m in gains and m not in contenders]
+        fits = {effect: self._more(found.fit, effect, gains[effect][1]) for effect in contenders}
         if not fits:
             return None
         without, fits = self._finer(found.fit, fits)
-        best = max(self._gain(without, f) for f in fits.values())
-        found.refused = {}
+        best, found.refused = 0.0, {}  # of those that are sure, but no effect of the car everywhere
         for effect in self._in_turn(fits, without):
             gain = self._gain(without, fits[effect])
             if gain < NEAR * best:
@@ -155,6 +156,8 @@ class Search:
             if verdict.rule == STATED:
                 return fits[effect]
             found.refused[effect] = e, verdict, fits[effect]
+            if verdict.rule not in (CHANCE, NULL):
+                best = max(best, gain)
         return None
 
     def _more(self, fit: Fit, effect: str, there: np.ndarray, around: Slopes | None = None) -> Fit:

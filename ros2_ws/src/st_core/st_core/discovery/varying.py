@@ -30,17 +30,29 @@ class Varying:
     values: Mapping[str, tuple[float, float]]
 
 
-def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level], design: float) -> list[Varying]:
+def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Varying]:
     """Most telling first. Levels with half as many parts as blocks, or more, say nothing."""
     q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).values)
     usable = {name: level for name, level in levels.items() if len(np.unique(level[0])) < problem.blocks / 2}
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]
-    said = [_one(problem, fit, q, effect, name, level, design, len(library) * len(usable))
+    said = [_one(problem, fit, q, effect, name, level, len(library) * len(usable))
             for name, level in usable.items() for effect in library]
     return sorted((s for s in said if s), key=lambda s: -s.gain)
 
 
-def _one(problem: Problem, fit: Fit, q, effect: str, name: str, level: Level, design: float, tests: int):
+def _design(problem: Problem, part: np.ndarray, seen: list, g: np.ndarray, hh: np.ndarray) -> float:
+    """What dependent windows make of the variance of these values, 1 at least: by what is left of the blocks' scores
+    once each part has its own values."""
+    left = g.copy()
+    for k, gk, hk in seen:
+        mine = part == k
+        left[mine] -= hh[mine] @ (inverse(hk) @ gk)
+    blocks = np.zeros((problem.blocks, g.shape[1]))
+    np.add.at(blocks, problem.block, left)
+    return max(2.0 * float(np.trace(inverse(hh.sum(axis=0)) @ blocks.T @ blocks)) / g.shape[1], 1.0)
+
+
+def _one(problem: Problem, fit: Fit, q, effect: str, name: str, level: Level, tests: int):
     own = problem.space.indices(effect)
     rest = np.setdiff1d(problem.which(fit.names) if problem.prior is None else problem.space.indices(*fit.names), own)
     h = q.hessian.sum(axis=0)
@@ -66,6 +78,7 @@ def _one(problem: Problem, fit: Fit, q, effect: str, name: str, level: Level, de
     freedom, blocks = (len(seen) - 1) * len(own), problem.blocks - len(seen)
     if blocks < 1:
         return None
+    design = _design(problem, part, seen, g, hh) * problem.blocks / blocks
     chance = min(tests * float(stats.f.sf(2.0 * gain / design / freedom, freedom, blocks)), 1.0)
     best = int(np.argmax(np.diag(whole)))
     at = float(fit.vector[own[best]])

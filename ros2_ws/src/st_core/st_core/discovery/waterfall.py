@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import agreement, covariance, inverse
+from .evidence import TWO_SIDED, agreement, covariance, inverse
 from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
@@ -14,7 +14,6 @@ from .settings import UNITS
 from .windows import CHANNEL_OF
 
 RESAMPLES = 400
-TWO_SIDED = float(stats.norm.ppf(0.975))
 
 
 class Ends:

@@ -53,7 +53,8 @@ def mend(found: Discovery, question: Question) -> Mended | None:
 
     Each effect that a vehicle file can hold is folded in, in the order in which they act, if prediction of the drives
     stays what it was. It does not where the recordings hold the angle of the road wheels, which no ratio or offset of a
-    vehicle file touches, or where what acts before it does not commute (play in the steering).
+    vehicle file touches, or where what acts before it does not commute (play in the steering). What is not named, kept
+    only so that it does not bend other values, is no reason to change the vehicle file.
     """
     if found.model is None:
         return None
@@ -61,8 +62,9 @@ def mend(found: Discovery, question: Question) -> Mended | None:
     expected = _errors(found.model, question.vehicle, drives)
     folded: tuple[type[Effect], ...] = ()
     kept = {}
+    named = {e.name for e in found.effects}
     for effect in found.model.effects:
-        if not effect.fold or not active(found.model, effect):
+        if not effect.fold or effect.name not in named:
             continue
         more = (*folded, effect)
         try:
@@ -90,11 +92,6 @@ def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, 
     """(before, after) of every key that differs."""
     pairs = {key: (value_of(vehicle, key), value_of(other, key)) for key in KEYS}
     return {key: pair for key, pair in pairs.items() if not math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-12)}
-
-
-def active(model: AugmentedModel, effect: type[Effect]) -> bool:
-    """Whether any of its values is off its null."""
-    return any(p.fit and model.values[effect.name][p.name] != p.null for p in effect.parameters)
 
 
 def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
