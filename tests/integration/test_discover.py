@@ -111,10 +111,11 @@ def test_the_mended_vehicle_file_alone_predicts_better(tmp_path):
     assert after["nonlinear"] < 0.5 * before["nonlinear"]
 
 
-def lateral(base: Path, name: str, vehicle: Path, model: Path | None = None, run: Path | None = None) -> dict[str, float]:
+def lateral(base: Path, name: str, vehicle: Path, model: Path | None = None,
+            run: Path | None = None) -> dict[str, float]:
     """{model: root mean square lateral error of st evaluate [m]} on the sweep."""
-    words = ["evaluate", run or base / "suspect" / "sweep", "--vehicle", vehicle, "--model", "nonlinear", "--figures", "",
-             "--output", base / name, *(["--model", model] if model else [])]
+    words = ["evaluate", run or base / "suspect" / "sweep", "--vehicle", vehicle, "--model", "nonlinear",
+             "--figures", "", "--output", base / name, *(["--model", model] if model else [])]
     result = CliRunner().invoke(app, [str(w) for w in words])
     assert result.exit_code == 0, result.output
     (models,) = json.loads((base / name / "evaluation.json").read_text())["runs"].values()

@@ -183,7 +183,7 @@ def test_channels_that_were_not_measured_are_not_used(leaf):
     blind = [replace(log, velocity_y=0.0 * log.velocity_y, acceleration_y=None)
              for log in recorded(leaf, {"steering_ratio": {"factor": 0.93}}, 5)]
     found = discover(blind, leaf, settings=FEW)
-    assert names(found)[0] == "steering_ratio"
+    assert names(found) == ["steering_ratio"]
     assert found.effects[0].parameters["factor"].value == pytest.approx(0.93, abs=0.005)
     assert not {"velocity_y", "acceleration_y"} & set(found.gap)
     assert any("velocity_y, acceleration_y: not measured in every run" in text for text in found.warnings)

@@ -11,9 +11,9 @@ from .fit import Fit, Problem, Slopes
 from .levels import Level
 from .loss import Quadratic
 
-FLIPS = 400
+FLIPS = 400  # of the signs of blocks: enough to tell a chance of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
-FLATTEST = 0.3
+FLATTEST = 0.3  # of the curvature of the reweighted squares: errors far out may bend the loss down by no more
 HELD = 0.05  # of the whole curvature: a part of the driving need not show everything else by itself
 LEAST_OF_A_PART = 0.02  # of the information; a part with less has no say
 
@@ -163,13 +163,13 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     return Evidence(effect, min(float(gain.sum()), by_run) / problem.number,
                     chance(own, gain, scores, len(problem.space.hypotheses)), of_null(problem, fit, effect),
                     shares(problem, *rows), overall, somewhere,
-                    _left(problem, rows[1]),
+                    left_over(problem, rows[1]),
                     to_bound(problem, fit, effect), problem.healthy,
                     *by_sensors(problem, fit, effect, sensors),
                     {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
 
 
-def _left(problem: Problem, rows: np.ndarray) -> float:
+def left_over(problem: Problem, rows: np.ndarray) -> float:
     """Size of errors over the noise. With a reference what no effect describes is in the healthy car as well, and no
     change of it can imitate that: 1."""
     if problem.prior is not None:

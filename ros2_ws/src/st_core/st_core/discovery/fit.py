@@ -9,11 +9,11 @@ import numpy as np
 from .loss import Loss, Quadratic
 from .space import GAIN
 
-ITERATIONS, SHARES = 5, (1.0, 0.5, 0.2)
+ITERATIONS, SHARES = 5, (1.0, 0.5, 0.2)  # of a fit; of a step, until the loss falls
 NEAR, MOST_KEPT = 0.25, 4  # usual sizes: slopes of a point so near will do; points remembered
 SETTLED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
-FOLDS = 8
-MOST = 5.0
+FOLDS = 8  # of the blocks, each held out once
+MOST = 5.0  # scales of the start: a larger error counts as that, or a few lost windows were all that counts
 FAR = 100.0  # m: a prediction that diverges is that far off
 RIDGE = 1e-6  # of the mean curvature: keeps solutions finite where driving shows nothing
 

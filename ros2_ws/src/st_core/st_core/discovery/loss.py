@@ -16,7 +16,7 @@ import numpy as np
 from .space import Space
 from .windows import Windows
 
-NU = 4.0
+NU = 4.0  # degrees of freedom: errors beyond two scales count less and less
 BEND = 0.1  # of the usual size: step of the difference quotients
 FURTHEST = 100.0  # scales; a prediction that diverges is that far off, and no further
 SMALLEST = {"velocity_y": 1e-3, "yaw_rate": 2e-4, "acceleration_y": 5e-3, "yaw": 1e-4, "position_lateral": 1e-3,

@@ -18,7 +18,7 @@ from .space import Space
 from .windows import Windows
 
 LOOSE = 3.0  # usual sizes: how far from the vehicle file a healthy car may be before its drives are heard
-ROUNDS, SETTLED = 8, 0.02
+ROUNDS, SETTLED = 8, 0.02  # fits, and the step in usual sizes after which there is no other
 FIXED = 1e6  # curvature of what stays
 
 

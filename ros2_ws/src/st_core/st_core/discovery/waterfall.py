@@ -13,7 +13,7 @@ from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
 from .settings import UNITS
 from .windows import CHANNEL_OF
 
-RESAMPLES = 400
+RESAMPLES = 400  # of whole blocks: ends of a 95 % interval
 
 
 class Ends:
