@@ -11,7 +11,7 @@ from st_sim.settings import Settings
 
 from .cars import HealthyCar
 from .cases import ELSEWHERE, Case
-from .effects import Values, true_values
+from .effects import Values, null_of, true_values
 from .oracle import Oracle
 from .plants import Order, driven, vehicle_of
 from .resimulated import resimulated
@@ -19,13 +19,15 @@ from .resimulated import resimulated
 RUNS, HELD_OUT = 3, 2
 IDENTIFIED = ("front_stiffness", "rear_stiffness", "friction", "steering_ratio", "steering_offset")
 """What block C identifies on other drives of the car."""
+OFF = {"factor": 0.02, "angle": 0.0005}
+"""1, rad: an identified value that far from the car's is mistaken."""
 
 
 @dataclass(frozen=True)
 class Drives:
     """reference, suspect: what `discover` gets, with `vehicle` as the file. held_out: more drives of the suspect car;
     twin: the same programmes driven by the healthy car, where that is asked for. truth: values of all effects the plant
-    has a switch for, against that file."""
+    has a switch for, against that file. mistaken: names of what identification got wrong in it."""
 
     reference: tuple[DriveLog, ...]
     suspect: tuple[DriveLog, ...]
@@ -33,6 +35,7 @@ class Drives:
     twin: tuple[DriveLog, ...]
     vehicle: VehicleParameters
     truth: Values
+    mistaken: tuple[str, ...] = ()
 
 
 def settings_of(case: Case) -> DiscoverySettings:
@@ -58,7 +61,8 @@ def drives_of(case: Case) -> Drives:
         reference = _reference(case.car, tuple(sorted(case.file.items())), case.with_vy)
     twin = _held_out(case, vehicle, case.car.settings) if case.block in "DE" else []
     truth = true_values(case.settings, case.file or case.settings, vehicle) | mistaken
-    return Drives(reference, tuple(suspect), tuple(held_out), tuple(twin), vehicle, truth)
+    wrong = tuple(n for n, values in mistaken.items() for p, v in values.items() if abs(v - null_of(n, p)) > OFF[p])
+    return Drives(reference, tuple(suspect), tuple(held_out), tuple(twin), vehicle, truth, wrong)
 
 
 def driven_more(case: Case, vehicle: VehicleParameters, orders: list[Order]) -> tuple[DriveLog, ...]:

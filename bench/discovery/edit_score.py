@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from st_core.effects import get_effect
-
 from .edits import EDITS
+from .effects import null_of
 
 Record = dict[str, Any]
 Stated = dict[tuple[str, str], tuple[float, float, float]]
@@ -44,10 +43,6 @@ def stated(r: Record) -> Stated:
 
 def alternatives(r: Record) -> set[str]:
     return {name for e in r["effects"] for name in e["alternatives"]}
-
-
-def null_of(effect: str, parameter: str) -> float:
-    return next(p.null for p in get_effect(effect).parameters if p.name == parameter)
 
 
 def _same(key: tuple[str, str], before: Stated, after: Stated, plain: Record, r: Record) -> bool:

@@ -157,6 +157,10 @@ def true_values(car: Settings, file: Settings, vehicle: VehicleParameters) -> Va
     return values
 
 
+def null_of(effect: str, parameter: str) -> float:
+    return next(p.null for p in get_effect(effect).parameters if p.name == parameter)
+
+
 def members(name: str) -> tuple[str, ...]:
     """The effects a composite is made of; itself else."""
     return getattr(get_effect(name), "members", ()) or (name,)
