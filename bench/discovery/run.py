@@ -38,7 +38,8 @@ def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -
     settings = replace(settings_of(case), limits=limits)
     found, seconds = _timed(drives.suspect, drives.vehicle, drives.reference, settings)
     record = {**about(case), "cpu_s": seconds, "truth": {n: drives.truth[n] for n in case.hidden if n in drives.truth},
-              "scatter": {n: drives.truth[n] for n in SCATTER}, "mistaken": list(drives.mistaken), **answer(found), **judged(case, drives, found)}
+              "scatter": {n: drives.truth[n] for n in SCATTER}, "mistaken": list(drives.mistaken),
+              **answer(found), **judged(case, drives, found)}
     if whole:
         record |= driven_again(case, drives, found, settings, record)
         if case.block in "AB" and case.index % COMPARED == 0:
