@@ -203,9 +203,18 @@ class _Work:
         evidence = found.evidence[name]
         others = sorted((r for r in found.rivals.get(name, ()) if alternative(r, self.limits).rule == "alternative"),
                         key=lambda r: -r.share)
+        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near)
         return FoundEffect(
-            name, get_effect(name).kind, waterfall.parameters(self.problem, found.fit, name, parts, found.near),
+            name, get_effect(name).kind, {n: self._by_the_sensors(name, n, p) for n, p in values.items()},
             tuple(r.name for r in others), evidence.position, _values(evidence))
+
+    def _by_the_sensors(self, effect: str, parameter: str, fitted: FittedParameter) -> FittedParameter:
+        """With an interval no wider than what the sensors say among themselves, where that holds the value."""
+        _, low, high = self.sensors.get(f"{effect}.{parameter}", (0.0, -np.inf, np.inf))
+        if self.reference or not low <= fitted.value <= high:
+            return fitted
+        interval = max(fitted.interval[0], low), min(fitted.interval[1], high)
+        return replace(fitted, interval=interval)
 
     def _bound(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
         """What is sure but not the same everywhere: effects that were refused for that, or else the one that comes and
@@ -282,7 +291,8 @@ class _Work:
                 continue
             largest = max(powers, key=lambda p: p.size)
             drive = shows(self.problem, name, driven) if driven else ""
-            said.append(NotTestable(name, f"{largest.size:.3g} {largest.unit} of it would be found with probability "
+            size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
+            said.append(NotTestable(name, f"{size} of it would be found with probability "
                                           f"{largest.found:.2f}; it shows in {get_effect(name).excited_by}", drive))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)

@@ -189,7 +189,7 @@ def left(found: Discovery) -> str:
     after = gap.augmented if found.model else gap.base
     text = f"{metres(after)} of the 5 s position error remain; noise alone leaves {metres(gap.floor)}"
     worst = f"; the worst run is {gap.worst_run} with {metres(gap.worst)}" if gap.worst_run else ""
-    worse = sorted({run for one in found.gap.values() for run in one.worse_runs})
+    worse = gap.worse_runs
     compared = f"; made worse on {', '.join(worse)}" if worse else "; no run became worse"
     return f"{text}{worst}{compared if found.model else ''}"
 
@@ -232,16 +232,20 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
     if mended is not None and mended.folded:
         told.append(f"take vehicle.yaml: {keys(mended.changes)}")
     for name, change_of in (mended.kept if mended is not None else {}).items():
-        told.append(f"mend the vehicle file by hand for recordings of the steering wheel: {keys(change_of)}; these "
-                    f"hold that of the road wheels, or something acts before it, so {plain(name)} is in model.yaml")
+        told.append(f"{plain(name)} is in model.yaml: these recordings hold the angle of the road wheels, or something "
+                    "acts before it, so that no entry of a vehicle file changes it; for recordings of the steering "
+                    f"wheel the entry would be {keys(change_of)}")
     rest = [e for e in found.effects if mended is None or e.name not in mended.folded]
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
-        told.append(f"mend the sensors ({', '.join(sensors)}), or correct the recordings in run.yaml; model.yaml does "
-                    "it until then")
+        told.append(f"{', '.join(sensors)}: model.yaml corrects for it; once the sensors are mended, or recordings "
+                    "corrected in run.yaml, discover anew without it, or it is corrected twice")
     others = [plain(e.name) for e in rest if e.kind != "sensors" and (mended is None or e.name not in mended.kept)]
     if others:
         told.append(f"predict with model.yaml, which adds {', '.join(others)}")
+    if found.minor and found.effects:
+        told.append(f"model.yaml also holds {', '.join(plain(e.name) for e in found.minor)}: part of the fit, but too "
+                    "small beside what is left to be named")
     if found.outcome == "unknown":
         told.append("look where and when it misses; an effect of one's own can be added (docs/effects.md)")
     shows = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
