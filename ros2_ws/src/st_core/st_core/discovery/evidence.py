@@ -38,8 +38,9 @@ class Evidence:
     their null, were that the truth. shares: by column of the errors, (what it takes away of the size of the errors of
     the start, size without it over the noise, with it) [1]. position [m]: fall of the mean held-out position error at
     the end of the horizon; position_somewhere: the largest in one driving condition, surely (95 %). left [1]: size of
-    the errors with it over the noise, in the column where that is most. bound [1]: distance to the nearest bound in usual sizes. sensors [1]: chance of the fitted value by what the sensors say among themselves, and
-    sensors_null of the null; None where they say nothing. agreement: by level.
+    the errors with it over the noise, in the column where that is most. bound [1]: distance to the nearest bound in
+    usual sizes. sensors [1]: chance of the fitted value by what the sensors say among themselves, and sensors_null of
+    the null; None where they say nothing. agreement: by level.
     """
 
     name: str
