@@ -87,7 +87,7 @@ def test_rules_are_asked_in_their_order():
 
 @pytest.mark.parametrize(("evidence", "rule", "figures"), [
     (replace(SLIGHT, shares={"yaw": (0.1, 5.0, 4.5)}), STATED, {"share": 0.1}),
-    (replace(SLIGHT, shares={"yaw": (0.01, 5.0, 4.9), "yaw_rate": (0.2, 9.0, 7.0)}), STATED, {"share": 0.2}),  # where most
+    (replace(SLIGHT, shares={"yaw": (0.01, 5.0, 4.9), "yaw_rate": (0.2, 9.0, 7.0)}), STATED, {"share": 0.2}),  # most
     (replace(SLIGHT, shares={"yaw": (0.1, 1.5, 1.3)}), MINOR, {"share": 0.0}),  # a channel that is noise
     (replace(SLIGHT, shares={"yaw": (0.01, 5.0, 4.9)}), MINOR, {"share": 0.01, "position": 0.01}),
     (replace(SLIGHT, position=0.03), STATED, {"position": 0.03}),
