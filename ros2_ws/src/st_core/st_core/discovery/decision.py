@@ -80,16 +80,19 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                   f"5 s, by chance with probability {e.chance:.2g}, and is the same everywhere")
 
 
-def worth_a_name(e: Evidence, limits: Limits) -> Reason:
-    """Whether an effect that holds is stated, or only kept beside what is, so that it does not bend other values."""
+def worth_a_name(e: Evidence, limits: Limits, surely: bool = True) -> Reason:
+    """Whether an effect that holds is stated, or only kept beside what is, so that it does not bend other values.
+    surely: whether the interval of one of its values leaves out the null."""
     position = max(e.position, e.position_somewhere)
-    share = max((share for share, before, _ in e.shares.values() if before > limits.left), default=0.0)
+    share = max((share for share, over in e.shares.values() if over > limits.left), default=0.0)
     confirmed = e.sensors_null is not None and e.sensors_null < limits.doubt
-    outdone = any(before > limits.left and before - after > after for _, before, after in e.shares.values())
-    if e.left > limits.left and e.gain < limits.beside and not outdone and not confirmed:
+    if e.left > limits.left and e.gain < limits.beside and not confirmed:
         return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "beside": limits.beside, "limit": limits.left},
                       f"it is sure, but takes away {e.share:.1%} of the errors, and {e.left:.1f} times the noise is "
                       "left with it: it may imitate what no effect describes; kept, not named")
+    if not surely and not confirmed:
+        return Reason(MINOR, e.name, {"gain": e.gain}, "it takes away something, but in other sets of effects that are "
+                      "nearly as good its value is near its null: kept, not named")
     figures = {"share": share, "position": position, "worth": limits.worth, "worth_position": limits.worth_position}
     if share >= limits.worth or position >= limits.worth_position:
         return Reason(STATED, e.name, figures, f"it takes away {share:.1%} of the errors of the start in the channel "

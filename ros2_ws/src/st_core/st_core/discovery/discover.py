@@ -128,8 +128,9 @@ class _Work:
         self._tick("explaining")()
         ends = waterfall.Ends(problem, settings.seed)
         bound = self._bound(found, parts)
-        effects, minor = ([self._effect(n, found, parts) for n in found.order if worth_a_name(
-            found.evidence[n], limits).rule == rule] for rule in (STATED, MINOR))
+        everything = [self._effect(n, found, parts) for n in found.order]
+        named = {e.name: worth_a_name(found.evidence[e.name], limits, surely(e)) for e in everything}
+        effects, minor = ([e for e in everything if named[e.name].rule == rule] for rule in (STATED, MINOR))
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
         floor = self._floor(by_column)
         gap = waterfall.gaps(ends, base, found.fit, floor)
@@ -148,7 +149,7 @@ class _Work:
         return Discovery(
             outcome=outcome, effects=tuple(effects), minor=tuple(minor), bound=tuple(b for b, _ in bound),
             steps=tuple(steps), gap=gap, budget=tuple(lines),
-            reasons=(why, *self._reasons(found)), candidates=self._candidates(found),
+            reasons=(why, *self._reasons(found, named)), candidates=self._candidates(found, named),
             where=statements, not_testable=untestable,
             next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
             separability=separability(problem, found.fit, effects, found.scores.design), certificate=told,
@@ -244,19 +245,19 @@ class _Work:
         found = FittedParameter(value, free.unit, (value - 1.96 * spread, value + 1.96 * spread), free.null)
         return BoundEffect(v.name, v.level, {v.parameter: found}, shares, 0.0)
 
-    def _reasons(self, found: Found) -> list[Reason]:
-        said = [worth_a_name(found.evidence[n], self.limits) for n in found.order]
+    def _reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
+        said = list(named.values())
         said += [alternative(r, self.limits) for others in found.rivals.values() for r in others]
         return [*said, *(verdict for _, verdict, _ in found.refused.values())]
 
-    def _candidates(self, found: Found) -> tuple[Candidate, ...]:
+    def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[Candidate, ...]:
         problem, space, rows = self.problem, self.space, []
         rivals = {r.name: (alternative(r, self.limits), r.evidence.gain)
                   for others in found.rivals.values() for r in others}
         for name in space.hypotheses:
             vector = found.fit.vector
             if name in found.evidence:
-                verdict, gain = worth_a_name(found.evidence[name], self.limits), found.evidence[name].gain
+                verdict, gain = named[name], found.evidence[name].gain
             elif name in found.refused:
                 evidence, verdict, fit = found.refused[name]
                 gain, vector = evidence.gain, fit.vector
@@ -339,3 +340,8 @@ class _Work:
 def _values(evidence: Evidence) -> dict[str, tuple[Value, ...]]:
     return {level: tuple(Value(part, share, deviation) for part, (share, deviation) in a.shares.items())
             for level, a in evidence.agreement.items()}
+
+
+def surely(effect: FoundEffect) -> bool:
+    """Whether the interval of one of its values leaves out the null."""
+    return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())

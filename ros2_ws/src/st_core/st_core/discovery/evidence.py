@@ -36,7 +36,7 @@ class Evidence:
 
     chance [1]: that anything of the library gains so much where nothing is. null [1]: of values at least as far from
     their null, were that the truth. shares: by column of the errors, (what it takes away of the size of the errors of
-    the start, size without it over the noise, with it) [1]. position [m]: fall of the mean held-out position error at
+    the start, size without it over the noise) [1]. position [m]: fall of the mean held-out position error at
     the end of the horizon; position_somewhere: the largest in one driving condition, surely (95 %). left [1]: size of
     the errors with it over the noise, in the column where that is most. bound [1]: distance to the nearest bound in
     usual sizes. sensors [1]: chance of the fitted value by what the sensors say among themselves, and sensors_null of
@@ -47,7 +47,7 @@ class Evidence:
     gain: float
     chance: float
     null: float = 0.0
-    shares: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     position: float = 0.0
     position_somewhere: float = 0.0
     left: float = 1.0
@@ -177,14 +177,13 @@ def left_over(problem: Problem, rows: np.ndarray) -> float:
     return float((problem.sizes(rows) / np.maximum(problem.noise, 1e-12)).max())
 
 
-def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str, tuple[float, float, float]]:
+def shares(problem: Problem, without: np.ndarray, rows: np.ndarray) -> dict[str, tuple[float, float]]:
     """By column: fall of the size of the errors over that of the start, or without the effect if that is larger; and
-    the size without it and with it over the noise."""
+    the size without it over the noise."""
     before, after = problem.sizes(without), problem.sizes(rows)
-    noise = np.maximum(problem.noise, 1e-12)
-    fall = (before - after) / np.maximum(problem.size_of_start, before)
-    return {column: tuple(map(float, each)) for column, *each in zip(
-        problem.errors.windows.columns, fall, before / noise, after / noise, strict=True)}
+    return {column: (float(fall), float(over)) for column, fall, over in zip(
+        problem.errors.windows.columns, (before - after) / np.maximum(problem.size_of_start, before),
+        before / np.maximum(problem.noise, 1e-12), strict=True)}
 
 
 def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndarray:
