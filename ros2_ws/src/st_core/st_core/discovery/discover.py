@@ -129,7 +129,9 @@ class _Work:
         ends = waterfall.Ends(problem, settings.seed)
         bound = self._bound(found, parts)
         everything = [self._effect(n, found, parts) for n in found.order]
-        named = {e.name: worth_a_name(found.evidence[e.name], limits, surely(e)) for e in everything}
+        # A reference is asked by its own drives instead: what it does not know of the car is in the intervals.
+        named = {e.name: worth_a_name(found.evidence[e.name], limits, bool(self.reference) or surely(e))
+                 for e in everything}
         effects, minor = ([e for e in everything if named[e.name].rule == rule] for rule in (STATED, MINOR))
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
         floor = self._floor(by_column)
