@@ -119,6 +119,16 @@ def test_one_set_of_functions_serves_every_choice_of_effects(leaf, base):
                                    rtol=1e-13, atol=1e-13)
 
 
+def test_without_costly_effects_at_null_the_same_is_predicted(leaf):
+    everything = universal("nonlinear")
+    chosen = everything.with_values({"mass": {"factor": 1.1}, "steering_compliance": {"compliance": 1e-6}})
+    lean = chosen.lean()
+    left_out = {e.name for e in chosen.effects} - {e.name for e in lean.effects}
+    assert left_out == {"lateral_load_transfer", "longitudinal_load_transfer"}  # the compliance is not at null
+    np.testing.assert_array_equal(predict(lean, leaf, STATE, HELD).states, predict(chosen, leaf, STATE, HELD).states)
+    assert {"steering_compliance"} == {e.name for e in lean.effects if e.costly}
+
+
 def test_more_effects_on_a_model_that_has_some(leaf):
     first = augment("linear", {"mass": {"factor": 1.2}})
     both = augment(first, {"yaw_inertia": {"factor": 0.9}})

@@ -235,6 +235,19 @@ def test_firm_prior_keeps_the_rest_at_the_start(strength):
     assert inertia == pytest.approx(1.0 if strength == 1.0 else 0.0, abs=0.05)
 
 
+def test_with_a_prior_leaving_it_costs_and_a_fold_moves_only_what_is_free():
+    problem = small_noise(linear_problem(FEW, {"mass": 1.0, "yaw_inertia": 1.0}, 13), 0.1)
+    prior = correlated(len(problem.space), 2)
+    problem = Problem(problem.loss, problem.start, problem.block, prior)
+    without, fit = fitted(problem, ()), fitted(problem, ("mass",))
+    away = (without.vector - problem.start) / problem.space.scale
+    assert without.held_out.sum() == pytest.approx(problem.loss.total(without.vector) + away @ prior @ away, rel=1e-6)
+    assert not any(step.any() for step in without.folds.values())
+    own = problem.space.indices("mass")
+    for step in fit.folds.values():
+        assert step[own].any() and not np.delete(step, own).any()
+
+
 def test_held_out_loss_is_that_of_fits_without_the_fold():
     """Their optimism, block by block of a fold, is what single refits show, but for terms of third order."""
     problem = linear_problem(FEW, {"mass": 1.0}, 14, count=320)

@@ -152,6 +152,18 @@ def test_interval_of_a_value_that_differs_between_runs_is_wide():
     assert wide[1] - wide[0] > 1.3 * (alone[1] - alone[0])
 
 
+def test_interval_reaches_to_the_values_of_sets_nearly_as_good(explained):
+    problem, final, *_ = explained
+    own = problem.space.indices("mass")
+    other = final.vector.copy()
+    other[own] += 0.5 * problem.space.scale[own]
+    alone = waterfall.parameters(problem, final, "mass", {})["factor"]
+    wide = waterfall.parameters(problem, final, "mass", {}, [(("mass", "road_bank"), other)])["factor"]
+    assert (wide.value, wide.interval[0]) == (alone.value, alone.interval[0])
+    assert wide.interval[1] - alone.interval[1] == pytest.approx(0.5 * problem.space.scale[own][0])
+    assert waterfall.parameters(problem, final, "mass", {}, [(("road_bank",), other)])["factor"] == alone
+
+
 def test_value_with_a_reference_is_the_change_since():
     problem = linear_problem(FEW, {"mass": 3.0}, 4)
     start = problem.start.copy()

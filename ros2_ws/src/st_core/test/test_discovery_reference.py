@@ -1,0 +1,43 @@
+"""A healthy car learnt from its drives: how firmly, and how much its own drives differ."""
+
+import numpy as np
+import pytest
+from discovery_drives import linear_problem, recorded
+from st_core.discovery import DiscoverySettings
+from st_core.discovery.reference import _between_runs, learn
+from st_core.discovery.space import Space
+
+FEW = ("steering_offset", "mass", "yaw_rate_bias")
+
+
+def between(problem) -> float:
+    q = problem.loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
+    size = len(problem.space)
+    return _between_runs(q, problem.space, problem.errors.windows, np.ones(size), np.eye(size) / 9.0)
+
+
+def test_a_run_that_differs_from_the_others_raises_what_healthy_drives_may_gain():
+    problem = linear_problem(FEW, {}, 1, runs=4)
+    alike = between(problem)
+    assert 0.0 <= alike < 0.1
+    first = problem.errors.windows.run == 0
+    mass = int(problem.space.indices("mass")[0])
+    problem.errors.noise[first] += 2.0 * problem.errors.signatures[mass][first]
+    assert between(problem) > 5.0 * max(alike, 0.02)
+
+
+def test_two_runs_say_nothing_of_each_other():
+    assert between(linear_problem(FEW, {}, 1, runs=2)) == 0.0
+
+
+@pytest.mark.slow
+def test_what_is_learnt_holds_the_car(leaf):
+    effects = {"steering_lag": {"time_constant": 0.06}, "heading_misalignment": {"angle": 0.01}}
+    settings = DiscoverySettings(windows=60, effects=("steering_lag", "heading_misalignment", "yaw_rate_bias"))
+    space = Space("nonlinear", settings)
+    healthy = learn(recorded(leaf, effects, 3), leaf, space, settings, 1, lambda: None)
+    spread = np.sqrt(0.5 * np.diag(np.linalg.inv(healthy.prior))) * space.scale
+    for name, values in effects.items():
+        (truth,), own = values.values(), int(space.indices(name)[0])
+        assert abs(healthy.vector[own] - truth) < 4.0 * spread[own] < 0.2 * truth
+    assert (healthy.left > 0.0).all() and healthy.gain < 0.05
