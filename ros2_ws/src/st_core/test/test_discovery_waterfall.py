@@ -179,6 +179,7 @@ def test_value_with_a_reference_is_the_change_since():
 def test_promised_power_is_what_imitated_drives_show():
     problem = linear_problem(FEW, {}, 5, common=0.3)
     problem.errors.signatures *= 0.8  # so that a quarter of a usual size is not worth it, and half of it is
+    problem.noise = np.full(6, 0.02)  # nothing is left that noise does not explain
     base = fitted(problem)
     scores = screen(problem, base, np.random.default_rng(0))
     promised = certificate.predicted(problem, base, scores, Limits())
