@@ -27,7 +27,9 @@ from st_core.discovery.decision import (
     varies_over,
     worth_a_name,
 )
+from st_core.discovery.discover import by_sensors
 from st_core.discovery.evidence import Agreement, Evidence
+from st_core.discovery.result import FittedParameter
 from st_core.errors import ConfigurationError
 
 LIMITS = Limits()
@@ -127,6 +129,17 @@ def test_level_over_which_an_effect_varies(agreement, level):
     (0.2, 1e-4, 0.0, True), (0.2, 0.02, 0.0, False), (0.02, 1e-4, 0.0, False), (0.2, 1e-4, 0.3, False)])
 def test_effect_with_a_value_of_its_own_in_each_part(gain, chance, healthy, told):
     assert comes_and_goes(gain, chance, healthy, LIMITS) == told
+
+
+@pytest.mark.parametrize(("interval", "known", "expected"), [
+    ((-1.0, 9.0), (3.5, 3.0, 5.0), (3.0, 5.0)),  # the sensors deny the null
+    ((1.0, 7.0), (3.5, 3.0, 5.0), (1.0, 7.0)),  # it was denied already
+    ((-1.0, 9.0), (1.0, -1.0, 5.0), (-1.0, 9.0)),  # they do not
+    ((-1.0, 9.0), (7.0, 6.0, 8.0), (-1.0, 9.0)),  # they say something else
+    ((-1.0, 9.0), None, (-1.0, 9.0)),
+])
+def test_interval_is_as_sure_as_the_sensors_where_they_deny_the_null(interval, known, expected):
+    assert by_sensors(FittedParameter(4.0, "rad/s", interval, 0.0), known).interval == expected
 
 
 def test_every_level_has_words():

@@ -147,9 +147,10 @@ def test_sensors_confirm_or_contradict():
     fit = fitted(problem, "yaw_rate_bias")
     value, own = fit.vector[problem.space.indices("yaw_rate_bias")[0]], deviation(problem, fit, "yaw_rate_bias")[0]
     off = value - 0.003
-    said = {"yaw_rate_bias.bias": (0.003, 0.003 - 0.00196, 0.003 + 0.00196)}
+    reach = 0.001 * stats.norm.ppf(0.975)
+    said = {"yaw_rate_bias.bias": (0.003, 0.003 - reach, 0.003 + reach)}
     assert by_sensors(problem, fit, "yaw_rate_bias", said)[0] == pytest.approx(
-        2.0 * stats.norm.sf(abs(off) / np.hypot(0.001, own)), rel=1e-3)
+        2.0 * stats.norm.sf(abs(off) / np.hypot(0.001, own)), rel=1e-6)
     near = {"yaw_rate_bias.bias": (value, value - 1e-4, value + 1e-4)}
     far = {"yaw_rate_bias.bias": (0.0, -1e-4, 1e-4)}
     assert by_sensors(problem, fit, "yaw_rate_bias", near)[0] == pytest.approx(1.0)

@@ -207,17 +207,10 @@ class _Work:
         others = sorted((r for r in found.rivals.get(name, ()) if alternative(r, self.limits).rule == "alternative"),
                         key=lambda r: -r.share)
         values = waterfall.parameters(self.problem, found.fit, name, parts, found.near)
+        known = {} if self.reference else self.sensors
         return FoundEffect(
-            name, get_effect(name).kind, {n: self._by_the_sensors(name, n, p) for n, p in values.items()},
+            name, get_effect(name).kind, {n: by_sensors(p, known.get(f"{name}.{n}")) for n, p in values.items()},
             tuple(r.name for r in others), evidence.position, _values(evidence))
-
-    def _by_the_sensors(self, effect: str, parameter: str, fitted: FittedParameter) -> FittedParameter:
-        """With an interval no wider than what the sensors say among themselves, where that holds the value."""
-        _, low, high = self.sensors.get(f"{effect}.{parameter}", (0.0, -np.inf, np.inf))
-        if self.reference or not low <= fitted.value <= high:
-            return fitted
-        interval = max(fitted.interval[0], low), min(fitted.interval[1], high)
-        return replace(fitted, interval=interval)
 
     def _bound(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
         """What is sure but not the same everywhere: effects that were refused for that, or else the one that comes and
@@ -347,3 +340,14 @@ def _values(evidence: Evidence) -> dict[str, tuple[Value, ...]]:
 def surely(effect: FoundEffect) -> bool:
     """Whether the interval of one of its values leaves out the null."""
     return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
+
+
+def by_sensors(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
+    """With an interval as wide as that of what the sensors say among themselves, (value, low, high), where they agree
+    with the value and deny the null that its own interval holds."""
+    _, low, high = known or (0.0, -np.inf, np.inf)
+    open_ = fitted.interval[0] <= fitted.null <= fitted.interval[1]
+    if not open_ or not low <= fitted.value <= high or low <= fitted.null <= high:
+        return fitted
+    half = 0.5 * (high - low)
+    return replace(fitted, interval=(fitted.value - half, fitted.value + half))
