@@ -1,7 +1,7 @@
 """Publishes odometry and steering of a drive on a winding road as fast as the node identifier takes them.
 
 Stamps are those of the drive. The car of the vehicle file has an offset, a ratio and a stiffness of its own. What the
-node says it has taken is waited for, so that a busy machine loses nothing.
+node says it has taken is waited for, so that a busy machine loses nothing; if it stops taking, the feeder says so.
 """
 
 import argparse
@@ -11,13 +11,15 @@ from pathlib import Path
 
 import rclpy
 from nav_msgs.msg import Odometry
-from rclpy.qos import QoSProfile
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Steering, TrackedParameters
 from st_ros.stamps import from_nanoseconds
 from winding_road import Truth, winding_road
 
-SETTLING = 0.5
+PATIENCE = 30.0  # s without anything taken
 AHEAD = 6.0  # s of driving the node may be behind; its queues hold ten
 
 
@@ -31,19 +33,13 @@ def main() -> None:
     qos = QoSProfile(depth=1000)
     ins = node.create_publisher(Odometry, "ins/odometry", qos)
     steering = node.create_publisher(Steering, "vehicle/steering", qos)
-    while not (node.count_subscribers("ins/odometry") and node.count_subscribers("vehicle/steering")):
-        time.sleep(0.02)
-    time.sleep(SETTLING)
-    zero, taken = time.time_ns(), [0.0]
-
-    def note(message: TrackedParameters) -> None:
-        taken[0] = message.seconds_used + message.seconds_rejected
-
-    node.create_subscription(TrackedParameters, "identifier/parameters", note, 10)
+    heard = Heard(node)
+    while not (heard.anything and listened_to(node, ins) and listened_to(node, steering)):
+        rclpy.spin_once(node, timeout_sec=0.1)
+    zero = time.time_ns()
     print("feeding", flush=True)
     for t, x, y, yaw, v_x, v_y, rate, hand in drive.tolist():
-        while t > taken[0] + AHEAD:
-            rclpy.spin_once(node, timeout_sec=1.0)
+        heard.wait_for(t - AHEAD)
         message = Odometry(child_frame_id="ins_link")
         message.header.stamp, message.header.frame_id = from_nanoseconds(zero + round(t * 1e9)), "map"
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
@@ -55,10 +51,36 @@ def main() -> None:
         angle = Steering(steering_wheel_angle=hand, road_wheel_angle=car.road_wheel_angle(hand), valid=True)
         angle.header.stamp = message.header.stamp
         steering.publish(angle)
-    while taken[0] < options.seconds - 1.0:
-        rclpy.spin_once(node, timeout_sec=1.0)
+    heard.wait_for(options.seconds - 1.0)
     node.destroy_node()
     rclpy.shutdown()
+
+
+class Heard:
+    """How much driving the identifier says it has taken; its last word is latched, so it comes before any driving."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self.anything, self._taken = node, False, 0.0
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(TrackedParameters, "identifier/parameters", self._note, latched)
+
+    def _note(self, message: TrackedParameters) -> None:
+        self.anything, self._taken = True, message.seconds_used + message.seconds_rejected
+
+    def wait_for(self, seconds: float) -> None:
+        before, since = self._taken, time.monotonic()
+        while self._taken < seconds:
+            rclpy.spin_once(self._node, timeout_sec=1.0)
+            if self._taken > before:
+                before, since = self._taken, time.monotonic()
+            if time.monotonic() - since > PATIENCE:
+                raise SystemExit(f"identifier has taken {self._taken:.1f} s, waited for {seconds:.1f} s")
+
+
+def listened_to(node: Node, publisher: Publisher) -> bool:
+    """Whether the identifier and everybody else known to want the topic is matched: samples before that are lost."""
+    readers = node.get_subscriptions_info_by_topic(publisher.topic_name)
+    return any(one.node_name == "identifier" for one in readers) and publisher.get_subscription_count() >= len(readers)
 
 
 def parse_arguments() -> argparse.Namespace:
