@@ -1,6 +1,7 @@
 """Start a node, spin it, and leave nothing behind: exit 0 on SIGINT or SIGTERM, 2 on a wrong configuration."""
 
 import atexit
+import gc
 import signal
 import sys
 import time
@@ -39,6 +40,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
         return 2
     try:
         node = make_node()
+        _freeze()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not stop.requested and rclpy.ok() and not getattr(node, "finished", False):
@@ -61,6 +63,13 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
             node.destroy_node()
         rclpy.try_shutdown()
     return status
+
+
+def _freeze() -> None:
+    """Take what a start has made, which lives as long as the process, out of the garbage collector's sight: walking
+    over it held a node up for 26 to 75 ms at a time."""
+    gc.collect()
+    gc.freeze()
 
 
 def _settle(node: Node) -> None:
