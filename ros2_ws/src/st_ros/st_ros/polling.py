@@ -4,10 +4,11 @@ rclpy rebuilds its wait set for every wake-up: at 250 Hz on several topics that 
 Messages wait in the middleware's queue (`depth` per topic), in order, each with the time it arrived.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -54,6 +55,19 @@ class PolledSubscription:
 
     def destroy(self) -> None:
         self._node.destroy_subscription(self.subscription)
+
+
+def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], seconds: float) -> None:
+    """Sleep until one of them has a message, at most so long; a message that waits already returns at once.
+
+    For a callback of the node that needs what is about to arrive: nothing else of the node runs meanwhile.
+    """
+    waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0, node.context.handle)
+    with waiting:
+        waiting.clear_entities()
+        for one in subscriptions:
+            waiting.add_subscription(one.subscription.handle)
+        waiting.wait(round(seconds * 1e9))
 
 
 def _unused(message: Any) -> None:

@@ -1,5 +1,6 @@
 """The two inputs that predictor and evaluator share: odometry and steering, taken when the node has time for them."""
 
+import time
 from collections.abc import Callable
 
 from nav_msgs.msg import Odometry
@@ -9,7 +10,7 @@ from st_core.types import InsSample
 from st_msgs.msg import Steering
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
-from st_ros.polling import PolledSubscription
+from st_ros.polling import PolledSubscription, wait_for_any
 from st_ros.stamps import to_nanoseconds
 
 from .. import convert
@@ -26,23 +27,37 @@ class Inputs:
         add_ins: Callable[[InsSample], bool], add_steering: Callable[[int, float], bool],
     ):
         qos = QoSProfile(depth=QUEUE_DEPTH)
-        self._map_frame = map_frame
+        self._node, self._map_frame = node, map_frame
         self._add_ins, self._add_steering = add_ins, add_steering
         self._odometry = PolledSubscription(node, Odometry, "ins/odometry", qos)
         self._steering = PolledSubscription(node, Steering, "vehicle/steering", qos)
         self.received = {"INS": 0, "steering": 0}
         self.refused = {"INS": 0, "steering": 0}
         self.last_refusal = {"INS": "", "steering": ""}  # empty while the newest message was usable
+        self._arrived_ns = {"INS": 0, "steering": 0}  # newest message of each, by the host's UTC
+
+    def wait(self, since_ns: int, longest: float) -> None:
+        """Take what comes until a message of each signal has arrived since an instant (host UTC [ns]).
+
+        longest [s]: then it is over, whatever has come.
+        """
+        end = time.monotonic() + longest
+        self.drain()
+        while min(self._arrived_ns.values()) < since_ns and (left := end - time.monotonic()) > 0.0:
+            wait_for_any(self._node, (self._odometry, self._steering), left)
+            self.drain()
 
     def drain(self) -> None:
         """Take what is waiting."""
-        for message, _, _ in self._odometry.take(QUEUE_DEPTH):
+        for message, arrived_ns, _ in self._odometry.take(QUEUE_DEPTH):
+            self._arrived_ns["INS"] = arrived_ns
             sample = convert.ins_sample(message, self._map_frame)
             if isinstance(sample, str):
                 self._refuse("INS", sample)
             else:
                 self._note("INS", self._add_ins(sample))
-        for message, _, _ in self._steering.take(QUEUE_DEPTH):
+        for message, arrived_ns, _ in self._steering.take(QUEUE_DEPTH):
+            self._arrived_ns["steering"] = arrived_ns
             if not message.valid:
                 self._refuse("steering", "marked invalid by the bridge (counter or checksum)")
             else:

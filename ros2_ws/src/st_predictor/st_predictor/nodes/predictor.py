@@ -2,6 +2,7 @@
 
 import math
 import time
+from statistics import median
 
 import numpy as np
 from nav_msgs.msg import Path as PathMessage
@@ -9,6 +10,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from st_core.compiled import compile_models
+from st_core.filtering import NANOSECOND
+from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, configuration_hash
 from st_msgs.msg import Prediction, PredictorStatus
 from st_ros import diagnostics, parameters, spin
@@ -21,6 +25,8 @@ from ._inputs import Inputs
 # Inputs are taken this often between ticks, so that a tick finds only a few milliseconds of them waiting [s].
 DRAIN_PERIOD = 0.02
 STATUS_PERIOD = 1.0
+# Waiting for samples takes no more than this share of a tick: the next one is not to be late for it.
+WAITING_SHARE = 0.5
 # A prediction rarely needs more than this share of a tick; above it the machine is too slow or too busy.
 BUSY_SHARE = 0.5
 
@@ -33,10 +39,12 @@ class PredictorNode(Node):
         settings = params.prediction_settings(values)
         file = params.load_model(values, self._vehicle)
         models = [*values.models, *([file.model()] if file else [])]
-        self._core = params.checked(values, lambda: Predictor(self._vehicle, models, settings))
+        found = params.checked(values, lambda: [get_model(model) for model in models])
+        runners, said = compile_models(found, self._vehicle, settings) if values.compiled else ({}, "on Python floats")
+        self._core = params.checked(values, lambda: Predictor(self._vehicle, found, settings, runners))
         self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         if file:
-            self._hash[models[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
+            self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
@@ -55,7 +63,12 @@ class PredictorNode(Node):
         self._last_start_ns: int | None = None
         self._not_finite: set[str] = set()
         self._slowest_tick = 0.0
+        self._state_age = math.nan  # as last published [s]
+        self._state_ages: list[float] = []  # of the predictions since the last status [s]
         self._period = 1.0 / values.rate
+        # In simulated time the clock moves only when the executor runs, and nothing can arrive after an instant.
+        simulated = self.get_parameter("use_sim_time").value
+        self._wait = 0.0 if simulated else min(values.sample_wait, WAITING_SHARE * self._period)
         self.create_timer(DRAIN_PERIOD, self._inputs.drain, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._timer = self.create_timer(self._period, self._tick)
         self.create_timer(STATUS_PERIOD, self._publish_status)
@@ -63,14 +76,16 @@ class PredictorNode(Node):
         self.get_logger().info(
             f"{', '.join(self._core.models)} of {self._vehicle.name}: {settings.horizon:g} s in steps of "
             f"{settings.step:g} s at {values.rate:g} Hz, "
-            f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}")
+            f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}; models {said}")
 
     def _tick(self) -> None:
+        period_ns = round(self._period / NANOSECOND)
+        next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
+        missed = self._counter.missed(next_due_ns, period_ns)
+        # A state just before it is renewed is one period of its signal older than one just after.
+        self._inputs.wait(next_due_ns - period_ns, self._wait)
         began = time.perf_counter()
-        now_ns = self.get_clock().now().nanoseconds
-        missed = self._counter.missed(now_ns + self._timer.time_until_next_call(), round(self._period * 1e9))
-        self._inputs.drain()
-        start = self._start(now_ns)
+        start = self._start(self.get_clock().now().nanoseconds)
         before, self._skip = self._skip, start if isinstance(start, Skip) else None
         self._counter.count(missed, self._skip.kind if self._skip else None)
         if isinstance(start, Start):
@@ -91,25 +106,34 @@ class PredictorNode(Node):
         return Skip("stale", f"{signal}: nothing new since the last tick, newest sample is {age:.2f} s old")
 
     def _predict(self, start: Start) -> None:
+        paths = []
         for model, (path_publisher, prediction_publisher) in self._outputs.items():
             began = time.perf_counter()
             trajectory = self._core.run(start, model)
             compute_time = time.perf_counter() - began
             car = self._core.car(model)
+            message = convert.prediction_message(
+                start, model, trajectory, car, self._map_frame, self._hash[model])
+            message.compute_time = compute_time
+            issued = self.get_clock().now()
+            message.issued_at = issued.to_msg()
+            prediction_publisher.publish(message)
+            self._state_ages.append((issued.nanoseconds - start.time_ns) * NANOSECOND)
+            paths.append((model, path_publisher, trajectory, car))
+        # A planner reads predictions, a viewer paths: filling one takes longer than all models together.
+        for model, path_publisher, trajectory, car in paths:
             if np.isfinite(trajectory.states).all():
                 path_publisher.publish(self._path.fill(start.time_ns, trajectory, car))
                 self._not_finite.discard(model)
             else:
                 # A viewer cannot draw it; the evaluator counts it as incomplete.
                 self._not_finite.add(model)
-            message = convert.prediction_message(
-                start, model, trajectory, car, self._map_frame, self._hash[model])
-            message.compute_time = compute_time
-            message.issued_at = self.get_clock().now().to_msg()
-            prediction_publisher.publish(message)
 
     def _publish_status(self) -> None:
+        ages, self._state_ages = self._state_ages, []
         message = PredictorStatus(reason=self._reason(), **self._counter.as_dict())
+        message.state_age, message.state_age_max = (median(ages), max(ages)) if ages else (math.nan, math.nan)
+        self._state_age = message.state_age
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._map_frame
         self._status_publisher.publish(message)
@@ -135,7 +159,8 @@ class PredictorNode(Node):
         return [
             Check("prediction", level, text, {**counts, **shown}),
             Check("timing", diagnostics.WARN if late else diagnostics.OK, timing,
-                  {"slowest tick [ms]": slowest * 1e3, "period [ms]": self._period * 1e3}),
+                  {"slowest tick [ms]": slowest * 1e3, "period [ms]": self._period * 1e3,
+                   "state age at issue, median [ms]": self._state_age * 1e3}),
             *self._inputs.checks(),
         ]
 
