@@ -13,6 +13,7 @@ from . import frames, integrate
 from .alignment import MeasurementHistory
 from .errors import ConfigurationError, StCoreError
 from .filtering import NANOSECOND
+from .frozen_steering import FrozenAngle, FrozenSteering
 from .model_view import ModelView
 from .models import Model, get_model
 from .stability import warn_if_too_long
@@ -197,6 +198,12 @@ class Predictor:
         span = ModelView.span(found, span)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {model.name: ModelView(model, vehicle, self.history) for model in found}
+        self._frozen = FrozenSteering(vehicle)
+
+    @property
+    def frozen_steering(self) -> FrozenAngle | None:
+        """The steering angle that stands still while the car turns differently; None while all is well."""
+        return self._frozen.found
 
     @property
     def models(self) -> tuple[str, ...]:
@@ -210,12 +217,14 @@ class Predictor:
         """Take an INS sample; False if it was refused (see MeasurementHistory)."""
         for view in self._views.values():
             view.add_ins(sample)
+        self._frozen.add_ins(sample)
         return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Take a road wheel angle [rad], left +; False if it was refused."""
         for view in self._views.values():
             view.add_steering(time_ns, road_wheel_angle)
+        self._frozen.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 
     def ages(self, now_ns: int) -> dict[str, float]:
@@ -244,6 +253,9 @@ class Predictor:
         limit = self.settings.stale_after
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
             return Skip("stale", self._why_apart(now_ns, time_ns))
+        jump = self.history.jump
+        if jump and time_ns < jump.time_ns:
+            return Skip("stale", f"INS: position jumps by {jump.size:.2f} m after the newest common instant")
         inputs = self.history.inputs_at(time_ns)
         if inputs is None:
             return Skip("stale", "INS: forward acceleration not known yet, one sample since a gap")
