@@ -47,7 +47,7 @@ class EvaluatorNode(Node):
         self._core = Evaluator(self._vehicle, settings, SPAN, own)
         self._consistency = Consistency(self._vehicle)
         self._map_frame = values.map_frame
-        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
+        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering, self._tell)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._hashes: dict[tuple[str, int], str] = {}  # of the predictions waiting, by model and start
         self._other_configuration: dict[tuple[str, str], bool] = {}  # by hash and model
@@ -84,6 +84,9 @@ class EvaluatorNode(Node):
         summary = bag.add_topic(self.resolve_topic_name("evaluator/summary"), "st_msgs/msg/ErrorSummary",
                                 (Qos(durability="transient_local", depth=1),))
         return bag, {"errors": errors, "summary": summary}
+
+    def _tell(self) -> None:
+        self._diagnostics.publish()
 
     def _work(self) -> None:
         self._inputs.drain()

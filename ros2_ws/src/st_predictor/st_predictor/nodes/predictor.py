@@ -27,6 +27,8 @@ DRAIN_PERIOD = 0.02
 STATUS_PERIOD = 1.0
 # Waiting for samples takes no more than this share of a tick: the next one is not to be late for it.
 WAITING_SHARE = 0.5
+# How long a jump of the position is told [s].
+JUMP_TOLD = 10.0
 # A prediction rarely needs more than this share of a tick; above it the machine is too slow or too busy.
 BUSY_SHARE = 0.5
 
@@ -46,7 +48,7 @@ class PredictorNode(Node):
         if file:
             self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
         self._map_frame = values.map_frame
-        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
+        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering, self._tell)
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
         # Not more: after a reader was held up, Fast DDS sends all of it again. With 50, half a megabyte per topic, a
         # recorder that had stood still for 3 s got no prediction for a minute and a half; with 10 it did after 3 s.
@@ -62,6 +64,7 @@ class PredictorNode(Node):
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
         self._last_start_ns: int | None = None
         self._not_finite: set[str] = set()
+        self._jumps = 0  # of the position, told so far
         self._slowest_tick = 0.0
         self._state_age = math.nan  # as last published [s]
         self._state_ages: list[float] = []  # of the predictions since the last status [s]
@@ -90,9 +93,13 @@ class PredictorNode(Node):
         self._counter.count(missed, self._skip.kind if self._skip else None)
         if isinstance(start, Start):
             self._predict(start)
-        if (before and before.kind) != (self._skip and self._skip.kind):
-            self._diagnostics.publish()
+        if (before and before.kind) != (self._skip and self._skip.kind) or self._jumps != self._core.history.jumps:
+            self._jumps = self._core.history.jumps
+            self._tell()
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - began)
+
+    def _tell(self) -> None:
+        self._diagnostics.publish()
 
     def _start(self, now_ns: int) -> Start | Skip:
         start = self._core.start(now_ns)
@@ -161,8 +168,29 @@ class PredictorNode(Node):
             Check("timing", diagnostics.WARN if late else diagnostics.OK, timing,
                   {"slowest tick [ms]": slowest * 1e3, "period [ms]": self._period * 1e3,
                    "state age at issue, median [ms]": self._state_age * 1e3}),
+            self._position_check(),
+            self._steering_check(),
             *self._inputs.checks(),
         ]
+
+    def _position_check(self) -> Check:
+        history = self._core.history
+        values = {"jumps": history.jumps}
+        if history.jump is None:
+            return Check("position", diagnostics.OK, "no jump yet", values)
+        ago = (self.get_clock().now().nanoseconds - history.jump.time_ns) * NANOSECOND
+        text = f"jump of {history.jump.size:.2f} m that velocity knows nothing of, {history.jumps} since the start"
+        if ago < JUMP_TOLD:
+            return Check("position", diagnostics.WARN, f"{text}; no prediction and no score goes across it", values)
+        return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": ago})
+
+    def _steering_check(self) -> Check:
+        frozen = self._core.frozen_steering
+        if frozen is None:
+            return Check("steering", diagnostics.OK, "moves, or the car turns as it says")
+        text = (f"angle has stood at {frozen.angle:.4f} rad for {frozen.seconds:.1f} s while the car turned as with "
+                f"{frozen.low:.4f} to {frozen.high:.4f} rad: is the sensor frozen?")
+        return Check("steering", diagnostics.WARN, text)
 
     def close(self) -> None:
         self._publish_status()

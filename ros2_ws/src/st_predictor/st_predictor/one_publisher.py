@@ -1,0 +1,68 @@
+"""Of several publishers of an input only the one that was there is listened to. No ROS, no clock.
+
+A message does not say whose it is, but each publisher numbers its own. Where two count too near each other to be told
+apart, none is used: better no prediction than one of two cars mixed.
+"""
+
+from collections.abc import Sequence
+
+# The one that was there has ended or hangs when it was not heard for so long; another of its name is then itself,
+# started again [s].
+PATIENCE = 1.0
+# Numbers nearer to each other than this may be of either: one second at 250 Hz.
+NEAR = 250
+
+
+class OnePublisher:
+    """Decides message by message; `says` is what a person should know, empty while there is one publisher.
+
+    names: full node names of all publishers as last given. unused: messages left aside since the start.
+    """
+
+    def __init__(self) -> None:
+        self.names: tuple[str, ...] = ()
+        self.unused = 0
+        self._several = self._mixed = False
+        self._number: int | None = None  # of the newest message used
+        self._heard: float | None = None  # when it came [s]
+        self._left_aside: float | None = None  # when the newest other one came [s]
+
+    def look(self, names: Sequence[str]) -> None:
+        """names: node of each publisher the middleware knows of."""
+        self.names, self._several = tuple(sorted(names)), len(names) > 1
+        self._mixed = self._mixed and self._several
+
+    def use(self, number: int | None, now: float) -> bool:
+        """Whether to use a message. number: its publisher's count, None: not known. now: when it came [s]."""
+        if not self._several:
+            self._number, self._heard = number, now
+            return True
+        if self._is_ours(number, now):
+            self._number, self._heard = number, now
+            return True
+        self.unused += 1
+        self._left_aside = now
+        return False
+
+    def _is_ours(self, number: int | None, now: float) -> bool:
+        if self._mixed or number is None or self._number is None or self._heard is None:
+            return False
+        if number == self._number + 1:
+            return True
+        if now - self._heard > PATIENCE:
+            # Some were lost on the way, or it was started again while the dead one is still in the graph.
+            return len(set(self.names)) == 1 or 0 < number - self._number <= NEAR
+        self._mixed = abs(number - self._number) <= NEAR
+        return False
+
+    def says(self, now: float) -> str:
+        """now: on the clock of `use` [s]."""
+        others = len(set(self.names)) > 1
+        # A dead publisher of the same name stays in the graph for a while and sends nothing.
+        recent = self._left_aside is not None and now - self._left_aside < 10.0 * PATIENCE
+        if not self._several or not (others or recent):
+            return ""
+        whose = ", ".join(self.names)
+        if self._mixed or self._number is None:
+            return f"published by {len(self.names)} nodes that cannot be told apart, none is used: {whose}"
+        return f"published by {len(self.names)} nodes: {whose}; only the one that was there is used"
