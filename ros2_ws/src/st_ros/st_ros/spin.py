@@ -14,6 +14,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from . import scheduling
 from .parameters import ConfigurationError
 
 # How long a signal may wait for the executor to come back [s].
@@ -23,8 +24,8 @@ WAKE_PERIOD = 0.1
 LAST_WORDS = 4.0
 
 
-def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> int:
-    """Spin the node until it is told to stop.
+def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice: int = 0) -> int:
+    """Spin the node until it is told to stop. nice: how far others go first, once it is up; 0: they do not.
 
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
     once before it is destroyed; it can still publish). What it published is waited for, at most `LAST_WORDS`.
@@ -41,6 +42,8 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
     try:
         node = make_node()
         _freeze()
+        if nice:
+            scheduling.lower(nice)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not stop.requested and rclpy.ok() and not getattr(node, "finished", False):

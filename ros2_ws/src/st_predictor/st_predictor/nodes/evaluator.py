@@ -23,6 +23,7 @@ from ..mcap import BagWriter, Qos
 from ._bag import open_bag, recording_check
 from ._inputs import Inputs
 
+NICE = 5  # bridges and predictor go first; a third of an equal share
 WORK_PERIOD = 0.05
 SUMMARY_PERIOD = 1.0
 MODES = ("forecast", "hindsight")
@@ -176,4 +177,4 @@ class EvaluatorNode(Node):
 
 
 def main() -> int:
-    return spin.run(EvaluatorNode)
+    return spin.run(EvaluatorNode, nice=NICE)

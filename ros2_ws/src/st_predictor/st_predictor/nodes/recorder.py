@@ -26,6 +26,7 @@ from ..mcap import Qos
 from ._bag import open_bag, recording_check
 from ._heard import DIAGNOSTICS, Heard
 
+NICE = 5  # bridges and predictor go first; a third of an equal share
 # The queues are emptied this often; each message carries the time it arrived.
 WORK_PERIOD = 0.05
 LOOK_PERIOD = 0.25
@@ -209,4 +210,4 @@ def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
 
 
 def main() -> int:
-    return spin.run(RecorderNode)
+    return spin.run(RecorderNode, nice=NICE)
