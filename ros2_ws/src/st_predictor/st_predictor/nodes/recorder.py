@@ -99,15 +99,18 @@ class RecorderNode(Node):
             self._resume()
 
     def _resume(self) -> None:
-        """After a full disk: on in a bag beside the one that ended, as soon as there is room again."""
+        """On in another bag: after a full disk as soon as there is room again, at once where its directory was
+        renamed or deleted."""
         now = time.monotonic()
-        self._resume_at = min(self._resume_at, now + RESUME_PERIOD)
+        if self._resume_at == float("inf"):
+            self._resume_at = now if self._bag.moved else now + RESUME_PERIOD
         if now < self._resume_at:
             return
-        self._resume_at = float("inf")
+        self._resume_at = now + RESUME_PERIOD
         with contextlib.suppress(OSError, ConfigurationError):
-            if shutil.disk_usage(self._bag.directory).free < RESUME_ROOM:
+            if shutil.disk_usage(_existing(self._bag.directory)).free < RESUME_ROOM:
                 return
+            self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
             self._stopped, self._bag = self._bag.error, bag
             for topic, (subscription, _) in self._recorded.items():
@@ -144,6 +147,11 @@ class RecorderNode(Node):
         self._bag.close()
         if self._bag.error:
             self.get_logger().error(self._bag.error)
+
+
+def _existing(folder: Path) -> Path:
+    """The folder, or the nearest above it that there is."""
+    return next(place for place in (folder, *folder.parents) if place.exists())
 
 
 def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
