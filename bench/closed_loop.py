@@ -28,14 +28,15 @@ def run(folder: Path | None = None) -> dict:
         with tempfile.TemporaryDirectory(prefix="st-closed-loop-") as name:
             return run(Path(name))
     vehicle = _wrong_file(folder)
+    plant = ["--plant-vehicle", config("vehicle/leaf.yaml")]
     effects = [part for name, value in HIDDEN.items() for part in ("--effect", f"{name}={value}")]
     runs = [folder / name for name in DRIVES]
     for number, drive in enumerate(runs):
-        _st("demo", "--scenario", drive.name, "--duration", SECONDS, "--vehicle", vehicle, *effects, "--seed", number,
-            "--output", drive)
+        _st("demo", "--scenario", drive.name, "--duration", SECONDS, "--vehicle", vehicle, *plant, *effects, "--seed",
+            number, "--output", drive)
     _st("discover", *(drive / "bag" for drive in runs), "--vehicle", vehicle, "--output", folder / "found")
     mended, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
-    unseen = ("demo", "--scenario", UNSEEN, "--duration", UNSEEN_SECONDS, *effects, "--seed", 100)
+    unseen = ("demo", "--scenario", UNSEEN, "--duration", UNSEEN_SECONDS, *plant, *effects, "--seed", 100)
     _st(*unseen, "--vehicle", vehicle, "--output", folder / "before")
     _st(*unseen, "--vehicle", mended if mended.exists() else vehicle, "--model", model, "--output", folder / "after")
     found = json.loads((folder / "found" / "discovery.json").read_text())
