@@ -94,7 +94,7 @@ def _draw(before: dict, after: dict) -> None:
             axis.annotate(f"{now:.2f} m", (now, row), (0, 6), textcoords="offset points", ha="center")
         axis.plot([], [], "o", color="0.3", markerfacecolor="white", label="file and model as they were")
         axis.plot([], [], "o", color="0.3", label="mended by st discover")
-        axis.set(xlabel="lateral error over 5 s, RMSE, live, hindsight [m]", xscale="log", yticks=range(len(names)),
+        axis.set(xlabel="lateral error over 5 s, RMSE, live, hindsight [m]", xlim=(0.0, None), yticks=range(len(names)),
                  yticklabels=names, ylim=(len(names) - 0.3, -0.7))
         axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
         figure.savefig(FIGURE)

@@ -94,12 +94,10 @@ class Laws:
     def slopes(self, vector: np.ndarray, which: np.ndarray) -> np.ndarray:
         return np.nan_to_num(self.loss.slopes(vector, which), posinf=0.0, neginf=0.0)
 
-    def linear(self, candidate: Candidate, without: Fitted) -> tuple[Loss, np.ndarray, np.ndarray]:
-        """The loss of a law, (COUNT, n, m) its slopes on top of `without`, (COUNT, n, m) scaled ones."""
+    def linear(self, candidate: Candidate, without: Fitted) -> tuple[Loss, np.ndarray]:
+        """The loss of a law, and its slopes (COUNT, n, m) on top of `without`."""
         loss = self.of(candidate)
-        which = self.space.indices(LAW)
-        slopes = np.nan_to_num(loss.slopes(without.vector, which), posinf=0.0, neginf=0.0)
-        return loss, which, slopes
+        return loss, np.nan_to_num(loss.slopes(without.vector, self.space.indices(LAW)), posinf=0.0, neginf=0.0)
 
     def quadratic(self, loss: Loss, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
         return loss.quadratic(rows, slopes).summed(self.block, self.blocks)

@@ -156,7 +156,7 @@ def _screen(laws: Laws, without: Fitted, base: np.ndarray, car: np.ndarray, cand
             signs: np.ndarray) -> _Screened | None:
     """Efficient scores of the coefficients: what everything beside explains is taken out of them. base: (b,)
     held-out loss without a law, by the same slopes. car: slopes of the vehicle file's parameters."""
-    loss, _, slopes = laws.linear(candidate, without)
+    loss, slopes = laws.linear(candidate, without)
     q = laws.quadratic(loss, without.rows, np.concatenate([without.slopes, slopes]))
     h = q.hessian.sum(axis=0)
     if float(np.trace(h[-COUNT:, -COUNT:])) <= 1e-9 * float(np.trace(h)):
