@@ -19,5 +19,5 @@ def test_nodes_take_their_file_and_the_car_another(tmp_path):
 def test_a_broken_file_of_the_car_is_refused_by_name(tmp_path):
     broken = tmp_path / "broken.yaml"
     broken.write_text("name: nothing else")
-    with pytest.raises(SuiteError, match="broken.yaml"):
+    with pytest.raises(SuiteError, match=r"broken\.yaml"):
         VirtualCar(LEAF, OPTIONS, broken)
