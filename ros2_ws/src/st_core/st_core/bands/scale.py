@@ -9,7 +9,7 @@ mean 0 would have; it is a scale also where the errors are not normal:
     minimise over C[a, k]   mean_w( log sigma + e^2 / (2 sigma^2) ) + RIDGE |C[a, k, 1:]|^2          (convex in C)
 
 Every run weighs the same. floor is a share of the root mean square error: without it, centimetres of sensor noise just
-after the start, where sigma goes to zero, would widen the band everywhere. Checked by: test_bands_scale.py, on errors
+after the start, where sigma goes to zero, would widen the band everywhere. Checked by: test_bands.py, on errors
 drawn with a known scale.
 """
 
@@ -24,7 +24,7 @@ from ..errors import StCoreError
 KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)
 """s ahead, of a horizon of 5 s; of another in proportion."""
 FLOOR_SHARE = 0.2
-"""Of the root mean square error of the axis. 0.03 made the bands of real drives twice as wide (docs/bands.md)."""
+"""Of the root mean square error of the axis."""
 LEAST = np.array([1.0e-3, 1.0e-3, 1.0e-4])
 """m, m, rad: smaller errors count as this large; no sensor resolves them."""
 RIDGE = 1.0e-2

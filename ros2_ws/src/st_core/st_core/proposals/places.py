@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..discovery.windows import Windows
-from ..effects._law import COUNT, INTERVALS, PLACES
+from ..effects._law import COUNT, INTERVALS, PLACES, bump
 from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0
@@ -59,12 +59,7 @@ class Candidate:
     def splines(self, u: np.ndarray) -> np.ndarray:
         """(COUNT, ...) what each coefficient adds at u [unit of the place]."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
-        return USUAL[self.place] * np.stack([_bump(t - k) + self.parity * _bump(s - k) for k in range(-1, COUNT - 1)])
-
-
-def _bump(t: np.ndarray) -> np.ndarray:
-    far, near = np.maximum(2.0 - np.abs(t), 0.0), np.maximum(1.0 - np.abs(t), 0.0)
-    return (far**3 - 4.0 * near**3) / 6.0
+        return USUAL[self.place] * np.stack([bump(t - k) + self.parity * bump(s - k) for k in range(-1, COUNT - 1)])
 
 
 def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:

@@ -28,12 +28,12 @@ SHAPES: dict[str, tuple[str, int, Formula]] = {
     "constant": ("y = {0:.3g}", 1, lambda u, p: p[0] + 0.0 * u),
     "linear": ("y = {0:.3g} u", 1, lambda u, p: p[0] * u),
     "cubic": ("y = {0:.3g} u^3", 1, lambda u, p: p[0] * u**3),
-    "square": ("y = {0:.3g} u^2", 1, lambda u, p: p[0] * u * np.abs(u)),
+    "square": ("y = {0:.3g} u |u|", 1, lambda u, p: p[0] * u * np.abs(u)),
     "inverse": ("y = {0:.3g} / u", 1, lambda u, p: p[0] / np.where(np.abs(u) < 1e-9, 1e-9, u)),
     "straight line": ("y = {0:.3g} + {1:.3g} u", 2, lambda u, p: p[0] + p[1] * u),
     "saturating": ("y = {0:.3g} tanh(u / {1:.3g})", 2, lambda u, p: p[0] * np.tanh(u / _apart(p[1]))),
     "dead zone": ("y = {0:.3g} (|u| - {1:.3g}) sign u beyond {1:.3g}, 0 within", 2,
-                  lambda u, p: p[0] * np.sign(u) * np.maximum(np.abs(u) - abs(p[1]), 0.0)),
+                  lambda u, p: p[0] * np.sign(u) * np.maximum(np.abs(u) - np.abs(p[1]), 0.0)),
     "linear and cubic": ("y = {0:.3g} u + {1:.3g} u^3", 2, lambda u, p: p[0] * u + p[1] * u**3),
 }
 
@@ -89,6 +89,8 @@ def readings(place: str, quantity: str, at: np.ndarray, value: np.ndarray, weigh
         if shape == "inverse" and np.abs(at).min() < 0.05 * np.abs(at).max():
             continue
         numbers = _fitted(formula, count, at, value, weight)
+        if shape == "dead zone":
+            numbers[1] = abs(numbers[1])
         explained = 1.0 - float(weight @ np.square(value - formula(at, numbers))) / total
         if explained >= LEAST:
             causes = CONSTANT.get(place, "") if shape == "constant" else CAUSES.get((place, quantity), "")
