@@ -8,8 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from st_core.checks import check, pooled
 from st_core.discovery import Discovery, DiscoverySettings, discover
 from st_core.discovery.limits import Limits
+from st_core.discovery.result import FoundEffect
 from st_offline.paths import source_version
 
 from . import baselines, edits
@@ -56,8 +59,11 @@ def about(case: Question) -> Record:
 
 
 def _timed(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Discovery, float]:
+    """As `st discover` asks: with what the checks measured of the sensors."""
     begin = time.process_time()
-    found = discover(suspect, vehicle, "nonlinear", reference, settings)
+    sensors = pooled([{name: value for name, value in check(log, vehicle).estimates.items() if np.isfinite(value).all()}
+                      for log in suspect])
+    found = discover(suspect, vehicle, "nonlinear", reference, settings, identities=sensors)
     return found, round(time.process_time() - begin, 2)
 
 
@@ -67,8 +73,8 @@ def answer(found: Discovery) -> Record:
     return {
         "outcome": found.outcome,
         "effects": [{"name": e.name, "kind": e.kind, "alternatives": list(e.alternatives),
-                     "position_5s": round(e.position_5s, 4),
-                     "values": {n: [p.value, *p.interval] for n, p in e.parameters.items()}} for e in found.effects],
+                     "position_5s": round(e.position_5s, 4), "values": _values(e)} for e in found.effects],
+        "kept": {e.name: _values(e) for e in found.minor},
         "bound": [[b.resembles, b.to] for b in found.bound],
         "unexplained": bool(found.signature),
         "steps": [[s.action, s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
@@ -80,6 +86,10 @@ def answer(found: Discovery) -> Record:
         "refused": [[c.name, round(c.gain, 4), c.verdict] for c in found.candidates[:5]
                     if c.verdict not in ("stated", "alternative")],
     }
+
+
+def _values(effect: FoundEffect) -> dict[str, list[float]]:
+    return {n: [p.value, *p.interval] for n, p in effect.parameters.items()}
 
 
 def in_fair_order(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Question]:

@@ -31,6 +31,7 @@ CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate"
 ALL = slice(None)
 
 Progress = Callable[[int, int], None]
+Watch = Callable[[np.ndarray, "Block"], None]
 
 
 @dataclass(frozen=True)
@@ -143,13 +144,14 @@ class LogEvaluation:
 
 def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog | LogSignals,
                  settings: EvaluationSettings | None = None, starts_ns: np.ndarray | None = None,
-                 progress: Progress | None = None) -> LogEvaluation:
+                 progress: Progress | None = None, watch: Watch | None = None) -> LogEvaluation:
     """Predict with every model from every start and score it.
 
     log: its signals are made with the settings, unless they are given.
     starts_ns: increasing; default every `interval` of the drive from its first INS sample on. A start where INS or
     steering is not known, or slower than minimum_speed, is skipped and counted. progress(done, total): after each
-    block. Source: paper, section on the comparison. Checked by: test_log_evaluation.py, against the live classes.
+    block. watch(starts_ns, block): sees each block with its whole errors before they are let go.
+    Source: paper, section on the comparison. Checked by: test_log_evaluation.py, against the live classes.
     """
     settings = settings or EvaluationSettings()
     models = [get_model(model) for model in models]
@@ -169,6 +171,8 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
             collected[key].add(rows, errors)
         for reason, count in block.incomplete.items():
             reasons[reason] = reasons.get(reason, 0) + count
+        if watch:
+            watch(starts[rows], block)
         if progress:
             progress(rows.stop, len(starts))
     errors = {key: collector.result() for key, collector in collected.items()}

@@ -1,9 +1,12 @@
 """The loss and the joint fits: against scipy, against finite differences, and against values that were put in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from scipy import optimize, stats
+from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, fit_effects
 from st_core.discovery.fit import FOLDS, Problem, Slopes, bounded
 from st_core.discovery.loss import FURTHEST, NU, SMALLEST, Errors, Loss, rho, weight
@@ -23,6 +26,19 @@ def small_noise(problem: Problem, share: float) -> Problem:
     problem.errors.noise = share * problem.errors.noise
     problem.loss.rescale(problem.errors.truth)
     return problem
+
+
+def test_roll_of_the_body_adds_to_what_is_felt_and_not_to_the_bias_of_the_sensor(leaf):
+    bias, gain = 0.3, 0.1
+    effects = {"lateral_acceleration_bias": {"bias": bias}}
+    logs = [replace(log, acceleration_y=(1.0 + gain) * (log.acceleration_y - bias) + bias)
+            for log in recorded(leaf, effects, 1, ("slalom", "lane_change"), noise=0.0)]
+    windows = Windows(logs, leaf, DiscoverySettings())
+    left = {g: windows.errors(augment("nonlinear", effects), g).values[..., windows.columns.index("acceleration_y")]
+            for g in (0.0, gain)}
+    size = {g: np.sqrt(np.nanmean(np.square(errors))) for g, errors in left.items()}
+    assert size[gain] < 0.2 * size[0.0]
+    assert abs(np.nanmean(left[gain])) < 0.005
 
 
 # The loss

@@ -253,6 +253,29 @@ def test_lateral_load_transfer_takes_the_curvature_of_the_tyre(leaf):
         assert abs(changed[axle]) < abs(plain[axle])
 
 
+def test_lateral_load_transfer_turns_the_car_like_four_wheels(leaf):
+    """Moment of the four tyre forces about the CG, each turned with its wheel, against yaw_rate_dot of the model."""
+    angle, state = 0.3, (0.0, 0.0, 6.0, -0.1, 0.0, 0.55)
+    track, front_part = 1.54, 0.55
+    model = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0, "track": track, "front": front_part}})
+    p = nonlinear_tyre.parameters(leaf)
+    axles, w = MODELS["nonlinear"].axles, MODELS["nonlinear"].inputs(angle, 0.0, p)
+    slips = axles.slip_angles(state, w, p)
+    moved = sum(axles.forces(*slips, w, p)) * leaf.cg_height / track
+    moment = sideways = 0.0
+    for axle, (tyre, part, x, turned) in enumerate((
+            (p.tyre_front, front_part, leaf.cg_to_front_axle, angle),
+            (p.tyre_rear, 1.0 - front_part, -leaf.cg_to_rear_axle, 0.0))):
+        load = 0.5 * nonlinear_tyre.axle_loads(0.0, p)[axle]
+        for side in (1.0, -1.0):  # left, right; the load goes to the right in a turn to the left
+            force = 0.5 * magic_formula_axle(slips[axle], 2.0 * (load - side * part * moved), tyre)
+            moment += x * force * math.cos(turned) + side * 0.5 * track * force * math.sin(turned)
+            sideways += force * math.cos(turned)
+    rates = model.rhs(state, model.inputs(angle, 0.0, model.parameters(leaf)), model.parameters(leaf))
+    assert rates[5] == pytest.approx(moment / leaf.yaw_inertia, rel=1e-9)
+    assert rates[3] + state[2] * state[5] == pytest.approx(sideways / leaf.mass, rel=1e-9)
+
+
 def magic_formula_axle(slip, load, tyre):
     """Two tyres sharing the load [N]."""
     return 2.0 * magic_formula_force(slip, *magic_formula_coefficients(0.5 * load, tyre), tyre)

@@ -8,6 +8,7 @@ from . import transport
 from .verbs import (
     align,
     bench,
+    calibrate,
     check,
     demo,
     develop,
@@ -39,6 +40,7 @@ app.command()(live.live)
 app.command()(ncom.ncom)
 app.command()(check.check)
 app.command()(evaluate.evaluate)
+app.command()(calibrate.calibrate)
 app.command(cls=discover.WithReferences)(discover.discover)
 app.command()(identify.identify)
 app.command()(replay.replay)

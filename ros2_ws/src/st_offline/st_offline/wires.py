@@ -49,15 +49,16 @@ def bridge_parameters(
 class VirtualCar:
     """The virtual Leaf on wires of its own: a free UDP port, and that port's CAN group on the loopback interface.
 
-    options: of the virtual_leaf command, besides those for the wires. Raises SuiteError for what it would refuse.
+    vehicle: file of bridges and nodes. options: of the virtual_leaf command, besides those for the wires. driven: file
+    of the car itself, where that is another. Raises SuiteError for what it would refuse.
     """
 
-    def __init__(self, vehicle: Path, options: Sequence[str]):
+    def __init__(self, vehicle: Path, options: Sequence[str], driven: Path | None = None):
         self.vehicle = vehicle
         self.port = free_udp_port()
         self.channel = f"239.74.163.2:{self.port}"
         wires = {
-            "--vehicle": self.vehicle,
+            "--vehicle": driven or self.vehicle,
             "--config": project_root() / "config",
             "--ncom-port": self.port,
             "--can-interface": "udp_multicast",

@@ -80,7 +80,7 @@ def test_what_is_bound_is_told_and_not_named(logs):
 def test_first_lines_name_runs_and_references_with_seconds(logs):
     lines = words.verdict(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
     assert [question for question, _ in lines[:2]] == ["suspect", "reference"]
-    assert lines[0][1] == ["2 runs, 40 s at 2 sites: <b>weave 20 s, other 20 s"]
+    assert lines[0][1] == ["2 runs, 40 s at 2 sites, told by tracks that overlap: <b>weave 20 s, other 20 s"]
     assert lines[1][1] == ["1 run, 20 s: healthy 20 s"]
     assert "starts from the vehicle file" in dict(words.verdict(discovery(logs, STEPS, 1.72), None))["reference"][0]
 

@@ -43,8 +43,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect in a set: the same for adding, keeping and exchanging it."""
     if e.gain < limits.negligible:
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
-                      f"it takes away {e.share:.1%} of the size of the errors; {limits.negligible:.1%} are "
-                      "looked at")
+                      f"it takes away {e.share:.1%} of the size of the errors, below the limit of "
+                      f"{limits.negligible:.1%}")
     if e.chance > limits.false_alarm:
         return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
                       f"with probability {e.chance:.2g} something gains as much where nothing is")
@@ -73,11 +73,11 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         a = e.agreement[level]
         return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.doubt,
                                        "false_alarm": limits.false_alarm},
-                      f"it is not the same over {WORDS[level]} (probability {a.differ:.2g} that it is), and the next "
-                      f"would show none of it or the opposite with probability {a.absent:.2g}")
+                      f"it is not the same over {WORDS[level]} (p = {a.differ:.1g} if it were), and another of them "
+                      f"would show none of it, or the opposite, with probability {a.absent:.2g}")
     return Reason(STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
                   f"it takes away {e.share:.1%} of the size of the errors and {100 * e.position:.1f} cm after "
-                  f"5 s, by chance with probability {e.chance:.2g}, and is the same everywhere")
+                  f"5 s, by chance with probability {e.chance:.2g}, and does not come and go")
 
 
 def worth_a_name(e: Evidence, limits: Limits, surely: bool = True) -> Reason:
@@ -140,14 +140,14 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
     kept = {name: [r for r in others if alternative(r, limits).rule == "alternative"]
             for name, others in a.rivals.items()}
     if len(a.stated) > 1:
-        return because("several", f"{len(a.stated)} effects are sure, worth it and the same everywhere",
+        return because("several", f"{len(a.stated)} effects are sure, worth it, and do not surely come and go",
                        effects=len(a.stated))
     if a.stated:
         name = a.stated[0].name
         others = kept.get(name, [])
         if others:
             return because("ambiguous", f"{1 + len(others)} names explain it equally well", names=1 + len(others))
-        return because("named", "one effect is sure, worth it and the same everywhere")
+        return because("named", "one effect is sure, worth it, and does not surely come and go")
     verdicts = [judge(e, limits) for e in a.refused]
     if a.bound or any(v.rule == VARIES for v in verdicts):
         return because("bound", "something is sure, but not the same everywhere")

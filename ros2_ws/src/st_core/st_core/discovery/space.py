@@ -30,17 +30,18 @@ class Free:
 
 
 class Space:
-    """base: the model discoveries are changes of. hypotheses: names of the effects that take part. null: (p,) the
-    vector of the base; scale, low, high: (p,) usual sizes and bounds."""
+    """base: the model discoveries are changes of. more: effects that are in the model and are no hypotheses.
+    hypotheses: names of the effects that take part. null: (p,) the vector of the base; scale, low, high: (p,) usual
+    sizes and bounds."""
 
-    def __init__(self, base: str | Model, settings: DiscoverySettings):
+    def __init__(self, base: str | Model, settings: DiscoverySettings, more: Sequence[str] = ()):
         base = get_model(base)
         kind = base.base if isinstance(base, AugmentedModel) else base
         known = applicable(kind.name)
         self.without_signal = tuple(n for n in known if get_effect(n).signals)
         takes_part = [n for n in known if n not in self.without_signal]
         self.hypotheses = _chosen(takes_part, settings, known)
-        everything = neutral(augment(kind, takes_part))
+        everything = neutral(augment(kind, [*takes_part, *more]))
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
         self.model = everything.with_values(values)
         self.null = np.append(self.model.vector, 0.0)

@@ -202,11 +202,11 @@ class Windows:
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> Errors:
         """Errors of a model; gain: what the accelerometer shows more than the motion, as a body that rolls makes it."""
-        seen = self._seen(model)
+        seen = self._seen(model, gain)
         m, parts = self._measured, {}
         for column in self.columns:
             if column == "acceleration_y":
-                parts[column] = m[column] - (1.0 + gain) * seen.acceleration_y
+                parts[column] = m[column] - seen.acceleration_y
             elif column == "yaw":
                 parts[column] = frames.wrap_angle(m["yaw"] - seen.yaw)
             elif not column.startswith("position"):
@@ -216,8 +216,11 @@ class Windows:
             parts |= {"position_lateral": lateral, "position_longitudinal": longitudinal}
         return Errors(np.stack([parts[c] for c in self.columns], axis=-1), seen.acceleration_y, self.columns, self.time)
 
-    def _seen(self, model: AugmentedModel) -> Measured:
-        """What the INS would show at the points; acceleration and yaw rate as means over 2 STEP, as measured."""
+    def _seen(self, model: AugmentedModel, gain: float) -> Measured:
+        """What the INS would show at the points; acceleration and yaw rate as means over 2 STEP, as measured.
+
+        The gain is of what the unit feels; what the sensor adds of its own comes after.
+        """
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
             shown = readings(MotionOnly(model), self.vehicle, tuple(np.moveaxis(states, -1, 0)))
@@ -227,7 +230,7 @@ class Windows:
                 turning[0] + 4.0 * turning[1] + turning[2]) / 6.0
             rate = (before.yaw_rate + 4.0 * true.yaw_rate + after.yaw_rate) / 6.0
             felt = self._felt(model, states[:, self._around[1]])
-            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y, acceleration_y=a_y + felt,
+            true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y, acceleration_y=(1.0 + gain) * (a_y + felt),
                                  yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP))
             return model.observe(true)
 

@@ -179,6 +179,8 @@ HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and 
 PASSIVE = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "felt")
 EFFECTS: dict[str, type[Effect]] = {}
+UNLISTED: dict[str, type[Effect]] = {}
+"""Effects a program builds models with and nobody searches for: not in the library, known to `get_effect` alone."""
 
 
 def register(effect: type[Effect]) -> type[Effect]:
@@ -186,11 +188,23 @@ def register(effect: type[Effect]) -> type[Effect]:
 
     Raises ConfigurationError naming the effect and what is wrong: a name taken, an unknown attribute, a text missing.
     """
+    _enter(effect, EFFECTS)
+    return effect
+
+
+def unlisted(effect: type[Effect]) -> type[Effect]:
+    """Class decorator: as `register`, and enters it in UNLISTED."""
+    _enter(effect, UNLISTED)
+    return effect
+
+
+def _enter(effect: type[Effect], registry: dict[str, type[Effect]]) -> None:
     name = effect.__dict__.get("name")
     if not issubclass(effect, Effect) or not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]*", name):
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _")
-    if name in EFFECTS:
-        raise ConfigurationError(f"effect {name}: registered already, by {source_file(EFFECTS[name])}")
+    for known in (EFFECTS, UNLISTED):
+        if name in known:
+            raise ConfigurationError(f"effect {name}: registered already, by {source_file(known[name])}")
     try:
         _check(effect)
     except ConfigurationError as error:
@@ -200,8 +214,7 @@ def register(effect: type[Effect]) -> type[Effect]:
     effect.Theta = theta
     if effect.fold is None and effect.vehicle:
         effect.fold = staticmethod(effect.vehicle)
-    EFFECTS[name] = effect
-    return effect
+    registry[name] = effect
 
 
 def _check(effect: type[Effect]) -> None:
@@ -254,6 +267,8 @@ def source_file(effect: type[Effect]) -> str:
 
 def get_effect(name: str) -> type[Effect]:
     """The effect of that name; raises ConfigurationError naming the nearest known one."""
+    if name in UNLISTED:
+        return UNLISTED[name]
     if name not in EFFECTS:
         near = difflib.get_close_matches(name, EFFECTS, n=1)
         hint = f", did you mean {near[0]}?" if near else ""

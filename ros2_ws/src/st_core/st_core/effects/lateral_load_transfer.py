@@ -3,11 +3,16 @@
     dF = share m a_y h / track, split between the axles;   F = F(F_z / 2 + dF) + F(F_z / 2 - dF) of two tyres
 
 a_y = (F_f + F_r) / m of the forces without the transfer. The difference to two equally loaded tyres is added, on top
-of any other change of the axle force.
+of any other change of the axle force. The steered wheels push unequally along the car too, the outer one backwards:
+
+    M_z = -track / 2 sin delta (F_outer - F_inner) of the front axle, against the turn
+
+A single track has no width to hold that moment; it is written as a pair of opposite axle forces.
 """
 
 from ..models.nonlinear_tyre import axle_loads
 from ..models.nonlinear_tyre import parameters as tyre_parameters
+from ..ops import sin, tan
 from ..tyres import magic_formula_coefficients, magic_formula_force
 from ._base import Effect, Parameter, register
 
@@ -18,16 +23,16 @@ def tyre_force(slip, load, tyre):
     return magic_formula_force(slip, b, d, e, tyre)
 
 
-def change(slip, load, moved, tyre):
-    """What two tyres of `load` gain when `moved` goes from one to the other, all in N."""
-    return (tyre_force(slip, load + moved, tyre) + tyre_force(slip, load - moved, tyre)
-            - 2.0 * tyre_force(slip, load, tyre))
+def pair(slip, load, moved, tyre):
+    """(outer, inner) tyre [N] when `moved` goes from the inner of two loads [N] to the outer."""
+    return tyre_force(slip, load + moved, tyre), tyre_force(slip, load - moved, tyre)
 
 
 @register
 class LateralLoadTransfer(Effect):
     name = "lateral_load_transfer"
-    physics = "F = F(F_z/2 + dF) + F(F_z/2 - dF) per axle, dF = share m a_y h / track"
+    physics = ("F = F(F_z/2 + dF) + F(F_z/2 - dF) per axle, dF = share m a_y h / track; "
+               "M_z = -track/2 sin(delta) dF_y of the front")
     excited_by = "cornering to the limit, transients; nothing shows it below 0.4 g"
     kind, slot = "physics", "both axles"
     twins = ("friction", "front_stiffness", "rear_stiffness")
@@ -56,6 +61,13 @@ class LateralLoadTransfer(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         front, rear = forces(slip_front, slip_rear, at)
-        moved = theta.share * (front + rear) * theta.car.cg_height / theta.track
-        return (front + change(slip_front, given[0], theta.front * moved, theta.car.tyre_front),
-                rear + change(slip_rear, given[1], (1.0 - theta.front) * moved, theta.car.tyre_rear))
+        car = theta.car
+        moved = theta.share * (front + rear) * car.cg_height / theta.track
+        outer, inner = pair(slip_front, given[0], theta.front * moved, car.tyre_front)
+        outer_rear, inner_rear = pair(slip_rear, given[1], (1.0 - theta.front) * moved, car.tyre_rear)
+        couple = 0.5 * theta.track * (outer - inner) / (car.cg_to_front_axle + car.cg_to_rear_axle)
+        # The equations of motion take the front force times cos delta.
+        return (front + outer + inner - 2.0 * tyre_force(slip_front, given[0], car.tyre_front)
+                - couple * tan(at.road_wheel_angle),
+                rear + outer_rear + inner_rear - 2.0 * tyre_force(slip_rear, given[1], car.tyre_rear)
+                + couple * sin(at.road_wheel_angle))

@@ -49,15 +49,15 @@ def agreement(scene: Scene) -> Drawn | None:
             heading = [quantities.plain(effect.name), quantities.short_values(effect.parameters)]
             axes.set_title("\n".join(line for text in heading for line in textwrap.wrap(text, 90 // len(effects))),
                            fontsize=8)
-            axes.set_xlabel("share")
+            axes.set_xlabel("share of the value")
         for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
             for axes in panels[0]:
                 axes.axhline(row - 0.5, color=TEXT, lw=0.5)
         panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
         panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
         caption = ("Point: share of the value stated that each part of the driving shows by itself, the other effects "
-                   "held. Bar: 95 %. Solid line: just that value; dotted: none of it. A property of the car is the "
-                   "same everywhere.")
+                   "held. Bar: 95 %, filled where that leaves out zero. Solid line: just that value; dotted: none of "
+                   "it. A property of the car is the same everywhere.")
         return finish(figure, scene.place, "agreement", _agreed(effects), caption)
 
 

@@ -75,14 +75,15 @@ def budget(scene: Scene) -> Drawn | None:
         axes.set_ylim(len(lines) - 0.4, -0.6)
         top = max(*(max(one.last, one.first) for one in lines), 1e-3)
         axes.set_xlim(min(0.0, 1.1 * min(min(one.last, one.first) for one in lines)), 1.35 * top)
-        axes.set_xlabel("of the mean position error after 5 s on held-out driving, m")
-        handles = [Patch(color=AFTER, label="added last: it alone can"),
-                   Patch(color=AFTER, alpha=0.45, label="added first: it can, or something else"),
+        axes.set_xlabel("part of the mean position error after 5 s on held-out driving, m")
+        handles = [Patch(color=AFTER, label="added last: gain when all others are in"),
+                   Patch(color=AFTER, alpha=0.45, label="added first: gain with nothing else in"),
                    Patch(color=MEASURED_COLOUR, label="unexplained")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
         largest = max(lines, key=lambda one: max(one.last, one.first))
         title = f"Where the error comes from, most from: {largest.part}, {words.span(largest)}"
-        caption = "Where both bars of a part are alike, its share does not depend on what else is blamed."
+        caption = ("Where both bars of a part are alike, its share does not depend on what else is blamed; added last "
+                   "is the larger one where a part shows only once the others are mended. Unexplained: noise included.")
         return finish(figure, scene.place, "budget", title, caption)
 
 

@@ -16,6 +16,7 @@ from st_core.effects import load_folder
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
+from st_core.proposals import Proposals, propose
 from st_core.vehicle import VehicleParameters
 
 from ..checking.document import findings_in
@@ -23,14 +24,16 @@ from ..checking.shown import say
 from ..evaluation.command import FORMATS
 from ..evaluation.drawing import Drawn, Place
 from ..output import new_folder
+from ..plain_json import finite
 from ..runs import ReadSettings, find_runs
-from . import answers
+from . import answers, proposed
 from .agreement_figures import agreement, bound
 from .answer_figures import budget, certificate, runs, waterfall
 from .document import document, model_file, write_json
 from .drive_figures import maps, over_time, paths
 from .drives import Drive, cache_folder, read_drives
 from .figures import Scene, candidates, conditions, gap
+from .law_figure import law_figure
 from .mending import Mended, mend
 from .page import write_page
 from .question import Question
@@ -60,6 +63,7 @@ class Job:
     report: bool = True
     cached: bool = True
     force: bool = False
+    propose: bool = False
 
 
 def run_command(job: Job, console: Console) -> int:
@@ -76,16 +80,21 @@ def run_command(job: Job, console: Console) -> int:
         suspect, healthy = _read(job, progress)
         marks.append(time.perf_counter())
         found, earlier = _answer(job, base, suspect, healthy, own, progress)
+        laws = _laws(job, found, suspect, progress) if job.propose else None
     marks.append(time.perf_counter())
     question = Question(suspect, healthy, job.base, job.vehicle, job.vehicle_file, job.vehicle_text, job.settings, own)
     seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
     with console.status("drawing, writing the report"):
-        drawn = draw(found, question, Place(folder / "figures", job.formats)) if job.report else None
+        place = Place(folder / "figures", job.formats)
+        drawn = draw(found, question, place) if job.report else None
+        if drawn is not None and laws and laws.proposal:
+            drawn.insert(0, law_figure(laws.proposal, place))
         mended = mend(found, question)
-        files = write_results(found, question, mended, folder, drawn, seconds)
+        files = write_results(found, question, mended, folder, drawn, seconds, laws)
     for drive in (*suspect, *healthy):
         say(drive.name, findings_in(drive.about), console)
-    show(found, mended, [d for d in (*suspect, *healthy) if d.problem], files, earlier, console)
+    show(found, mended, [d for d in (*suspect, *healthy) if d.problem], files, earlier, console,
+         proposed.told(laws) if laws else ())
     return 1 if any(d.problem for d in (*suspect, *healthy)) else 0
 
 
@@ -180,6 +189,11 @@ def _answer(job: Job, base: Model, suspect: Sequence[Drive], healthy: Sequence[D
     return found, False
 
 
+def _laws(job: Job, found: Discovery, suspect: Sequence[Drive], progress: Progress) -> Proposals:
+    bar = progress.add_task("looking for a law beyond the library", total=None)
+    return propose(found, _logs(suspect), job.vehicle, job.settings, job.jobs, lambda: progress.advance(bar))
+
+
 def measured(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
     """What the checks measured of the sensors, (value, low, high) by name, the drives together."""
     return pooled([{name: value for name, value in d.about["estimates"].items() if None not in value}
@@ -203,8 +217,9 @@ def draw(found: Discovery, question: Question, place: Place) -> list[Drawn]:
 
 
 def write_results(found: Discovery, question: Question, mended: Mended | None, folder: Path,
-                  drawn: Sequence[Drawn] | None, seconds: dict[str, float]) -> dict[str, Path]:
-    """All files; by what they are. drawn: None for no page."""
+                  drawn: Sequence[Drawn] | None, seconds: dict[str, float],
+                  laws: Proposals | None = None) -> dict[str, Path]:
+    """All files; by what they are. drawn: None for no page. laws: what is proposed beyond the library."""
     files = {"discovery.json": folder / "discovery.json"}
     if mended is not None:
         model = model_file(found, question, mended)
@@ -212,9 +227,14 @@ def write_results(found: Discovery, question: Question, mended: Mended | None, f
             if text:
                 files[name] = folder / name
                 files[name].write_text(text, encoding="utf-8")
-    content = document(found, question, mended, seconds)
+    content = document(found, question, mended, seconds) | ({"law": finite(proposed.document(laws))} if laws else {})
+    if laws:
+        about = content["provenance"]
+        digests = {f"{name}: {Path(file).name}": digest for name, run in about["runs"].items()
+                   for file, digest in run["files"].items()}
+        files |= proposed.write(laws, question.vehicle, list(about["runs"]), about["created"], digests, folder)
     write_json(files["discovery.json"], content)
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}
-        write_page(files["report.html"], found, mended, content, drawn)
+        write_page(files["report.html"], found, mended, content, drawn, proposed.told(laws) if laws else ())
     return files

@@ -15,14 +15,14 @@ VERDICTS = ("stated", "alternative", "bound")  # first in the table of all effec
 
 
 def write_page(file: Path, found: Discovery, mended: Mended | None, content: dict[str, Any],
-               figures: Sequence[Drawn]) -> None:
-    """content: of discovery.json."""
+               figures: Sequence[Drawn], law: Sequence[str] = ()) -> None:
+    """content: of discovery.json. law: lines on what is proposed beyond the library."""
     about = content["provenance"]
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     order = {verdict: place for place, verdict in enumerate(VERDICTS)}
     ranked = sorted(found.candidates, key=lambda c: (order.get(c.verdict, len(order)), -c.gain))
     text = template("discovery", "discovery.html.jinja", plain=quantities.plain, channel=quantities.channel).render(
         title=words.title(found), found=found, verdict=words.verdict(found, mended), content=content, figures=figures,
-        candidates=ranked, words=words, quantities=quantities, size=quantities.size,
+        candidates=ranked, words=words, law=law, quantities=quantities, size=quantities.size,
         recordings={**refused, **about["runs"], **about["reference"]})
     file.write_text(text, encoding="utf-8")

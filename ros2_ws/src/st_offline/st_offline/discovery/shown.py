@@ -14,18 +14,23 @@ from .mending import Mended
 
 WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/discovery.md",
         "vehicle.yaml": "the vehicle file, mended: --vehicle of every verb",
+        "effects": "the law proposed, as an effect: --effects of st discover, st demo, st live",
+        "proposed.yaml": "a model with it: --model, beside --effects",
         "model.yaml": "what a vehicle file cannot hold: --model of st demo, st live, st evaluate"}
 
 
 def show(found: Discovery, mended: Mended | None, failed: Sequence[Drive], files: Mapping[str, Path], earlier: bool,
-         console: Console) -> None:
-    """Runs, answer, waterfall, budget. earlier: whether the answer is that of an earlier start."""
+         console: Console, law: Sequence[str] = ()) -> None:
+    """Runs, answer, waterfall, budget. earlier: whether the answer is that of an earlier start. law: lines on what is
+    proposed beyond the library."""
     lines = words.verdict(found, mended)
     _answers(lines[:2], console)
     console.print(f"[bold]{escape(words.title(found))}[/bold]", highlight=False)
     for table in filter(None, (waterfall(found), budget(found))):
         console.print(table)
     _answers(lines[2:], console)
+    if law:
+        _answers([("beyond the library", law)], console)
     for warning in found.warnings:
         console.print(f"[yellow]{escape(warning)}[/yellow]", highlight=False)
     for drive in failed:

@@ -24,6 +24,7 @@ RANKED = ("position_5s", "velocity_y", "yaw_rate", "acceleration_y", "yaw", "pos
 MOST_PARTS = 6
 MOST_BLIND = 8  # told in a sentence; all are in the table
 LEAST = 0.005  # m; a step that changes the position by less is told by the channel it changes most
+MOST_WORST = 2
 SURE = 1.96
 SHOWN = Limits().shown
 
@@ -105,7 +106,7 @@ def drives(found: Discovery) -> list[tuple[str, str]]:
         mine = [run for run in found.runs if run.role == role]
         told = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in mine)
         sites = len({run.site for run in mine})
-        where = f" at {sites} sites" if sites > 1 else ""
+        where = f" at {sites} sites, told by tracks that overlap" if sites > 1 else ""
         lines.append((role, f"{len(mine)} run{'' if len(mine) == 1 else 's'}, {sum(r.seconds for r in mine):.0f} s"
                       f"{where}: {told}" if mine else "none; the search starts from the vehicle file"))
     return lines
@@ -117,7 +118,7 @@ def what(found: Discovery) -> list[str]:
     for effect in found.effects:
         physics = EFFECTS[effect.name].physics if effect.name in EFFECTS else ""
         others = ", ".join(map(plain, effect.alternatives))
-        parts.append(f"{plain(effect.name)}{f' (or {others}: not told apart)' if others else ''}, {effect.kind}: "
+        parts.append(f"{plain(effect.name)}{f' (or {others}: not ruled out)' if others else ''}, {effect.kind}: "
                      + values(effect.name, effect.parameters) + (f"; {physics}" if physics else ""))
     if found.outcome == "unknown":
         parts.append(" ".join(("something that is not in the library.", *found.signature)))
@@ -151,7 +152,12 @@ def agreed(effect: FoundEffect) -> str:
         entries = effect.agreement.get(level, ())
         called = "parts of the runs" if any(", part " in v.where for v in entries) else f"{level}s"
         told += [f"{showing(entries)} of {len(entries)} {called}"] if entries else []
-    return f"{plain(effect.name)} shows by itself in {', '.join(told)} that can tell" if told else ""
+    entries = [v for level in ("run", "site") for v in effect.agreement.get(level, ())]
+    if not entries:
+        return ""
+    low, high = min(entries, key=lambda v: v.share), max(entries, key=lambda v: v.share)
+    return (f"{plain(effect.name)} shows by itself in {', '.join(told)} that can tell; smallest share {low.share:.2f} "
+            f"of the value ({low.where}), largest {high.share:.2f} ({high.where})")
 
 
 def sure(found: Discovery) -> list[str]:
@@ -190,7 +196,7 @@ def left(found: Discovery) -> str:
     text = f"{metres(after)} of the 5 s position error remain; noise alone leaves {metres(gap.floor)}"
     worst = f"; the worst run is {gap.worst_run} with {metres(gap.worst)}" if gap.worst_run else ""
     worse = gap.worse_runs
-    compared = f"; made worse on {', '.join(worse)}" if worse else "; no run became worse"
+    compared = f"; made worse on {', '.join(worse)}" if worse else "; it became larger in no run"
     return f"{text}{worst}{compared if found.model else ''}"
 
 
@@ -199,7 +205,8 @@ def blind(found: Discovery) -> list[str]:
     told = [visible(found)] if visible(found) else []
     if found.not_testable:
         names = ", ".join(plain(n.name) for n in found.not_testable[:MOST_BLIND])
-        told.append(f"cannot be seen: {names}{', …' if len(found.not_testable) > MOST_BLIND else ''}")
+        more = len(found.not_testable) - MOST_BLIND
+        told.append(f"cannot be seen: {names}{f' and {more} more, listed below' if more > 0 else ''}")
     return told
 
 
@@ -222,8 +229,9 @@ def following(found: Discovery) -> str:
     if n is None:
         return ""
     first, second = map(plain, n.separates)
+    now = next((p.strength for p in found.separability if {p.first, p.second} == set(n.separates)), 0.0)
     return (f"{n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would put {first} and {second} "
-            f"{n.strength:.1f} standard deviations apart; {n.reason}")
+            f"{n.strength:.1f} standard deviations of the noise apart; these drives: {now:.1f}; {n.reason}")
 
 
 def to_do(found: Discovery, mended: Mended | None) -> list[str]:
@@ -232,20 +240,21 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
     if mended is not None and mended.folded:
         told.append(f"take vehicle.yaml: {keys(mended.changes)}")
     for name, change_of in (mended.kept if mended is not None else {}).items():
-        told.append(f"{plain(name)} is in model.yaml: these recordings hold the angle of the road wheels, or something "
-                    "acts before it, so that no entry of a vehicle file changes it; for recordings of the steering "
-                    f"wheel the entry would be {keys(change_of)}")
+        told.append(f"{plain(name)} is in model.yaml: these recordings hold the angle of the road wheels, or play in "
+                    "the steering acts before it, and no entry of a vehicle file corrects that; where the steering "
+                    f"wheel is recorded, set {keys(change_of)}")
     rest = [e for e in found.effects if mended is None or e.name not in mended.folded]
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
         told.append(f"{', '.join(sensors)}: model.yaml corrects for it; once the sensors are mended, or recordings "
-                    "corrected in run.yaml, discover anew without it, or it is corrected twice")
+                    "corrected in run.yaml, use the model.yaml of a new st discover: this one would correct twice")
     others = [plain(e.name) for e in rest if e.kind != "sensors" and (mended is None or e.name not in mended.kept)]
     if others:
         told.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.minor and found.effects:
-        told.append(f"model.yaml also holds {', '.join(plain(e.name) for e in found.minor)}: part of the fit, but too "
-                    "small beside what is left to be named")
+        kept = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.minor)
+        told.append(f"model.yaml also holds {kept}: part of the fit, too small beside what is left to be believed; do "
+                    "not read it as a property of the car")
     if found.outcome == "unknown":
         told.append("look where and when it misses; an effect of one's own can be added (docs/effects.md)")
     shows = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
@@ -265,10 +274,16 @@ def verdict(found: Discovery, mended: Mended | None) -> list[tuple[str, list[str
     """(question, lines of the answer) of what is told first; empty answers are left out."""
     lines = [*((role, [text]) for role, text in drives(found)), ("what", what(found)), ("how sure", sure(found)),
              ("what to do", to_do(found, mended)), ("not named", list(map(tied, found.bound))),
-             ("of the error", [parts(found.budget)]), ("what is left", [left(found)]), ("these drives", blind(found)),
+             ("of the error", [parts(found.budget)]), ("what is left", [left(found)]),
+             ("the base misses most", misses(found)), ("these drives", blind(found)),
              ("next drive", [following(found)])]
     said = [(question, [text for text in answer if text]) for question, answer in lines]
     return [(question, answer) for question, answer in said if answer]
+
+
+def misses(found: Discovery) -> list[str]:
+    """Where the base model is surely worst, before anything was found."""
+    return [statement(w) for w in sorted(found.where, key=lambda w: -w.interval[0])[:MOST_WORST]]
 
 
 def statement(w: WhereStatement) -> str:

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from ..bands.shown import HOW_TO_GET, bands_table
 from ..checking.document import findings_in
 from ..checking.shown import say
 from ..output import new_folder
@@ -51,6 +52,8 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     console.print(terminal_table(good, over, title, console.width))
     for key, value in settings_in_words(choices).items():
         console.print(f"[dim]{key}: {escape(value)}[/dim]", highlight=False, soft_wrap=True)
+    tested = bands_table(good, console.width)
+    console.print(HOW_TO_GET if tested is None else tested, highlight=False, soft_wrap=tested is None)
     for report in found:
         say(report.name, findings_in(report.about), console)
     for key, what in WHAT_IS_WHAT.items():

@@ -9,6 +9,8 @@ from typing import Any
 
 from st_core.vehicle import VehicleParameters
 
+from ..bands.figures import band_figures
+from ..bands.sums import finished, pooled_sums
 from ..results import versions
 from . import tables
 from .drawing import Place
@@ -62,9 +64,17 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
         "manoeuvres": {r.name: r.manoeuvres for r in good},
         "manoeuvres_all_runs": pooled_manoeuvres(good),
         "about": {r.name: r.about for r in good},
+        **_bands(good, choices.task),
         "failed": {r.name: r.problem for r in reports if r.problem},
         "refused": {r.name: r.about["findings"] for r in reports if r.problem and r.about},
     }
+
+
+def _bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
+    if task.bands is None:
+        return {}
+    return {"bands": {r.name: finished(r.bands) for r in good},
+            "bands_all_runs": {"file": task.bands[0], **finished(pooled_sums([r.bands for r in good]))}}
 
 
 def pooled_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
@@ -104,7 +114,8 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     about = f"{words['vehicle']}; starts {words['starts']}; horizon {words['horizon']}; {words['measured inputs']}."
     files["latex"].write_text(tables.latex_table(good, choices.over, about))
     drawn = overview(good, choices.over, Place(folder, choices.task.formats))
-    write_page(files["page"], title, reports, content, words, drawn, choices.over)
+    of_bands = band_figures(content.get("bands_all_runs"), Place(folder, choices.task.formats))
+    write_page(files["page"], title, reports, content, words, drawn, of_bands, choices.over)
     return files
 
 

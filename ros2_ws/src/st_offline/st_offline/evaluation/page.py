@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..bands.shown import band_rows
 from ..pages import template
 from . import tables
 from .drawing import Drawn
@@ -13,13 +14,14 @@ BUDGET = 4_500_000  # bytes of figures, so that the page stays below 5 MB
 
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
-               settings: dict[str, str], overview: Drawn | None, over: str) -> None:
-    """content: of evaluation.json."""
+               settings: dict[str, str], overview: Drawn | None, bands: Sequence[Drawn], over: str) -> None:
+    """content: of evaluation.json. bands: figures of the bands that were tested."""
     good = [r for r in reports if not r.problem]
     text = template("evaluation", "page.html.jinja").render(
         title=title, reports=good, failed=[r for r in reports if r.problem], content=content, settings=settings,
         about={r.name: r.about for r in reports},
-        overview=overview, over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS,
+        overview=overview, band_figures=bands, band_rows=band_rows(content.get("bands_all_runs")),
+        over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS,
         figures=_within_budget(good), shown=tables.shown, best=tables.best, values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")
 

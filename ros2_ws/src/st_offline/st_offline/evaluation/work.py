@@ -5,14 +5,16 @@ import math
 import re
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from st_core.bands import Bands
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log_evaluation import AXES, EvaluationSettings, LogEvaluation, evaluate_log
+from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.stability import StepTooLongWarning
@@ -36,7 +38,8 @@ class Task:
     starts: times [s] to look at closely, () for a choice.
 
     folder: gets runs/<name>/ with starts.csv and figures; None: nothing is written. formats: of the figures.
-    force: whether runs are evaluated of which the checks say that it means nothing.
+    force: whether runs are evaluated of which the checks say that it means nothing. bands: (file name, content) of a
+    bands.yaml to be tested.
     """
 
     vehicle: VehicleParameters
@@ -47,6 +50,7 @@ class Task:
     folder: Path | None = None
     formats: tuple[str, ...] = ("png", "pdf")
     force: bool = False
+    bands: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,8 @@ class RunReport:
     """What one run contributes; plain values and drawings, so that it can come from another process.
 
     problem: why there is nothing else but, perhaps, the findings that refused it. finding: one sentence. about:
-    provenance, counts, alignment, warnings, findings of the checks. seconds: wall time by part.
+    provenance, counts, alignment, warnings, findings of the checks. bands: sums of bands.scoring. seconds: wall time by
+    part.
     """
 
     name: str
@@ -66,6 +71,7 @@ class RunReport:
     bins: list[dict[str, Any]] = field(default_factory=list)
     manoeuvres: list[dict[str, Any]] = field(default_factory=list)
     figures: list[Drawn] = field(default_factory=list)
+    bands: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -94,7 +100,10 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     findings = passed(source.where, run.log, task.vehicle, run.extras, task.force, models,
                       task.settings.prediction.step)
     signals = task.settings.signals(run.log)
-    evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress)
+    bands = load_bands(task, models)
+    scorer = _scorer(bands, signals) if bands else None
+    evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
+                              watch=scorer.add if scorer else None)
     marks.append(time.perf_counter())
     parts = manoeuvres(run.log, run.labels)
     if not any(errors.n_starts for errors in evaluation.errors.values()):
@@ -118,7 +127,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     return RunReport(
         source.name, "", ranking(evaluation, "lateral"), about, statistics.by_model(evaluation),
         statistics.by_second(evaluation), statistics.by_bin(evaluation), statistics.by_manoeuvre(evaluation, parts),
-        figures, dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
+        figures, scorer.sums(run.provenance["files"]) if scorer else {},
+        dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
 
 
 def load_models(task: Task) -> list[Model]:
@@ -137,6 +147,29 @@ def load_models(task: Task) -> list[Model]:
         if names.count(name) > 1:
             raise ConfigurationError(f"two models are named {name}: one model file at a time, and each name once")
     return models
+
+
+def _scorer(bands: Bands, signals: LogSignals):
+    from ..bands.scoring import Scorer  # a library of scores that an evaluation without bands need not wait for
+
+    return Scorer(bands, signals)
+
+
+def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
+    """The bands of a task; None where none are to be tested. Raises ConfigurationError for bands of another car, model
+    or configuration.
+    """
+    if task.bands is None:
+        return None
+    origin, text = task.bands
+    bands = Bands.from_yaml(text, origin)
+    files = [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
+    hashes = {file.model().name: file.hash for file in files}
+    try:
+        bands.check(task.vehicle, {model.name: hashes.get(model.name, "") for model in models}, task.settings)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{origin}: {error}") from None
+    return bands
 
 
 def _why_nothing(evaluation: LogEvaluation, overlap: float) -> str:

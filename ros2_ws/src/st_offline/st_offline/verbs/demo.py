@@ -18,6 +18,10 @@ def demo(
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
     ),
+    plant_vehicle: Path | None = typer.Option(
+        None, help="Vehicle file of the virtual Leaf itself; default the same. --vehicle is what the nodes believe.",
+        exists=True, dir_okay=False
+    ),
     duration: float | None = typer.Option(None, help="Seconds of driving; default 60, or the whole drive.", min=6.0),
     plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
     effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),
@@ -55,7 +59,7 @@ def demo(
     options += ["--duration", str(duration + AFTERWARDS)] if duration else []
     options += [word for e in effect for word in ("--effect", e)]
     try:
-        car = VirtualCar(vehicle_file(vehicle), options)
+        car = VirtualCar(vehicle_file(vehicle), options, plant_vehicle and plant_vehicle.absolute())
         fourth = fourth_model(model, effects, car.vehicle)
         shown = window(view, view_save)
         folder = new_folder(output, f"demo-{what}")

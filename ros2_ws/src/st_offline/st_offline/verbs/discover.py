@@ -63,6 +63,9 @@ def discover(
         False, "--certify", help="Search also these drives with known effects put in, and without any: what would be "
         "found, and what is a false alarm. Takes minutes."
     ),
+    propose: bool = typer.Option(
+        False, "--propose", help="Look for a law beyond the library, and write it as an effect file to keep or delete."
+    ),
     seed: int = typer.Option(0, help="Of every drawing of numbers."),
     jobs: int = typer.Option(1, help="Processes side by side.", min=1),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
@@ -95,7 +98,7 @@ def discover(
             runs, reference, base, VehicleParameters.from_yaml(text, str(file)), str(file), text,
             DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify),
             ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset),
-            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force)
+            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose)
         status = run_command(job, Console())
     except (StCoreError, CommandError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st discover: {error}", err=True)

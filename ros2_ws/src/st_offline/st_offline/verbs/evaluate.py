@@ -49,6 +49,10 @@ def evaluate(
     signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
     steering_sign: int = typer.Option(1, help="CAN logs: +1 where the decoded sensor is left positive; -1: right."),
     steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
+    bands: Path | None = typer.Option(
+        None, help="Bands of `st calibrate`, to be tested on these runs: coverage, scores, reliability.", exists=True,
+        dir_okay=False
+    ),
     force: bool = typer.Option(False, "--force", help="Evaluate also runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Runs evaluated side by side (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
@@ -65,7 +69,7 @@ def evaluate(
     from st_core.prediction import PredictionSettings
 
     from ..evaluation.command import CommandError, run_command
-    from ..evaluation.work import Task, load_models
+    from ..evaluation.work import Task, load_bands, load_models
     from ..output import OutputError
     from ..runs import ReadSettings
 
@@ -76,8 +80,8 @@ def evaluate(
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
-        models = tuple(_model(name) for name in dict.fromkeys(model))
-        car, car_from = _car(vehicle, models)
+        models = tuple(model_named(name) for name in dict.fromkeys(model))
+        car, car_from = car_of(vehicle, models)
         task = Task(
             vehicle=car,
             models=models,
@@ -87,8 +91,9 @@ def evaluate(
             starts=_numbers(at),
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
             force=force,
+            bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")),
         )
-        load_models(task)
+        load_bands(task, load_models(task))
         status = run_command(runs, task, output, table, car_from, workers, scheduler, Console())
     except (StCoreError, CommandError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st evaluate: {error}", err=True)
@@ -96,7 +101,7 @@ def evaluate(
     raise typer.Exit(status)
 
 
-def _model(name: str) -> str | tuple[str, str]:
+def model_named(name: str) -> str | tuple[str, str]:
     """A model's name, or its file with the content: workers elsewhere may not see the file."""
     if not name.endswith((".yaml", ".yml")):
         return name
@@ -106,7 +111,7 @@ def _model(name: str) -> str | tuple[str, str]:
         raise typer.BadParameter(f"--model {name}: {error.strerror}") from None
 
 
-def _car(vehicle: Path | None, models: Sequence[str | tuple[str, str]]) -> tuple["VehicleParameters", str]:
+def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]]) -> tuple["VehicleParameters", str]:
     """The car and where it comes from: the file given, else the model file that holds one, else the Leaf."""
     from st_core.model_file import ModelFile
     from st_core.vehicle import VehicleParameters

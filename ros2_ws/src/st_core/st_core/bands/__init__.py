@@ -1,0 +1,18 @@
+"""Calibrated bands: how far from its predicted path the car will be, and how often that is true.
+
+For every model and two questions kept apart - hindsight: the model alone; forecast: model and driver - half-widths
+along, across and in yaw at every point of the horizon, so that the whole measured path lies inside with a stated
+probability. Learnt from errors of scored starts (`run_samples`, `calibrate`), kept in a file (`Bands`).
+docs/bands.md.
+"""
+
+from .band import LEVELS, RELIABILITY, Band, calibrate
+from .conditions import CONDITIONS, activity_instants, conditions, conditions_at, steering_activity
+from .conformal import conformal_factors, most_promised, runs_needed
+from .file import Bands
+from .samples import RunSamples, run_samples, seen_from_prediction
+from .seen import Seen
+
+__all__ = ["CONDITIONS", "LEVELS", "RELIABILITY", "Band", "Bands", "RunSamples", "Seen", "activity_instants",
+           "calibrate", "conditions", "conditions_at", "conformal_factors", "most_promised", "run_samples",
+           "runs_needed", "seen_from_prediction", "steering_activity"]

@@ -1,0 +1,193 @@
+"""Bands as a file, bands.yaml: for one car, its models and one configuration, and the recordings they were learnt from.
+
+    schema: 1
+    vehicle: {name: "...", hash: "..."}
+    settings: {horizon: 5.0, step: 0.05, ...}            of the predictions; SI
+    recordings: {"run.csv": "sha256 ..."}
+    runs: 12
+    seen: {starts: [[...]], most: [...]}                 conditions that were calibrated
+    bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
+    hash: "..."
+
+Half-widths are in m, m and rad; coefficients, factors and ratios have no unit. A file whose content does not fit its
+hash was changed and is refused: a promise does not survive an edit.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConfigurationError
+from ..log_evaluation import MODES, EvaluationSettings
+from ..prediction import configuration_hash
+from ..vehicle import VehicleParameters
+from ..yaml_text import check_keys, load
+from .band import Band
+from .samples import Question
+from .scale import Scale, features, knots_of
+from .seen import Seen
+
+SCHEMA = 1
+HEADER = "# Bands: how far from its prediction the car will be, by model and question. Made by `st calibrate`.\n"
+UNITS = "half-widths along, across: m; yaw: rad; factors and ratios: 1; conditions: m/s, m/s^2, m/s^2, rad/s"
+ALIKE = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
+"""Settings with which errors are others. `interval` and `stale_after` only choose starts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """All bands of a car. bands: by (model, mode). hashes: by model, of `prediction.configuration_hash`.
+
+    settings: as EvaluationSettings.as_dict. recordings: sha256 by name. runs: how many were learnt from.
+    """
+
+    vehicle_name: str
+    vehicle_hash: str
+    settings: Mapping[str, Any]
+    recordings: Mapping[str, str]
+    runs: int
+    seen: Seen
+    bands: Mapping[Question, Band]
+    hashes: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        return tuple(self.hashes)
+
+    @property
+    def time(self) -> np.ndarray:
+        """(points,) of the half-widths [s ahead], without the start."""
+        return times(self.settings["horizon"], self.settings["step"])
+
+    def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
+        """(n, points + 1, 3): along, across the predicted path [m] and in yaw [rad], 0 at the start.
+
+        conditions: (n, 4), `conditions.conditions`. NaN where they were never calibrated (see `Seen.why_not`). The
+        whole measured path of the INS point lies within, all three at all points, with the probability `level`. Raises
+        KeyError for a model, mode or level that is not in the file.
+        """
+        band = self.bands[model, mode]
+        conditions = np.atleast_2d(np.asarray(conditions, float))
+        seen = self.seen(conditions)
+        result = np.full((len(conditions), len(band.scale.time) + 1, 3), np.nan)
+        result[seen, 0] = 0.0
+        result[seen, 1:] = band.half_widths(conditions[seen], level)
+        return result
+
+    def check(self, vehicle: VehicleParameters, models: Mapping[str, str], settings: EvaluationSettings) -> None:
+        """Raises ConfigurationError, one line, when the bands hold for another car, model or configuration.
+
+        models: hash of the model file by model that is to be used, "" for one of the paper's.
+        """
+        if vehicle.hash != self.vehicle_hash:
+            raise ConfigurationError(f"vehicle: the bands hold for {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
+                                     f"this is {vehicle.name!r} {vehicle.hash[:12]}; calibrate with drives of this car")
+        present = settings.as_dict()
+        for key in ALIKE:
+            if present[key] != self.settings[key]:
+                raise ConfigurationError(f"settings.{key}: the bands hold for {self.settings[key]}, not {present[key]}"
+                                         "; take the same, or calibrate with this one")
+        for model, digest in models.items():
+            if model not in self.hashes:
+                raise ConfigurationError(f"bands.{model}: there is none, only of {', '.join(self.models)}; calibrate "
+                                         "with that model")
+            if configuration_of(vehicle, self.settings, digest) != self.hashes[model]:
+                raise ConfigurationError(f"bands.{model}: made with another model file of that name; calibrate with "
+                                         "this one")
+
+    def to_yaml(self) -> str:
+        """A file that `from_yaml` reads back to the same bands."""
+        document = self._document()
+        lines = [HEADER + f"schema: {SCHEMA}", f"units: {json.dumps(UNITS)}"]
+        lines += [f"{key}: {_flow(document[key])}" for key in ("vehicle", "settings", "runs", "seen")]
+        lines += ["recordings:", *(f"  {_flow(k)}: {_flow(v)}" for k, v in document["recordings"].items())]
+        lines.append("bands:")
+        for model, entry in document["bands"].items():
+            lines += [f"  {model}:", f"    configuration_hash: {_flow(entry['configuration_hash'])}"]
+            for mode in (m for m in MODES if m in entry):
+                lines += [f"    {mode}:", *(f"      {k}: {_flow(v)}" for k, v in entry[mode].items())]
+        return "\n".join([*lines, f"hash: {_flow(_digest(document))}"]) + "\n"
+
+    def _document(self) -> dict[str, Any]:
+        entries: dict[str, Any] = {model: {"configuration_hash": digest} for model, digest in self.hashes.items()}
+        for (model, mode), band in self.bands.items():
+            entries[model][mode] = {
+                "factors": {f"{level:g}": c for level, c in band.factors.items()}, "floor": band.scale.floor.tolist(),
+                "ratios": band.ratios.tolist(), "coefficients": band.scale.coefficients.tolist()}
+        return {
+            "vehicle": {"name": self.vehicle_name, "hash": self.vehicle_hash}, "settings": dict(self.settings),
+            "recordings": dict(self.recordings), "runs": self.runs,
+            "seen": {"starts": self.seen.starts.tolist(), "most": list(self.seen.most)}, "bands": entries}
+
+    @classmethod
+    def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":
+        """What a file says. origin: name shown in errors, usually the path. Raises ConfigurationError, one line."""
+        try:
+            return cls._read(load(text))
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{origin}: {error}") from None
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+            raise ConfigurationError(f"{origin}: not a bands file, or one cut off; make it anew with st calibrate") \
+                from None
+
+    @classmethod
+    def _read(cls, document: Any) -> "Bands":
+        if not isinstance(document, dict):
+            raise ConfigurationError("not a bands file; make one with st calibrate")
+        keys = ["schema", "units", "vehicle", "settings", "recordings", "runs", "seen", "bands", "hash"]
+        check_keys("", document, keys, required=keys)
+        if document["schema"] != SCHEMA:
+            raise ConfigurationError(f"schema: {document['schema']} is not {SCHEMA}; calibrate with this version")
+        content = {key: document[key] for key in keys[2:-1]}
+        if _digest(content) != document["hash"]:
+            raise ConfigurationError("hash: the content was changed since it was made; calibrate anew")
+        settings = document["settings"]
+        time = times(settings["horizon"], settings["step"])
+        bands, hashes = {}, {}
+        for model, entry in document["bands"].items():
+            hashes[model] = str(entry["configuration_hash"])
+            for mode in (m for m in MODES if m in entry):
+                bands[model, mode] = _band(entry[mode], time)
+        seen = Seen(np.array(document["seen"]["starts"], int), tuple(map(float, document["seen"]["most"])))
+        return cls(document["vehicle"]["name"], document["vehicle"]["hash"], settings, document["recordings"],
+                   int(document["runs"]), seen, bands, hashes)
+
+
+def times(horizon: float, step: float) -> np.ndarray:
+    """(points,) of the horizon without the start [s]."""
+    return step * np.arange(1, round(horizon / step) + 1)
+
+
+def configuration_of(vehicle: VehicleParameters, settings: Mapping[str, Any], model_hash: str) -> str:
+    """The configuration hash that a prediction with these settings carries. model_hash: "" for a model of the paper."""
+    prediction = EvaluationSettings().prediction
+    return configuration_hash(vehicle, type(prediction)(**{key: settings[key] for key in vars(prediction)}), model_hash)
+
+
+def _band(entry: Mapping[str, Any], time: np.ndarray) -> Band:
+    coefficients = np.array(entry["coefficients"], float)
+    knots = knots_of(float(time[-1]))
+    if coefficients.shape != (3, len(knots), features(np.zeros((1, 4))).shape[1]):
+        raise ConfigurationError("coefficients: of another version; calibrate with this one")
+    scale = Scale(coefficients, np.array(entry["floor"], float), time, knots)
+    return Band(scale, {float(k): float(v) for k, v in entry["factors"].items()}, np.array(entry["ratios"], float))
+
+
+def _flow(value: Any) -> str:
+    """JSON is YAML; but YAML reads 1e-05 as a text."""
+    if isinstance(value, float):
+        text = repr(value)
+        return text if "e" not in text or "." in text else text.replace("e", ".0e")
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{json.dumps(str(k), ensure_ascii=False)}: {_flow(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

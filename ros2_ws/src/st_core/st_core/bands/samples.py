@@ -1,0 +1,106 @@
+"""What bands are learnt from: whole error curves of scored starts, with the conditions they started under."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import StCoreError
+from ..filtering import NANOSECOND
+from ..log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
+from ..log_signals import LogSignals
+from ..models import Model
+from ..readings import corrected_log
+from ..vehicle import VehicleParameters
+from .conditions import conditions_at
+
+STARTS_PER_RUN = 1000
+"""Starts of one run overlap and repeat each other: more of them cost memory (1.2 kB each, model and question) and tell
+next to nothing, for what counts is the number of runs."""
+
+Question = tuple[str, str]
+"""(model, mode): mode hindsight asks for the model alone, forecast for model and driver."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunSamples:
+    """One run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: by (model, mode), (n, points - 1, 3), float32,
+    in the predicted frame (see `seen_from_prediction`), without the start, where they are 0.
+    """
+
+    name: str
+    conditions: np.ndarray
+    errors: dict[Question, np.ndarray]
+
+
+def seen_from_prediction(errors: np.ndarray) -> np.ndarray:
+    """Errors turned from the measured heading, in which they are scored, into the predicted one, which a user has.
+
+        (along, across) = R(-e_yaw) (longitudinal, lateral),   yaw unchanged
+
+    errors: (..., 3), longitudinal, lateral [m], yaw [rad], predicted minus measured. Returns (..., 3): along the
+    predicted heading, across it (left +), yaw; the measured car lies at minus these from the predicted one.
+    """
+    cosine, sine = np.cos(errors[..., 2]), np.sin(errors[..., 2])
+    along = cosine * errors[..., 0] + sine * errors[..., 1]
+    across = cosine * errors[..., 1] - sine * errors[..., 0]
+    return np.stack([along, across, errors[..., 2]], axis=-1)
+
+
+def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
+                most: int = STARTS_PER_RUN) -> RunSamples:
+    """Error curves of one drive from at most `most` starts spread over it.
+
+    Only starts whose whole horizon was measured and whose conditions are known count. Raises StCoreError, one line,
+    for a drive shorter than the horizon, for one without such a start, and where a model's errors are not finite though
+    all its inputs were measured.
+    """
+    horizon = settings.prediction.horizon
+    log = signals.log
+    if log.overlap < horizon:
+        raise StCoreError(f"INS and steering overlap for {log.overlap:.1f} s, one horizon is {horizon:g} s: no start "
+                          "can be scored; leave the run out")
+    starts, _ = usable_starts(signals, vehicle, regular_starts(log, settings.interval),
+                              settings.prediction.minimum_speed)
+    here = conditions_at(signals, starts)
+    starts = starts[np.isfinite(here).all(axis=1) & _known(models, signals, starts, settings)]
+    if len(starts) > most:
+        starts = starts[np.linspace(0, len(starts) - 1, most).round().astype(int)]
+    kept: list[np.ndarray] = []
+    parts: dict[Question, list[np.ndarray]] = {}
+    for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
+        complete = np.isfinite(block.conditions["speed"])  # known exactly where the whole horizon was measured
+        kept.append(starts[rows][complete])
+        for question, errors in block.errors.items():
+            whole = errors[complete]
+            _refuse_not_finite(whole, question[0], (kept[-1] - log.start_ns) * NANOSECOND)
+            parts.setdefault(question, []).append(seen_from_prediction(whole[:, 1:]).astype(np.float32))
+    found = np.concatenate(kept) if kept else starts[:0]
+    if not len(found):
+        raise StCoreError(f"no start has a whole horizon of {horizon:g} s measured; leave the run out")
+    return RunSamples(log.name, conditions_at(signals, found), {q: np.concatenate(p) for q, p in parts.items()})
+
+
+def _known(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
+           settings: EvaluationSettings) -> np.ndarray:
+    """Starts (n,) whose whole horizon is measured, also as models have it that take recorded signals as late or early.
+    """
+    known = np.ones(len(starts_ns), bool)
+    half_steps = np.arange(2 * settings.prediction.steps + 1) * (0.5 * settings.prediction.step / NANOSECOND)
+    times = starts_ns[:, None] + np.round(half_steps).astype(np.int64)
+    own_logs = [corrected_log(model, signals.log, signals.maximum_gap) for model in models]
+    for log in {id(log): log for log in (signals.log, *own_logs)}.values():
+        own = signals if log is signals.log else signals.of(log)
+        state, = own.ins_at(starts_ns, "x")
+        acceleration, = own.ins_at(times, "velocity_x_dot")
+        angle = own.road_wheel_angle_at(times)
+        known &= np.isfinite(state) & np.isfinite(angle).all(axis=1) & np.isfinite(acceleration).all(axis=1)
+    return known
+
+
+def _refuse_not_finite(errors: np.ndarray, model: str, time: np.ndarray) -> None:
+    bad = ~np.isfinite(errors).all(axis=(1, 2))
+    if bad.any():
+        raise StCoreError(f"errors of {model} are not finite from {int(bad.sum())} starts, the first at "
+                          f"{time[bad][0]:.1f} s, though all inputs were measured: mend the model or take a shorter "
+                          "--step; no band is made of such errors")

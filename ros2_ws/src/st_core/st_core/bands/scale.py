@@ -1,0 +1,141 @@
+"""Shape and scale of the errors: how large they typically are, by condition and time ahead.
+
+    s_a(t | z) = sqrt( sigma_a(t | z)^2 + floor_a^2 )
+    log sigma_a(t_k | z) = phi(z) . C[a, k],     straight in log t between the knots t_k
+
+a: along, across [m] or yaw [rad]. phi: `features` of the conditions z. C is the estimate that a normal distribution of
+mean 0 would have; it is a scale also where the errors are not normal:
+
+    minimise over C[a, k]   mean_w( log sigma + e^2 / (2 sigma^2) ) + RIDGE |C[a, k, 1:]|^2          (convex in C)
+
+Every run weighs the same. floor is a share of the root mean square error: without it, centimetres of sensor noise just
+after the start, where sigma goes to zero, would widen the band everywhere. Checked by: test_bands.py, on errors
+drawn with a known scale.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import StCoreError
+
+KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)
+"""s ahead, of a horizon of 5 s; of another in proportion."""
+FLOOR_SHARE = 0.2
+"""Of the root mean square error of the axis."""
+LEAST = np.array([1.0e-3, 1.0e-3, 1.0e-4])
+"""m, m, rad: smaller errors count as this large; no sensor resolves them."""
+RIDGE = 1.0e-2
+MOST_STEPS, MOST_HALVINGS = 100, 20
+TOLERANCE = 1.0e-3
+"""Of the derivative: mean squares as stated to a thousandth, which no number of runs resolves."""
+FIT_STARTS = 100
+"""Starts of a run that enter the fit; their neighbours say the same."""
+HATS = (1.5, 3.0, 4.5, 6.0, 7.5)
+"""m/s^2 of lateral acceleration: tyres do not saturate along a parabola."""
+
+
+def features(conditions: np.ndarray) -> np.ndarray:
+    """phi (..., 20) of conditions (..., 4) as `conditions.CONDITIONS`; each of the order of 1.
+
+    1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
+    log((w + 0.005 rad/s) / 0.02 rad/s); their squares; their six products; triangles 3 m/s^2 wide about HATS.
+    """
+    speed, lateral, forward, activity = np.moveaxis(np.asarray(conditions, float), -1, 0)
+    logs = [np.log(np.maximum(speed, 0.1) / 10.0), np.log((lateral + 0.3) / 1.5), np.log((forward + 0.2) / 0.6),
+            np.log((activity + 0.005) / 0.02)]
+    products = [a * b for a, b in itertools.combinations_with_replacement(logs, 2)]
+    hats = [np.maximum(0.0, 1.0 - np.abs(lateral - centre) / HATS[0]) for centre in HATS]
+    return np.stack([np.ones_like(speed), *logs, *products, *hats], axis=-1)
+
+
+def knots_of(horizon: float) -> np.ndarray:
+    """The knots [s] of a horizon [s]."""
+    return np.array(KNOTS) * (horizon / KNOTS[-1])
+
+
+def interpolation(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """(time, knots): rows that take values at the knots to times ahead [s, > 0], straight in log t, constant outside.
+    """
+    return np.stack([np.interp(np.log(time), np.log(knots), row) for row in np.eye(len(knots))], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """coefficients: C, (3, knots, features). floor: (3,) [m, m, rad]. time: (points,) ahead [s, > 0]; knots: [s]."""
+
+    coefficients: np.ndarray
+    floor: np.ndarray
+    time: np.ndarray
+    knots: np.ndarray
+
+    def __post_init__(self):
+        object.__setattr__(self, "_between", interpolation(self.knots, self.time))
+
+    def __call__(self, conditions: np.ndarray) -> np.ndarray:
+        """s (n, points, 3) [m, m, rad] under conditions (n, 4)."""
+        phi = features(conditions)
+        logs = phi @ self.coefficients.reshape(-1, phi.shape[-1]).T  # (n, 3 * knots)
+        logs = logs.reshape(len(phi), *self.coefficients.shape[:2]).transpose(0, 2, 1)
+        sigma = np.exp(np.clip(self._between @ logs, -30.0, 30.0))
+        return np.sqrt(np.square(sigma) + np.square(self.floor))
+
+
+def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], time: np.ndarray) -> Scale:
+    """The scale of errors (n, points, 3) under conditions (n, 4), one pair a run. time: (points,) of the errors [s].
+
+    Raises StCoreError where the fit fails.
+    """
+    knots = knots_of(float(time[-1]))
+    picked = [spread(len(one)) for one in conditions]
+    phi = np.concatenate([features(one[rows]) for one, rows in zip(conditions, picked, strict=True)])
+    weights = np.concatenate([np.full(len(rows), 1.0 / (len(rows) * len(picked))) for rows in picked])
+    squares = [np.maximum(np.square(one[rows].astype(float)), np.square(LEAST))
+               for one, rows in zip(errors, picked, strict=True)]
+    floor = FLOOR_SHARE * np.sqrt(np.mean([one.mean(axis=(0, 1)) for one in squares], axis=0))
+    near = [int(np.abs(time - knot).argmin()) for knot in knots]
+    targets = np.concatenate([one[:, near] for one in squares]).reshape(len(phi), -1)  # (n, knots * 3)
+    c = _gamma_regression(phi, weights, targets)
+    return Scale(c.reshape(phi.shape[1], len(knots), 3).transpose(2, 1, 0), floor, np.asarray(time, float), knots)
+
+
+def _gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """C (features, m) of squares (n, m): log link and gamma errors, which is the loss at the top, by Newton steps.
+
+    A hundredth of the expected second derivative is added to the actual one, which vanishes where sigma is too large.
+    """
+    ridge = np.full((phi.shape[1], 1), RIDGE)
+    ridge[0] = 0.0
+    always = 0.02 * phi.T @ (weights[:, None] * phi) + 2.0 * np.diag(ridge[:, 0]) + 1.0e-9 * np.eye(len(ridge))
+
+    def loss(c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """By column: its value and its derivative; and e^2 / sigma^2, (n, m)."""
+        eta = phi @ c
+        ratio = squares * np.exp(-2.0 * np.clip(eta, -30.0, 30.0))
+        return (weights @ (eta + 0.5 * ratio) + (ridge * c * c).sum(axis=0),
+                phi.T @ (weights[:, None] * (1.0 - ratio)) + 2.0 * ridge * c, ratio)
+
+    c = np.zeros((phi.shape[1], squares.shape[1]))
+    c[0] = 0.5 * np.log(weights @ squares)  # the root mean square over all starts
+    value, slope, ratio = loss(c)
+    for _ in range(MOST_STEPS):
+        if np.abs(slope).max() < TOLERANCE:
+            return c
+        curved = np.stack([phi.T @ ((2.0 * weights * one)[:, None] * phi) for one in ratio.T]) + always
+        step, share = np.linalg.solve(curved, slope.T[:, :, None])[:, :, 0].T, np.ones(c.shape[1])
+        for _ in range(MOST_HALVINGS):
+            tried, there, left = loss(c - share * step)
+            worse = ~(tried <= value + 1.0e-12)
+            if not worse.any():
+                break
+            share = np.where(worse, 0.5 * share, share)
+        c, value, slope, ratio = c - share * step, tried, there, left
+    raise StCoreError("the scale of the errors cannot be fitted: no end after "
+                      f"{MOST_STEPS} steps; are errors of a few starts many orders larger than all others?")
+
+
+def spread(count: int, most: int = FIT_STARTS) -> np.ndarray:
+    """At most `most` of `count` rows, evenly spread."""
+    return np.arange(count) if count <= most else np.linspace(0, count - 1, most).round().astype(int)

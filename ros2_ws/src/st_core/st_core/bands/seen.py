@@ -1,0 +1,54 @@
+"""Which conditions a band was calibrated under; elsewhere there is none, rather than a wrong one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..binning import LATERAL_ACCELERATION, SPEED
+from .conditions import CONDITIONS, UNITS
+
+FEWEST_STARTS = 20
+"""In a cell of speed and lateral acceleration: two seconds of driving, all runs together."""
+CELLED = {"speed": SPEED, "lateral_acceleration": LATERAL_ACCELERATION}
+
+
+def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column (n,) of conditions (n, 4): numbers of their bins of speed and lateral acceleration."""
+    return tuple(np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
+                 for name, edges in CELLED.items())
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """starts: (speed bins, lateral acceleration bins), how many were calibrated with. most: the largest
+    forward_acceleration [m/s^2] and steering_activity [rad/s] among them."""
+
+    starts: np.ndarray
+    most: tuple[float, float]
+
+    @classmethod
+    def of(cls, conditions: Sequence[np.ndarray]) -> "Seen":
+        """What conditions (n, 4), one array a run, have seen."""
+        rows = np.concatenate(conditions)
+        starts = np.zeros([len(edges) for edges in CELLED.values()], int)
+        np.add.at(starts, cells(rows), 1)
+        return cls(starts, (float(rows[:, 2].max()), float(rows[:, 3].max())))
+
+    def __call__(self, conditions: np.ndarray) -> np.ndarray:
+        """(n,) bool: whether conditions (n, 4) were calibrated; False where one is not known."""
+        known = np.isfinite(conditions).all(axis=1)
+        rows = np.where(known[:, None], conditions, 0.0)
+        return known & (self.starts[cells(rows)] >= FEWEST_STARTS) & (rows[:, 2:] <= self.most).all(axis=1)
+
+    def why_not(self, condition: np.ndarray) -> str:
+        """For conditions (4,) without a band: why, in one line; empty where there is one."""
+        if self(condition[None])[0]:
+            return ""
+        for name, value in zip(CONDITIONS, condition, strict=True):
+            if not np.isfinite(value):
+                return f"{name.replace('_', ' ')} not known"
+        for name, value, most in zip(CONDITIONS[2:], condition[2:], self.most, strict=True):
+            if value > most:
+                return f"{name.replace('_', ' ')} {value:.3g} {UNITS[name]}, calibrated up to {most:.3g}"
+        return f"{condition[0]:.1f} m/s with {condition[1]:.1f} m/s^2 across was never calibrated"

@@ -1,0 +1,129 @@
+"""A law nobody has named: a smooth curve of one quantity, at one place of the model. What `st_core.proposals` fits.
+
+    u = sum of in_i quantity_i, held at low and at low + 5 spacing beyond;   t(u) = (u - low) / spacing
+    f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B the cubic B-spline on whole numbers, k = -1 ... 6
+
+and f times one `to_` weight is added where that says. parity -1 makes f odd, +1 even, 0 neither. All weights, the range
+and the parity are constants, so that every law of the kind is the same compiled function.
+"""
+
+from typing import NamedTuple
+
+from ..ops import absolute, maximum, minimum
+from ._base import Effect, Parameter, unlisted
+
+COUNT = 8
+INTERVALS = 5.0
+INPUTS = ("slip_front", "slip_rear", "steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate")
+PLACES = {
+    "front_steer": ("rad", "of the front wheels, added to the road wheel angle"),
+    "rear_steer": ("rad", "of the rear wheels, to the left +"),
+    "front_force": ("1", "lateral force of the front axle over its static load, left +"),
+    "rear_force": ("1", "lateral force of the rear axle over its static load, left +"),
+    "front_grip": ("1", "of the front axle's lateral force, as a share of it"),
+    "rear_grip": ("1", "of the rear axle's lateral force, as a share of it"),
+    "yaw_moment": ("rad/s^2", "yaw acceleration by a moment on the body, left +"),
+    "side_force": ("m/s^2", "lateral acceleration by a force on the body, left +"),
+    "sensor_yaw_rate": ("rad/s", "on what the yaw rate sensor shows"),
+    "sensor_acceleration_y": ("m/s^2", "on what the accelerometer shows"),
+    "sensor_velocity_y": ("m/s", "on the lateral velocity of the INS"),
+    "sensor_heading": ("rad", "on the heading of the INS"),
+}
+"""Where a law can act: unit, and meaning with its sign."""
+GRAVITY = 9.81
+
+
+class Car(NamedTuple):
+    load_front: float
+    load_rear: float
+
+
+def bump(t):
+    """Cubic B-spline: 2/3 at 0, 1/6 at +-1, 0 from +-2 on."""
+    far, near = maximum(2.0 - absolute(t), 0.0 * t), maximum(1.0 - absolute(t), 0.0 * t)
+    return (far * far * far - 4.0 * near * near * near) / 6.0
+
+
+def curve(u, theta):
+    """f(u)."""
+    high = theta.low + INTERVALS * theta.spacing
+    t = (minimum(maximum(u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
+    s = (minimum(maximum(-u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
+    p = theta.parity
+    return (theta.c0 * (bump(t + 1.0) + p * bump(s + 1.0)) + theta.c1 * (bump(t) + p * bump(s))
+            + theta.c2 * (bump(t - 1.0) + p * bump(s - 1.0)) + theta.c3 * (bump(t - 2.0) + p * bump(s - 2.0))
+            + theta.c4 * (bump(t - 3.0) + p * bump(s - 3.0)) + theta.c5 * (bump(t - 4.0) + p * bump(s - 4.0))
+            + theta.c6 * (bump(t - 5.0) + p * bump(s - 5.0)) + theta.c7 * (bump(t - 6.0) + p * bump(s - 6.0)))
+
+
+def of_motion(at, theta):
+    """u without the slip angles, which are not known everywhere."""
+    return (theta.in_steering * at.road_wheel_angle + theta.in_acceleration_y * at.velocity_x * at.yaw_rate
+            + theta.in_acceleration_x * at.velocity_x_dot + theta.in_speed * at.velocity_x
+            + theta.in_yaw_rate * at.yaw_rate)
+
+
+def of_readings(measured, theta):
+    """f of what the sensors show."""
+    return curve(theta.in_acceleration_y * measured.velocity_x * measured.yaw_rate
+                 + theta.in_speed * measured.velocity_x + theta.in_yaw_rate * measured.yaw_rate, theta)
+
+
+def _constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
+    return Parameter(name, "1", null=null, initial=null, bounds=(-1e6, 1e6), fit=False, meaning=meaning,
+                     source="of the law")
+
+
+@unlisted
+class Law(Effect):
+    name = "law"
+    physics = "a smooth curve of one quantity, added at one place of the model"
+    excited_by = "driving that visits the range of the quantity"
+    kind, slot = "physics", "body"
+    costly = True
+    order = 90
+    parameters = (
+        *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-100.0, 100.0), meaning=f"height of spline {k}",
+                    source="of the law") for k in range(COUNT)),
+        _constant("low", "least value of u"), _constant("spacing", "of the knots of u", 1.0),
+        _constant("parity", "-1 odd, +1 even, 0 neither"),
+        *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
+        *(_constant(f"to_{name}", f"{unit} {meaning}") for name, (unit, meaning) in PLACES.items()),
+    )
+
+    @staticmethod
+    def constants(vehicle):
+        per_length = GRAVITY * vehicle.mass / vehicle.wheelbase
+        return Car(per_length * vehicle.cg_to_rear_axle, per_length * vehicle.cg_to_front_axle)
+
+    @staticmethod
+    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
+        y = curve(of_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear, theta)
+        # A wheel turned to the left slides less to the left.
+        return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
+
+    @staticmethod
+    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
+        front, rear = forces(slip_front, slip_rear, at)
+        y = curve(of_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear, theta)
+        return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.car.load_front * y,
+                rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.car.load_rear * y)
+
+    @staticmethod
+    def acceleration(at, given, theta):
+        y = curve(of_motion(at, theta), theta)
+        return 0.0 * y, theta.to_side_force * y, theta.to_yaw_moment * y
+
+    @staticmethod
+    def observe(measured, theta):
+        return _shown(measured, of_readings(measured, theta), theta)
+
+    @staticmethod
+    def correct(measured, theta):
+        return _shown(measured, -of_readings(measured, theta), theta)
+
+
+def _shown(m, y, theta):
+    return m._replace(yaw=m.yaw + theta.to_sensor_heading * y, yaw_rate=m.yaw_rate + theta.to_sensor_yaw_rate * y,
+                      velocity_y=m.velocity_y + theta.to_sensor_velocity_y * y,
+                      acceleration_y=m.acceleration_y + theta.to_sensor_acceleration_y * y)

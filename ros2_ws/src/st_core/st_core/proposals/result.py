@@ -1,0 +1,47 @@
+"""What a proposal says."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..augmented import AugmentedModel
+from .places import Candidate
+from .readings import Reading
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A law that lowers the loss on driving it was not fitted to.
+
+    candidate: where it acts, and on what it depends. coefficients: (8,) of the splines. at: (k,) values of the
+    quantity; value, deviation: (k,) the curve there and its standard deviation [unit of the place]; density: (k,) share
+    of the driving near each. gain [1]: held-out fall of the loss for each scored error. chance [1]: that any law gains
+    as much where nothing is. position_5s [m]: (before, after) held out; runs: the same by run. model: everything else,
+    at the values fitted beside the law. others: laws that do no worse, with the cosine of what both change [1].
+    readings: the curve in words, best first.
+    """
+
+    candidate: Candidate
+    coefficients: np.ndarray
+    at: np.ndarray
+    value: np.ndarray
+    deviation: np.ndarray
+    density: np.ndarray
+    gain: float
+    chance: float
+    position_5s: tuple[float, float]
+    runs: Mapping[str, tuple[float, float]]
+    model: AugmentedModel
+    others: Mapping[str, float] = field(default_factory=dict)
+    readings: Sequence[Reading] = ()
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """proposal: None where no law is sure and worth it; why: the reason, with its figures. tried: held-out gain [1] and
+    chance [1] of every law, best first."""
+
+    proposal: Proposal | None
+    why: str
+    tried: Mapping[str, tuple[float, float]]

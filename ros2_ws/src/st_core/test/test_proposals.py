@@ -1,0 +1,146 @@
+"""Laws beyond the library: the curve, where it acts, what is proposed where the law is known, and in what words."""
+
+import math
+
+import numpy as np
+import pytest
+from discovery_drives import recorded
+from st_core.augmented import augment
+from st_core.discovery import DiscoverySettings, discover
+from st_core.effects import EFFECTS, Measured
+from st_core.effects._law import COUNT, PLACES, Law, curve
+from st_core.errors import ConfigurationError
+from st_core.models import MODELS
+from st_core.proposals import Candidate, propose, readings
+from st_core.proposals.places import ASKED, QUANTITIES, USUAL
+
+STATE = (0.0, 0.0, 12.0, -0.2, 0.1, 0.3)
+DRIVEN = ("lane_change", "slalom", "circle", "sweep", "brake_in_turn")
+
+
+def law(candidate: Candidate, wanted) -> dict:
+    """The effect with the coefficients nearest to a formula."""
+    at = np.linspace(candidate.low, candidate.high, 200)
+    heights = np.linalg.lstsq(candidate.splines(at).T, wanted(at), rcond=1e-6)[0]
+    return {"law": {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **candidate.constants}}
+
+
+def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
+    assert set(ASKED) == set(PLACES) == set(USUAL)
+    assert {q for quantities in ASKED.values() for q, _ in quantities} <= set(QUANTITIES)
+    assert "law" not in EFFECTS
+    with pytest.raises(ConfigurationError, match="unknown effect 'lax'"):
+        augment("nonlinear", ["lax"])
+
+
+@pytest.mark.parametrize("parity", [-1.0, 0.0, 1.0])
+def test_curve_of_the_equations_is_that_of_the_splines(parity):
+    c = Candidate("yaw_moment", "yaw_rate", parity, -0.5, 0.5)
+    heights = np.random.default_rng(1).normal(size=COUNT)
+    theta = Law.Theta(**{p.name: p.null for p in Law.parameters} | c.constants
+                      | {f"c{k}": h for k, h in enumerate(heights)}, car=())
+    u = np.linspace(-0.8, 0.8, 33)
+    assert USUAL["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.splines(u), abs=1e-12)
+    if parity:
+        assert curve(-u, theta) == pytest.approx(parity * curve(u, theta), abs=1e-12)
+    assert curve(0.8, theta) == pytest.approx(curve(0.5, theta), abs=1e-12)  # constant beyond what was driven
+
+
+def rates(model, car, angle=0.05, acceleration=0.5):
+    p = model.parameters(car)
+    w = model.inputs(angle, acceleration, p)
+    return model.rhs(model.start_state(STATE, w, p), w, p)
+
+
+def test_without_heights_it_leaves_no_trace(leaf):
+    c = Candidate("front_grip", "speed", 0.0, 3.0, 20.0)
+    none = augment("nonlinear", {"law": {f"c{k}": 0.0 for k in range(COUNT)} | c.constants})
+    assert rates(none, leaf)[:6] == rates(MODELS["nonlinear"], leaf)
+
+
+@pytest.mark.parametrize(("place", "index", "change"), [
+    ("yaw_moment", 5, 0.2), ("side_force", 3, 0.2)])
+def test_a_push_on_the_body_is_the_acceleration_it_says(leaf, place, index, change):
+    c = Candidate(place, "speed", 0.0, 3.0, 20.0)
+    pushed = augment("nonlinear", law(c, lambda u: change + 0.0 * u))
+    before, after = rates(MODELS["nonlinear"], leaf), rates(pushed, leaf)
+    assert after[index] - before[index] == pytest.approx(change, rel=1e-6)
+
+
+def test_wheels_that_steer_are_a_steering_offset(leaf):
+    c = Candidate("front_steer", "speed", 0.0, 3.0, 20.0)
+    steered = rates(augment("nonlinear", law(c, lambda u: 0.01 + 0.0 * u)), leaf)
+    turned = rates(MODELS["nonlinear"], leaf, angle=0.06)
+    assert steered[5] == pytest.approx(turned[5], rel=0.01)
+    rear = rates(augment("nonlinear", law(Candidate("rear_steer", "speed", 0.0, 3.0, 20.0), lambda u: 0.01 + 0.0 * u)),
+                 leaf)
+    assert rear[5] < rates(MODELS["nonlinear"], leaf)[5] < steered[5]  # a rear axle steered to the left turns right
+
+
+def test_forces_of_the_axles(leaf):
+    plain = rates(MODELS["nonlinear"], leaf)
+    loads = leaf.mass * 9.81 * leaf.cg_to_rear_axle / leaf.wheelbase
+    pushed = rates(augment("nonlinear", law(Candidate("front_force", "slip_front", 0.0, -0.2, 0.2),
+                                            lambda u: 0.05 + 0.0 * u)), leaf)
+    gained = leaf.mass * (pushed[3] - plain[3])
+    assert gained == pytest.approx(0.05 * loads * math.cos(0.05), rel=1e-6)
+    gripped = rates(augment("nonlinear", law(Candidate("rear_grip", "speed", 0.0, 3.0, 20.0),
+                                             lambda u: -0.1 + 0.0 * u)), leaf)
+    front = (leaf.yaw_inertia * plain[5] + leaf.cg_to_rear_axle * leaf.mass * (plain[3] + STATE[2] * STATE[5])
+             ) / leaf.wheelbase
+    rear = leaf.mass * (plain[3] + STATE[2] * STATE[5]) - front
+    assert leaf.mass * (gripped[3] - plain[3]) == pytest.approx(-0.1 * rear, rel=1e-6)
+
+
+def test_sensor_shows_the_law_and_is_corrected_by_it():
+    c = Candidate("sensor_yaw_rate", "acceleration_y", -1.0, -6.0, 6.0)
+    model = augment("nonlinear", law(c, lambda u: 0.003 * u))
+    truth = Measured(0.0, 0.0, 0.0, 10.0, 0.0, 0.3, 0.0, 3.0)
+    shown = model.observe(truth)
+    assert shown.yaw_rate - truth.yaw_rate == pytest.approx(0.009, rel=0.02)
+    assert model.correct(shown).yaw_rate == pytest.approx(truth.yaw_rate, rel=0.005)
+
+
+@pytest.mark.parametrize(("shape", "formula"), [
+    ("constant", lambda u: 0.3 + 0.0 * u), ("linear", lambda u: 2.0 * u), ("cubic", lambda u: 5.0 * u**3),
+    ("saturating", lambda u: 0.2 * np.tanh(u / 0.1)),
+    ("dead zone", lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.6, 0.0))])
+def test_shapes_are_read(shape, formula):
+    at = np.linspace(-1.0, 1.0, 41)
+    first, *more = readings("front_force", "slip_front", at, formula(at), np.ones(41) / 41)
+    assert first.shape == shape and first.explained > 0.99
+    assert shape == "constant" or first.causes
+    assert len(more) <= 2
+    assert not readings("front_force", "slip_front", at, 0.0 * at, np.ones(41))
+
+
+@pytest.mark.slow
+def test_law_that_is_there_is_proposed_with_its_slope(leaf):
+    c = Candidate("sensor_yaw_rate", "acceleration_y", -1.0, -7.0, 7.0)
+    logs = recorded(leaf, law(c, lambda u: 0.003 * u), 3, DRIVEN)
+    settings = DiscoverySettings(where=False)
+    said = propose(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
+    one = said.proposal
+    assert one is not None, said.why
+    assert (one.candidate.place, one.candidate.quantity) == ("sensor_yaw_rate", "acceleration_y")
+    # A scale of the yaw rate, which the library has, takes a part of it.
+    linear = next(r for r in one.readings if r.shape == "linear")
+    assert 0.002 < float(linear.text.split()[2]) < 0.0035 and "gyroscope" in linear.causes
+    assert one.chance < 0.01 and one.gain > 0.025 and set(one.runs) <= {log.name for log in logs}
+    assert (np.abs(one.value - 0.0027 * one.at) < 4.0 * one.deviation + 1e-3).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4])
+def test_nothing_is_proposed_where_nothing_is_left(leaf, seed):
+    logs = recorded(leaf, {}, seed, DRIVEN)
+    settings = DiscoverySettings(where=False)
+    said = propose(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
+    assert said.proposal is None and said.why and said.tried
+
+
+def test_few_blocks_are_said(leaf):
+    logs = recorded(leaf, {}, 3, ("lane_change",))
+    settings = DiscoverySettings(where=False)
+    said = propose(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
+    assert said.proposal is None and "a curve asks for 10" in said.why

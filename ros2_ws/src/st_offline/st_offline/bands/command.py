@@ -1,0 +1,114 @@
+"""What `st calibrate` does: read the runs, collect the errors of their starts, learn the bands, write one file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from st_core.bands import LEVELS, Band, Bands, RunSamples, Seen, calibrate, most_promised, run_samples
+from st_core.bands.conformal import refuse_beyond
+from st_core.bands.file import configuration_of, times
+from st_core.errors import StCoreError
+from st_core.log_evaluation import MODES
+from st_core.model_file import ModelFile
+from st_core.models import Model
+from st_core.vehicle import VehicleParameters
+
+from ..checking.gate import passed
+from ..evaluation.recorded import recorded_configuration
+from ..evaluation.work import Task, load_models
+from ..output import OutputError
+from ..runs import LoadedRun, RunError, RunSource, find_runs, read
+
+
+@dataclass(frozen=True)
+class Job:
+    """task: car, models and settings, as for an evaluation. levels: what is to be promised."""
+
+    runs: Sequence[Path]
+    task: Task
+    output: Path
+    levels: tuple[float, ...] = LEVELS
+
+
+def run_command(job: Job, console: Console) -> int:
+    """Exit status: 0 when every run was used, 1 when some were. Raises StCoreError and OutputError, one line, where no
+    bands can be made.
+    """
+    if job.output.exists():
+        raise OutputError(f"{job.output} is there already: name another --output (nothing is ever overwritten)")
+    models = load_models(job.task)
+    samples, recordings, problems = collect(find_runs(job.runs), job.task, models, console)
+    bands = learn(samples, job.task, models, recordings, job.levels, console)
+    try:
+        job.output.parent.mkdir(parents=True, exist_ok=True)
+        job.output.write_text(bands.to_yaml(), encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{job.output}: cannot be written: {error.strerror}") from None
+    starts = sum(len(one.conditions) for one in samples)
+    console.print(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} "
+                  f"starts; {len(samples)} runs can promise {most_promised(len(samples)):.1%} at most",
+                  highlight=False, soft_wrap=True)
+    return 1 if problems else 0
+
+
+def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model],
+            console: Console) -> tuple[list[RunSamples], dict[str, str], list[str]]:
+    """(samples by run, sha256 by file, problems); a run that cannot be used is said at once and left out."""
+    samples: list[RunSamples] = []
+    recordings: dict[str, str] = {}
+    problems: list[str] = []
+    for source in sources:
+        try:
+            with console.status(escape(source.name)):
+                run = read(source, task.vehicle, task.read)
+                _refuse_again(source, run, recordings)
+                _refuse_other_car(source, run, task.vehicle)
+                passed(source.where, run.log, task.vehicle, run.extras, task.force, models,
+                       task.settings.prediction.step)
+                samples.append(run_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
+        except (RunError, StCoreError) as error:
+            problems.append(f"{source.name}: {' '.join(str(error).split())}")
+            console.print(f"[red]{escape(problems[-1])}[/red]", highlight=False, soft_wrap=True)
+            continue
+        recordings |= {Path(file).name: digest for file, digest in run.provenance["files"].items()}
+    return samples, recordings, problems
+
+
+def learn(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
+          levels: Sequence[float] = LEVELS, console: Console | None = None) -> Bands:
+    """The bands of all models. Raises StCoreError, one line, for too few runs."""
+    refuse_beyond(levels, len(samples))
+    settings = task.settings.as_dict()
+    time = times(task.settings.prediction.horizon, task.settings.prediction.step)
+    found: dict[tuple[str, str], Band] = {}
+    for model in models:
+        for mode in MODES:
+            if console is not None:
+                console.print(f"[dim]{escape(model.name)}, {mode}[/dim]", highlight=False)
+            found[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
+    files = [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
+    digests = {file.model().name: file.hash for file in files}
+    hashes = {m.name: configuration_of(task.vehicle, settings, digests.get(m.name, "")) for m in models}
+    return Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
+                 Seen.of([one.conditions for one in samples]), found, hashes)
+
+
+def _refuse_again(source: RunSource, run: LoadedRun, recordings: dict[str, str]) -> None:
+    """A copy of a run is no further run: it would be promised what was only repeated."""
+    before = {digest: name for name, digest in recordings.items()}
+    for digest in run.provenance["files"].values():
+        if digest in before:
+            raise RunError(source.where, f"holds the same as {before[digest]}", "give every recording once")
+
+
+def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
+    """By the name of the car in the recording, where there is one: its values may have been mended since."""
+    text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
+    if text is None:
+        return
+    name = VehicleParameters.from_yaml(text, f"the vehicle in {source.where}").name
+    if name != vehicle.name:
+        raise RunError(source.where, f"was driven with {name!r}, the vehicle file is of {vehicle.name!r}",
+                       "calibrate each car with its own drives")

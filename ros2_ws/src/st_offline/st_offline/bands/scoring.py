@@ -1,0 +1,115 @@
+"""Bands against the errors of one run, block by block: coverage, interval score, CRPS, sharpness."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import scoringrules
+from st_core.bands import CONDITIONS, RELIABILITY, Band, Bands, conditions_at, seen_from_prediction
+from st_core.binning import LATERAL_ACCELERATION, SPEED, STEERING_RATE
+from st_core.log_evaluation import AXES, Block
+from st_core.log_signals import LogSignals
+
+from .sums import Sums, pooled_sums
+
+SHOWN = (0.5, 0.9)
+EDGES = {"speed": (SPEED, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION, "m/s²"),
+         "steering_activity": (STEERING_RATE, "rad/s")}
+_PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5], 0.5 + 0.5 * np.array(RELIABILITY)])
+
+
+class Scorer:
+    """What one run says of the bands, as sums. Errors are turned into the predicted frame, as bands are."""
+
+    def __init__(self, bands: Bands, signals: LogSignals):
+        self._bands, self._signals, self._sums = bands, signals, []
+
+    def add(self, starts_ns: np.ndarray, block: Block) -> None:
+        """One block of an evaluation; starts whose horizon was not measured count nowhere."""
+        conditions = conditions_at(self._signals, starts_ns)
+        seen = self._bands.seen(conditions)
+        for (model, mode), errors in block.errors.items():
+            scored = np.isfinite(errors).all(axis=(1, 2))
+            rows = scored & seen
+            band = self._bands.bands[model, mode]
+            entry = question_sums(band, conditions[rows], seen_from_prediction(errors[rows][:, 1:]))
+            entry["without_band"] = int((scored & ~seen).sum())
+            self._sums.append({"models": {model: {mode: entry}}})
+
+    def sums(self, files: Mapping[str, str]) -> Sums:
+        """All blocks together. files: sha256 by path of the run; those the bands were learnt from are named."""
+        known = set(self._bands.recordings.values())
+        return pooled_sums([*self._sums, {"known_recordings": [name for name, digest in files.items()
+                                                               if digest in known]}])
+
+
+def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
+    """Sums over starts with a band. conditions: (n, 4); errors: (n, points, 3) in the predicted frame, without the
+    start.
+
+    coverage: whole paths inside, by level; axes: of one axis alone; seconds: inside throughout that second; cells: of
+    speed, lateral acceleration and second ahead. interval_score [m, m, rad]: mean over the horizon, by level and axis.
+    crps [m, m, rad]: mean over the whole seconds. half_width: by level, second and axis, at that second.
+    """
+    scale, size = band.scale(conditions), np.abs(errors)
+    ratio = size / scale
+    time, levels = band.scale.time, [level for level in SHOWN if level in band.factors]
+    # Rounded: 20 steps of 0.05 s are 1.0000000000000002 s.
+    second = np.ceil(np.round(time, 6)).astype(int)
+    whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
+    by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
+    highest, within = by_point.max(axis=1, initial=0.0), {}
+    sums: Sums = {
+        "starts": len(errors), "without_band": 0, "coverage": {}, "axes": {}, "seconds": {}, "interval_score": {},
+        "half_width": {}, "conditions": {}, "cells": {},
+        "reliability": {f"{level:g}": int((highest <= c).sum()) for level, c in band.factors.items()},
+        "crps": _by_axis(_crps(band, scale[:, whole], errors[:, whole])),
+    }
+    for level in levels:
+        key, c = f"{level:g}", band.factors[level]
+        within[key] = highest <= c
+        sums["coverage"][key] = int(within[key].sum())
+        sums["axes"][key] = _by_axis((by_axis <= c).sum(axis=0))
+        score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
+        sums["interval_score"][key] = _by_axis(score.mean(axis=1).sum(axis=0))
+        sums["half_width"][key] = {f"{time[k]:g}": _by_axis(c * scale[:, k].sum(axis=0)) for k in whole}
+    inside = {f"{level:g}": np.stack([(by_point[:, second == s] <= band.factors[level]).all(axis=1)
+                                      for s in np.unique(second)], axis=1) for level in levels}
+    sums["seconds"] = {key: {str(s): int(value) for s, value in zip(np.unique(second), one.sum(axis=0), strict=True)}
+                       for key, one in inside.items()}
+    places = {name: np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
+              for name, (edges, _) in EDGES.items()}
+    for name, place in places.items():
+        sums["conditions"][name.replace("_", " ")] = {
+            _label(name, k): _count(place == k, within) for k in np.unique(place).tolist()}
+    for v, a in np.unique(np.stack([places["speed"], places["lateral_acceleration"]], axis=1), axis=0).tolist():
+        rows = (places["speed"] == v) & (places["lateral_acceleration"] == a)
+        for column, s in enumerate(np.unique(second)):
+            name = f"{_label('speed', v)}, {_label('lateral_acceleration', a)}, second {s}"
+            sums["cells"][name] = _count(rows, {key: one[:, column] for key, one in inside.items()})
+    return sums
+
+
+def _crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """(3,) sums over starts of the mean over points: of the symmetric distribution with the band's quantiles."""
+    found = np.zeros(errors.shape[2])
+    for axis, ratios in enumerate(band.ratios):
+        quantiles = np.concatenate([-ratios[::-1], [0.0], ratios])
+        score = scoringrules.crps_quantile(errors[:, :, axis], scale[:, :, axis, None] * quantiles, _PROBABILITIES,
+                                           backend="numpy")
+        found[axis] = score.mean(axis=1).sum() if score.size else 0.0
+    return found
+
+
+def _count(rows: np.ndarray, within: Mapping[str, np.ndarray]) -> Sums:
+    return {"starts": int(rows.sum()), "coverage": {key: int(one[rows].sum()) for key, one in within.items()}}
+
+
+def _by_axis(values: np.ndarray) -> dict[str, float]:
+    return dict(zip(AXES, np.asarray(values).tolist(), strict=True))
+
+
+def _label(name: str, place: int) -> str:
+    edges, unit = EDGES[name]
+    if place + 1 == len(edges):
+        return f"above {edges[-1]:g} {unit}"
+    return f"{edges[place]:g} to {edges[place + 1]:g} {unit}"

@@ -1,0 +1,34 @@
+"""The curve of a proposed law, with its band and how often each value was driven."""
+
+import matplotlib.pyplot as plt
+from st_core.effects._law import PLACES
+from st_core.proposals import Proposal
+from st_core.proposals.places import QUANTITIES
+
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..style import MEASURED_COLOUR
+from . import words
+from .figures import AFTER
+
+
+def law_figure(one: Proposal, place: Place) -> Drawn:
+    """Curve and 95 % band above, share of the driving below."""
+    c = one.candidate
+    with style():
+        figure, (curve, driven) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
+        band = words.SURE * one.deviation
+        curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
+        curve.fill_between(one.at, one.value - band, one.value + band, color=AFTER, alpha=0.25, lw=0, label="95 %")
+        curve.plot(one.at, one.value, color=AFTER, label="proposed law")
+        curve.set_ylabel(f"{c.place.replace('_', ' ')}, {PLACES[c.place][0]}")
+        curve.legend(loc="best")
+        driven.bar(one.at, 100.0 * one.density, width=one.at[1] - one.at[0], color=MEASURED_COLOUR)
+        driven.set_ylabel("driven, %")
+        driven.set_xlabel(f"{c.quantity.replace('_', ' ')}, {QUANTITIES[c.quantity]}")
+        before, after = one.position_5s
+        title = (f"PROPOSAL: {c.place.replace('_', ' ')} as a function of {c.quantity.replace('_', ' ')}; 5 s position "
+                 f"error {before:.2f} m → {after:.2f} m on held-out driving")
+        first = f"First reading: {one.readings[0].text}. " if one.readings else ""
+        caption = (f"{first}{PLACES[c.place][1]}. Fitted through the simulator beside everything that was found and "
+                   "every parameter of the vehicle file; constant beyond the range driven. Bars: share of the driving.")
+        return finish(figure, place, "law", title, caption[0].upper() + caption[1:])

@@ -1,0 +1,79 @@
+"""A proposed law as an effect file: it loads, does what the curve does, and says where it comes from."""
+
+import numpy as np
+import pytest
+from st_core.augmented import augment
+from st_core.effects import EFFECTS, Measured, load_folder
+from st_core.model_file import ModelFile
+from st_core.models import MODELS
+from st_core.proposals import Candidate, Proposal, Proposals, Reading
+from st_core.proposals.places import ASKED
+from st_core.vehicle import VehicleParameters
+from st_offline.discovery import proposed
+from support import ROOT
+
+CAR = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").read_text())
+RANGE = {"slip_front": 0.1, "slip_rear": 0.1, "steering": 0.3, "acceleration_y": 6.0, "acceleration_x": 4.0,
+         "speed": 20.0, "yaw_rate": 0.6}
+EVERY = [(place, quantity, parity) for place, quantities in ASKED.items() for quantity, parity in quantities]
+
+
+def proposal(place: str, quantity: str, parity: float) -> Proposal:
+    high = RANGE[quantity]
+    c = Candidate(place, quantity, parity, 2.0 if quantity == "speed" else -high, high)
+    heights = np.linspace(-1.0, 2.0, 8)
+    at = np.linspace(c.low, c.high, 41)
+    return Proposal(c, heights, at, heights @ c.splines(at), 0.01 + 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001, (0.8, 0.5),
+                    {"lap": (0.8, 0.5)}, augment("nonlinear", {"mass": {"factor": 1.1}}), {"another": 0.9},
+                    (Reading("linear", "y = 2 u", 0.97, "a cause"),))
+
+
+@pytest.fixture
+def registry():
+    before = dict(EFFECTS)
+    yield
+    for name in set(EFFECTS) - set(before):
+        del EFFECTS[name]
+
+
+@pytest.mark.parametrize(("place", "quantity", "parity"), EVERY, ids=[f"{p}-{q}" for p, q, _ in EVERY])
+def test_the_file_does_what_the_curve_does(tmp_path, registry, place, quantity, parity):
+    one = proposal(place, quantity, parity)
+    (tmp_path / "law.py").write_text(proposed.effect_file(one, ["lap"], "2026-01-01T00:00:00"))
+    assert load_folder(str(tmp_path)) == (proposed.name_of(one),)
+    written = augment("nonlinear", {proposed.name_of(one): {"share": 1.0}})
+    heights = {f"c{k}": h for k, h in enumerate(one.coefficients)}
+    fitted = augment("nonlinear", {"law": heights | one.candidate.constants})
+    state, readings = (0.0, 0.0, 12.0, -0.2, 0.1, 0.3), Measured(1.0, 2.0, 0.1, 12.0, 0.1, 0.3, 0.5, 3.6)
+    changes = []
+    for model in (MODELS["nonlinear"], written, fitted):
+        p = model.parameters(CAR)
+        w = model.inputs(0.05, 0.7, p)
+        rates = model.rhs(model.start_state(state, w, p), w, p)[:6]
+        seen = model.observe(readings) if hasattr(model, "observe") else readings
+        changes.append(np.array([*rates, *seen[:8]]))
+    plain, by_file, by_curve = changes
+    assert np.abs(by_curve - plain).max() > 1e-6
+    assert by_file - plain == pytest.approx(by_curve - plain, rel=0.05, abs=0.02 * np.abs(by_curve - plain).max())
+
+
+def test_what_is_written_says_what_it_is(tmp_path, registry):
+    one = proposal("rear_steer", "acceleration_y", -1.0)
+    said = Proposals(one, "it takes away 10 %", {"rear_steer over acceleration_y": (0.1, 0.001)})
+    files = proposed.write(said, CAR, ["lap"], "2026-01-01T00:00:00", {"lap": "0" * 64}, tmp_path)
+    text = files["effects"].read_text()
+    assert text.startswith('"""PROPOSAL') and "m/s^2" in text and "y = 2 u" in text and "lap" in text
+    file = ModelFile.from_yaml(files["proposed.yaml"].read_text())
+    assert set(file.effects) == {"mass", "proposed_rear_steer"} and "PROPOSAL" in file.provenance.note
+    lines = "\n".join(proposed.told(said))
+    assert "PROPOSAL" in lines and "as good on held-out driving: another (cosine 0.90)" in lines
+    assert "1 of 1 runs" in lines
+    content = proposed.document(said)
+    assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
+
+
+def test_without_a_proposal_the_reason_is_told(tmp_path):
+    said = Proposals(None, "no law is sure", {})
+    assert proposed.write(said, CAR, [], "", {}, tmp_path) == {} and not list(tmp_path.iterdir())
+    assert proposed.told(said) == ["nothing is proposed: no law is sure"]
+    assert proposed.document(said)["proposal"] is None and proposed.document(None) == {}
