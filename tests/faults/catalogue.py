@@ -248,8 +248,7 @@ INS = (
           PUBLISHERS, "/intruder", short=True),
     *(Fault(f"position jumps by {size:g} m, and back", 3.0,
             on_ins(lambda size=size: changes.moved(size / EARTH_RADIUS)),
-            "no prediction and no score across it; told, counted", POSITION, f"jump of {size:g}", short=size == 0.5,
-            settles=90.0)  # the consistency check looks back for a minute and tells it too
+            "no prediction and no score across it; told, counted", POSITION, f"jump of {size:g}", short=size == 0.5)
       for size in (0.5, 6.4, 640.0)),
     Fault("latitude NaN", 2.0, on_ins(lambda: changes.at_latitude(math.nan)), "not used; told by the bridge", STREAM,
           "impossible positions", STOP),

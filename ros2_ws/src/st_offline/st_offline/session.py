@@ -34,7 +34,7 @@ NODES = (  # package, executable: in the order they start; the listeners come fi
 # the others ends last.
 STOP_ORDER = ("predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 BEFORE_THE_END = 0.5  # s before a source runs dry the run ends
-START_TIMEOUT = 30.0  # s for all nodes to appear in the graph
+START_TIMEOUT = 60.0  # s for all nodes to appear in the graph
 DISCOVERY_TIME = 1.5  # s until nodes that run already are in the graph; they announce themselves every second
 QUIET_REFRESH = 10.0  # s between lines where the output is no terminal
 

@@ -1,7 +1,7 @@
 """Which messages of several publishers are used, by their numbers; over DDS in test_trouble.py."""
 
 import pytest
-from st_predictor.one_publisher import NEAR, PATIENCE, OnePublisher
+from st_predictor.one_publisher import PATIENCE, OnePublisher
 
 OURS, OTHER = "/oxts_bridge", "/intruder"
 
@@ -41,14 +41,33 @@ def test_two_that_were_there_from_the_start_are_both_left_aside():
     assert "none is used" in one.says(0.0)
 
 
-def test_counts_too_near_each_other_stop_both_until_one_is_left():
+@pytest.mark.parametrize("ahead", [-999, -3, 2, 40])
+def test_another_that_counts_near_ours_is_told_apart(ahead):
     one, now = running()
     one.look([OURS, OTHER])
-    assert not one.use(1000 - NEAR, now)
-    assert not one.use(1001, now)
+    for k in range(1001, 1101):
+        assert not one.use(k + ahead, now)
+        assert one.use(k, now)
+    assert "only the one that was there" in one.says(now)
+
+
+def test_chains_that_meet_stop_both_until_one_is_left():
+    """The other sends twice as often and catches up."""
+    one, now = running()
+    one.look([OURS, OTHER])
+    used = [(number, one.use(number, now)) for k in range(1, 21) for number in (989 + 2 * k, 990 + 2 * k, 1000 + k)]
+    assert [number for number, ours in used if ours] == list(range(1001, 1009))
     assert "cannot be told apart" in one.says(now)
     one.look([OTHER])
-    assert one.use(1002, now)
+    assert one.use(1031, now)
+
+
+def test_two_that_may_be_ours_after_a_loss_are_both_left_aside():
+    one, now = running()
+    one.look([OURS, OTHER])
+    later = now + 1.1 * PATIENCE
+    assert not one.use(1300, later - 0.2 * PATIENCE)
+    assert not one.use(1110, later) and not one.use(1301, later)
 
 
 def test_started_again_it_is_taken_while_the_dead_one_is_still_in_the_graph():

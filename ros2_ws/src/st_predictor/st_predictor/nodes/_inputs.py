@@ -18,8 +18,8 @@ from st_ros.stamps import to_nanoseconds
 from .. import convert
 from ..one_publisher import OnePublisher
 
-# Waiting messages per topic: four seconds at 250 Hz, so that a busy moment loses nothing.
-QUEUE_DEPTH = 1000
+# Waiting messages per topic: 16 s at 250 Hz, so that a node that others keep from the processor loses nothing.
+QUEUE_DEPTH = 4000
 
 
 class Inputs:
