@@ -32,6 +32,8 @@ WORK_PERIOD = 0.05
 LOOK_PERIOD = 0.25
 # After a full disk: how often to look for room, and how much is worth a new bag [s, bytes].
 RESUME_PERIOD, RESUME_ROOM = 5.0, 200_000_000
+# How long it is told that recording went on in another bag [s].
+RESUME_TOLD = 10.0
 # Waiting messages per topic: four seconds at 250 Hz, should the disk be slow.
 QUEUE_DEPTH = 1000
 
@@ -46,7 +48,7 @@ class RecorderNode(Node):
         self._values, self._records = values, metadata_records(values)
         self._bag = open_bag(values, self._records)
         self._stopped = ""  # why an earlier bag of this run ended
-        self._resume_at = float("inf")
+        self._resume_at, self._resumed_at = float("inf"), float("-inf")
         self._recorded: dict[str, tuple[PolledSubscription, int]] = {}
         self._announced: dict[str, tuple[str, list[Qos]]] = {}
         self._refused: dict[str, str] = {}
@@ -112,7 +114,7 @@ class RecorderNode(Node):
                 return
             self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
-            self._stopped, self._bag = self._bag.error, bag
+            self._stopped, self._bag, self._resumed_at = self._bag.error, bag, now
             for topic, (subscription, _) in self._recorded.items():
                 self._recorded[topic] = subscription, bag.add_topic(topic, *self._announced[topic])
             self.get_logger().warning(f"{self._stopped}; recording goes on in {bag.directory}")
@@ -125,7 +127,8 @@ class RecorderNode(Node):
         elif not self._recorded:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
         topics = Check("topics", level, text, {"topics": len(self._recorded)})
-        return [recording_check(self._bag, self._stopped), topics, self._senders_check()]
+        lately = time.monotonic() - self._resumed_at < RESUME_TOLD
+        return [recording_check(self._bag, self._stopped, lately), topics, self._senders_check()]
 
     def _senders_check(self) -> Check:
         if DIAGNOSTICS not in self._recorded:
