@@ -79,7 +79,7 @@ class BagWriter:
         self._header_length = self._file.tell()
         for name, entries in (records or {}).items():
             self._contents.append_metadata(self._file, name, dict(entries))
-        self._next_flush = time.monotonic() + FLUSH_PERIOD
+        self._next_flush = self._next_look = time.monotonic() + FLUSH_PERIOD
 
     @property
     def message_count(self) -> int:
@@ -129,18 +129,22 @@ class BagWriter:
         bag_file.end_ns = max(bag_file.end_ns, log_time_ns)
         bag_file.count += 1
         self._topics[topic - 1].count += 1
-        if self._chunk.count > CHUNK_SIZE:
+        if self._chunk.count > CHUNK_SIZE or time.monotonic() >= self._next_flush:
             self.flush()
-        else:
-            self.flush_when_due()
 
     def flush_when_due(self) -> None:
-        """Call this at least twice a second: it hands the messages of the last FLUSH_PERIOD to the operating system.
+        """Call this at least twice a second: it hands the messages of the last FLUSH_PERIOD to the operating system,
+        and looks whether the file is still where it was made.
 
         From then on they survive the end of this process. (Not the loss of power: the system writes them out later.)
         """
-        if time.monotonic() >= self._next_flush:
+        now = time.monotonic()
+        if now >= self._next_flush:
             self.flush()
+        if now >= self._next_look and not (self.closed or self.error):
+            self._next_look = now + FLUSH_PERIOD
+            if not self._file.is_at(self.path):
+                self._leave()
 
     def flush(self) -> None:
         """Ends the chunk and writes it to the file."""
@@ -150,8 +154,6 @@ class BagWriter:
                 self._write_chunk()
             except OSError as error:
                 self._stop(error)
-        if not (self.closed or self.error or self._file.is_at(self.path)):
-            self._leave()
 
     def close(self) -> None:
         """Writes index and metadata.yaml. Safe to call twice."""
@@ -196,6 +198,8 @@ class BagWriter:
         if folder is None:
             self.lost += self.message_count
         with contextlib.suppress(OSError):  # of the rest `recover` makes what there is to make
+            if self._messages:
+                self._write_chunk()
             self._contents.finish(self._file)
             self._file.sync()
             if folder is not None:

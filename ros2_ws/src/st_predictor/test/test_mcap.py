@@ -15,7 +15,7 @@ import pytest
 import yaml
 from bags import DEFINITION, TYPE, TYPE_HASH, numbered, read_numbers, read_numbers_with_mcap
 from st_predictor.bag_metadata import Qos
-from st_predictor.mcap import BagWriter, recover
+from st_predictor.mcap import FLUSH_PERIOD, BagWriter, recover
 
 START_NS = 1_790_000_000_000_000_000
 
@@ -218,7 +218,8 @@ def test_a_renamed_bag_is_noticed_and_closed_whole_where_it_is(tmp_path: Path, b
     if back:
         BagWriter(tmp_path / "bag").close()
     bag.write(topic, numbered(2), 2)
-    bag.flush()
+    time.sleep(FLUSH_PERIOD)
+    bag.flush_when_due()
     assert bag.moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was renamed to {tmp_path / 'kept'}"
     bag.write(topic, numbered(3), 3)
     bag.close()
@@ -231,7 +232,8 @@ def test_a_deleted_bag_is_noticed(tmp_path: Path) -> None:
     topic = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
     bag.write(topic, numbered(1), 1)
     shutil.rmtree(tmp_path / "bag")
-    bag.flush()
+    time.sleep(FLUSH_PERIOD)
+    bag.flush_when_due()
     assert bag.moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was deleted"
     bag.write(topic, numbered(2), 2)
     bag.close()
