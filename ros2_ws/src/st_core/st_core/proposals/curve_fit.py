@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..discovery.fit import Problem, Slopes
 from ..discovery.loss import Errors, Loss, Quadratic
 from ..discovery.space import GAIN, Space
 from ..discovery.windows import Windows
@@ -55,18 +56,18 @@ class Fitted:
 class Laws:
     """All laws on top of one answer.
 
-    windows: the drives. answer: the model found, with the gain of its accelerometer; names of its effects. block, fold:
-    (n,), (b,) as those of the search; the scale of the errors stays that of the answer. beside: parameters that are
+    windows: the drives. answer: the model found, with the gain of its accelerometer; names of its effects. fold: (b,)
+    what "held-out" means in reports; the scale of the errors stays that of the answer. beside: parameters that are
     fitted with a law; car: those of the vehicle file that are not, what they can do is no evidence for a law.
     """
 
-    def __init__(self, windows: Windows, answer, gain: float, names, settings, block: np.ndarray, fold: np.ndarray,
-                 threads: int = 1):
-        self.windows, self.block, self.fold, self.threads = windows, block, fold, threads
-        self.blocks = int(block.max()) + 1
+    def __init__(self, windows: Windows, answer, gain: float, names, settings, threads: int = 1):
+        self.windows, self.threads = windows, threads
         self.space = Space(answer, settings, (LAW,))
         self.start = np.append(self.space.null[:-1], gain)
         self.loss = Loss(Errors(windows, self.space, threads), self.start)
+        self.problem = Problem(self.loss, self.start, windows.block)
+        self.block, self.blocks, self.fold = windows.block, self.problem.blocks, self.problem.apart
         own = {n for n in self.space.hypotheses if get_effect(n).kind == "vehicle parameters" and not get_effect(
             n).members}
         always = (GAIN,) if "acceleration_y" in windows.columns else ()
@@ -166,7 +167,7 @@ class Laws:
                 gained = cost - (loss.total(there) + now @ penalty @ now)
                 if gained > 0.0:
                     taken = loss.errors.at(vector) - loss.errors.at(there)
-                    slopes = _followed(slopes, ((there - vector) / scale)[which], taken)
+                    slopes = Slopes(vector, which, slopes).moved(there, scale, taken).values
                     vector = there
                     break
             if gained < SETTLED * loss.number:
@@ -175,13 +176,3 @@ class Laws:
         q = self.quadratic(loss, rows, slopes)
         steps, held_out = self.leave_out(q, penalty, ((vector - self.start) / scale)[which])
         return Fitted(candidate, vector, rows, which, slopes, penalty, q, held_out, steps)
-
-
-def _followed(slopes: np.ndarray, step: np.ndarray, taken: np.ndarray) -> np.ndarray:
-    """Slopes that give for the step what the errors have just lost (Broyden 1965)."""
-    square = float(step @ step)
-    if square == 0.0:
-        return slopes
-    missed = taken - np.tensordot(step, slopes, 1)
-    missed[~np.isfinite(missed)] = 0.0
-    return slopes + (step / square)[:, None, None] * missed

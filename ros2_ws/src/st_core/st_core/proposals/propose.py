@@ -62,8 +62,7 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
                          f"were driven; a curve asks for {FEWEST}", {})
     answer = found.model or found.base
     names = [e.name for e in (*found.effects, *found.minor)]
-    fold = _folds(windows)
-    laws = Laws(windows, answer, found.acceleration_gain, names, settings, windows.block, fold, threads)
+    laws = Laws(windows, answer, found.acceleration_gain, names, settings, threads)
     tick()
     without = laws.without()
     base = laws.promised(without.q, without.penalty, ((without.vector - laws.start) / laws.space.scale)[without.which])
@@ -193,26 +192,15 @@ def _channels(found: Discovery, settings: DiscoverySettings) -> DiscoverySetting
     return replace(settings, channels=used or settings.channels)
 
 
-def _folds(windows: Windows) -> np.ndarray:
-    """(b,) whole runs where there are four or more, else every eighth block."""
-    blocks = int(windows.block.max()) + 1
-    of_block = np.zeros(blocks, int)
-    of_block[windows.block] = windows.run
-    return of_block if len(np.unique(windows.run)) > 3 else np.arange(blocks) % min(8, blocks)
-
-
 def _held_out_positions(laws: Laws, fit: Fitted) -> np.ndarray:
     """(n,) position error at the end of the horizon under values fitted to other driving [m]."""
     rows = fit.rows.copy()
     for k, d in fit.steps.items():
         mine = laws.fold[laws.block] == k
         rows[mine] -= np.einsum("p,pnm->nm", d, fit.slopes[:, mine])
-    columns = laws.windows.columns
-    if "position_lateral" not in columns:
+    if "position_lateral" not in laws.windows.columns:
         return np.full(len(rows), np.nan)
-    last = len(columns) * (len(laws.windows.time) - 1)
-    ends = [last + columns.index(f"position_{axis}") for axis in ("lateral", "longitudinal")]
-    return np.hypot(*(rows[:, end] for end in ends))
+    return laws.problem.position(rows)
 
 
 def _no_worse(worse: np.ndarray) -> float:

@@ -11,13 +11,12 @@ from st_core.bands.conformal import refuse_beyond
 from st_core.bands.file import configuration_of, times
 from st_core.errors import StCoreError
 from st_core.log_evaluation import MODES
-from st_core.model_file import ModelFile
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
 
 from ..checking.gate import passed
 from ..evaluation.recorded import recorded_configuration
-from ..evaluation.work import Task, load_models
+from ..evaluation.work import Task, load_models, model_hashes
 from ..output import OutputError
 from ..runs import LoadedRun, RunError, RunSource, find_runs, read
 
@@ -88,9 +87,8 @@ def learn(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], re
             if console is not None:
                 console.print(f"[dim]{escape(model.name)}, {mode}[/dim]", highlight=False)
             found[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
-    files = [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
-    digests = {file.model().name: file.hash for file in files}
-    hashes = {m.name: configuration_of(task.vehicle, settings, digests.get(m.name, "")) for m in models}
+    hashes = {name: configuration_of(task.vehicle, settings, digest)
+              for name, digest in model_hashes(task, models).items()}
     return Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
                  Seen.of([one.conditions for one in samples]), found, hashes)
 

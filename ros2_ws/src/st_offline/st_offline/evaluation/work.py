@@ -163,13 +163,17 @@ def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
         return None
     origin, text = task.bands
     bands = Bands.from_yaml(text, origin)
-    files = [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
-    hashes = {file.model().name: file.hash for file in files}
     try:
-        bands.check(task.vehicle, {model.name: hashes.get(model.name, "") for model in models}, task.settings)
+        bands.check(task.vehicle, model_hashes(task, models), task.settings)
     except ConfigurationError as error:
         raise ConfigurationError(f"{origin}: {error}") from None
     return bands
+
+
+def model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
+    """Hash of the model file by name of each model; "" for those that come from none."""
+    files = [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
+    return {model.name: "" for model in models} | {file.model().name: file.hash for file in files}
 
 
 def _why_nothing(evaluation: LogEvaluation, overlap: float) -> str:
