@@ -51,6 +51,11 @@ class Candidate:
         return f"{self.place} over {self.quantity}"
 
     @property
+    def changes_sides(self) -> bool:
+        """Whether its mirror image has the other sign: a push to one side whichever way the car turns."""
+        return self.parity == NEITHER and not self.place.endswith("_grip")
+
+    @property
     def constants(self) -> dict[str, float]:
         """Of the effect `law`."""
         return {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity,

@@ -74,7 +74,7 @@ class {cls}(Effect):
     order = 90
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="of the curve as it was fitted",
-                  source="st discover --propose"),
+                  source="st discover --propose"{odd}),
     )
 {body}
 '''
@@ -105,7 +105,8 @@ def effect_file(one: Proposal, runs: Sequence[str], created: str) -> str:
         quantity_unit=QUANTITIES[c.quantity],
         unit=unit, meaning=f"y [{unit}]: {meaning}.", before=one.position_5s[0], after=one.position_5s[1],
         chance=one.chance, readings=read, heights=terms, cls="".join(w.title() for w in name_of(one).split("_")),
-        name=name_of(one), physics=f"y = curve of {c.quantity}: {meaning}", body=_body(one),
+        odd=", odd=True" if c.changes_sides else "", name=name_of(one),
+        physics=f"y = curve of {c.quantity}: {meaning}", body=_body(one),
         kind="sensors" if c.place.startswith("sensor_") else "physics", slot=SLOT[c.place])
 
 
