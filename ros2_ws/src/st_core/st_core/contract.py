@@ -64,7 +64,7 @@ def _null(effect: type[Effect], vehicle: VehicleParameters) -> str:
     for base, active in _models(effect):
         model = neutral(active)
         off = float(np.abs(_path(model, vehicle) - _path(base, vehicle)).max())
-        if not off == 0.0:
+        if np.isnan(off) or off > 0.0:
             return f"at null the {base.name} model moves by {off:.3g}; the path must be the base's to the last bit"
         if model.observe(READ) != READ or model.correct(READ) != READ or model.effective_vehicle(vehicle) != vehicle:
             return "at null a reading or the car is changed"

@@ -58,7 +58,8 @@ def test_a_broken_promise_is_named(leaf, acceleration, promise, words):
 
 
 def test_a_declared_sign_is_no_broken_promise(leaf):
-    push = Parameter("gain", "rad/s^2", null=0.0, initial=0.1, bounds=(-1.0, 1.0), source="t", meaning="left +", odd=True)
+    push = Parameter("gain", "rad/s^2", null=0.0, initial=0.1, bounds=(-1.0, 1.0), source="theory", meaning="left +",
+                     odd=True)
     assert broken(made(push, acceleration=of(lambda at, t: t.gain + 0.0 * at.yaw_rate)), leaf) == {}
 
 

@@ -1,12 +1,16 @@
 """A proposed law as an effect file: it loads, does what the curve does, and says where it comes from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from answers import discovery
+from driven import drive
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, Measured, load_folder
 from st_core.model_file import ModelFile
 from st_core.models import MODELS
-from st_core.proposals import Candidate, Proposal, Proposals, Reading
+from st_core.proposals import Candidate, Proposal, Proposals, Reading, wanted
 from st_core.proposals.places import ASKED
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import proposed
@@ -70,6 +74,14 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     assert "1 of 1 runs" in lines
     content = proposed.document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
+
+
+def test_a_law_is_looked_for_where_much_is_left():
+    lap = replace(drive(CAR, 10.0, lambda time: 0.05 * np.sin(time), seconds=5.0), name="lap")
+    found = discovery([lap], (), 1.0)
+    nothing, much = replace(found, outcome="none", signature=()), ("errors are 4.0 times the noise",)
+    assert not wanted(nothing)
+    assert wanted(replace(nothing, outcome="unknown")) and wanted(replace(nothing, outcome="named", signature=much))
 
 
 def test_without_a_proposal_the_reason_is_told(tmp_path):

@@ -41,6 +41,12 @@ class _Screened:
     gain: float
 
 
+def wanted(found: Discovery) -> bool:
+    """Whether an answer leaves so much that a law is to be looked for: unknown, or errors beyond `limits.left` times
+    the noise."""
+    return found.outcome == "unknown" or bool(found.signature)
+
+
 def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
             settings: DiscoverySettings | None = None, threads: int = 1,
             tick: Callable[[], None] = lambda: None) -> Proposals:

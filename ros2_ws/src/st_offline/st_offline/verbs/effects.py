@@ -83,7 +83,8 @@ def _checked(files: Sequence[Path], car: "VehicleParameters", console: "Console"
         found = check_effect(effect, car)
         broken = [one for one in found if one.problem]
         kept &= not broken
-        lines = [f"{effect.name}: {f'{len(broken)} of {len(found)} promises broken' if broken else 'all promises kept'}"]
+        verdict = f"{len(broken)} of {len(found)} promises broken" if broken else "all promises kept"
+        lines = [f"{effect.name}: {verdict}"]
         lines += [f"  no   {one.what}: {one.problem}" for one in broken]
         lines += [f"  yes  {one.what}" for one in found if files and not one.problem]
         console.print("\n".join(lines), markup=False, highlight=False)
