@@ -47,8 +47,8 @@ def _feeling_gyroscope(log: DriveLog, vehicle: VehicleParameters, size: float) -
 class Hidden:
     """name; places: of a law that are right; shapes: of its first reading that are right, () where nothing is; slots:
     of the library where it acts. settings: added to those of the plant; law, change: of the equations, of the
-    recording, with their size. On the multi-body cars `elsewhere` stands in for switches only the virtual Leaf has. removed: the
-    effect of the library that is taken out, and what is like it."""
+    recording, with their size. On the multi-body cars `elsewhere` stands in for switches only the virtual Leaf has.
+    removed: the effect of the library that is taken out, and what is like it."""
 
     name: str
     places: tuple[str, ...]

@@ -17,7 +17,7 @@ from st_core.discovery.windows import STEP, Windows
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
-from .regression import NAMED_BY, TERMS, Regression
+from .regression import TERMS, Regression
 
 HORIZON, FURTHEST = 5.0, 100.0
 SAMPLES, SEED = 250, 5
@@ -70,8 +70,8 @@ def _process(regression: Regression, drives: Sequence[DriveLog], vehicle: Vehicl
     library, target = regression._rows(drives)
     rows = {name: library[:, k] for k, name in enumerate(TERMS)}
     speed = np.sqrt(np.maximum(rows["vx^2"], 0.0))
-    inputs = np.stack([rows["angle"], rows["slip front"], rows["slip rear"], speed, rows["r vx"] / np.maximum(speed, 3.0),
-                       rows["ax"]], axis=1)
+    rate = rows["r vx"] / np.maximum(speed, 3.0)
+    inputs = np.stack([rows["angle"], rows["slip front"], rows["slip rear"], speed, rate, rows["ax"]], axis=1)
     mean, size = inputs.mean(axis=0), inputs.std(axis=0) + 1e-9
     chosen = np.random.default_rng(SEED).choice(len(inputs), min(SAMPLES, len(inputs)), replace=False)
     made, named = [], []
@@ -123,6 +123,3 @@ def _stepped(model: AugmentedModel, state: tuple, w: Sequence[tuple], p, aside, 
     c = rates(tuple(s + half * d for s, d in zip(state, b, strict=True)), w[1])
     d = rates(tuple(s + STEP * d for s, d in zip(state, c, strict=True)), w[2])
     return tuple(s + STEP / 6 * (i + 2 * j + 2 * k + m) for s, i, j, k, m in zip(state, a, b, c, d, strict=True))
-
-
-__all__ = ["NAMED_BY", "compared"]
