@@ -62,8 +62,11 @@ def document(found: Proposals | None) -> dict:
 def told(found: Proposals) -> list[str]:
     """Lines for terminal and page."""
     one = found.proposal
+    unseen = found.unseen()
+    places = ", ".join(unseen).replace("_", " ")
+    less = [f"these drives hardly show {places}: nothing is said of laws there"] if unseen else []
     if one is None:
-        return [f"nothing is proposed: {found.why}"]
+        return [f"nothing is proposed: {found.why}", *less]
     c = one.candidate
     lines = [f"PROPOSAL, for you to keep or delete: {title(one)}; {found.why}"]
     lines += [f"reads as {r.text} ({r.shape}; {r.explained:.0%} of the curve)" for r in one.readings]
@@ -82,4 +85,4 @@ def told(found: Proposals) -> list[str]:
     worse = [name for name, (before, after) in one.runs.items() if after > before]
     lines.append(f"it helps in {len(one.runs) - len(worse)} of {len(one.runs)} runs"
                  + (f", not in {', '.join(worse)}" if worse else ""))
-    return lines
+    return lines + less
