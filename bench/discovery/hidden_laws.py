@@ -71,7 +71,7 @@ class Hidden:
 STRAIGHT = ("linear", "straight line")
 LAWS = (
     Hidden("rear roll steer", REAR, ("linear",), AXLES, {"rear_roll_steer": 0.25},
-           elsewhere=Law(pushes.REAR_STEER, -0.0012)),
+           elsewhere=Law(pushes.REAR_STEER, 0.0012)),
     Hidden("camber thrust", (*FRONT, *REAR, "side_force"), ("linear",), (*AXLES, "body"), {"camber_thrust": 1.0},
            elsewhere=Law(pushes.CAMBER, 0.06)),
     Hidden("steering map with a kink", ("front_steer",), ("dead zone",), ("steering", "front axle"), change=_kinked,

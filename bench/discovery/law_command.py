@@ -9,6 +9,7 @@ from pathlib import Path
 from st_offline.paths import source_version
 
 from . import law_score, law_tables
+from .compiled import Stopped
 from .law_cases import COUNTS, LawCase, cases_of
 from .law_run import Record, run_case
 from .run import key_of, read, read_all
@@ -50,8 +51,12 @@ def _run(cases: Sequence[LawCase], file: Path, until: float | None, whole: bool)
         if key not in done:
             if until is not None and time.time() >= until:
                 break
-            done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(),
-                         **run_case(case, whole)}
+            try:
+                answered = run_case(case, whole)
+            except Stopped as error:
+                print(f"{case.block} {case.index}: cannot be driven, {error}", flush=True)
+                continue
+            done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **answered}
             with file.open("a") as out:
                 out.write(json.dumps(done[key]) + "\n")
             _say(done[key])
