@@ -4,10 +4,12 @@ Measured minus modelled accelerations of the fitted drives, as a sparse regressi
 of the same drives, are added to the model's own in the simulation of the held-out drives.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from st_core import frames
@@ -78,7 +80,9 @@ def _process(regression: Regression, drives: Sequence[DriveLog], vehicle: Vehicl
     for k in (0, 1):
         kernel = RBF(np.ones(len(FEATURES)), (0.2, 1e3)) + WhiteKernel(0.5)
         process = GaussianProcessRegressor(kernel, normalize_y=True, random_state=SEED)
-        process.fit((inputs[chosen] - mean) / size, target[chosen, k])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # of inputs that do not matter
+            process.fit((inputs[chosen] - mean) / size, target[chosen, k])
         made.append(process)
         named.append(FEATURES[int(np.argmin(process.kernel_.k1.length_scale))])
 

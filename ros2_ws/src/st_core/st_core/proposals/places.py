@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..discovery.levels import sites
 from ..discovery.windows import Windows, smoothed
 from ..effects._law import COUNT, INTERVALS, PLACES, bump
 from ..filtering import NANOSECOND
@@ -146,12 +147,16 @@ def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray
 
 
 def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
-    """What these drives can ask: not of a channel that was not measured, nor over a quantity that hardly moves."""
+    """What these drives can ask: not of a channel that was not measured, nor over a quantity that hardly moves, nor of
+    places where there are several sites, whose maps may have different origins."""
     values, found = driven(windows, vehicle), []
+    one_site = int(sites(windows).max()) == 0
     asked = [(p, q, parity, "") for p, quantities in ASKED.items() for q, parity in quantities]
     for place, quantity, parity, by in [*asked, *((p, q, NEITHER, by) for p, q, by in PAIRS)]:
         channel = place.removeprefix("sensor_")
         if place.startswith("sensor_") and channel != "heading" and channel not in windows.columns:
+            continue
+        if quantity.startswith("position_") and not one_site:
             continue
         u = values[quantity][np.isfinite(values[quantity])]
         low, high = np.quantile(u, [EDGE, 1.0 - EDGE])
