@@ -11,10 +11,13 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+
+from support import ROOT
 
 from . import changes
 from .rig import Rig
-from .wires import OTHER_UNIT, Change, datagram, unchanged
+from .wires import LOOPBACK, OTHER_UNIT, Change, datagram, unchanged
 
 GO_ON, STOP, ANY = "go on", "stop", "may pause"
 Undo = Callable[[], None]
@@ -115,14 +118,62 @@ def second_unit(rig: Rig) -> Undo:
     return undo
 
 
+def second_sender(rig: Rig) -> Undo:
+    """Another car 640 m away, on the unit's own address."""
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    other.bind((LOOPBACK, 0))
+    elsewhere = changes.moved(640.0 / EARTH_RADIUS)
+
+    def twice(data: bytes) -> Sequence[bytes]:
+        other.sendto(elsewhere(data)[0], rig.car.ins.to)
+        return (data,)
+
+    rig.car.ins.change = twice
+
+    def undo() -> None:
+        rig.car.ins.change = unchanged
+        other.close()
+
+    return undo
+
+
+def second_publisher(rig: Rig) -> Undo:
+    process = subprocess.Popen([sys.executable, str(ROOT / "tests" / "intruder.py")], env=rig.suite.environment,
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    rig.run(20.0, lambda: "intruder" in rig.monitor.node_names())
+
+    def undo() -> None:
+        process.terminate()
+        process.wait()
+
+    return undo
+
+
 def full_disk(rig: Rig) -> Undo:
     """The limit of the file size stands for the disk: a new file has room again."""
     pid = rig.pid("recorder")
-    newest = max(rig.folder.glob("bag*/*.mcap"), key=lambda path: path.stat().st_mtime_ns)
+    newest = next(newest_bag(rig).glob("*.mcap"))
     limit = newest.stat().st_size + 100_000
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
 
     return lambda: resource.prlimit(pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+
+
+def newest_bag(rig: Rig) -> Path:
+    return max(rig.folder.glob("bag*/*.mcap"), key=lambda path: path.stat().st_mtime_ns).parent
+
+
+def renamed_bag(rig: Rig) -> Undo:
+    newest_bag(rig).rename(rig.folder / "bag_kept_aside")
+    return lambda: None
+
+
+def deleted_bag(rig: Rig) -> Undo:
+    """What is recorded until the end of the fault goes with it: a copy keeps what came before for the other lines."""
+    bag = newest_bag(rig)
+    shutil.copytree(bag, rig.folder / f"{bag.name}_copied")
+    shutil.rmtree(bag)
+    return lambda: None
 
 
 def changed_vehicle(rig: Rig) -> Undo:
@@ -159,6 +210,10 @@ BUS_OFF = datagram(0x040, bytes(8), error=True)
 BABBLE = (datagram(0x001, bytes(8)),) * 6  # 3000 frames/s: what 500 kbit/s carry
 NOISE = tuple(datagram(0x100 + k, bytes([k] * 8)) for k in range(4))  # 2000 frames/s more
 STREAM, SOLUTION = "oxts_bridge: stream", "oxts_bridge: solution"
+POSITION, PUBLISHERS, STEERING = "predictor: position", "predictor: publishers", "predictor: steering"
+SOURCE, TIME = "oxts_bridge: source", "oxts_bridge: time"
+EARTH_RADIUS = 6_371_000.0  # m
+WEEK_MS = 7 * 86_400 * 1000
 PREDICTION, BUS, FRAMES = "predictor: prediction", "canedge_bridge: bus", "canedge_bridge: frames"
 RECORDING = "recorder: recording"
 
@@ -187,6 +242,20 @@ INS = (
           "late packets are recorded, not published backwards", STREAM, "late"),
     Fault("UDP bursts of 0.15 s", 3.0, on_ins(lambda: changes.Burst(0.15).change), "predictions go on", "", "", ANY),
     Fault("second unit on the port", 4.0, second_unit, "ignored, counted by address", short=True),
+    Fault("two cars on one address", 4.0, second_sender, "the one that was there stays; told", SOURCE,
+          "second sender", short=True),
+    Fault("second publisher of ins/odometry", 4.0, second_publisher, "told at once with its name; not used",
+          PUBLISHERS, "/intruder", short=True),
+    *(Fault(f"position jumps by {size:g} m, and back", 3.0,
+            on_ins(lambda size=size: changes.moved(size / EARTH_RADIUS)),
+            "no prediction and no score across it; told, counted", POSITION, f"jump of {size:g}", short=size == 0.5)
+      for size in (0.5, 6.4, 640.0)),
+    Fault("latitude NaN", 2.0, on_ins(lambda: changes.at_latitude(math.nan)), "not used; told by the bridge", STREAM,
+          "impossible positions", STOP),
+    Fault("latitude of 2 rad", 2.0, on_ins(lambda: changes.at_latitude(2.0)), "not used; told by the bridge", STREAM,
+          "impossible positions", STOP),
+    Fault("INS a week ahead", 3.0, on_ins(lambda: changes.shifted(WEEK_MS)), "no prediction; told by the bridge", TIME,
+          "+7.0 days", STOP, short=True),
     Fault("1 % corrupt packets, final checksum right", 4.0, on_ins(lambda: changes.Chance(0.01).corrupt),
           "nothing: all three sums are right",
           open="no sum can tell; a prediction that starts from such a packet is wrong"),
@@ -201,8 +270,6 @@ CAN = (
           "marked invalid, not used", FRAMES, "bad frames", STOP, short=True),
     Fault("steering frames with a stuck counter", 2.0, on_can(lambda: changes.Steering().stuck_counter),
           "marked invalid, not used", FRAMES, "bad frames", STOP),
-    Fault("steering angle frozen, counter runs", 3.0, on_can(lambda: changes.Steering().frozen), "not detected",
-          open="a frozen value with a good counter and checksum looks like a held wheel"),
     Fault("steering jumps by 90 deg in one frame", 1.0, on_can(lambda: changes.Steering().jump),
           "that frame is not used", FRAMES, "bad frames", ANY),
     Fault("one identifier babbles, 3000 frames/s", 3.0, on_can(lambda: unchanged, BABBLE), "predictions go on",
@@ -227,6 +294,11 @@ MACHINE = (
     Fault("disk full", 6.0, full_disk, "told; bag closed whole; goes on in bag_2 when there is room", RECORDING,
           "recording stopped", ANY, short=True),
 )
+MACHINE += (
+    Fault("bag renamed while recording", 4.0, renamed_bag, "told; closed whole; goes on in a new one", RECORDING,
+          "was renamed to", short=True),
+    Fault("bag deleted while recording", 4.0, deleted_bag, "told; goes on in a new one", RECORDING, "was deleted"),
+)
 LONG = (Fault("INS silent 120 s", 120.0, on_ins(changes.silent), "as 1 s", STREAM, "no packet", STOP),)
 CONSISTENCY, WITHIN = "evaluator: consistency", "told within 60 s of ordinary driving, gone within 90 s"
 DRIVING = (
@@ -234,6 +306,8 @@ DRIVING = (
           "yaw_rate is 57.", settles=90.0),
     Fault("yaw rate 0.3 s late", 60.0, on_ins(lambda: changes.yaw_rate_late(30)), WITHIN, CONSISTENCY,
           "yaw_rate lags yaw by 0.3", settles=90.0),
+    Fault("steering angle frozen, counter runs", 60.0, on_can(lambda: changes.Steering().frozen), WITHIN, STEERING,
+          "has stood at", settles=90.0),
     Fault("steering counts the other way", 60.0, on_can(lambda: changes.Steering().flipped), WITHIN, CONSISTENCY,
           "it counts the other way", settles=90.0),
 )

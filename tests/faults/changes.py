@@ -56,6 +56,17 @@ def moved(latitude: float) -> Change:
     return change
 
 
+def at_latitude(latitude: float) -> Change:
+    """Latitude [rad], whether there is such a place or not."""
+
+    def change(data: bytes) -> Sequence[bytes]:
+        packet = bytearray(data)
+        packet[23:31] = struct.pack("<d", latitude)
+        return (signed(packet),)
+
+    return change
+
+
 YAW_RATE = slice(18, 21)  # 24 bits, little endian, right turn +
 
 

@@ -17,6 +17,9 @@ from .stream_statistics import StreamStatistics
 # Median distance of the stamps from the host's clock that is worth a word [s]. CAN frames are stamped by the host, so
 # this much is also the error of the steering in time; the delay of the unit and the network stays well below.
 CLOCKS_APART = 0.05
+# Further away, stamps are not late but of another time: a wrong week, a recording played into the port [s].
+ANOTHER_TIME = 60.0
+DAY = 86_400.0  # s
 _NEVER = float("-inf")
 
 
@@ -42,7 +45,8 @@ class Health:
         self._best_mode: int | None = None
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
         self._source, self._live, self._ellipsoidal, self._silence_after = source, live, ellipsoidal, silence_after
-        self._before = (0, 0, 0, 0)
+        self._before = (0, 0, 0, 0, 0)
+        self._rivals_before = 0
 
     def checks(self) -> list[Check]:
         source = self._source()
@@ -64,6 +68,10 @@ class Health:
             return Check("source", ERROR, source.trouble, values)
         if source.done:
             return Check("source", OK, f"{source.name}: replay finished", values)
+        rivals, self._rivals_before = source.rivals - self._rivals_before, source.rivals
+        if rivals > 0:
+            text = f"a second sender on {source.sender}: {rivals} datagrams ignored since the last report"
+            return Check("source", WARN, f"{source.name}: {text}", values)
         if source.others and not source.sender:
             return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.others)}", values)
         return Check("source", OK, f"{source.name}" + (f" from {source.sender}" if source.sender else ""), values)
@@ -71,7 +79,8 @@ class Health:
     def _stream(self, source: SourceStatus) -> Check:
         window, counters = self._statistics.take(), self._parser.counters
         age = time.monotonic() - self.heard
-        faults = (counters.checksum_errors, counters.skipped_bytes, counters.late, self._statistics.gaps)
+        faults = (counters.checksum_errors, counters.skipped_bytes, counters.late, self._statistics.gaps,
+                  counters.impossible_positions)
         new = [now - before for now, before in zip(faults, self._before, strict=True)]
         self._before = faults
         values = {
@@ -84,6 +93,7 @@ class Health:
             "skipped bytes": counters.skipped_bytes,
             "late": counters.late,
             "duplicates": counters.duplicates,
+            "impossible positions": counters.impossible_positions,
             "triggers": counters.triggers,
             "reserved navigation status": counters.unknown_statuses,
             "unknown channels": counters.unknown_channels,
@@ -95,7 +105,7 @@ class Health:
             return Check("stream", ERROR, "no NCOM packet yet", values)
         if age > self._silence_after:
             return Check("stream", ERROR, f"no packet for {age:.1f} s", values)
-        names = ("checksum errors", "skipped bytes", "late packets", "gaps")
+        names = ("checksum errors", "skipped bytes", "late packets", "gaps", "impossible positions")
         trouble = [f"{count} {name}" for count, name in zip(new, names, strict=True) if count > 0]
         if trouble:
             return Check("stream", WARN, ", ".join(trouble) + " since the last report", values)
@@ -174,6 +184,10 @@ class Health:
             return Check("time", OK, "not compared with the host's clock" if not self._live else "no time yet", values)
         middle, worst = figures
         values |= {"stamp minus host, median [s]": middle, "stamp minus host, 99 % above [s]": worst}
+        newest = self._statistics.newest_minus_host()
+        if abs(newest) > ANOTHER_TIME:
+            apart = f"{newest / DAY:+.1f} days" if abs(newest) > DAY else f"{newest:+.0f} s"
+            return Check("time", ERROR, f"stamps are of another time: {apart} from the host's clock", values)
         if abs(middle) > CLOCKS_APART:
             return Check("time", WARN, f"stamps are {middle:+.3f} s from the host's clock: is that set?", values)
         return Check("time", OK, f"stamps {middle * 1e3:+.1f} ms from the host's clock", values)

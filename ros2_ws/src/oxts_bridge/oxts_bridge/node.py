@@ -11,6 +11,7 @@ from st_ros.parameters import ConfigurationError
 
 from . import convert
 from .attitude import Vector
+from .continuity import Continuity
 from .gps_time import host_minute, unix_nanoseconds
 from .health import Health
 from .motion import Accuracy, Motion, motion_of
@@ -57,6 +58,7 @@ class OxtsBridge(LifecycleNode):
         given = (s.origin_latitude, s.origin_longitude, s.origin_altitude) if s.origin_source == GIVEN else None
         self._parser, self._status, self._events = NcomParser(), StatusTracker(), EventLog()
         self._origin, self._statistics = Origin(s.origin_source, given), StreamStatistics()
+        self._continuity = Continuity()
         self._accuracy = Accuracy.from_status(self._status)
         self._health = Health(
             self._parser,
@@ -112,7 +114,8 @@ class OxtsBridge(LifecycleNode):
     def _make_source(self) -> UdpSource | ReplaySource:
         s = self._settings
         if self._live:
-            return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._changed.trigger)
+            return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._changed.trigger,
+                             self._continuity.continues)
         return ReplaySource(
             Path(s.replay_file), self._on_data, self._on_replay_restart, s.speed_factor, s.loop, s.start_offset
         )
@@ -169,6 +172,7 @@ class OxtsBridge(LifecycleNode):
         position = self._position(received, motion)
         self._publish_event(received, motion, position)
         if in_series:
+            self._continuity.note(received.packet)
             self._statistics.add(received)
             self._know_minute(received, now)
             self._publish_motion(received, motion, position, now)

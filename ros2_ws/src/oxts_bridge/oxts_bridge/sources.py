@@ -36,7 +36,8 @@ class SourceStatus:
     """trouble: why nothing can come, empty when all is well.  done: a replay has reached its end.  sender: address in
     use.
 
-    others: datagrams per ignored address.  progress: share of a file replayed so far.  loops: completed.
+    others: datagrams per ignored address, with its port where that is all that differs.  rivals: those of the latter,
+    together.  progress: share of a file replayed so far.  loops: completed.
     """
 
     name: str
@@ -45,6 +46,7 @@ class SourceStatus:
     sender: str = ""
     datagrams: int = 0
     others: dict[str, int] = field(default_factory=dict)
+    rivals: int = 0
     progress: float = 0.0
     loops: int = 0
 
@@ -52,15 +54,19 @@ class SourceStatus:
 class UdpSource:
     """Reads every datagram of a port as it comes. A port that cannot be opened is tried again every second.
 
-    Without a filter it stays with the first address that sends NCOM, so that two units on one network do not mix.
+    Without a filter it stays with the first address that sends NCOM, so that two units on one network do not mix. Of
+    two ports of one address it stays with the first as well; what comes from another is taken where it continues the
+    stream (a sender that opens a port for every datagram, a relay that was started again).
     """
 
-    def __init__(self, address: str, port: int, sender_filter: str, on_data: OnData, on_change: Callable[[], None]):
+    def __init__(self, address: str, port: int, sender_filter: str, on_data: OnData, on_change: Callable[[], None],
+                 continues: Callable[[bytes], bool] = lambda data: False):
         """sender_filter: IP address, or empty for any. on_change: called from the thread when `trouble` comes or
-        goes."""
+        goes. continues: whether a datagram goes on where the stream in use has been, see continuity.py."""
         self.status = SourceStatus(f"udp {address}:{port}")
         self._address, self._port, self._filter = address, port, sender_filter
-        self._on_data, self._on_change = on_data, on_change
+        self._on_data, self._on_change, self._continues = on_data, on_change, continues
+        self._in_use: tuple[str, int] | None = None
         self._heard = float("-inf")
         self._stop = threading.Event()
         self._tried = threading.Event()
@@ -108,22 +114,31 @@ class UdpSource:
                 data, control, _, peer = sock.recvmsg(_LARGEST_DATAGRAM, ancillary)
             except TimeoutError:
                 continue
-            self._take(data, _kernel_time(control), peer[0])
+            self._take(data, _kernel_time(control), peer[:2])
 
-    def _take(self, data: bytes, received_ns: int, sender: str) -> None:
-        status = self.status
-        status.datagrams += 1
-        current = status.sender
-        if sender != current:
-            silent = time.monotonic() - self._heard > SENDER_PATIENCE
-            chosen = sender == self._filter if self._filter else silent
-            if not chosen:
-                if sender in status.others or len(status.others) < _MOST_SENDERS:
-                    status.others[sender] = status.others.get(sender, 0) + 1
-                return
-        if self._on_data(data, received_ns, True):
+    def _take(self, data: bytes, received_ns: int, sender: tuple[str, int]) -> None:
+        self.status.datagrams += 1
+        if sender != self._in_use and not self._chosen(sender[0], data):
+            self._ignore(*sender)
+        elif self._on_data(data, received_ns, True):
             self._heard = time.monotonic()
-            status.sender = sender
+            self._in_use, self.status.sender = sender, sender[0]
+
+    def _chosen(self, address: str, data: bytes) -> bool:
+        """Whether the datagram of a sender that is not the one in use is to be taken."""
+        if self._filter and address != self._filter:
+            return False
+        if time.monotonic() - self._heard > SENDER_PATIENCE:
+            return True
+        return self._in_use is not None and address == self._in_use[0] and self._continues(data)
+
+    def _ignore(self, address: str, port: int) -> None:
+        status = self.status
+        rival = self._in_use is not None and address == self._in_use[0]
+        status.rivals += rival
+        name = f"{address} port {port}" if rival else address
+        if name in status.others or len(status.others) < _MOST_SENDERS:
+            status.others[name] = status.others.get(name, 0) + 1
 
     def _tell(self, trouble: str) -> None:
         changed, self.status.trouble = trouble != self.status.trouble, trouble

@@ -56,6 +56,7 @@ class Counters:
     unknown_channels: int = 0
     structure_b: int = 0  # vendor-internal, dropped
     triggers: int = 0
+    impossible_positions: int = 0  # NaN or out of range where the navigation status declares a position: masked
     last_unknown_status: int | None = field(default=None, repr=False)
 
 
@@ -163,7 +164,7 @@ class NcomParser:
         elif not rule.known:
             counters.unknown_statuses += 1
             counters.last_unknown_status = status
-        _mask(packet, rule, kind)
+        counters.impossible_positions += _mask(packet, rule, kind)
         utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
         return Received(packet, raw, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
 
@@ -194,8 +195,8 @@ def plausible(raw: bytes) -> bool:
     return status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw))
 
 
-def _mask(packet: Packet, rule: Rule, kind: str) -> None:
-    """NaN for what the navigation status declares invalid, and for positions that are none."""
+def _mask(packet: Packet, rule: Rule, kind: str) -> bool:
+    """NaN for what the navigation status declares invalid, and for positions that are none: then True."""
     if kind == "empty" or not rule.imu:
         packet.acceleration = packet.angular_rate = _NO_VECTOR
     if kind == "empty" or rule.navigation == "none":
@@ -204,3 +205,5 @@ def _mask(packet: Packet, rule: Rule, kind: str) -> None:
         packet.heading = packet.pitch = packet.roll = NAN
     elif not (abs(packet.latitude) <= pi / 2 and abs(packet.longitude) <= 2 * pi and isfinite(packet.altitude)):
         packet.latitude = packet.longitude = packet.altitude = NAN
+        return True
+    return False

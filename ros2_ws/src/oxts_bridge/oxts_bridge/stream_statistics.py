@@ -63,6 +63,10 @@ class StreamStatistics:
         self._window = [0, 0, 0, 0]
         return Window(packets, packets / (covered * 1e-9) if covered else 0.0, gaps, longest * 1e-9)
 
+    def newest_minus_host(self) -> float | None:
+        """Time of the newest packet minus its receive time [s]."""
+        return self._offsets[-1] * 1e-9 if self._offsets else None
+
     def stamp_minus_host(self) -> tuple[float, float] | None:
         """(median, the value 99 % are above) of packet time minus receive time [s]; negative: the packet is older."""
         offsets = sorted(self._offsets.copy())

@@ -1,14 +1,23 @@
 """Bytes from a real UDP port on loopback and from a file."""
 
+import math
 import socket
 import threading
 import time
 
 import pytest
-from oxts_bridge.ncom import NcomError
+from oxts_bridge.continuity import EARTH_RADIUS, Continuity
+from oxts_bridge.ncom import NcomError, decode
 from oxts_bridge.sources import ReplaySource, UdpSource, is_address
 from oxts_bridge.stream import NcomParser
 from oxts_bridge.stream_statistics import StreamStatistics
+
+START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]
+
+
+def elsewhere(north):
+    """Latitude [rad] so many metres further north."""
+    return math.radians(52.0) + north / EARTH_RADIUS
 
 
 class Sink:
@@ -120,6 +129,63 @@ def test_without_a_filter_the_first_unit_is_kept(udp, sink, port, drive):
             other.sendto(foreign, ("127.0.0.1", port))
         send_until(unit, port, ours, sink, lambda: source.status.others.get("127.0.0.3", 0) == 5)
     assert foreign not in sink.data
+
+
+class TestTwoOnOneAddress:
+    """The port and where the stream has been decide; the one that was there stays."""
+
+    @pytest.fixture
+    def source(self, sink, port):
+        stream = Continuity()
+
+        def take(data, received_ns, wanted):
+            for packet in NcomParser().feed(data):
+                stream.note(packet.packet)
+            return sink.take(data, received_ns, wanted)
+
+        source = UdpSource("127.0.0.1", port, "", take, sink.changed, stream.continues)
+        source.start()
+        yield source
+        source.stop()
+
+    def test_another_car_is_ignored_and_counted(self, source, sink, port, packet):
+        with sender() as unit, sender() as other:
+            send_until(unit, port, packet(START), sink, lambda: source.status.sender)
+            for k in range(1, 21):
+                other.sendto(packet(START + 4 * k, latitude=elsewhere(6.4)), ("127.0.0.1", port))
+                unit.sendto(packet(START + 4 * k), ("127.0.0.1", port))
+            send_until(unit, port, packet(START + 84), sink, lambda: source.status.rivals >= 20)
+            name = f"127.0.0.1 port {other.getsockname()[1]}"
+        assert source.status.others == {name: 20}
+        assert {data[23:31] for data in sink.data} == {packet(START)[23:31]}
+
+    def test_a_port_for_every_datagram_is_one_stream(self, source, sink, port, packet):
+        with sender() as first:
+            send_until(first, port, packet(START), sink, lambda: source.status.sender)
+        sent = [packet(START + 4 * k, velocity_ned=(0.0, 0.0, 0.0)) for k in range(1, 21)]
+        for data in sent:
+            with sender() as sock:
+                sock.sendto(data, ("127.0.0.1", port))
+        assert sink.wait(lambda: sink.data[-20:] == sent)
+        assert source.status.rivals == 0
+
+
+@pytest.mark.parametrize(("changes", "follows"), [
+    ({}, True),
+    ({"latitude": elsewhere(0.1)}, True),  # what it drove meanwhile
+    ({"latitude": elsewhere(640.0)}, False),
+    ({"latitude": elsewhere(-6.4)}, False),
+    ({"latitude": math.nan}, False),
+])
+def test_what_continues_a_stream(packet, changes, follows):
+    stream = Continuity()
+    later = packet(START + 10, **changes)
+    assert not stream.continues(later)  # nothing to go on from
+    stream.note(decode(packet(START)))
+    assert stream.continues(later) is follows
+    assert not stream.continues(packet(START, **changes))  # not later
+    assert not stream.continues(packet(START + 5000, **changes))  # too long ago
+    assert not stream.continues(b"not ncom")
 
 
 def test_a_busy_port_is_told_and_taken_when_it_is_free(udp, sink, port, drive):

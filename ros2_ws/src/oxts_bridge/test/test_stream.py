@@ -274,3 +274,11 @@ def test_file_decoder_finds_the_same(wrapping_drive, packet, data, joined):
         assert [columns.latitude[i], columns.altitude[i], columns.heading[i]] == pytest.approx(
             [p.latitude, p.altitude, p.heading], rel=1e-15, nan_ok=True
         )
+
+
+@pytest.mark.parametrize("latitude", [float("nan"), 1.6, -1e9])
+def test_positions_that_cannot_be_are_masked_and_counted(packet, latitude):
+    parser = NcomParser()
+    received = parser.feed(packet(START, latitude=latitude) + packet(START + 4))
+    assert [isnan(one.packet.latitude) for one in received] == [True, False]
+    assert parser.counters.impossible_positions == 1

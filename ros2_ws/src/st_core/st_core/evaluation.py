@@ -186,18 +186,28 @@ class Evaluator:
                      or self._why("steering", self.history.steering, times, angle, start_ns))
         # The same points for every model: without the last input some still have a finite last position.
         scorable = inputs.known_so_far[::2]
+        jump_ns, jump = self._jump(start_ns, int(times[-1]))
+        unbroken = times[::2] < jump_ns
         scores = []
         for pending in group:
             view = self.view(pending.model)
             known = inputs if view.plain else view.measured(times)
             again = predict(view.model, self.vehicle, pending.start, known, steps * step, step)
             issued = pending.trajectory
-            for mode, trajectory, scored, reason in (("forecast", issued, True, no_position),
-                                                     ("hindsight", again, scorable, no_inputs)):
+            for mode, trajectory, scored, reason in (("forecast", issued, unbroken, jump or no_position),
+                                                     ("hindsight", again, unbroken & scorable, jump or no_inputs)):
                 shown = view.shown(trajectory)
                 errors = [np.where(scored, e, math.nan) for e in pose_errors(shown.x, shown.y, shown.yaw, *measured)]
                 scores.append(make_score(pending.model, mode, start_ns, step, errors, reason))
         return scores
+
+    def _jump(self, start_ns: int, end_ns: int) -> tuple[int, str]:
+        """(instant, reason) of the first jump of the position within a horizon; without one its end is not reached."""
+        within = [time_ns for time_ns in self.history.ins.breaks if start_ns < time_ns <= end_ns]
+        if not within:
+            return end_ns + 1, ""
+        after = (min(within) - start_ns) * NANOSECOND
+        return min(within), f"INS: {self.history.ins.breaks[min(within)]} at {after:.3f} s of the horizon"
 
     @staticmethod
     def _why(name: str, series, times: np.ndarray, values: np.ndarray, start_ns: int) -> str:

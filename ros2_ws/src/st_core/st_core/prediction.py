@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -13,6 +13,7 @@ from . import frames, integrate
 from .alignment import MeasurementHistory
 from .errors import ConfigurationError, StCoreError
 from .filtering import NANOSECOND
+from .frozen_steering import FrozenAngle, FrozenSteering
 from .model_view import ModelView
 from .models import Model, get_model
 from .stability import warn_if_too_long
@@ -166,10 +167,15 @@ class Skip:
     reason: str
 
 
+# A trajectory from a state and inputs, for one model, car and horizon.
+Runner = Callable[[VehicleState, ControlInput | InputSequence], Trajectory]
+
+
 class Predictor:
     """The live prediction: measurements in, a start and its trajectories out.
 
-    models: names, or models such as those of a model file. Raises ConfigurationError for an unknown or no model, and
+    models: names, or models such as those of a model file. runners: for some of them, by name, something faster than
+    `predict` that gives the same numbers (see compiled.py). Raises ConfigurationError for an unknown or no model, and
     for one that needs signals nobody measures here.
     """
 
@@ -177,9 +183,10 @@ class Predictor:
     SPAN = 2.0
 
     def __init__(self, vehicle: VehicleParameters, models: Sequence[str | Model],
-                 settings: PredictionSettings | None = None):
+                 settings: PredictionSettings | None = None, runners: Mapping[str, Runner] | None = None):
         self.vehicle = vehicle
         self.settings = settings or PredictionSettings()
+        self._runners = dict(runners or {})
         if not models:
             raise ConfigurationError("models: empty; name at least one")
         found = [get_model(model) for model in models]
@@ -191,6 +198,12 @@ class Predictor:
         span = ModelView.span(found, span)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {model.name: ModelView(model, vehicle, self.history) for model in found}
+        self._frozen = FrozenSteering(vehicle)
+
+    @property
+    def frozen_steering(self) -> FrozenAngle | None:
+        """The steering angle that stands still while the car turns differently; None while all is well."""
+        return self._frozen.found
 
     @property
     def models(self) -> tuple[str, ...]:
@@ -204,12 +217,14 @@ class Predictor:
         """Take an INS sample; False if it was refused (see MeasurementHistory)."""
         for view in self._views.values():
             view.add_ins(sample)
+        self._frozen.add_ins(sample)
         return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Take a road wheel angle [rad], left +; False if it was refused."""
         for view in self._views.values():
             view.add_steering(time_ns, road_wheel_angle)
+        self._frozen.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 
     def ages(self, now_ns: int) -> dict[str, float]:
@@ -238,6 +253,9 @@ class Predictor:
         limit = self.settings.stale_after
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
             return Skip("stale", self._why_apart(now_ns, time_ns))
+        jump = self.history.jump
+        if jump and time_ns < jump.time_ns:
+            return Skip("stale", f"INS: position jumps by {jump.size:.2f} m after the newest common instant")
         inputs = self.history.inputs_at(time_ns)
         if inputs is None:
             return Skip("stale", "INS: forward acceleration not known yet, one sample since a gap")
@@ -275,4 +293,6 @@ class Predictor:
         state, inputs = start.state, start.inputs
         if not view.plain:
             state, inputs = view.start(start.time_ns, settings.steps, settings.step)
+        if model in self._runners:
+            return self._runners[model](state, inputs)
         return predict(view.model, self.vehicle, state, inputs, settings.horizon, settings.step)

@@ -33,6 +33,9 @@ class TimeSeries:
     columns: names, in row order; a row may be shorter, the rest is NaN until filled in by the owner. angles: columns
     interpolated the short way round. span [s]: at least one second is kept. maximum_gap [s]. Memory is bounded by
     the span, and by MAXIMUM_SAMPLES whatever the rate.
+
+    breaks: samples (by time [ns]) up to which nothing is known since the one before, as after a gap, and why; filled in
+    by the owner.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):
@@ -42,6 +45,7 @@ class TimeSeries:
         self._span_ns = max(round(span / NANOSECOND), 2 * REORDER_WINDOW_NS)
         self._angles = [self.columns.index(name) for name in angles]
         self._late: list[tuple[int, Sequence[float]]] = []
+        self.breaks: dict[int, str] = {}
         self.clear()
 
     def clear(self) -> None:
@@ -50,6 +54,7 @@ class TimeSeries:
         self._rows = np.empty((256, len(self.columns)))
         self._first = self._end = 0
         self._late.clear()
+        self.breaks.clear()
 
     def __len__(self) -> int:
         return self._end - self._first
@@ -131,6 +136,7 @@ class TimeSeries:
     def _trim(self) -> None:
         limit = self._times[self._end - 1] - self._span_ns
         while self._times[self._first] < limit or self._end - self._first > MAXIMUM_SAMPLES:
+            self.breaks.pop(int(self._times[self._first]), None)
             self._first += 1
 
     def _make_room(self) -> None:
@@ -150,13 +156,19 @@ class TimeSeries:
             return None
         if times[after] == time_ns:
             return tuple(self.rows[after].tolist())
-        if after == 0 or times[after] - times[after - 1] > self.maximum_gap_ns:
+        if not self._joined(after):
             return None
         rows = self.rows[after - 1:after + 1]
         fraction = (time_ns - int(times[after - 1])) / int(times[after] - times[after - 1])
         change = rows[1] - rows[0]
         change[self._angles] = wrap_angle(change[self._angles])
         return tuple((rows[0] + fraction * change).tolist())
+
+    def _joined(self, position: int) -> bool:
+        """Whether the signal is known between the sample there and the one before it."""
+        if position == 0 or self._times[self._first + position] in self.breaks:
+            return False
+        return bool(self.times[position] - self.times[position - 1] <= self.maximum_gap_ns)
 
     def sample(self, times_ns: np.ndarray) -> np.ndarray:
         """Rows at many instants, (n, columns); NaN where not known. The same numbers as `at`."""
@@ -169,6 +181,8 @@ class TimeSeries:
         before = np.maximum(after - 1, 0)
         spacing = times[after] - times[before]
         inside = (wanted > times[before]) & (wanted < times[after]) & (spacing <= self.maximum_gap_ns)
+        if self.breaks:
+            inside &= ~np.isin(times[after], list(self.breaks))
         low, high = before[inside], after[inside]
         fraction = (wanted[inside] - times[low]) / (times[high] - times[low])
         change = self.rows[high] - self.rows[low]
@@ -181,8 +195,7 @@ class TimeSeries:
         """The newest instant at or before `time_ns` at which the signal is known [ns]; None if there is none."""
         times = self.times
         after = int(np.searchsorted(times, time_ns))
-        if after < len(times) and (times[after] == time_ns
-                                   or (after > 0 and times[after] - times[after - 1] <= self.maximum_gap_ns)):
+        if after < len(times) and (times[after] == time_ns or self._joined(after)):
             return int(time_ns)
         return int(times[after - 1]) if after > 0 else None
 
@@ -196,4 +209,6 @@ class TimeSeries:
             return f"ends {(time_ns - int(times[-1])) * NANOSECOND:.3f} s before"
         if after == 0 and times[0] != time_ns:
             return f"begins {(int(times[0]) - time_ns) * NANOSECOND:.3f} s after"
+        if reason := self.breaks.get(int(times[after])):
+            return reason
         return f"gap of {int(times[after] - times[after - 1]) * NANOSECOND:.3f} s"

@@ -69,6 +69,8 @@ def ticks(heard: Heard) -> Text:
         return Text("predictor: not heard yet", style="dim")
     skipped = t.skipped_stale + t.skipped_overrun + t.skipped_slow
     text = Text(f"ticks {t.due}, predicted {t.predicted}, skipped {skipped}")
+    if t.state_age > 0.0:
+        text.append(f", from a state {t.state_age * 1e3:.0f} ms old")
     if t.reason:
         text.append(f"  ({t.reason})", style="yellow")
     return text

@@ -16,6 +16,7 @@ from rich.markup import escape
 from rich.text import Text
 
 from . import live_view
+from .importance import HOW_TO_ALLOW
 from .node import Monitor
 from .paths import config
 from .suite import Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain, merge
@@ -33,7 +34,7 @@ NODES = (  # package, executable: in the order they start; the listeners come fi
 # the others ends last.
 STOP_ORDER = ("predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 BEFORE_THE_END = 0.5  # s before a source runs dry the run ends
-START_TIMEOUT = 30.0  # s for all nodes to appear in the graph
+START_TIMEOUT = 60.0  # s for all nodes to appear in the graph
 DISCOVERY_TIME = 1.5  # s until nodes that run already are in the graph; they announce themselves every second
 QUIET_REFRESH = 10.0  # s between lines where the output is no terminal
 
@@ -82,12 +83,14 @@ def run(
     console: Console | None = None,
     view: Window | None = None,
     supervised: bool = False,
+    realtime: bool = False,
 ) -> Outcome:
     """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
 
     duration in s; None: until Ctrl-C, or until the source runs dry: it returns how long it lasts [s]. supervised: a
-    node that ends or hangs is started again; else it ends the run. Raises SuiteError when a node does not come up, or
-    runs already.
+    node that ends or hangs is started again; else it ends the run. realtime: bridges and predictor above all other
+    programs, see importance.py; one line says where that is not allowed. Raises SuiteError when a node does not come
+    up, or runs already.
     """
     console = console or Console()
     # A demo must not be heard by, or hear, another suite on this machine; the car uses the user's own domain.
@@ -99,12 +102,16 @@ def run(
         if chosen is not None:
             stop.wait(DISCOVERY_TIME)
             _refuse_company(monitor, domain, allowed=0)
-        with Suite(folder, parameters, domain) as suite:
+        with Suite(folder, parameters, domain, realtime) as suite:
             if not _all_up(suite, monitor, stop):
                 return Outcome({}, True)
             _refuse_company(monitor, domain, allowed=1)
             what = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
             console.print(escape(what), highlight=False, soft_wrap=True)
+            if suite.denied:
+                names = ", ".join(sorted(suite.denied))
+                console.print(f"[yellow]real-time scheduling is not allowed here for {names}: "
+                              f"{escape(HOW_TO_ALLOW)}[/yellow]", highlight=False, soft_wrap=True)
             if view:
                 predictor = parameters["predictor"]
                 view.open(folder, domain, predictor["vehicle_file"], predictor["map_frame"], title, console)

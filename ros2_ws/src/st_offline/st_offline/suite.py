@@ -20,6 +20,8 @@ import yaml
 from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
+from .importance import make_realtime
+
 STOP_TIMEOUT = 10.0  # s until a child that ignores SIGINT is killed
 LAST_DOMAIN = 101  # the ports of higher ones lie among those the system hands out by itself
 LARGEST_DOMAIN = 232  # there are no ports beyond it
@@ -42,10 +44,16 @@ class Child:
 
 
 class Processes:
-    """Processes with their logs in folder/logs. Leave the `with` block and they have ended."""
+    """Processes with their logs in folder/logs. Leave the `with` block and they have ended.
 
-    def __init__(self, folder: Path, domain_id: int | None = None):
+    realtime: those that matter most are to get real-time scheduling (importance.py). denied: names of those that did
+    not.
+    """
+
+    def __init__(self, folder: Path, domain_id: int | None = None, realtime: bool = False):
         self.folder = folder
+        self._realtime = realtime
+        self.denied: set[str] = set()
         self.children: list[Child] = []
         self.environment = dict(os.environ)
         if domain_id is not None:
@@ -66,6 +74,8 @@ class Processes:
                 env=self.environment,
                 start_new_session=True,
             )
+        if self._realtime and not make_realtime(process.pid, name):
+            self.denied.add(name)
         child = Child(name, process, log)
         self.children.append(child)
         return child
@@ -112,9 +122,9 @@ class Processes:
 class Suite(Processes):
     """The nodes of one run, with one parameter file."""
 
-    def __init__(self, folder: Path, parameters: Parameters, domain_id: int | None = None):
+    def __init__(self, folder: Path, parameters: Parameters, domain_id: int | None = None, realtime: bool = False):
         """folder: gets parameters.yaml and logs/. parameters: {node: {name: value}}, complete."""
-        super().__init__(folder, domain_id)
+        super().__init__(folder, domain_id, realtime)
         self.parameter_file = folder / "parameters.yaml"
         document = {node: {"ros__parameters": dict(values)} for node, values in parameters.items()}
         self.parameter_file.write_text(yaml.safe_dump(document, sort_keys=False))

@@ -34,7 +34,8 @@ class Verdict:
 
 
 class Consistency:
-    """Judges a history again and again: the newest 30 s, or as much of the last minute as holds 20 s of driving.
+    """Judges a history again and again: the newest 30 s, or as much of the last minute as holds 20 s of driving, and
+    nothing before a jump of the position, which is told where it is found.
 
     A fault is told when it is found twice in a row, because half a minute may mislead once, and forgotten at once.
     `verdict` is the newest; seconds: processor time that all checks took together. share: of a core they may take.
@@ -82,14 +83,17 @@ class Consistency:
 
 
 def recent(history: MeasurementHistory) -> DriveLog | float:
-    """What is to be judged, thinned out; the seconds of driving in the last minute [s] where those are too few."""
+    """What is to be judged, thinned out; where that is too little, the seconds of driving in the last minute, or since
+    the position jumped."""
     newest = history.ins.newest or 0
-    times, rows = _since(history.ins, newest - round(MINUTE / NANOSECOND))
+    oldest = max(newest - round(MINUTE / NANOSECOND), *history.ins.breaks, 0)
+    times, rows = _since(history.ins, oldest)
     step = np.minimum(np.diff(times, append=newest) * NANOSECOND, LONGEST_STEP)
     driven = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MOVING))[::-1])[::-1]
     if not len(driven) or driven[0] < ENOUGH:
         return float(driven[0]) if len(driven) else 0.0
     start = min(newest - round(RECENT / NANOSECOND), int(times[np.flatnonzero(driven >= ENOUGH)[-1]]))
+    start = max(start, oldest)
     times, rows = _since(history.ins, start)
     columns = dict(zip(INS_SIGNALS, rows.T, strict=False))
     steering_times, angles = _since(history.steering, start)
@@ -106,8 +110,8 @@ def _since(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _waiting(driven: float) -> Verdict:
-    return Verdict("", f"not judged: {driven:.0f} s of driving in the last minute, {ENOUGH:g} s above {MOVING:g} m/s "
-                   "wanted")
+    return Verdict("", f"not judged: {driven:.0f} s of driving in the last minute or since the position jumped, "
+                   f"{ENOUGH:g} s above {MOVING:g} m/s wanted")
 
 
 def _verdict(findings: Sequence[Finding], before: Set[str], seconds: float) -> Verdict:

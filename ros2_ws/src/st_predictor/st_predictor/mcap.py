@@ -40,7 +40,8 @@ class BagWriter:
     """One bag being written.
 
     A full or failing disk does not raise: the bag ends at its last whole chunk, is closed there, `error` says why, and
-    later messages are counted in `lost`.
+    later messages are counted in `lost`. Where the file is no longer found under its name (its directory was renamed or
+    deleted) it is closed whole wherever it is now, `error` says so and `moved` is set.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None):
@@ -57,7 +58,7 @@ class BagWriter:
         self.directory = Path(directory).absolute()
         self.error = ""
         self.lost = 0
-        self.closed = False
+        self.closed = self.moved = False
         self._custom = short_entries(records or {})
         self._topics: list[Topic] = []
         self._schemas: dict[str, int] = {}
@@ -78,7 +79,7 @@ class BagWriter:
         self._header_length = self._file.tell()
         for name, entries in (records or {}).items():
             self._contents.append_metadata(self._file, name, dict(entries))
-        self._next_flush = time.monotonic() + FLUSH_PERIOD
+        self._next_flush = self._next_look = time.monotonic() + FLUSH_PERIOD
 
     @property
     def message_count(self) -> int:
@@ -128,18 +129,22 @@ class BagWriter:
         bag_file.end_ns = max(bag_file.end_ns, log_time_ns)
         bag_file.count += 1
         self._topics[topic - 1].count += 1
-        if self._chunk.count > CHUNK_SIZE:
+        if self._chunk.count > CHUNK_SIZE or time.monotonic() >= self._next_flush:
             self.flush()
-        else:
-            self.flush_when_due()
 
     def flush_when_due(self) -> None:
-        """Call this at least twice a second: it hands the messages of the last FLUSH_PERIOD to the operating system.
+        """Call this at least twice a second: it hands the messages of the last FLUSH_PERIOD to the operating system,
+        and looks whether the file is still where it was made.
 
         From then on they survive the end of this process. (Not the loss of power: the system writes them out later.)
         """
-        if time.monotonic() >= self._next_flush:
+        now = time.monotonic()
+        if now >= self._next_flush:
             self.flush()
+        if now >= self._next_look and not (self.closed or self.error):
+            self._next_look = now + FLUSH_PERIOD
+            if not self._file.is_at(self.path):
+                self._leave()
 
     def flush(self) -> None:
         """Ends the chunk and writes it to the file."""
@@ -183,6 +188,23 @@ class BagWriter:
         self._contents.finish(self._file)
         self._file.sync()
         self._information().save(self.directory)
+
+    def _leave(self) -> None:
+        """Closes a file that was taken from where it was made."""
+        self.moved = True
+        folder = self._file.folder()
+        gone = "deleted" if folder is None else f"renamed to {folder}"
+        self.error = f"recording stopped: {self.directory} was {gone}"
+        if folder is None:
+            self.lost += self.message_count
+        with contextlib.suppress(OSError):  # of the rest `recover` makes what there is to make
+            if self._messages:
+                self._write_chunk()
+            self._contents.finish(self._file)
+            self._file.sync()
+            if folder is not None:
+                self._information().save(folder)
+        self._file.close()
 
     def _stop(self, error: OSError) -> None:
         """Closes the bag at its last whole chunk, giving up further chunks until index and metadata.yaml find room."""
@@ -244,6 +266,18 @@ class _WholeWrites:
         os.ftruncate(self._descriptor, length)
         os.lseek(self._descriptor, length, os.SEEK_SET)
         self._length = length
+
+    def is_at(self, path: Path) -> bool:
+        """Whether it is this file that is found there."""
+        try:
+            return os.path.samestat(os.stat(path), os.fstat(self._descriptor))
+        except OSError:
+            return False
+
+    def folder(self) -> Path | None:
+        """Where the file is now, None where it is nowhere."""
+        path = Path(os.readlink(f"/proc/self/fd/{self._descriptor}"))
+        return path.parent if self.is_at(path) else None
 
     def sync(self) -> None:
         os.fsync(self._descriptor)

@@ -154,5 +154,6 @@ def test_all_nodes_start_from_the_file(processes: Processes) -> None:
         processes.node("st_predictor", "identifier", arguments=arguments),
     ]
     for name in declared():
-        wait_for(lambda name=name: f"[{name}]" in processes.log(name), what=f"{name} up: {processes.log(name)}")
+        # Seven at once on a busy machine, and the predictor may have to compile its models.
+        wait_for(lambda name=name: f"[{name}]" in processes.log(name), 120.0, f"{name} up: {processes.log(name)}")
     assert [processes.stop(node) for node in nodes] == [0] * 7, [processes.log(name) for name in declared()]

@@ -99,12 +99,27 @@ def test_a_fault_is_told_and_clears(road: np.ndarray, column: int, change: Chang
     assert after and all("agree" in verdict.message for verdict in after)
 
 
+@pytest.mark.parametrize("size", [0.5, 6.4, 640.0])
+def test_a_jump_of_the_position_is_not_judged_again(road: np.ndarray, size: float) -> None:
+    """The history finds it; afterwards a fault is told as ever, from what came since."""
+    rows = road.copy()
+    rows[rows[:, 0] >= BEGIN, 1] += size
+    live = Live().drive(rows)
+    assert live.history.jumps == 1
+    assert {verdict.severity for _, verdict in live.said} <= {"", "note"}
+    assert "agree" in live.said[-1][1].message
+    rows[rows[:, 0] >= BEGIN, YAW_RATE] *= 57.3
+    told = [t for t, verdict in Live().drive(rows).said if verdict.severity == "error"]
+    assert told and BEGIN + ENOUGH < told[0] <= BEGIN + ENOUGH + 2.0 * PERIOD + 0.2
+
+
 def test_a_car_that_stands_is_not_judged(road: np.ndarray) -> None:
     parked = np.repeat(road[:1], 3000, axis=0)
     parked[:, 0] = np.arange(3000) / RATE
     parked[:, 4:7] = 0.0
     verdict = Live().drive(parked).said[-1][1]
-    assert verdict == Verdict("", "not judged: 0 s of driving in the last minute, 20 s above 1 m/s wanted")
+    assert verdict == Verdict("", "not judged: 0 s of driving in the last minute or since the position jumped, "
+                              "20 s above 1 m/s wanted")
 
 
 def test_halts_reach_further_back(road: np.ndarray) -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import pytest
 import yaml
 from bags import DEFINITION, TYPE, TYPE_HASH, numbered, read_numbers, read_numbers_with_mcap
 from st_predictor.bag_metadata import Qos
-from st_predictor.mcap import BagWriter, recover
+from st_predictor.mcap import FLUSH_PERIOD, BagWriter, recover
 
 START_NS = 1_790_000_000_000_000_000
 
@@ -205,3 +206,36 @@ def test_full_disk_stops_the_recording_and_keeps_the_rest(tmp_path: Path) -> Non
         check_stopped_bag(process, disk / "bag")
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.mark.parametrize("back", [False, True], ids=["renamed", "and another of its name in its place"])
+def test_a_renamed_bag_is_noticed_and_closed_whole_where_it_is(tmp_path: Path, back: bool) -> None:
+    bag = BagWriter(tmp_path / "bag")
+    topic = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
+    bag.write(topic, numbered(1), 1)
+    bag.flush()
+    (tmp_path / "bag").rename(tmp_path / "kept")
+    if back:
+        BagWriter(tmp_path / "bag").close()
+    bag.write(topic, numbered(2), 2)
+    time.sleep(FLUSH_PERIOD)
+    bag.flush_when_due()
+    assert bag.moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was renamed to {tmp_path / 'kept'}"
+    bag.write(topic, numbered(3), 3)
+    bag.close()
+    assert bag.lost == 1
+    assert read_numbers(tmp_path / "kept") == {"/a": [1, 2]}
+
+
+def test_a_deleted_bag_is_noticed(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "bag")
+    topic = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
+    bag.write(topic, numbered(1), 1)
+    shutil.rmtree(tmp_path / "bag")
+    time.sleep(FLUSH_PERIOD)
+    bag.flush_when_due()
+    assert bag.moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was deleted"
+    bag.write(topic, numbered(2), 2)
+    bag.close()
+    assert bag.lost == 2
+    assert not (tmp_path / "bag").exists()

@@ -2,6 +2,7 @@
 
 import math
 import signal
+import struct
 import sys
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from bags import health, nanoseconds, read_messages, stamps
 from circle_feeder import pose_at
+from mcap.reader import make_reader
 from ros_processes import Processes, wait_for
 from support import ROOT
 
@@ -247,3 +249,25 @@ def test_sigterm_is_as_good_as_sigint(processes: Processes) -> None:
     wait_for(lambda: "recording into" in processes.log("recorder"), what="recorder up")
     assert processes.stop(node, signal.SIGTERM) == 0
     assert (processes.folder / "bag" / "metadata.yaml").exists()
+
+
+def published(file: Path, topic: str) -> dict[int, int]:
+    """When the message of each start left its publisher, by header stamp [ns]."""
+    with file.open("rb") as stream:
+        return {sec * 10**9 + nanosec: message.publish_time
+                for _, _, message in make_reader(stream).iter_messages([topic])
+                for sec, nanosec in [struct.unpack_from("<iI", message.data, 4)]}
+
+
+def test_predictions_leave_before_the_paths_and_say_how_old_their_state_is(run: Run) -> None:
+    (file,) = (run.folder / "bag").glob("*.mcap")
+    last_prediction, first_path = "/predictor/nonlinear/prediction", "/predictor/kinematic/path"
+    left = published(file, last_prediction), published(file, first_path)
+    starts = left[0].keys() & left[1].keys()
+    assert len(starts) > FEWEST
+    assert all(left[0][start] < left[1][start] for start in starts)
+    issued = [nanoseconds(m.issued_at) - nanoseconds(m.header.stamp)
+              for model in MODELS for m in run.messages[f"/predictor/{model}/prediction"]]
+    ages = [status for status in run.messages["/predictor/status"] if math.isfinite(status.state_age)]
+    assert ages and all(0.0 < status.state_age <= status.state_age_max for status in ages)
+    assert max(status.state_age_max for status in ages) == pytest.approx(max(issued) * 1e-9, abs=1e-9)

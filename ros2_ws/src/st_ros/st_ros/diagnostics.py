@@ -7,6 +7,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from . import scheduling
+
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
 
 
@@ -21,7 +23,8 @@ class Check:
 
 
 class Diagnostics:
-    """Publishes what `collect()` returns; `collect` is called once a second on the node's clock."""
+    """Publishes what `collect()` returns, and how the process is scheduled; `collect` is called once a second on the
+    node's clock."""
 
     def __init__(self, node: Node, hardware_id: str, collect: Callable[[], list[Check]], period: float = 1.0):
         self._node = node
@@ -34,7 +37,7 @@ class Diagnostics:
     def publish(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        for check in self._collect():
+        for check in (*self._collect(), _scheduling_check()):
             status = DiagnosticStatus(name=f"{self._node.get_name()}: {check.name}", message=check.message,
                                       hardware_id=self._hardware_id, level=bytes([check.level]))
             status.values = [KeyValue(key=str(k), value=_text(v)) for k, v in check.values.items()]
@@ -54,6 +57,12 @@ class Diagnostics:
             self._node.get_logger().warning(line)
         else:
             self._node.get_logger().error(line)
+
+
+def _scheduling_check() -> Check:
+    got = scheduling.own()
+    values = {"policy": got.policy, "priority": got.priority, "nice": got.nice}
+    return Check("scheduling", OK, got.text, values if got.autogroup is None else values | {"autogroup": got.autogroup})
 
 
 def _text(value: Any) -> str:

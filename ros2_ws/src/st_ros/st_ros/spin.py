@@ -1,6 +1,7 @@
 """Start a node, spin it, and leave nothing behind: exit 0 on SIGINT or SIGTERM, 2 on a wrong configuration."""
 
 import atexit
+import gc
 import signal
 import sys
 import time
@@ -13,6 +14,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from . import scheduling
 from .parameters import ConfigurationError
 
 # How long a signal may wait for the executor to come back [s].
@@ -22,8 +24,8 @@ WAKE_PERIOD = 0.1
 LAST_WORDS = 4.0
 
 
-def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> int:
-    """Spin the node until it is told to stop.
+def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice: int = 0) -> int:
+    """Spin the node until it is told to stop. nice: how far others go first, once it is up; 0: they do not.
 
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
     once before it is destroyed; it can still publish). What it published is waited for, at most `LAST_WORDS`.
@@ -39,6 +41,9 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
         return 2
     try:
         node = make_node()
+        _freeze()
+        if nice:
+            scheduling.lower(nice)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not stop.requested and rclpy.ok() and not getattr(node, "finished", False):
@@ -61,6 +66,13 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None) -> in
             node.destroy_node()
         rclpy.try_shutdown()
     return status
+
+
+def _freeze() -> None:
+    """Take what a start has made, which lives as long as the process, out of the garbage collector's sight: walking
+    over it held a node up for 26 to 75 ms at a time."""
+    gc.collect()
+    gc.freeze()
 
 
 def _settle(node: Node) -> None:

@@ -53,6 +53,11 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
     return out
 
 
+def compiles(model: Model, p: Any, fields: int, states: int) -> bool:
+    """Whether `advance` runs on machine code for so many fields of w and states; it is compiled, or loaded, here."""
+    return _kernel(model, p, _skeleton(p, []), fields, states) is not None
+
+
 def as_floats(p: Any) -> Any:
     """p with all its numbers as Python floats."""
     if not isinstance(p, tuple):

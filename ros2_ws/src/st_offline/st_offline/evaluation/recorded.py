@@ -17,6 +17,7 @@ from ..runs.cdr import Layout, Layouts, typestore
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 STATE = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
+A_JUMP = "position jumps"  # likewise (alignment.MeasurementHistory)
 THE_END = ": ends "  # in the evaluator's reason when a signal has no later sample (timeseries.TimeSeries.why_unknown)
 Progress = Callable[[int, int], None]
 
@@ -35,13 +36,15 @@ class Predictions:
 class Scores:
     """Of one model and mode: start times (n,), errors (n, points, 3), complete (n,).
 
-    cut: (n,) incomplete because the evaluator was ended before the horizon was over.
+    cut: (n,) incomplete because the evaluator was ended before the horizon was over. jumped: (n,) incomplete because
+    the position jumps within it.
     """
 
     starts_ns: np.ndarray
     errors: np.ndarray
     complete: np.ndarray
     cut: np.ndarray
+    jumped: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -106,17 +109,18 @@ def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, P
 
 def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
     """By model and mode, of all the bags together; one start scored twice is kept once."""
-    rows: dict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool]]] = {}
+    rows: dict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool, bool]]] = {}
     for layout, data in _messages(bags, ERROR, progress):
         errors = np.stack([layout.value(data, k) for k in ("longitudinal", "lateral", "yaw")], axis=-1)
         example, start_ns = layout.example, layout.value(data, "header.stamp")
-        entry = errors, bool(layout.value(data, "complete")), THE_END in example.incomplete_reason
+        reason = example.incomplete_reason
+        entry = errors, bool(layout.value(data, "complete")), THE_END in reason, A_JUMP in reason
         rows.setdefault((example.model, example.mode), {})[start_ns] = entry
     found = {}
     for key, entries in rows.items():
         ordered = [entries[start] for start in sorted(entries)]
-        errors, complete, cut = zip(*ordered, strict=True)
-        found[key] = Scores(np.array(sorted(entries), np.int64), np.stack(errors), np.array(complete), np.array(cut))
+        errors, *flags = zip(*ordered, strict=True)
+        found[key] = Scores(np.array(sorted(entries), np.int64), np.stack(errors), *map(np.array, flags))
     return found
 
 

@@ -5,7 +5,6 @@ slow, stopped or killed without a prediction being late.
 """
 
 import argparse
-import os
 import signal
 import sys
 import time
@@ -23,13 +22,14 @@ from rclpy.signals import SignalHandlerOptions
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import ErrorSummary, Prediction, PredictionError, PredictorStatus, Steering
 from st_ros.polling import PolledSubscription
+from st_ros.scheduling import lower
 
+from ..importance import VIEW_NICE
 from ..view.feed import TOPICS, Feed
 from ..view.scene import Scene, recording
 
 PERIOD = 0.1  # s between pictures
 FLUSH = 0.2  # s; every piece costs the page something
-NICENESS = 10  # the predictor goes first
 TYPES = {"status": PredictorStatus, "odometry": Odometry, "steering": Steering, "prediction": Prediction,
          "error": PredictionError, "summary": ErrorSummary, "diagnostics": DiagnosticArray}
 # Messages kept of a topic: the newest few of what comes often; scores of one instant come together.
@@ -78,7 +78,7 @@ def main() -> int:
     parser.add_argument("--server", help="address of the server to draw into, rerun+http://host:port/proxy")
     parser.add_argument("--save", type=Path, help="file to write as well, .rrd")
     options = parser.parse_args()
-    os.nice(NICENESS)
+    lower(VIEW_NICE)
     car = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
     sinks = [rr.GrpcSink(options.server)] if options.server else []
     sinks += [rr.FileSink(str(options.save))] if options.save else []

@@ -34,6 +34,9 @@ def live(
     effects: Path | None = typer.Option(
         None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
     ),
+    realtime: bool = typer.Option(
+        False, "--realtime", help="Real-time scheduling for bridges and predictor; needs the right to (README)."
+    ),
     view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
     view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
@@ -63,7 +66,8 @@ def live(
         folder = new_folder(output, "live")
         bridges = bridge_parameters(vehicle, ins, bus, dbc, signals)
         parameters = node_parameters(folder, vehicle, bridges, fourth)
-        outcome = run(folder, parameters, "live", duration, None, console, shown, supervised=True)
+        outcome = run(folder, parameters, "live", duration, None, console, shown, supervised=True,
+                      realtime=realtime)
     except (SuiteError, OutputError) as error:
         typer.echo(f"st live: {error}", err=True)
         raise typer.Exit(2) from None

@@ -18,9 +18,12 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import ClassVar
 
+from st_ros.scheduling import lower
+
+from ..importance import VIEW_NICE
+
 LOOPBACK = "127.0.0.1"
 MEMORY = "500MB"  # of the recording kept for a page that is opened later; the oldest goes first
-NICENESS = 10  # the predictor goes first
 HOP_BY_HOP = {"connection", "keep-alive", "transfer-encoding", "date", "server"}
 
 
@@ -92,7 +95,7 @@ def main() -> int:
         parser.add_argument(name, type=int, required=True, help=what)
     options = parser.parse_args()
     server = page_server(options.page_port, options.source_port, options.data_port)
-    os.nice(NICENESS)
+    lower(VIEW_NICE)
     rerun = rerun_server(options.settings, options.data_port, options.source_port, options.files)
 
     def stop(*_: object) -> None:

@@ -33,11 +33,13 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
         raise ConfigurationError(f"{values.where}output_directory: {name}{error.strerror or error}") from None
 
 
-def recording_check(bag: BagWriter, stopped: str = "") -> Check:
-    """stopped: why an earlier bag of the same run ended."""
+def recording_check(bag: BagWriter, stopped: str = "", lately: bool = False) -> Check:
+    """stopped: why an earlier bag of the same run ended. lately: it did so a moment ago, which is worth a word."""
     values = {"messages": bag.message_count, "lost": bag.lost, "directory": bag.directory}
     if stopped:
         values["before"] = stopped
     if bag.error:
         return Check("recording", diagnostics.ERROR, bag.error, values)
+    if lately:
+        return Check("recording", diagnostics.WARN, f"{stopped}; goes on in {bag.directory}", values)
     return Check("recording", diagnostics.OK, f"{bag.message_count} messages", values)

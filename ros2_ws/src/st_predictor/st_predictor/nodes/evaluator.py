@@ -23,6 +23,7 @@ from ..mcap import BagWriter, Qos
 from ._bag import open_bag, recording_check
 from ._inputs import Inputs
 
+NICE = 5  # bridges and predictor go first; a third of an equal share
 WORK_PERIOD = 0.05
 SUMMARY_PERIOD = 1.0
 MODES = ("forecast", "hindsight")
@@ -47,7 +48,7 @@ class EvaluatorNode(Node):
         self._core = Evaluator(self._vehicle, settings, SPAN, own)
         self._consistency = Consistency(self._vehicle)
         self._map_frame = values.map_frame
-        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
+        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering, self._tell)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._hashes: dict[tuple[str, int], str] = {}  # of the predictions waiting, by model and start
         self._other_configuration: dict[tuple[str, str], bool] = {}  # by hash and model
@@ -84,6 +85,9 @@ class EvaluatorNode(Node):
         summary = bag.add_topic(self.resolve_topic_name("evaluator/summary"), "st_msgs/msg/ErrorSummary",
                                 (Qos(durability="transient_local", depth=1),))
         return bag, {"errors": errors, "summary": summary}
+
+    def _tell(self) -> None:
+        self._diagnostics.publish()
 
     def _work(self) -> None:
         self._inputs.drain()
@@ -173,4 +177,4 @@ class EvaluatorNode(Node):
 
 
 def main() -> int:
-    return spin.run(EvaluatorNode)
+    return spin.run(EvaluatorNode, nice=NICE)

@@ -2,6 +2,7 @@
 
 import math
 import time
+from statistics import median
 
 import numpy as np
 from nav_msgs.msg import Path as PathMessage
@@ -9,6 +10,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from st_core.compiled import compile_models
+from st_core.filtering import NANOSECOND
+from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, configuration_hash
 from st_msgs.msg import Prediction, PredictorStatus
 from st_ros import diagnostics, parameters, spin
@@ -21,6 +25,10 @@ from ._inputs import Inputs
 # Inputs are taken this often between ticks, so that a tick finds only a few milliseconds of them waiting [s].
 DRAIN_PERIOD = 0.02
 STATUS_PERIOD = 1.0
+# Waiting for samples takes no more than this share of a tick: the next one is not to be late for it.
+WAITING_SHARE = 0.5
+# How long a jump of the position is told [s].
+JUMP_TOLD = 10.0
 # A prediction rarely needs more than this share of a tick; above it the machine is too slow or too busy.
 BUSY_SHARE = 0.5
 
@@ -33,12 +41,14 @@ class PredictorNode(Node):
         settings = params.prediction_settings(values)
         file = params.load_model(values, self._vehicle)
         models = [*values.models, *([file.model()] if file else [])]
-        self._core = params.checked(values, lambda: Predictor(self._vehicle, models, settings))
+        found = params.checked(values, lambda: [get_model(model) for model in models])
+        runners, said = compile_models(found, self._vehicle, settings) if values.compiled else ({}, "on Python floats")
+        self._core = params.checked(values, lambda: Predictor(self._vehicle, found, settings, runners))
         self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         if file:
-            self._hash[models[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
+            self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
         self._map_frame = values.map_frame
-        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering)
+        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering, self._tell)
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
         # Not more: after a reader was held up, Fast DDS sends all of it again. With 50, half a megabyte per topic, a
         # recorder that had stood still for 3 s got no prediction for a minute and a half; with 10 it did after 3 s.
@@ -54,8 +64,14 @@ class PredictorNode(Node):
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
         self._last_start_ns: int | None = None
         self._not_finite: set[str] = set()
+        self._jumps = 0  # of the position, told so far
         self._slowest_tick = 0.0
+        self._state_age = math.nan  # as last published [s]
+        self._state_ages: list[float] = []  # of the predictions since the last status [s]
         self._period = 1.0 / values.rate
+        # In simulated time the clock moves only when the executor runs, and nothing can arrive after an instant.
+        simulated = self.get_parameter("use_sim_time").value
+        self._wait = 0.0 if simulated else min(values.sample_wait, WAITING_SHARE * self._period)
         self.create_timer(DRAIN_PERIOD, self._inputs.drain, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._timer = self.create_timer(self._period, self._tick)
         self.create_timer(STATUS_PERIOD, self._publish_status)
@@ -63,21 +79,27 @@ class PredictorNode(Node):
         self.get_logger().info(
             f"{', '.join(self._core.models)} of {self._vehicle.name}: {settings.horizon:g} s in steps of "
             f"{settings.step:g} s at {values.rate:g} Hz, "
-            f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}")
+            f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}; models {said}")
 
     def _tick(self) -> None:
+        period_ns = round(self._period / NANOSECOND)
+        next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
+        missed = self._counter.missed(next_due_ns, period_ns)
+        # A state just before it is renewed is one period of its signal older than one just after.
+        self._inputs.wait(next_due_ns - period_ns, self._wait)
         began = time.perf_counter()
-        now_ns = self.get_clock().now().nanoseconds
-        missed = self._counter.missed(now_ns + self._timer.time_until_next_call(), round(self._period * 1e9))
-        self._inputs.drain()
-        start = self._start(now_ns)
+        start = self._start(self.get_clock().now().nanoseconds)
         before, self._skip = self._skip, start if isinstance(start, Skip) else None
         self._counter.count(missed, self._skip.kind if self._skip else None)
         if isinstance(start, Start):
             self._predict(start)
-        if (before and before.kind) != (self._skip and self._skip.kind):
-            self._diagnostics.publish()
+        if (before and before.kind) != (self._skip and self._skip.kind) or self._jumps != self._core.history.jumps:
+            self._jumps = self._core.history.jumps
+            self._tell()
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - began)
+
+    def _tell(self) -> None:
+        self._diagnostics.publish()
 
     def _start(self, now_ns: int) -> Start | Skip:
         start = self._core.start(now_ns)
@@ -91,25 +113,34 @@ class PredictorNode(Node):
         return Skip("stale", f"{signal}: nothing new since the last tick, newest sample is {age:.2f} s old")
 
     def _predict(self, start: Start) -> None:
+        paths = []
         for model, (path_publisher, prediction_publisher) in self._outputs.items():
             began = time.perf_counter()
             trajectory = self._core.run(start, model)
             compute_time = time.perf_counter() - began
             car = self._core.car(model)
+            message = convert.prediction_message(
+                start, model, trajectory, car, self._map_frame, self._hash[model])
+            message.compute_time = compute_time
+            issued = self.get_clock().now()
+            message.issued_at = issued.to_msg()
+            prediction_publisher.publish(message)
+            self._state_ages.append((issued.nanoseconds - start.time_ns) * NANOSECOND)
+            paths.append((model, path_publisher, trajectory, car))
+        # A planner reads predictions, a viewer paths: filling one takes longer than all models together.
+        for model, path_publisher, trajectory, car in paths:
             if np.isfinite(trajectory.states).all():
                 path_publisher.publish(self._path.fill(start.time_ns, trajectory, car))
                 self._not_finite.discard(model)
             else:
                 # A viewer cannot draw it; the evaluator counts it as incomplete.
                 self._not_finite.add(model)
-            message = convert.prediction_message(
-                start, model, trajectory, car, self._map_frame, self._hash[model])
-            message.compute_time = compute_time
-            message.issued_at = self.get_clock().now().to_msg()
-            prediction_publisher.publish(message)
 
     def _publish_status(self) -> None:
+        ages, self._state_ages = self._state_ages, []
         message = PredictorStatus(reason=self._reason(), **self._counter.as_dict())
+        message.state_age, message.state_age_max = (median(ages), max(ages)) if ages else (math.nan, math.nan)
+        self._state_age = message.state_age
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._map_frame
         self._status_publisher.publish(message)
@@ -135,9 +166,31 @@ class PredictorNode(Node):
         return [
             Check("prediction", level, text, {**counts, **shown}),
             Check("timing", diagnostics.WARN if late else diagnostics.OK, timing,
-                  {"slowest tick [ms]": slowest * 1e3, "period [ms]": self._period * 1e3}),
+                  {"slowest tick [ms]": slowest * 1e3, "period [ms]": self._period * 1e3,
+                   "state age at issue, median [ms]": self._state_age * 1e3}),
+            self._position_check(),
+            self._steering_check(),
             *self._inputs.checks(),
         ]
+
+    def _position_check(self) -> Check:
+        history = self._core.history
+        values = {"jumps": history.jumps}
+        if history.jump is None:
+            return Check("position", diagnostics.OK, "no jump yet", values)
+        ago = (self.get_clock().now().nanoseconds - history.jump.time_ns) * NANOSECOND
+        text = f"jump of {history.jump.size:.2f} m that velocity knows nothing of, {history.jumps} since the start"
+        if ago < JUMP_TOLD:
+            return Check("position", diagnostics.WARN, f"{text}; no prediction and no score goes across it", values)
+        return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": ago})
+
+    def _steering_check(self) -> Check:
+        frozen = self._core.frozen_steering
+        if frozen is None:
+            return Check("steering", diagnostics.OK, "moves, or the car turns as it says")
+        text = (f"angle has stood at {frozen.angle:.4f} rad for {frozen.seconds:.1f} s while the car turned as with "
+                f"{frozen.low:.4f} to {frozen.high:.4f} rad: is the sensor frozen?")
+        return Check("steering", diagnostics.WARN, text)
 
     def close(self) -> None:
         self._publish_status()

@@ -26,11 +26,14 @@ from ..mcap import Qos
 from ._bag import open_bag, recording_check
 from ._heard import DIAGNOSTICS, Heard
 
+NICE = 5  # bridges and predictor go first; a third of an equal share
 # The queues are emptied this often; each message carries the time it arrived.
 WORK_PERIOD = 0.05
 LOOK_PERIOD = 0.25
 # After a full disk: how often to look for room, and how much is worth a new bag [s, bytes].
 RESUME_PERIOD, RESUME_ROOM = 5.0, 200_000_000
+# How long it is told that recording went on in another bag [s].
+RESUME_TOLD = 10.0
 # Waiting messages per topic: four seconds at 250 Hz, should the disk be slow.
 QUEUE_DEPTH = 1000
 
@@ -45,7 +48,7 @@ class RecorderNode(Node):
         self._values, self._records = values, metadata_records(values)
         self._bag = open_bag(values, self._records)
         self._stopped = ""  # why an earlier bag of this run ended
-        self._resume_at = float("inf")
+        self._resume_at, self._resumed_at = float("inf"), float("-inf")
         self._recorded: dict[str, tuple[PolledSubscription, int]] = {}
         self._announced: dict[str, tuple[str, list[Qos]]] = {}
         self._refused: dict[str, str] = {}
@@ -98,17 +101,20 @@ class RecorderNode(Node):
             self._resume()
 
     def _resume(self) -> None:
-        """After a full disk: on in a bag beside the one that ended, as soon as there is room again."""
+        """On in another bag: after a full disk as soon as there is room again, at once where its directory was
+        renamed or deleted."""
         now = time.monotonic()
-        self._resume_at = min(self._resume_at, now + RESUME_PERIOD)
+        if self._resume_at == float("inf"):
+            self._resume_at = now if self._bag.moved else now + RESUME_PERIOD
         if now < self._resume_at:
             return
-        self._resume_at = float("inf")
+        self._resume_at = now + RESUME_PERIOD
         with contextlib.suppress(OSError, ConfigurationError):
-            if shutil.disk_usage(self._bag.directory).free < RESUME_ROOM:
+            if shutil.disk_usage(_existing(self._bag.directory)).free < RESUME_ROOM:
                 return
+            self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
-            self._stopped, self._bag = self._bag.error, bag
+            self._stopped, self._bag, self._resumed_at = self._bag.error, bag, now
             for topic, (subscription, _) in self._recorded.items():
                 self._recorded[topic] = subscription, bag.add_topic(topic, *self._announced[topic])
             self.get_logger().warning(f"{self._stopped}; recording goes on in {bag.directory}")
@@ -121,7 +127,8 @@ class RecorderNode(Node):
         elif not self._recorded:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
         topics = Check("topics", level, text, {"topics": len(self._recorded)})
-        return [recording_check(self._bag, self._stopped), topics, self._senders_check()]
+        lately = time.monotonic() - self._resumed_at < RESUME_TOLD
+        return [recording_check(self._bag, self._stopped, lately), topics, self._senders_check()]
 
     def _senders_check(self) -> Check:
         if DIAGNOSTICS not in self._recorded:
@@ -143,6 +150,11 @@ class RecorderNode(Node):
         self._bag.close()
         if self._bag.error:
             self.get_logger().error(self._bag.error)
+
+
+def _existing(folder: Path) -> Path:
+    """The folder, or the nearest above it that there is."""
+    return next(place for place in (folder, *folder.parents) if place.exists())
 
 
 def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
@@ -209,4 +221,4 @@ def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
 
 
 def main() -> int:
-    return spin.run(RecorderNode)
+    return spin.run(RecorderNode, nice=NICE)

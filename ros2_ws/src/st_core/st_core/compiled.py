@@ -1,0 +1,122 @@
+"""One prediction at a time with the compiled lanes: what `prediction.predict` gives, several times faster.
+
+The lanes compute many columns side by side; here one is wanted and the others go along, which costs less than the call.
+Checked by: test_compiled.py, and at every start by `compile_model` itself.
+"""
+
+from collections.abc import Sequence
+from types import ModuleType
+
+import numpy as np
+
+from .backends import get_backend, has_numba
+from .errors import ConfigurationError
+from .models import Model
+from .prediction import PredictionSettings, predict
+from .types import STATE_NAMES, ControlInput, InputSequence, Trajectory, VehicleState
+from .vehicle import VehicleParameters
+
+# Positions, velocities and angles may differ from those of Python floats by this much of their size, or of 1.
+TOLERANCE = 1.0e-9
+# Where floats and machine code are compared: (v_x [m/s], v_y [m/s], yaw rate [rad/s], road wheel angle [rad],
+# acceleration [m/s^2]): walking pace to motorway, both sides, driven and braked.
+_SAMPLES = ((1.0, 0.0, 0.05, 0.1, 0.3), (8.0, 0.1, -0.25, -0.08, 0.0), (15.0, -0.2, 0.2, 0.04, -1.0),
+            (30.0, 0.0, -0.02, -0.005, 0.5))
+
+
+class CompiledModel:
+    """A model, a car and a horizon as machine code. Made by `compile_model`, which compares it with floats."""
+
+    def __init__(self, model: Model, vehicle: VehicleParameters, settings: PredictionSettings):
+        """Raises ConfigurationError where numba cannot compile the model."""
+        self._lanes: ModuleType = get_backend("lanes")
+        self._model, self._parameters = model, model.parameters(vehicle)
+        self._step = settings.step
+        self._points = np.arange(settings.steps + 1)
+        self._held_at = np.zeros(2 * settings.steps + 1, np.int64)
+        self._sequence_at = np.arange(2 * settings.steps + 1)
+        w = model.inputs(0.0, 0.0, self._parameters)
+        start = model.start_state((0.0,) * len(STATE_NAMES), w, self._parameters)
+        if not self._lanes.compiles(model, self._parameters, len(w), len(start)):
+            raise ConfigurationError("numba cannot compile it")
+
+    def __call__(self, state: VehicleState, inputs: ControlInput | InputSequence) -> Trajectory:
+        """The trajectory from a state, as `prediction.predict` with one step at a time.
+
+        inputs: held, or 2 * steps + 1 values on the half-step grid; no further signals. NaN in gives NaN out.
+        """
+        model, p, lanes = self._model, self._parameters, self._lanes.LANES
+        angle, acceleration = inputs.road_wheel_angle, inputs.velocity_x_dot
+        # Only the first column is looked at; the others need numbers to read, whichever they are.
+        if isinstance(inputs, ControlInput):
+            first = model.inputs(float(angle), float(acceleration), p)
+            table, offsets = np.repeat(np.array(first, float)[:, None], lanes, axis=1), self._held_at
+        else:
+            angle, acceleration = np.asarray(angle, float), np.asarray(acceleration, float)
+            with np.errstate(all="ignore"):
+                fields = [np.broadcast_to(f, angle.shape) for f in model.inputs(angle, acceleration, p)]
+            table, offsets = np.pad(np.array(fields), ((0, 0), (0, lanes - 1)), mode="edge"), self._sequence_at
+            first = tuple(table[:, 0].tolist())
+        start = np.array(model.start_state(state.as_tuple(), first, p), float)
+        columns = np.repeat(start[:, None], lanes, axis=1)
+        states = self._lanes.advance(model, p, columns, table, offsets, self._step, self._points)
+        return Trajectory(self._step, np.ascontiguousarray(states[:, :, 0]))
+
+
+def compile_model(model: Model, vehicle: VehicleParameters, settings: PredictionSettings) -> CompiledModel:
+    """The compiled form of a model, compiled or taken from the cache, and compared with Python floats.
+
+    Raises ConfigurationError saying why floats have to do: numba is not there, cannot compile the model, or gives other
+    numbers than floats by more than TOLERANCE.
+    """
+    if not has_numba():
+        raise ConfigurationError("numba is not installed")
+    try:
+        result = CompiledModel(model, vehicle, settings)
+    except ConfigurationError:
+        raise
+    except Exception as error:  # compilers fail in ways of their own, and floats are there
+        raise ConfigurationError(f"{type(error).__name__}: {error}") from None
+    for held in (True, False):
+        for sample in _SAMPLES:
+            state, inputs = _case(sample, settings, held)
+            exact = predict(model, vehicle, state, inputs, settings.horizon, settings.step).states
+            _compare(model.name, result(state, inputs).states, exact)
+    return result
+
+
+def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
+                   settings: PredictionSettings) -> tuple[dict[str, CompiledModel], str]:
+    """Those that could be compiled, by name, and one line about it for a reader."""
+    compiled: dict[str, CompiledModel] = {}
+    floats: dict[str, str] = {}
+    for model in models:
+        try:
+            compiled[model.name] = compile_model(model, vehicle, settings)
+        except ConfigurationError as error:
+            floats[model.name] = " ".join(str(error).split())
+    said = [f"compiled and checked: {', '.join(compiled)}"] if compiled else []
+    if floats:
+        reasons = "; ".join(dict.fromkeys(floats.values()))
+        said.append(f"on Python floats: {', '.join(floats)} ({reasons:.200})")
+    return compiled, "; ".join(said)
+
+
+def _case(sample: tuple[float, ...], settings: PredictionSettings,
+          held: bool) -> tuple[VehicleState, ControlInput | InputSequence]:
+    v_x, v_y, yaw_rate, angle, acceleration = sample
+    state = VehicleState(3.0, -2.0, v_x, v_y, 0.7, yaw_rate)
+    if held:
+        return state, ControlInput(angle, acceleration)
+    share = np.linspace(1.0, 0.5, 2 * settings.steps + 1)
+    return state, InputSequence(angle * share, acceleration * share)
+
+
+def _compare(name: str, ours: np.ndarray, exact: np.ndarray) -> None:
+    # What is not finite on floats (a spin at a long step) has to be so here as well; the numbers before it agree.
+    with np.errstate(all="ignore"):
+        difference = np.abs(ours - exact) / np.maximum(1.0, np.abs(exact))
+    finite = np.isfinite(exact)
+    if not np.array_equal(finite, np.isfinite(ours)) or (difference[finite] > TOLERANCE).any():
+        worst = float(np.nanmax(np.where(finite, difference, 0.0)))
+        raise ConfigurationError(f"machine code of {name} differs from floats by {worst:.1e}")

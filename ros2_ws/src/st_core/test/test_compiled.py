@@ -1,0 +1,81 @@
+"""Compiled predictions one at a time: the numbers of Python floats, for every model; floats where it cannot be."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from st_core import backends, compiled
+from st_core.augmented import augment
+from st_core.compiled import compile_model, compile_models
+from st_core.errors import ConfigurationError
+from st_core.models import MODELS
+from st_core.prediction import PredictionSettings, Predictor, Start, predict
+from st_core.types import ControlInput, InputSequence, VehicleState
+
+SETTINGS = PredictionSettings()
+STATE = VehicleState(120.0, -40.0, 12.0, 0.1, 2.9, 0.15)
+INPUTS = ControlInput(0.03, -0.4)
+needs_numba = pytest.mark.skipif(not backends.has_numba(), reason="numba is not installed")
+
+
+def wavy(steps):
+    time = np.linspace(0.0, 5.0, 2 * steps + 1)
+    return InputSequence(0.05 * np.sin(time), np.cos(time))
+
+
+@needs_numba
+@pytest.mark.parametrize("inputs", [INPUTS, wavy(SETTINGS.steps)], ids=["held", "sequence"])
+@pytest.mark.parametrize("model", [*MODELS.values(), augment("linear", ["tyre_relaxation"]),
+                                   augment("nonlinear", ["road_bank"])], ids=lambda m: m.name)
+def test_same_numbers_as_on_floats(leaf, model, inputs):
+    ours = compile_model(model, leaf, SETTINGS)(STATE, inputs)
+    exact = predict(model, leaf, STATE, inputs)
+    assert ours.step == exact.step
+    np.testing.assert_allclose(ours.states, exact.states, rtol=1e-12, atol=1e-12)
+
+
+@needs_numba
+def test_nan_in_gives_nan_out_as_on_floats(leaf):
+    model = MODELS["linear"]
+    sequence = wavy(SETTINGS.steps)
+    angle = sequence.road_wheel_angle.copy()
+    angle[100:] = math.nan
+    ours = compile_model(model, leaf, SETTINGS)(STATE, replace(sequence, road_wheel_angle=angle)).states
+    exact = predict(model, leaf, STATE, replace(sequence, road_wheel_angle=angle)).states
+    np.testing.assert_array_equal(np.isnan(ours), np.isnan(exact))
+    assert np.isnan(ours).any() and np.isfinite(ours[49]).all()
+
+
+@needs_numba
+def test_predictor_runs_what_it_is_given(leaf):
+    runners, said = compile_models(list(MODELS.values()), leaf, SETTINGS)
+    assert said == "compiled and checked: kinematic, linear, nonlinear"
+    start = Start(0, STATE, INPUTS)
+    fast, plain = Predictor(leaf, tuple(MODELS), SETTINGS, runners), Predictor(leaf, tuple(MODELS), SETTINGS)
+    for name in MODELS:
+        np.testing.assert_allclose(fast.run(start, name).states, plain.run(start, name).states, rtol=1e-12, atol=1e-12)
+
+
+@needs_numba
+def test_other_numbers_than_floats_are_refused(leaf, monkeypatch):
+    """A compiler that goes wrong: the model stays on floats, and one line says why."""
+    right = compiled.CompiledModel.__call__
+
+    def wrong(self, state, inputs):
+        trajectory = right(self, state, inputs)
+        return replace(trajectory, states=trajectory.states + 1e-6 * (self._model.name == "linear"))
+
+    monkeypatch.setattr(compiled.CompiledModel, "__call__", wrong)
+    runners, said = compile_models(list(MODELS.values()), leaf, SETTINGS)
+    assert set(runners) == {"kinematic", "nonlinear"}
+    assert said.startswith("compiled and checked: kinematic, nonlinear; on Python floats: linear (machine code of ")
+
+
+def test_without_numba_all_stay_on_floats(leaf, monkeypatch):
+    monkeypatch.setattr(compiled, "has_numba", lambda: False)
+    assert compile_models(list(MODELS.values()), leaf, SETTINGS) == (
+        {}, "on Python floats: kinematic, linear, nonlinear (numba is not installed)")
+    with pytest.raises(ConfigurationError, match="numba is not installed"):
+        compile_model(MODELS["linear"], leaf, SETTINGS)
+

@@ -1,0 +1,74 @@
+"""What the system gives this process: its scheduling policy, priority, nice value and that of its autogroup.
+
+Between sessions Linux with autogroups (the default of Debian and Ubuntu) looks at the nice value of the session's group
+and not at that of the process. Each process of `st` is a session of its own.
+"""
+
+import contextlib
+import os
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+_POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "idle", os.SCHED_FIFO: "FIFO",
+             os.SCHED_RR: "round robin"}
+_REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
+_GROUP = Path("/proc/self/autogroup")
+# The kernel takes one change of a group per tenth of a second from an ordinary user [s].
+_TRIES, _PAUSE = 5, 0.11
+
+
+@dataclass(frozen=True)
+class Scheduling:
+    """policy: in words. priority: of the real-time policies, else 0. autogroup: nice value of the session's group,
+    None where there are no autogroups; with them it counts between sessions, `nice` within one."""
+
+    policy: str
+    priority: int
+    nice: int
+    autogroup: int | None
+
+    @property
+    def text(self) -> str:
+        if self.priority:
+            return f"real time, {self.policy}, priority {self.priority}"
+        group = "" if self.autogroup is None else f", autogroup {self.autogroup}"
+        return f"{self.policy}, nice {self.nice}{group}"
+
+
+def own() -> Scheduling:
+    """Of this process, as it is now."""
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    priority = os.sched_getparam(0).sched_priority if policy in _REALTIME else 0
+    return Scheduling(_POLICIES.get(policy, f"policy {policy}"), priority, os.getpriority(os.PRIO_PROCESS, 0),
+                      _autogroup())
+
+
+def lower(nice: int) -> None:
+    """Let others go first: a nice value of at least this for the process, and for its session if it is its own.
+
+    nice: 5 leaves a third of an equal share, 10 a tenth, 15 a thirtieth. Never raises: what the process got, it says.
+    """
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
+    if os.getsid(0) != os.getpid():
+        return  # in a session with others, those of a launch file for instance, it would lower them too
+    for _ in range(_TRIES):
+        try:
+            _GROUP.write_text(str(nice))
+            return
+        except BlockingIOError:
+            time.sleep(_PAUSE)
+        except OSError:  # no autogroups in this kernel
+            return
+
+
+def _autogroup() -> int | None:
+    try:
+        if Path("/proc/sys/kernel/sched_autogroup_enabled").read_text().strip() != "1":
+            return None
+        found = re.search(r"nice (-?\d+)", _GROUP.read_text())
+    except OSError:
+        return None
+    return int(found[1]) if found else None
