@@ -98,7 +98,7 @@ class LogBatch:
         self.starts_ns = np.asarray(starts_ns, np.int64).ravel()
         self.step, self.steps = step, step_count(horizon, step)
         self.points = self._numbers(points)
-        self._inputs, self._substeps, self._others = inputs, substeps, dict(signals or {})
+        self._inputs, self._substeps, self.others = inputs, substeps, dict(signals or {})
         self._unique, self._place = np.unique(self.starts_ns, return_inverse=True)
         self._speeds = self._occurring_speeds()
         self._recorded = Recording(self.signals)
@@ -132,7 +132,7 @@ class LogBatch:
         """States of one model at the horizon points, (n, k, 6)."""
         model = get_model(model)
         for name in model.signals:
-            if name not in self._others:
+            if name not in self.others:
                 raise ConfigurationError(f"model {model.name} needs the signal {name}, which was not given")
         count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
@@ -199,7 +199,7 @@ class LogBatch:
                 acceleration = block.laid_out(signals.ins_at(times_ns, "velocity_x_dot")[0])
         if block.shared:
             recording.sampled[key] = angle, acceleration
-        others = [block.laid_out(signals.sample(*self._others[name], times_ns)) for name in model.signals]
+        others = [block.laid_out(signals.sample(*self.others[name], times_ns)) for name in model.signals]
         return [angle, acceleration, *others]
 
     def _sample_held(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
@@ -209,7 +209,7 @@ class LogBatch:
         wheels = [held_steering(model, raw.steering_time_ns, raw.road_wheel_angle, times, angle, signals.maximum_gap)
                   for times, angle in angles]
         acceleration, = signals.ins_at(starts, "velocity_x_dot")
-        others = [signals.sample(*self._others[name], starts) for name in model.signals]
+        others = [signals.sample(*self.others[name], starts) for name in model.signals]
         return [block.laid_out(np.broadcast_to(v, block.times_ns.shape))
                 for v in (np.array(wheels).T, acceleration, *others)]
 

@@ -8,11 +8,13 @@ from discovery_drives import recorded
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, discover
 from st_core.effects import EFFECTS, Measured
-from st_core.effects._law import COUNT, PLACES, Law, curve
+from st_core.effects._law import COUNT, Law, curve
 from st_core.errors import ConfigurationError
+from st_core.integrate import rk4
 from st_core.models import MODELS
 from st_core.proposals import Candidate, propose, readings
-from st_core.proposals.places import ASKED, QUANTITIES, USUAL
+from st_core.proposals.curve_fit import RunWindows
+from st_core.proposals.places import ASKED, FACTORS, PAIRS, QUANTITIES, USUAL, WHERE, candidates, run_time
 
 STATE = (0.0, 0.0, 12.0, -0.2, 0.1, 0.3)
 DRIVEN = ("lane_change", "slalom", "circle", "sweep", "brake_in_turn")
@@ -22,13 +24,14 @@ def law(candidate: Candidate, wanted) -> dict:
     """The effect with the coefficients nearest to a formula."""
     at = np.linspace(candidate.low, candidate.high, 200)
     heights = np.linalg.lstsq(candidate.splines(at).T, wanted(at), rcond=1e-6)[0]
-    return {"law": {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **candidate.constants}}
+    return {candidate.effect: {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **candidate.constants}}
 
 
 def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
-    assert set(ASKED) == set(PLACES) == set(USUAL)
-    assert {q for quantities in ASKED.values() for q, _ in quantities} <= set(QUANTITIES)
-    assert "law" not in EFFECTS
+    assert set(ASKED) == set(WHERE) == set(USUAL)
+    assert {q for quantities in ASKED.values() for q, _ in quantities} == set(QUANTITIES)
+    assert {(p, by) for p, _, by in PAIRS} <= {(p, by) for p in WHERE for by in FACTORS}
+    assert not {"law", "law_memory", "law_timed"} & set(EFFECTS)
     with pytest.raises(ConfigurationError, match="unknown effect 'lax'"):
         augment("nonlinear", ["lax"])
 
@@ -128,6 +131,36 @@ def test_law_that_is_there_is_proposed_with_its_slope(leaf):
     assert 0.002 < float(linear.text.split()[2]) < 0.0035 and "gyroscope" in linear.causes
     assert one.chance < 0.01 and one.gain > 0.025 and set(one.runs) <= {log.name for log in logs}
     assert (np.abs(one.value - 0.0027 * one.at) < 4.0 * one.deviation + 1e-3).all()
+
+
+def test_a_law_with_memory_is_the_rate_and_the_lag_it_says(leaf):
+    """At 0.1 rad/s the wheels are turned by 0.02 s times that, 2 mrad; the lags are behind by 10 and 20 mrad."""
+    c = Candidate("front_steer", "speed", 0.0, 3.0, 20.0, "steering_rate")
+    early = augment("nonlinear", law(c, lambda u: 0.02 + 0.0 * u))
+    slow = Candidate("front_steer", "lagging_steering", -1.0, -0.2, 0.2)
+    lagging = augment("nonlinear", law(slow, lambda u: 0.1 * u))
+    p, q = early.parameters(leaf), lagging.parameters(leaf)
+    time = np.arange(201) * 0.01
+    ends = []
+    for model, theta in ((early, p), (lagging, q)):
+        grid = [model.inputs(0.1 * t, 0.0, theta) for t in time]
+        start = model.start_state(STATE, grid[0], theta)
+        state = rk4(model.rhs, start, grid, theta, 0.02)[-1]
+        ends.append(state[6])
+    angle = 0.1 * float(time[-1])
+    assert angle - np.array(ends) == pytest.approx([0.01, 0.02], rel=0.01)
+    turned = rates(augment("nonlinear", {"steering_offset": {"angle": 0.002}}), leaf)[5]
+    now = early.rhs((*STATE, 0.05 - 0.1 * 0.1), early.inputs(0.05, 0.5, p), p)[5]
+    assert now == pytest.approx(turned, rel=1e-3)
+
+
+def test_time_in_the_run_is_counted_anew_in_each(leaf):
+    logs = recorded(leaf, {}, 3, ("lane_change", "slalom"))
+    windows = RunWindows(logs, leaf, DiscoverySettings(where=False))
+    time = run_time(windows, windows.starts_ns)
+    assert time == pytest.approx(windows.seconds)
+    assert {c.name for c in candidates(windows, leaf)} >= {"both_grip over run_time", "front_steer over steering_rate"}
+    assert {c.by for c in candidates(windows, leaf, pairs=True)} == {by for *_, by in PAIRS}
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from .verbs import (
     develop,
     discover,
     docs,
+    effects,
     evaluate,
     export,
     foxglove,
@@ -46,6 +47,7 @@ app.command()(check.check)
 app.command()(evaluate.evaluate)
 app.command()(calibrate.calibrate)
 app.command(cls=discover.WithReferences)(discover.discover)
+app.command()(effects.effects)
 app.command()(identify.identify)
 app.command()(replay.replay)
 app.command()(verify.verify)

@@ -5,6 +5,7 @@ from pathlib import Path
 from st_core.effects import load_folder
 from st_core.errors import StCoreError
 from st_core.model_file import ModelFile
+from st_core.models import MODELS, Model
 from st_core.vehicle import VehicleParameters
 
 from .suite import Parameters, SuiteError
@@ -18,20 +19,37 @@ def fourth_model(model: Path | None, effects: Path | None, vehicle: Path) -> Par
     """
     if model is None and effects is None:
         return {}
+    try:
+        car = VehicleParameters.from_yaml(vehicle.read_text(encoding="utf-8"), str(vehicle))
+    except (OSError, UnicodeDecodeError) as error:
+        raise SuiteError(f"{vehicle}: cannot be read: {error}") from None
+    except StCoreError as error:
+        raise SuiteError(str(error)) from None
+    known_model(model, effects, car, str(vehicle))
+    chosen = {"model_file": str(model.absolute()), "effects_directory": str(effects.absolute()) if effects else ""}
+    return {"predictor": chosen, "evaluator": chosen}
+
+
+def known_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
+    """The model of a model file, nonlinear without one; effects: folder of own effects it uses.
+
+    origin: of the car. Raises SuiteError, one line, for a file that is no model or was found with another car, and for
+    effects that nothing uses.
+    """
     if model is None:
-        raise SuiteError(f"--effects {effects}: only a --model uses effects; give one")
+        if effects is not None:
+            raise SuiteError(f"--effects {effects}: only a --model uses effects; give one")
+        return MODELS["nonlinear"]
     try:
         if effects is not None:
             load_folder(str(effects.absolute()))
         file = ModelFile.from_yaml(model.read_text(encoding="utf-8"), str(model))
-        car = VehicleParameters.from_yaml(vehicle.read_text(encoding="utf-8"), str(vehicle))
     except (OSError, UnicodeDecodeError) as error:
         raise SuiteError(f"{model}: cannot be read: {error}") from None
     except StCoreError as error:
         raise SuiteError(str(error)) from None
     try:
-        file.check_vehicle(car, str(vehicle))
+        file.check_vehicle(car, origin)
     except StCoreError as error:
         raise SuiteError(f"{model}: {error}") from None
-    chosen = {"model_file": str(model.absolute()), "effects_directory": str(effects.absolute()) if effects else ""}
-    return {"predictor": chosen, "evaluator": chosen}
+    return file.model()

@@ -1,26 +1,34 @@
 """A proposed law as an effect file: it loads, does what the curve does, and says where it comes from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from answers import discovery
+from driven import drive
 from st_core.augmented import augment
+from st_core.contract import check_effect
 from st_core.effects import EFFECTS, Measured, load_folder
 from st_core.model_file import ModelFile
 from st_core.models import MODELS
-from st_core.proposals import Candidate, Proposal, Proposals, Reading
-from st_core.proposals.places import ASKED
+from st_core.proposals import Candidate, Proposal, Proposals, Reading, wanted
+from st_core.proposals.places import ASKED, NEITHER, PAIRS
+from st_core.proposals.scrutiny import Shares
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery import proposed
+from st_offline.discovery import law_file, proposed
 from support import ROOT
 
 CAR = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").read_text())
 RANGE = {"slip_front": 0.1, "slip_rear": 0.1, "steering": 0.3, "acceleration_y": 6.0, "acceleration_x": 4.0,
-         "speed": 20.0, "yaw_rate": 0.6}
-EVERY = [(place, quantity, parity) for place, quantities in ASKED.items() for quantity, parity in quantities]
+         "speed": 20.0, "yaw_rate": 0.6, "steering_rate": 0.5, "lagging_steering": 0.3, "lean": 6.0, "north": 1.0,
+         "east": 1.0, "position_x": 50.0, "position_y": 50.0, "run_time": 60.0}
+EVERY = [(place, quantity, parity, "") for place, quantities in ASKED.items() for quantity, parity in quantities
+         if quantity != "run_time"] + [(place, quantity, NEITHER, by) for place, quantity, by in PAIRS]
 
 
-def proposal(place: str, quantity: str, parity: float) -> Proposal:
+def proposal(place: str, quantity: str, parity: float, by: str = "") -> Proposal:
     high = RANGE[quantity]
-    c = Candidate(place, quantity, parity, 2.0 if quantity == "speed" else -high, high)
+    c = Candidate(place, quantity, parity, 2.0 if quantity == "speed" else -high, high, by)
     heights = np.linspace(-1.0, 2.0, 8)
     at = np.linspace(c.low, c.high, 41)
     return Proposal(c, heights, at, heights @ c.splines(at), 0.01 + 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001, (0.8, 0.5),
@@ -36,25 +44,47 @@ def registry():
         del EFFECTS[name]
 
 
-@pytest.mark.parametrize(("place", "quantity", "parity"), EVERY, ids=[f"{p}-{q}" for p, q, _ in EVERY])
-def test_the_file_does_what_the_curve_does(tmp_path, registry, place, quantity, parity):
-    one = proposal(place, quantity, parity)
-    (tmp_path / "law.py").write_text(proposed.effect_file(one, ["lap"], "2026-01-01T00:00:00"))
-    assert load_folder(str(tmp_path)) == (proposed.name_of(one),)
-    written = augment("nonlinear", {proposed.name_of(one): {"share": 1.0}})
+@pytest.mark.parametrize(("place", "quantity", "parity", "by"), EVERY, ids=[f"{p}-{q}-{b}" for p, q, _, b in EVERY])
+def test_the_file_does_what_the_curve_does(tmp_path, registry, place, quantity, parity, by):
+    one = proposal(place, quantity, parity, by)
+    (tmp_path / "law.py").write_text(law_file.effect_file(one, ["lap"], "2026-01-01T00:00:00"))
+    assert load_folder(str(tmp_path)) == (law_file.name_of(one),)
+    written = augment("nonlinear", {law_file.name_of(one): {"share": 1.0}})
     heights = {f"c{k}": h for k, h in enumerate(one.coefficients)}
-    fitted = augment("nonlinear", {"law": heights | one.candidate.constants})
+    fitted = augment("nonlinear", {one.candidate.effect: heights | one.candidate.constants})
     state, readings = (0.0, 0.0, 12.0, -0.2, 0.1, 0.3), Measured(1.0, 2.0, 0.1, 12.0, 0.1, 0.3, 0.5, 3.6)
     changes = []
     for model in (MODELS["nonlinear"], written, fitted):
         p = model.parameters(CAR)
         w = model.inputs(0.05, 0.7, p)
-        rates = model.rhs(model.start_state(state, w, p), w, p)[:6]
+        start = model.start_state(state, w, p)
+        rates = model.rhs((*start[:6], *(0.5 * s for s in start[6:])), w, p)[:6]
         seen = model.observe(readings) if hasattr(model, "observe") else readings
         changes.append(np.array([*rates, *seen[:8]]))
     plain, by_file, by_curve = changes
     assert np.abs(by_curve - plain).max() > 1e-6
     assert by_file - plain == pytest.approx(by_curve - plain, rel=0.05, abs=0.02 * np.abs(by_curve - plain).max())
+
+
+@pytest.mark.parametrize(("place", "quantity", "parity", "by"), [
+    ("front_steer", "lagging_steering", -1.0, ""), ("front_steer", "speed", 0.0, "steering_rate"),
+    ("both_grip", "position_y", 0.0, ""), ("front_steer", "speed", 0.0, ""), ("side_force", "north", 0.0, ""),
+    ("sensor_yaw_rate", "acceleration_y", -1.0, "")])
+def test_the_file_keeps_the_promises_of_an_effect(tmp_path, registry, place, quantity, parity, by):
+    one = proposal(place, quantity, parity, by)
+    gentle = replace(one, coefficients=0.3 * one.coefficients)
+    (tmp_path / "law.py").write_text(law_file.effect_file(gentle, ["lap"], "2026-01-01T00:00:00"))
+    load_folder(str(tmp_path))
+    assert [promise for promise in check_effect(EFFECTS[law_file.name_of(one)], CAR) if promise.problem] == []
+
+
+def test_what_comes_and_goes_is_told_and_a_law_of_time_is_no_file(tmp_path, registry):
+    one = replace(proposal("both_grip", "run_time", 0.0), shares=Shares({"lap": (1.2, 0.1), "other": (0.1, 0.1)}, 1e-6))
+    said = Proposals(one, "it takes away 10 %", {})
+    lines = "\n".join(proposed.told(said))
+    assert "comes and goes: hardly there in other (share of it by run: lap 1.2 ± 0.1, other 0.1 ± 0.1)" in lines
+    assert "no effect file is written" in lines
+    assert proposed.write(said, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 
 
 def test_what_is_written_says_what_it_is(tmp_path, registry):
@@ -70,6 +100,14 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     assert "1 of 1 runs" in lines
     content = proposed.document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
+
+
+def test_a_law_is_looked_for_where_much_is_left():
+    lap = replace(drive(CAR, 10.0, lambda time: 0.05 * np.sin(time), seconds=5.0), name="lap")
+    found = discovery([lap], (), 1.0)
+    nothing, much = replace(found, outcome="none", signature=()), ("errors are 4.0 times the noise",)
+    assert not wanted(nothing)
+    assert wanted(replace(nothing, outcome="unknown")) and wanted(replace(nothing, outcome="named", signature=much))
 
 
 def test_without_a_proposal_the_reason_is_told(tmp_path):

@@ -20,11 +20,11 @@ from ._base import (
     register,
     source_file,
 )
-from ._loading import load_folder
+from ._loading import load_file, load_folder
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
     if not _module.startswith("_"):
         importlib.import_module(f"{__name__}.{_module}")
 
 __all__ = ["ANY", "CHANNELS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "Effect", "Instant", "Measured",
-           "Parameter", "applicable", "get_effect", "load_folder", "register", "source_file"]
+           "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register", "source_file"]

@@ -3,18 +3,27 @@
     u = sum of in_i quantity_i, held at low and at low + 5 spacing beyond;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B the cubic B-spline on whole numbers, k = -1 ... 6
 
-and f times one `to_` weight is added where that says. parity -1 makes f odd, +1 even, 0 neither. All weights, the range
-and the parity are constants, so that every law of the kind is the same compiled function.
+and f, times one `by_` quantity where that is wanted, times one `to_` weight is added where that says. parity -1 makes f
+odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that every law of a kind is the same
+compiled function. Three kinds: `law` of what the car does now, `law_memory` of a quantity q that lags or of its rate,
+
+    s_dot = (q - s) / tau,   settled at the start;   u = s, or u = (q - s) / tau
+
+and `law_timed` of the time in the run, a signal nobody has live.
 """
 
 from typing import NamedTuple
 
-from ..ops import absolute, maximum, minimum
+from ..ops import absolute, cos, maximum, minimum, sin
 from ._base import Effect, Parameter, unlisted
 
 COUNT = 8
+HIGHEST = 100.0  # usual sizes of a law: a curve that high is none
 INTERVALS = 5.0
-INPUTS = ("slip_front", "slip_rear", "steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate")
+MOVED = ("steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north", "east", "position_x",
+         "position_y")
+INPUTS = ("slip_front", "slip_rear", *MOVED)
+BY = ("steering", "acceleration_y")
 PLACES = {
     "front_steer": ("rad", "of the front wheels, added to the road wheel angle"),
     "rear_steer": ("rad", "of the rear wheels, to the left +"),
@@ -60,7 +69,14 @@ def of_motion(at, theta):
     """u without the slip angles, which are not known everywhere."""
     return (theta.in_steering * at.road_wheel_angle + theta.in_acceleration_y * at.velocity_x * at.yaw_rate
             + theta.in_acceleration_x * at.velocity_x_dot + theta.in_speed * at.velocity_x
-            + theta.in_yaw_rate * at.yaw_rate)
+            + theta.in_yaw_rate * at.yaw_rate + theta.in_north * sin(at.yaw) + theta.in_east * cos(at.yaw)
+            + theta.in_position_x * at.x + theta.in_position_y * at.y)
+
+
+def times(at, theta):
+    """What the curve is multiplied with."""
+    return (theta.by_one + theta.by_steering * at.road_wheel_angle
+            + theta.by_acceleration_y * at.velocity_x * at.yaw_rate)
 
 
 def of_readings(measured, theta):
@@ -74,6 +90,19 @@ def _constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
                      source="of the law")
 
 
+def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
+    """Of a kind of law: heights, range, parity, weights; more: its own constants."""
+    return (
+        *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-HIGHEST, HIGHEST), meaning=f"height of spline {k}",
+                    source="of the law") for k in range(COUNT)),
+        _constant("low", "least value of u"), _constant("spacing", "of the knots of u", 1.0),
+        _constant("parity", "-1 odd, +1 even, 0 neither"),
+        *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
+        _constant("by_one", "1: the curve as it is", 1.0),
+        *(_constant(f"by_{name}", "weight in its factor") for name in BY),
+        *(_constant(f"to_{name}", f"{unit} {meaning}") for name, (unit, meaning) in PLACES.items()), *more)
+
+
 @unlisted
 class Law(Effect):
     name = "law"
@@ -82,36 +111,27 @@ class Law(Effect):
     kind, slot = "physics", "body"
     costly = True
     order = 90
-    parameters = (
-        *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-100.0, 100.0), meaning=f"height of spline {k}",
-                    source="of the law") for k in range(COUNT)),
-        _constant("low", "least value of u"), _constant("spacing", "of the knots of u", 1.0),
-        _constant("parity", "-1 odd, +1 even, 0 neither"),
-        *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
-        *(_constant(f"to_{name}", f"{unit} {meaning}") for name, (unit, meaning) in PLACES.items()),
-    )
+    parameters = _parameters()
 
     @staticmethod
     def constants(vehicle):
-        per_length = GRAVITY * vehicle.mass / vehicle.wheelbase
-        return Car(per_length * vehicle.cg_to_rear_axle, per_length * vehicle.cg_to_front_axle)
+        return load(vehicle)
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, at, given, theta):
         y = curve(of_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear, theta)
+        y = y * times(at, theta)
         # A wheel turned to the left slides less to the left.
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
-        front, rear = forces(slip_front, slip_rear, at)
-        y = curve(of_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear, theta)
-        return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.car.load_front * y,
-                rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.car.load_rear * y)
+        u = of_motion(at, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
+        return gripped(forces, slip_front, slip_rear, at, curve(u, theta), theta)
 
     @staticmethod
     def acceleration(at, given, theta):
-        y = curve(of_motion(at, theta), theta)
+        y = curve(of_motion(at, theta), theta) * times(at, theta)
         return 0.0 * y, theta.to_side_force * y, theta.to_yaw_moment * y
 
     @staticmethod
@@ -121,6 +141,78 @@ class Law(Effect):
     @staticmethod
     def correct(measured, theta):
         return _shown(measured, -of_readings(measured, theta), theta)
+
+
+@unlisted
+class LawMemory(Effect):
+    name = "law_memory"
+    physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
+    excited_by = "transients that visit the range of the quantity"
+    kind, slot = "physics", "body"
+    costly = True
+    order = 90
+    extra_states = ("lagging",)
+    parameters = _parameters(
+        *(_constant(f"of_{name}", "weight in q") for name in BY), _constant("tau", "s, of the lag", 0.1),
+        _constant("in_lagging", "weight of s in u"), _constant("in_rate", "weight of the rate in u"),
+        _constant("by_rate", "weight of the rate in the factor"))
+
+    @staticmethod
+    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
+        rate = (remembered(at, theta) - extra[0]) / theta.tau
+        y = curve(of_motion(at, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
+        y = y * (times(at, theta) + theta.by_rate * rate)
+        return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
+
+    @staticmethod
+    def start(slips, at, given, theta):
+        return (remembered(at, theta),)
+
+    @staticmethod
+    def rates(extra, slips, forces, at, given, theta):
+        return ((remembered(at, theta) - extra[0]) / theta.tau,)
+
+
+@unlisted
+class LawTimed(Effect):
+    name = "law_timed"
+    physics = "a smooth curve of the time in the run, added to the steering or to the grip of an axle"
+    excited_by = "long runs"
+    kind, slot = "physics", "body"
+    costly = True
+    order = 90
+    signals = ("run_time",)
+    parameters = _parameters()
+
+    @staticmethod
+    def constants(vehicle):
+        return load(vehicle)
+
+    @staticmethod
+    def slip_angles(slip_front, slip_rear, extra, at, given, theta):
+        y = curve(given[0], theta)
+        return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
+
+    @staticmethod
+    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
+        return gripped(forces, slip_front, slip_rear, at, curve(given[0], theta), theta)
+
+
+def load(vehicle) -> Car:
+    per_length = GRAVITY * vehicle.mass / vehicle.wheelbase
+    return Car(per_length * vehicle.cg_to_rear_axle, per_length * vehicle.cg_to_front_axle)
+
+
+def remembered(at, theta):
+    """q of a law with memory."""
+    return theta.of_steering * at.road_wheel_angle + theta.of_acceleration_y * at.velocity_x * at.yaw_rate
+
+
+def gripped(forces, slip_front, slip_rear, at, y, theta):
+    """Axle forces with a law y at one of their places."""
+    front, rear = forces(slip_front, slip_rear, at)
+    return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.car.load_front * y,
+            rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.car.load_rear * y)
 
 
 def _shown(m, y, theta):

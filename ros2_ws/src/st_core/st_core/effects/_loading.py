@@ -4,11 +4,12 @@ import hashlib
 import importlib
 import pkgutil
 import sys
+from collections.abc import Sequence
 from importlib.machinery import FileFinder
 from types import ModuleType
 
 from ..errors import ConfigurationError
-from ._base import EFFECTS
+from ._base import EFFECTS, Effect
 
 
 def load_folder(path: str) -> tuple[str, ...]:
@@ -17,21 +18,35 @@ def load_folder(path: str) -> tuple[str, ...]:
     A folder loaded before is not read again. Raises ConfigurationError naming the file when there is no such folder, a
     module fails to import or registers nothing, or a name is taken; nothing of that folder is then registered.
     """
+    finder, package = _package(path)
+    if package not in sys.modules:
+        names = sorted(name for name, _ in pkgutil.iter_importer_modules(finder) if not name.startswith("_"))
+        if not names:
+            raise ConfigurationError(f"{finder.path}: holds no effect, that is no *.py")
+        _load(finder, package, names)
+    return tuple(sorted(name for name, effect in EFFECTS.items() if effect.__module__.startswith(package + ".")))
+
+
+def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
+    """Import one module of a folder that is not loaded yet, and return its effects; the others are left alone.
+
+    Raises ConfigurationError as `load_folder`.
+    """
+    finder, package = _package(folder)
+    _load(finder, package, [name])
+    return tuple(effect for effect in EFFECTS.values() if effect.__module__ == f"{package}.{name}")
+
+
+def _package(path: str) -> tuple[FileFinder, str]:
     finder = pkgutil.get_importer(str(path))
     if not isinstance(finder, FileFinder):
         raise ConfigurationError(f"{path}: not a folder of effects")
     # The same folder has the same package name in every process: compiled kernels are cached by it.
-    package = "st_effects_" + hashlib.sha256(finder.path.encode()).hexdigest()[:12]
-    if package not in sys.modules:
-        _load(finder, package)
-    return tuple(sorted(name for name, effect in EFFECTS.items() if effect.__module__.startswith(package + ".")))
+    return finder, "st_effects_" + hashlib.sha256(finder.path.encode()).hexdigest()[:12]
 
 
-def _load(finder: FileFinder, package: str) -> None:
+def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
     importlib.invalidate_caches()
-    names = sorted(name for name, _ in pkgutil.iter_importer_modules(finder) if not name.startswith("_"))
-    if not names:
-        raise ConfigurationError(f"{finder.path}: holds no effect, that is no *.py")
     known = set(EFFECTS)
     root = ModuleType(package)
     root.__path__ = [finder.path]

@@ -10,9 +10,9 @@ from ..discovery.space import GAIN, Space
 from ..discovery.windows import Windows
 from ..effects import get_effect
 from ..effects._law import COUNT
-from .places import Candidate
+from .places import Candidate, run_time
 
-LAW = "law"
+LAW = "law"  # the kind of law the places in the vector are looked up of; they are the same for all kinds
 SMOOTH = (0.003, 0.03, 0.3)  # penalty on second differences, shares of the mean curvature of the coefficients
 LEVEL = 0.1  # of the penalty, on the coefficients themselves: what driving does not show stays at nothing
 SETTLED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
@@ -53,6 +53,16 @@ class Fitted:
         return (inverse @ scatter @ inverse)[-COUNT:, -COUNT:]
 
 
+class RunWindows(Windows):
+    """Windows whose models may ask for the time in the run."""
+
+    def __init__(self, runs, vehicle, settings):
+        super().__init__(runs, vehicle, settings)
+        if len(self):
+            time_ns = self.joined.ins_time_ns
+            self._batch.others["run_time"] = time_ns, run_time(self, time_ns)
+
+
 class Laws:
     """All laws on top of one answer.
 
@@ -62,8 +72,10 @@ class Laws:
     """
 
     def __init__(self, windows: Windows, answer, gain: float, names, settings, threads: int = 1):
-        self.windows, self.threads = windows, threads
+        self.windows, self.threads, self.answer, self.settings = windows, threads, answer, settings
         self.space = Space(answer, settings, (LAW,))
+        self._spaces = {LAW: self.space}
+        self.law = self.space.indices(LAW)
         self.start = np.append(self.space.null[:-1], gain)
         self.loss = Loss(Errors(windows, self.space, threads), self.start)
         self.problem = Problem(self.loss, self.start, windows.block)
@@ -74,11 +86,19 @@ class Laws:
         self.beside = self.space.indices(*names, *always)
         self.car = np.setdiff1d(self.space.indices(*own), self.beside)
 
+    def space_of(self, candidate: Candidate) -> Space:
+        """The space with a law's place, quantity and range in it."""
+        kind = candidate.effect
+        if kind not in self._spaces:
+            self._spaces[kind] = Space(self.answer, self.settings, (kind,))
+        space = object.__new__(Space)
+        space.__dict__.update(self._spaces[kind].__dict__)
+        space.model = space.model.with_values({kind: candidate.constants})
+        return space
+
     def of(self, candidate: Candidate) -> Loss:
         """The loss of the same windows with a law's place, quantity and range; at the scale of the answer."""
-        space = object.__new__(Space)
-        space.__dict__.update(self.space.__dict__)
-        space.model = self.space.model.with_values({LAW: candidate.constants})
+        space = self.space_of(candidate)
         loss = object.__new__(Loss)
         loss.__dict__.update(self.loss.__dict__)
         loss.errors, loss.space = Errors(self.windows, space, self.threads), space
@@ -98,7 +118,7 @@ class Laws:
     def linear(self, candidate: Candidate, without: Fitted) -> tuple[Loss, np.ndarray]:
         """The loss of a law, and its slopes (COUNT, n, m) on top of `without`."""
         loss = self.of(candidate)
-        return loss, np.nan_to_num(loss.slopes(without.vector, self.space.indices(LAW)), posinf=0.0, neginf=0.0)
+        return loss, np.nan_to_num(loss.slopes(without.vector, self.law), posinf=0.0, neginf=0.0)
 
     def quadratic(self, loss: Loss, rows: np.ndarray, slopes: np.ndarray) -> Quadratic:
         return loss.quadratic(rows, slopes).summed(self.block, self.blocks)
@@ -137,7 +157,7 @@ class Laws:
 
     def fit(self, candidate: Candidate, without: Fitted, smooth: float) -> Fitted:
         """Gauss-Newton through the simulator, from no law; smooth: of SMOOTH."""
-        which = np.concatenate([self.beside, self.space.indices(LAW)])
+        which = np.concatenate([self.beside, self.law])
         loss = self.of(candidate)
         slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
         return self._fit(candidate, loss, which, smooth, slopes, without.vector)
@@ -145,7 +165,7 @@ class Laws:
     def _fit(self, candidate, loss: Loss, which: np.ndarray, smooth: float, slopes: np.ndarray,
              vector: np.ndarray | None = None) -> Fitted:
         vector = self.start.copy() if vector is None else vector.copy()
-        law, scale = self.space.indices(LAW), self.space.scale
+        law, scale = self.law, self.space.scale
         penalty = None
         for _ in range(ITERATIONS):
             if candidate:

@@ -5,94 +5,155 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..discovery.windows import Windows
+from ..discovery.windows import Windows, smoothed
 from ..effects._law import COUNT, INTERVALS, PLACES, bump
+from ..filtering import NANOSECOND
 from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0
 EDGE = 0.01  # share of the driving beyond either end of the range: the curve is constant there
 SLOWEST = 2.0  # m/s; slip angles are not defined below
 QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "acceleration_y": "m/s^2",
-              "acceleration_x": "m/s^2", "speed": "m/s", "yaw_rate": "rad/s"}
+              "acceleration_x": "m/s^2", "speed": "m/s", "yaw_rate": "rad/s", "steering_rate": "rad/s",
+              "lagging_steering": "rad", "lean": "m/s^2", "north": "1", "east": "1", "position_x": "m",
+              "position_y": "m", "run_time": "s"}
+"""Unit. lean: lateral acceleration as the body rolls with it. north, east: sine and cosine of the course."""
+MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
+          "lean": ("acceleration_y", "lagging", 0.15)}
+"""Quantity -> what it is made of, how, and the lag [s]."""
+WHERE = {**PLACES, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
 USUAL = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
-         "rear_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
+         "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
          "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
 """Usual size of a law, by place, in its unit."""
+FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
+"""What a curve may be multiplied with, and a usual size of that."""
 ASKED: Mapping[str, tuple[tuple[str, float], ...]] = {
-    "front_steer": (("steering", ODD), ("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER)),
-    "rear_steer": (("acceleration_y", ODD), ("steering", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER)),
+    "front_steer": (("steering", ODD), ("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER),
+                    ("steering_rate", ODD), ("lagging_steering", ODD), ("lean", ODD), ("run_time", NEITHER)),
+    "rear_steer": (("acceleration_y", ODD), ("steering", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER),
+                   ("lagging_steering", ODD), ("lean", ODD)),
     "front_force": (("slip_front", ODD),),
     "rear_force": (("slip_rear", ODD),),
     "front_grip": (("speed", NEITHER), ("acceleration_x", NEITHER)),
     "rear_grip": (("speed", NEITHER), ("acceleration_x", NEITHER)),
+    "both_grip": (("run_time", NEITHER), ("position_x", NEITHER), ("position_y", NEITHER)),
     "yaw_moment": (("yaw_rate", ODD), ("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER)),
-    "side_force": (("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER)),
+    "side_force": (("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER), ("north", NEITHER),
+                   ("east", NEITHER), ("position_x", NEITHER), ("position_y", NEITHER)),
     "sensor_yaw_rate": (("acceleration_y", ODD), ("yaw_rate", ODD), ("speed", NEITHER)),
     "sensor_acceleration_y": (("acceleration_y", ODD), ("speed", NEITHER)),
     "sensor_velocity_y": (("yaw_rate", ODD), ("acceleration_y", ODD), ("speed", NEITHER)),
     "sensor_heading": (("acceleration_y", ODD), ("speed", NEITHER)),
 }
 """What a law at each place may depend on, and whether left and right are mirror images there."""
+PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "steering"),
+         ("rear_steer", "speed", "acceleration_y"), ("yaw_moment", "acceleration_x", "steering"))
+"""Place, quantity of the curve, and what that is multiplied with: asked where no law of one quantity is sure."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """place: of PLACES; quantity: of QUANTITIES; parity -1 for an odd curve, 0 for any. low, high: range driven [unit
-    of the quantity]."""
+    """place: of WHERE; quantity: of QUANTITIES; parity -1 for an odd curve, 0 for any. low, high: range driven [unit
+    of the quantity]. by: of FACTORS, what the curve is multiplied with; "" for nothing."""
 
     place: str
     quantity: str
     parity: float
     low: float
     high: float
+    by: str = ""
 
     @property
     def name(self) -> str:
-        return f"{self.place} over {self.quantity}"
+        return f"{self.place} over {self.quantity}{f' times {self.by}' if self.by else ''}"
+
+    @property
+    def effect(self) -> str:
+        """The kind of law it is."""
+        if self.quantity == "run_time":
+            return "law_timed"
+        return "law_memory" if self.quantity in MEMORY or self.by in MEMORY else "law"
+
+    @property
+    def changes_sides(self) -> bool:
+        """Whether its mirror image has the other sign: a push to one side whichever way the car turns."""
+        return self.parity == NEITHER and not self.by and not self.place.endswith("_grip")
+
+    @property
+    def unit(self) -> str:
+        """Of the curve."""
+        unit = WHERE[self.place][0]
+        return f"{unit} per {QUANTITIES[self.by]}" if self.by else unit
+
+    @property
+    def usual(self) -> float:
+        return USUAL[self.place] / (FACTORS[self.by] if self.by else 1.0)
 
     @property
     def constants(self) -> dict[str, float]:
-        """Of the effect `law`."""
-        return {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity,
-                f"in_{self.quantity}": 1.0, f"to_{self.place}": USUAL[self.place]}
+        """Of the effect."""
+        known = {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity}
+        places = ("front_grip", "rear_grip") if self.place == "both_grip" else (self.place,)
+        known |= {f"to_{place}": self.usual for place in places}
+        for quantity, weight in ((self.quantity, "in"), (self.by, "by")):
+            if quantity in MEMORY:
+                source, kind, tau = MEMORY[quantity]
+                known |= {f"of_{source}": 1.0, "tau": tau, f"{weight}_{kind}": 1.0}
+            elif quantity and quantity != "run_time":
+                known[f"{weight}_{quantity}"] = 1.0
+        return known | ({"by_one": 0.0} if self.by else {})
 
     def splines(self, u: np.ndarray) -> np.ndarray:
-        """(COUNT, ...) what each coefficient adds at u [unit of the place]."""
+        """(COUNT, ...) what each coefficient adds at u [unit of the curve]."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
-        return USUAL[self.place] * np.stack([bump(t - k) + self.parity * bump(s - k) for k in range(-1, COUNT - 1)])
+        return self.usual * np.stack([bump(t - k) + self.parity * bump(s - k) for k in range(-1, COUNT - 1)])
+
+
+def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
+    """Seconds into its run at instants of the common clock."""
+    runs, first = np.unique(windows.run, return_index=True)
+    begins = windows.starts_ns[first] - np.round(windows.seconds[first] / NANOSECOND).astype(np.int64)
+    order = np.argsort(begins)
+    which = np.clip(np.searchsorted(begins[order], time_ns, side="right") - 1, 0, len(runs) - 1)
+    return (time_ns - begins[order][which]) * NANOSECOND
 
 
 def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
     """Every quantity at the samples of the INS, where the car is not nearly standing; slip angles as measured."""
     log = windows.joined
     moving = log.velocity_x > SLOWEST
-    speed, rate = log.velocity_x[moving], log.yaw_rate[moving]
-    time, steered = log.ins_time_ns[moving].astype(float), log.steering_time_ns.astype(float)
-    angle = np.interp(time, steered, log.road_wheel_angle)
-    across = log.velocity_y[moving] - vehicle.cg_to_ins_x * rate
-    return {"slip_front": (across + vehicle.cg_to_front_axle * rate) / speed - angle,
-            "slip_rear": (across - vehicle.cg_to_rear_axle * rate) / speed, "steering": angle,
-            "acceleration_y": speed * rate, "acceleration_x": np.gradient(speed, time * 1e-9), "speed": speed,
-            "yaw_rate": rate}
+    stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
+    time = stamps.astype(float)
+    angle = np.interp(time, log.steering_time_ns.astype(float), log.road_wheel_angle)
+    across = log.velocity_y - vehicle.cg_to_ins_x * rate
+    with np.errstate(all="ignore"):
+        found = {"slip_front": (across + vehicle.cg_to_front_axle * rate) / speed - angle,
+                 "slip_rear": (across - vehicle.cg_to_rear_axle * rate) / speed, "steering": angle,
+                 "acceleration_y": speed * rate, "acceleration_x": np.gradient(speed, time * NANOSECOND),
+                 "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
+                 "position_x": log.x, "position_y": log.y, "run_time": run_time(windows, stamps)}
+        for name, (source, kind, tau) in MEMORY.items():
+            slow = smoothed(stamps, found[source], round(2.0 * tau / NANOSECOND))
+            found[name] = np.gradient(slow, time * NANOSECOND) if kind == "rate" else slow
+    return {name: values[moving] for name, values in found.items()}
 
 
-def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
-    """What these drives can ask: not of a channel that was not measured, nor over a quantity that hardly moves."""
+def candidates(windows: Windows, vehicle: VehicleParameters, pairs: bool = False) -> list[Candidate]:
+    """What these drives can ask: not of a channel that was not measured, nor over a quantity that hardly moves. pairs:
+    those of two quantities, instead of those of one."""
     values, found = driven(windows, vehicle), []
-    for place, quantities in ASKED.items():
+    asked = [(p, q, NEITHER, by) for p, q, by in PAIRS] if pairs else [
+        (p, q, parity, "") for p, quantities in ASKED.items() for q, parity in quantities]
+    for place, quantity, parity, by in asked:
         channel = place.removeprefix("sensor_")
         if place.startswith("sensor_") and channel != "heading" and channel not in windows.columns:
             continue
-        for quantity, parity in quantities:
-            u = values[quantity][np.isfinite(values[quantity])]
-            low, high = np.quantile(u, [EDGE, 1.0 - EDGE])
-            if parity == ODD:
-                high = np.quantile(np.abs(u), 1.0 - EDGE)
-                low = -high
-            if high - low > 1e-6 * max(abs(high), abs(low), 1e-6):
-                found.append(Candidate(place, quantity, parity, float(low), float(high)))
+        u = values[quantity][np.isfinite(values[quantity])]
+        low, high = np.quantile(u, [EDGE, 1.0 - EDGE])
+        if parity == ODD:
+            high = np.quantile(np.abs(u), 1.0 - EDGE)
+            low = -high
+        if high - low > 1e-6 * max(abs(high), abs(low), 1e-6):
+            found.append(Candidate(place, quantity, parity, float(low), float(high), by))
     return found
-
-
-def unit_of(place: str) -> str:
-    return PLACES[place][0]

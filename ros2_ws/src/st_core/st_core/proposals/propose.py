@@ -10,14 +10,14 @@ from ..augmented import AugmentedModel
 from ..discovery.limits import Limits
 from ..discovery.result import Discovery
 from ..discovery.settings import DiscoverySettings
-from ..discovery.windows import Windows
 from ..effects._law import COUNT
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
-from .curve_fit import LAW, SMOOTH, Fitted, Laws
+from .curve_fit import SMOOTH, Fitted, Laws, RunWindows
 from .places import Candidate, candidates, driven
 from .readings import readings
 from .result import Proposal, Proposals
+from .scrutiny import refused, shares
 
 DRAWS = 999  # signs of the blocks drawn by chance
 REFITTED = 6  # laws fitted through the simulator
@@ -30,7 +30,8 @@ class _Screened:
     """A law by the slopes about the answer. smooth: the penalty that holds out best. observed, drawn: what its freedom
     gains, and with the signs of the blocks by chance (DRAWS,), both over the mean of the draws. freedom: numbers the
     penalty leaves to the curve. design: what dependent windows make of the variance of its scores, 1 at least, by what
-    is left of them with the law. gain: held out."""
+    is left of them with the law. gain: held out. information: (COUNT, COUNT) of the drives on the coefficients, what
+    everything beside can do taken out."""
 
     candidate: Candidate
     smooth: float
@@ -39,6 +40,21 @@ class _Screened:
     freedom: float
     design: float
     gain: float
+    information: np.ndarray
+
+    def visible(self, chance: float, blocks: int) -> float:
+        """Size at the end of the range [unit of the curve] from which on a straight line is surer than that chance."""
+        c = self.candidate
+        at = np.linspace(c.low, c.high, POINTS)
+        line = np.linalg.lstsq(c.splines(at).T, at / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
+        wanted = 0.5 * float(stats.f.isf(chance, self.freedom, blocks - 1)) * self.freedom * self.design
+        return float(np.sqrt(wanted / max(float(line @ self.information @ line), 1e-30)))
+
+
+def wanted(found: Discovery) -> bool:
+    """Whether an answer leaves so much that a law is to be looked for: unknown, or errors beyond `limits.left` times
+    the noise."""
+    return found.outcome == "unknown" or bool(found.signature)
 
 
 def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
@@ -56,7 +72,7 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     settings = settings or DiscoverySettings()
     limits = settings.limits
     settings = _channels(found, settings)
-    windows = Windows(runs, vehicle, settings)
+    windows = RunWindows(runs, vehicle, settings)
     if len(windows) < 3 or int(windows.block.max()) + 1 < FEWEST:
         return Proposals(None, f"{int(windows.block.max()) + 1 if len(windows) else 0} blocks of {settings.block:g} s "
                          f"were driven; a curve asks for {FEWEST}", {})
@@ -69,29 +85,40 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     car = laws.slopes(without.vector, laws.car)
     rng = np.random.default_rng(settings.seed)
     signs = rng.choice([-1.0, 1.0], (DRAWS, laws.blocks))
-    screened = []
-    for candidate in candidates(windows, vehicle):
-        tick()
-        one = _screen(laws, without, base, car, candidate, signs)
-        if one is not None:
-            screened.append(one)
-    if not screened:
-        return Proposals(None, "no law changes any prediction of these drives", {})
-    chances = _chances(screened, laws.blocks)
+    screened: list[_Screened] = []
+    chances: dict[str, float] = {}
+    # Of two quantities only where one does not do.
+    for pairs in (False, True):
+        for candidate in candidates(windows, vehicle, pairs):
+            tick()
+            one = _screen(laws, without, base, car, candidate, signs)
+            if one is not None:
+                screened.append(one)
+        if not screened:
+            return Proposals(None, "no law changes any prediction of these drives", {})
+        chances = _chances(screened, laws.blocks)
+        if min(chances.values()) <= limits.false_alarm:
+            break
     number = laws.loss.number
     tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
+    visible = {s.candidate.name: s.visible(limits.false_alarm / len(screened), laws.blocks) for s in screened}
     sure = sorted((s for s in screened if chances[s.candidate.name] <= limits.false_alarm), key=lambda s: -s.gain)
     if not sure:
         name, (gain, chance) = next(iter(tried.items()))
         return Proposals(None, f"no law is sure: the best, {name}, gains {gain:.3f} held out, and something gains as "
-                         f"much by chance with probability {chance:.2g}", tried)
+                         f"much by chance with probability {chance:.2g}", tried, visible)
     fits = {}
     for one in sure[:REFITTED]:
         tick()
         fits[one] = laws.fit(one.candidate, without, one.smooth)
-    best = min(fits, key=lambda s: float(fits[s].held_out.sum()))
-    return _judged(best, fits, without, laws, chances, limits, tried, found, vehicle)
+    against = {one: refused(laws, fit, vehicle) for one, fit in fits.items()}
+    kept = {one: fit for one, fit in fits.items() if not against[one]}
+    if not kept:
+        return Proposals(None, next(iter(against.values())), tried, visible)
+    said = _judged(min(kept, key=lambda s: float(kept[s].held_out.sum())), kept, without, laws, chances, limits, tried,
+                   vehicle)
+    return replace(said, visible=visible)
 
 
 def _chances(screened: Sequence[_Screened], blocks: int) -> dict[str, float]:
@@ -112,7 +139,7 @@ def _chances(screened: Sequence[_Screened], blocks: int) -> dict[str, float]:
 
 
 def _judged(best: _Screened, fits: dict[_Screened, Fitted], without: Fitted, laws: Laws, chances, limits: Limits, tried,
-            found: Discovery, vehicle: VehicleParameters) -> Proposals:
+            vehicle: VehicleParameters) -> Proposals:
     fit, number = fits[best], laws.loss.number
     gain = float((without.held_out - fit.held_out).sum()) / number
     before, after = (_held_out_positions(laws, f) for f in (without, fit))
@@ -138,17 +165,16 @@ def _judged(best: _Screened, fits: dict[_Screened, Fitted], without: Fitted, law
             for k, name in enumerate(laws.windows.names) if (mine := laws.windows.run == k).any()
             and np.isfinite(before[mine]).any() and np.isfinite(after[mine]).any()}
     proposal = Proposal(c, fit.coefficients, at, value, deviation, density, gain, chance,
-                        (float(np.nanmean(before)), float(np.nanmean(after))), runs, _beside(laws, fit),
-                        others,
-                        readings(c.place, c.quantity, at, value, density))
+                        (float(np.nanmean(before)), float(np.nanmean(after))), runs, _beside(laws, fit), others,
+                        readings(c.place, c.quantity, at, value, density, c.by), shares(laws, fit))
     return Proposals(proposal, f"{c.name} takes away {-np.expm1(-gain):.1%} of the size of the errors and "
                      f"{100 * fall:.1f} cm after 5 s on runs it was not fitted to", tried)
 
 
 def _beside(laws: Laws, fit: Fitted) -> AugmentedModel:
     """The model without the law, at the values fitted beside it."""
-    whole = laws.space.at(fit.vector)
-    return whole.only(e for e in whole.effects if e.name != LAW)
+    whole = laws.space_of(fit.candidate).at(fit.vector)
+    return whole.only(e for e in whole.effects if e.name != fit.candidate.effect)
 
 
 def _screen(laws: Laws, without: Fitted, base: np.ndarray, car: np.ndarray, candidate: Candidate,
@@ -184,7 +210,8 @@ def _screen(laws: Laws, without: Fitted, base: np.ndarray, car: np.ndarray, cand
     rest_of = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
     after = rest_of[:, -COUNT:] - rest_of[:, :-COUNT] @ cross
     design = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
-    return _Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design, gain)
+    return _Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design, gain,
+                     left - penalty[-COUNT:, -COUNT:])
 
 
 def _channels(found: Discovery, settings: DiscoverySettings) -> DiscoverySettings:

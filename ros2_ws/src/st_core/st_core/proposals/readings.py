@@ -67,9 +67,26 @@ CAUSES = {
     ("sensor_velocity_y", "speed"): "a unit mounted askew",
     ("sensor_heading", "speed"): "a heading that depends on speed: an antenna baseline askew",
     ("sensor_heading", "acceleration_y"): "a heading that leans with the body",
+    ("front_steer", "steering_rate"): "a damper or play in the steering, a late or early angle",
+    ("front_steer", "lagging_steering"): "a steering map with a lag, give in the column",
+    ("front_steer", "lean"): "roll steer of the front suspension",
+    ("front_steer", "run_time"): "an angle sensor that drifts, a linkage that settles",
+    ("rear_steer", "lagging_steering"): "rear-wheel steering with a lag, a body that twists",
+    ("rear_steer", "lean"): "roll steer of the rear suspension",
+    ("both_grip", "run_time"): "tyres that warm up or wear, a road that dries",
+    ("both_grip", "position_x"): "a road whose grip changes from place to place",
+    ("both_grip", "position_y"): "a road whose grip changes from place to place",
+    ("side_force", "north"): "wind or a slope, by the course", ("side_force", "east"): "wind or a slope, by the course",
+    ("side_force", "position_x"): "a banked road or wind at a place",
+    ("side_force", "position_y"): "a banked road or wind at a place",
 }
 
-
+PAIRED = {
+    ("front_steer", "speed", "steering_rate"): "a delay of the steering that changes with speed (- later)",
+    ("front_steer", "speed", "steering"): "a steering ratio that changes with speed, power steering, an active rack",
+    ("rear_steer", "speed", "acceleration_y"): "roll steer or compliance of the rear that changes with speed",
+    ("yaw_moment", "acceleration_x", "steering"): "torque steer of turned wheels, a differential",
+}
 CONSTANT = {
     "front_steer": "a steering offset, toe", "rear_steer": "a rear axle askew", "yaw_moment": "unequal drag or brakes",
     "side_force": "steady wind, a banked road", "sensor_yaw_rate": "a bias of the sensor",
@@ -78,8 +95,10 @@ CONSTANT = {
 }
 
 
-def readings(place: str, quantity: str, at: np.ndarray, value: np.ndarray, weight: np.ndarray) -> Sequence[Reading]:
-    """Up to three shapes, best first. at, value: (k,) the curve; weight: (k,) how often each value was driven."""
+def readings(place: str, quantity: str, at: np.ndarray, value: np.ndarray, weight: np.ndarray,
+             by: str = "") -> Sequence[Reading]:
+    """Up to three shapes, best first. at, value: (k,) the curve; weight: (k,) how often each value was driven. by: what
+    the curve is multiplied with."""
     weight = weight / max(float(weight.sum()), 1e-30)
     total = float(weight @ np.square(value))
     if total <= 0.0:
@@ -93,7 +112,8 @@ def readings(place: str, quantity: str, at: np.ndarray, value: np.ndarray, weigh
             numbers[1] = abs(numbers[1])
         explained = 1.0 - float(weight @ np.square(value - formula(at, numbers))) / total
         if explained >= LEAST:
-            causes = CONSTANT.get(place, "") if shape == "constant" else CAUSES.get((place, quantity), "")
+            causes = (PAIRED.get((place, quantity, by), "") if by else CONSTANT.get(place, "") if shape == "constant"
+                      else CAUSES.get((place, quantity), ""))
             found.append((explained - SIMPLER * (count - 1), Reading(shape, text.format(*numbers), explained, causes)))
     return tuple(reading for _, reading in sorted(found, key=lambda f: -f[0])[:MOST])
 

@@ -8,6 +8,7 @@ import numpy as np
 from ..augmented import AugmentedModel
 from .places import Candidate
 from .readings import Reading
+from .scrutiny import Shares
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +20,7 @@ class Proposal:
     of the driving near each. gain [1]: held-out fall of the loss for each scored error. chance [1]: that any law gains
     as much where nothing is. position_5s [m]: (before, after) held out; runs: the same by run. model: everything else,
     at the values fitted beside the law. others: laws that do no worse, with the cosine of what both change [1].
-    readings: the curve in words, best first.
+    readings: the curve in words, best first. shares: how much of it each run shows.
     """
 
     candidate: Candidate
@@ -35,13 +36,16 @@ class Proposal:
     model: AugmentedModel
     others: Mapping[str, float] = field(default_factory=dict)
     readings: Sequence[Reading] = ()
+    shares: Shares = field(default_factory=lambda: Shares({}, 1.0))
 
 
 @dataclass(frozen=True)
 class Proposals:
     """proposal: None where no law is sure and worth it; why: the reason, with its figures. tried: held-out gain [1] and
-    chance [1] of every law, best first."""
+    chance [1] of every law, best first. visible: size at the end of the range [unit of the curve] from which on a
+    straight line would have been sure, by law."""
 
     proposal: Proposal | None
     why: str
     tried: Mapping[str, tuple[float, float]]
+    visible: Mapping[str, float] = field(default_factory=dict)

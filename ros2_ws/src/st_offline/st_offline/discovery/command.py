@@ -16,7 +16,7 @@ from st_core.effects import load_folder
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
-from st_core.proposals import Proposals, propose
+from st_core.proposals import Proposals, propose, wanted
 from st_core.vehicle import VehicleParameters
 
 from ..checking.document import findings_in
@@ -46,7 +46,8 @@ class CommandError(RuntimeError):
 
 @dataclass(frozen=True)
 class Job:
-    """Arguments of the verb. vehicle_text: of vehicle_file. output: None for runs/discover-<time>."""
+    """Arguments of the verb. vehicle_text: of vehicle_file. output: None for runs/discover-<time>. propose: None where
+    much is left unexplained."""
 
     runs: Sequence[Path]
     reference: Sequence[Path]
@@ -63,7 +64,7 @@ class Job:
     report: bool = True
     cached: bool = True
     force: bool = False
-    propose: bool = False
+    propose: bool | None = None
 
 
 def run_command(job: Job, console: Console) -> int:
@@ -80,10 +81,14 @@ def run_command(job: Job, console: Console) -> int:
         suspect, healthy = _read(job, progress)
         marks.append(time.perf_counter())
         found, earlier = _answer(job, base, suspect, healthy, own, progress)
-        laws = _laws(job, found, suspect, progress) if job.propose else None
+        marks.append(time.perf_counter())
+        asked = wanted(found) if job.propose is None else job.propose
+        laws = _laws(job, found, suspect, progress) if asked else None
     marks.append(time.perf_counter())
     question = Question(suspect, healthy, job.base, job.vehicle, job.vehicle_file, job.vehicle_text, job.settings, own)
     seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
+    if laws:
+        seconds["propose"] = marks[3] - marks[2]
     with console.status("drawing, writing the report"):
         place = Place(folder / "figures", job.formats)
         drawn = draw(found, question, place) if job.report else None
@@ -94,7 +99,7 @@ def run_command(job: Job, console: Console) -> int:
     for drive in (*suspect, *healthy):
         say(drive.name, findings_in(drive.about), console)
     show(found, mended, [d for d in (*suspect, *healthy) if d.problem], files, earlier, console,
-         proposed.told(laws) if laws else ())
+         [*proposed.told(laws), f"the search for a law took {seconds['propose']:.0f} s"] if laws else ())
     return 1 if any(d.problem for d in (*suspect, *healthy)) else 0
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from st_core.bands import Bands
+from st_core.effects import load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log_evaluation import AXES, EvaluationSettings, LogEvaluation, evaluate_log
 from st_core.log_signals import LogSignals
@@ -39,7 +40,7 @@ class Task:
 
     folder: gets runs/<name>/ with starts.csv and figures; None: nothing is written. formats: of the figures.
     force: whether runs are evaluated of which the checks say that it means nothing. bands: (file name, content) of a
-    bands.yaml to be tested.
+    bands.yaml to be tested. effects: folder of own effects the model files use.
     """
 
     vehicle: VehicleParameters
@@ -51,6 +52,7 @@ class Task:
     formats: tuple[str, ...] = ("png", "pdf")
     force: bool = False
     bands: tuple[str, str] | None = None
+    effects: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
 def load_models(task: Task) -> list[Model]:
     """The models of a task. Raises ConfigurationError for an unknown one, a bad file, or two of one name."""
     models: list[Model] = []
+    if task.effects:
+        load_folder(str(task.effects.absolute()))
     for chosen in task.models:
         if isinstance(chosen, str):
             models.append(get_model(chosen))

@@ -14,6 +14,7 @@ from st_core.identification.steering_offset import identify_steering_offset
 from st_core.identification.stiffness_prediction import predict_stiffness
 from st_core.identification.yaw_inertia import identify_yaw_inertia
 from st_core.log import DriveLog
+from st_core.models import MODELS, Model
 
 from ..checking.gate import checked_log, refuse
 from ..runs import RunError, find_runs, read
@@ -55,20 +56,23 @@ def drives(files: Sequence[Path], setup: Setup) -> Drives:
     return found
 
 
-def experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw) -> Experiment:
-    """compute(logs, vehicle, seed=...) -> Identification."""
+def experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw,
+               predicts: bool = False) -> Experiment:
+    """compute(logs, vehicle, seed=...) -> Identification; predicts: it takes a model, base=..., too."""
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
+        if not predicts and setup.model is not MODELS["nonlinear"]:
+            raise IdentificationError(f"{name} predicts nothing, so it has no use for a --model")
         given = drives(files, setup)
-        found = compute(given.logs, setup.vehicle, seed=setup.seed)
+        found = compute(given.logs, setup.vehicle, seed=setup.seed, **({"base": setup.model} if predicts else {}))
         return (replace(found, what=name, rejected=(*given.failed, *found.rejected),
                         warnings=(*found.warnings, *given.warnings), findings=given.findings),)
 
     return Experiment(name, what, f"{RECORDINGS}; {needs}", identify, draw)
 
 
-def stiffness(logs: Sequence[DriveLog], vehicle, seed: int) -> Identification:
+def stiffness(logs: Sequence[DriveLog], vehicle, seed: int, base: Model) -> Identification:
     """By prediction; the paper's regression of the same drives stands beside it in the figure and in words."""
-    found = predict_stiffness(logs, vehicle, seed=seed, profiles=True)
+    found = predict_stiffness(logs, vehicle, base, seed=seed, profiles=True)
     try:
         paper = identify_stiffness(logs, vehicle, seed=seed)
     except IdentificationError as error:
@@ -93,12 +97,13 @@ DRIVING = (
     experiment("steering-offset", "offset of the steering wheel sensor, two ways", "straight on, above 5 m/s",
                identify_steering_offset, figures.offset),
     experiment("steering", "steering ratio and offset, without turntables", "bends and straights at several speeds",
-               identify_steering, figures.prediction),
+               identify_steering, figures.prediction, predicts=True),
     experiment("ins", "lever arm and misalignment of the INS", "2 to 9 m/s, straights and bends to both sides",
                identify_ins_mounting, figures.mounting),
     experiment("stiffness", "cornering stiffnesses, by prediction", "bends to both sides, up to 4 m/s^2", stiffness,
-               figures.stiffness),
+               figures.stiffness, predicts=True),
     experiment("stiffness-paper", "cornering stiffnesses, the paper's regression", "bends to both sides",
                identify_stiffness, figures.regression),
-    experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia, figures.prediction),
+    experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia, figures.prediction,
+               predicts=True),
 )

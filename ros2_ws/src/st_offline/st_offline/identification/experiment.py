@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from st_core.identification.result import Identification
+from st_core.models import MODELS, Model
 from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import Drawn, Place
@@ -15,13 +16,14 @@ from ..runs import ReadSettings
 class Setup:
     """What every experiment may use beside its files. seed: of bootstraps. read: how recordings are read.
 
-    force: whether drives are used of which the checks say that it means nothing.
+    force: whether drives are used of which the checks say that it means nothing. model: what drives are predicted with.
     """
 
     vehicle: VehicleParameters
     seed: int = 0
     read: ReadSettings = field(default_factory=ReadSettings)
     force: bool = False
+    model: Model = MODELS["nonlinear"]
 
     def uncertainty_of(self, parameter: str) -> float:
         """Standard uncertainty of a value of the vehicle file, SI; 0 where the file states none."""

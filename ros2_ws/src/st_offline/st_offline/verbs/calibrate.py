@@ -16,6 +16,9 @@ def calibrate(
     model: list[str] = typer.Option(
         MODELS, "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable."
     ),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
+    ),
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default the car in the model file, else config/vehicle/leaf.yaml.", exists=True,
         dir_okay=False
@@ -65,11 +68,11 @@ def calibrate(
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
         models = tuple(model_named(name) for name in dict.fromkeys(model))
-        car, _ = car_of(vehicle, models)
+        car, _ = car_of(vehicle, models, effects)
         reading = ReadSettings(dbc=dbc, signals=signals, steering_sign=steering_sign, steering_latency=steering_latency,
                                offset=offset)
         task = Task(car, models, EvaluationSettings(prediction, acceleration=filtering, inputs=inputs), reading,
-                    force=force)
+                    force=force, effects=effects)
         status = run_command(Job(runs, task, output, tuple(sorted(set(level)))), Console())
     except (StCoreError, RunError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st calibrate: {error}", err=True)

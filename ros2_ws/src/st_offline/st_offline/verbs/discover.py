@@ -63,8 +63,9 @@ def discover(
         False, "--certify", help="Search also these drives with known effects put in, and without any: what would be "
         "found, and what is a false alarm. Takes minutes."
     ),
-    propose: bool = typer.Option(
-        False, "--propose", help="Look for a law beyond the library, and write it as an effect file to keep or delete."
+    propose: bool | None = typer.Option(
+        None, "--propose/--no-propose", help="Look for a law beyond the library, and write it as an effect file to "
+        "keep or delete; default: where much is left unexplained. Takes a minute."
     ),
     seed: int = typer.Option(0, help="Of every drawing of numbers."),
     jobs: int = typer.Option(1, help="Processes side by side.", min=1),

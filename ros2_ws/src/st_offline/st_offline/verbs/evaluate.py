@@ -21,6 +21,9 @@ def evaluate(
     model: list[str] = typer.Option(
         MODELS, "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable."
     ),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
+    ),
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default the car in the model file, else config/vehicle/leaf.yaml.", exists=True,
         dir_okay=False
@@ -81,7 +84,7 @@ def evaluate(
         filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
         models = tuple(model_named(name) for name in dict.fromkeys(model))
-        car, car_from = car_of(vehicle, models)
+        car, car_from = car_of(vehicle, models, effects)
         task = Task(
             vehicle=car,
             models=models,
@@ -92,6 +95,7 @@ def evaluate(
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
             force=force,
             bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")),
+            effects=effects,
         )
         load_bands(task, load_models(task))
         status = run_command(runs, task, output, table, car_from, workers, scheduler, Console())
@@ -111,11 +115,18 @@ def model_named(name: str) -> str | tuple[str, str]:
         raise typer.BadParameter(f"--model {name}: {error.strerror}") from None
 
 
-def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]]) -> tuple["VehicleParameters", str]:
-    """The car and where it comes from: the file given, else the model file that holds one, else the Leaf."""
+def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
+           effects: Path | None = None) -> tuple["VehicleParameters", str]:
+    """The car and where it comes from: the file given, else the model file that holds one, else the Leaf.
+
+    effects: folder of own effects the model files use; they are loaded.
+    """
+    from st_core.effects import load_folder
     from st_core.model_file import ModelFile
     from st_core.vehicle import VehicleParameters
 
+    if effects is not None:
+        load_folder(str(effects.absolute()))
     if vehicle is None:
         for origin, text in (one for one in models if not isinstance(one, str)):
             held = ModelFile.from_yaml(text, origin).vehicle

@@ -12,6 +12,9 @@ from ..paths import config
 def export(
     model: str = typer.Argument(..., help="kinematic, linear, nonlinear, or a model file (.yaml).", show_default=False),
     kind: Literal["casadi", "c"] = typer.Option("casadi", "--format", help="CasADi functions, or C with a header."),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
+    ),
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default config/vehicle/leaf.yaml, or the one in the model file.", exists=True,
         dir_okay=False,
@@ -24,6 +27,7 @@ def export(
 
     acados and other CasADi users load the .casadi files as they are; see examples/mpc.
     """
+    from st_core.effects import load_folder
     from st_core.errors import StCoreError
     from st_core.vehicle import VehicleParameters
 
@@ -38,6 +42,8 @@ def export(
     file = vehicle or config("vehicle/leaf.yaml")
     try:
         car = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        if effects is not None:
+            load_folder(str(effects.absolute()))
         chosen, car = load_model(model, car, str(file))
         folder = new_folder(output, "export")
         written = write(chosen, car, folder, kind, substeps, free)

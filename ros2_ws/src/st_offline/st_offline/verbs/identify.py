@@ -13,6 +13,13 @@ def identify(
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file to start from; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
     ),
+    model: Path | None = typer.Option(
+        None, help="Model file that drives are predicted with, instead of nonlinear; its effects stay as they are.",
+        exists=True, dir_okay=False
+    ),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
+    ),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
     force: bool = typer.Option(False, "--force", help="Use also drives in which `st check` finds an error."),
     seed: int = typer.Option(0, help="Of the bootstrap."),
@@ -32,11 +39,13 @@ def identify(
     from st_core.errors import StCoreError
     from st_core.vehicle import VehicleParameters
 
+    from ..fourth_model import known_model
     from ..identification.command import Job, run
     from ..identification.experiment import Setup
     from ..identification.experiments import EXPERIMENTS
     from ..output import OutputError, new_folder
     from ..runs import ReadSettings, RunError
+    from ..suite import SuiteError
 
     console = Console()
     if what is None:
@@ -53,9 +62,10 @@ def identify(
         car = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
         read = ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset)
         folder = new_folder(output, f"identify-{what}", create=False)
-        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(car, seed, read, force), str(file), folder)
+        base = known_model(model, effects, car, str(file))
+        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(car, seed, read, force, base), str(file), folder)
         status = run(job, console)
-    except (StCoreError, RunError, OutputError, UnicodeDecodeError) as error:
+    except (StCoreError, RunError, OutputError, SuiteError, UnicodeDecodeError) as error:
         typer.echo(f"st identify {what}: {error}", err=True)
         raise typer.Exit(2) from None
     raise typer.Exit(status)

@@ -1,0 +1,250 @@
+"""What every effect promises, tried out: `st effects check`, for the library and for a user's own.
+
+Each of `PROMISES` is a function of an effect and a car that returns what is wrong, in one line with figures, or "".
+They run the real paths: floats, the numpy batch, the compiled lanes, CasADi. Checked by: test_contract.py.
+"""
+
+import importlib.util
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .augmented import AugmentedModel, augment, neutral
+from .backends import get_backend, has_numba
+from .effects import Effect, Measured
+from .errors import StCoreError
+from .models import MODELS, Model
+from .prediction import predict, predict_batch
+from .stability import growth, lateral_modes
+from .types import InputSequence, VehicleState
+from .vehicle import VehicleParameters
+
+STEP, STEPS = 0.05, 40
+SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
+STANDSTILL = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
+SAME = 1e-9  # of 1 or of the value: rounding in another order
+CORRECTED = 0.05  # of what `observe` changes: `correct` looks at the reading, not at the truth
+GROWTH = 0.1  # 1/s: a mode that grows faster, where the base has none that does
+MIRROR = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
+MIRRORED = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
+READ = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
+
+
+@dataclass(frozen=True)
+class Promise:
+    """what: in words. problem: "" if it is kept."""
+
+    what: str
+    problem: str
+
+
+def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Promise, ...]:
+    """Every promise, in the order of PROMISES; what raises is a promise that is not kept."""
+    found = []
+    for what, look in PROMISES.items():
+        try:
+            with np.errstate(all="ignore"):
+                problem = look(effect, vehicle)
+        except StCoreError as error:
+            problem = str(error)
+        except Exception as error:
+            problem = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        found.append(Promise(what, problem))
+    return tuple(found)
+
+
+def _texts(effect: type[Effect], vehicle: VehicleParameters) -> str:
+    written = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
+    return "" if written.strip() else "no docstring; write the equation there, with units and signs"
+
+
+def _null(effect: type[Effect], vehicle: VehicleParameters) -> str:
+    for base, active in _models(effect):
+        model = neutral(active)
+        off = float(np.abs(_path(model, vehicle) - _path(base, vehicle)).max())
+        if np.isnan(off) or off > 0.0:
+            return f"at null the {base.name} model moves by {off:.3g}; the path must be the base's to the last bit"
+        if model.observe(READ) != READ or model.correct(READ) != READ or model.effective_vehicle(vehicle) != vehicle:
+            return "at null a reading or the car is changed"
+    return ""
+
+
+def _shows(effect: type[Effect], vehicle: VehicleParameters) -> str:
+    for base, model in _models(effect):
+        time, angle = np.arange(100) * 0.01, 0.1 * np.sin(np.arange(100) * 0.2)
+        steered = [np.array(a) for a in model.steering(time, angle, np.arange(100) == 0)]
+        changed = (np.abs(_path(model, vehicle) - _path(base, vehicle)).max(), np.abs(steered[0] - time).max(),
+                   np.abs(steered[1] - angle).max(), np.abs(np.subtract(model.observe(READ), READ)).max())
+        if not max(changed) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.felt:
+            return f"at its initial values nothing changes in the {base.name} model"
+    return ""
+
+
+def _finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
+    for base, start in _models(effect):
+        for p in (p for p in effect.parameters if p.fit):
+            for value in p.bounds:
+                model = start.with_values({effect.name: {p.name: value}})
+                for speed in STANDSTILL:
+                    if not np.isfinite(_path(model, vehicle, speed, acceleration=0.0)).all():
+                        return f"{p.name} = {value:g}, {base.name}: not finite from {speed:g} m/s"
+                rates = _rates(model, vehicle)
+                if not np.isfinite(rates).all() or not np.isfinite(model.observe(READ)).all():
+                    return f"{p.name} = {value:g}, {base.name}: not finite at {SPEEDS[-1]:g} m/s"
+    return ""
+
+
+def _backends(effect: type[Effect], vehicle: VehicleParameters) -> str:
+    for base, model in _models(effect):
+        floats = np.stack([_path(model, vehicle, speed) for speed in SPEEDS])
+        others = {"numpy": _batched(model, vehicle)}
+        if has_numba():
+            others["lanes"] = _lanes(model, vehicle)
+        if importlib.util.find_spec("casadi"):
+            others["CasADi"] = _symbolic(model, vehicle)
+        for name, path in others.items():
+            reference = floats if path.shape == floats.shape else floats[:, -1]
+            off = np.abs(path - reference) / np.maximum(1.0, np.abs(reference))
+            if not (off < SAME).all():
+                return f"{name} and floats differ by {float(np.nanmax(off)):.2g} in the {base.name} model"
+    return ""
+
+
+def _mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
+    if effect.kind == "surroundings":
+        return ""  # the map has a left and a right of its own
+    flipped = {p.name: -p.initial for p in effect.parameters if p.odd}
+    for base, model in _models(effect):
+        other = model.with_values({effect.name: flipped}) if flipped else model
+        off = float(np.abs(_path(other, vehicle, side=-1.0) - MIRROR * _path(model, vehicle)).max())
+        turned = other.observe(_mirrored(READ))
+        seen = float(np.abs(np.subtract(turned, _mirrored(model.observe(READ)))).max())
+        if not max(off, seen) < SAME:
+            return (f"a left turn is not the mirror image of a right one in the {base.name} model ({max(off, seen):.2g}"
+                    "); if it is meant so, say odd=True of the parameter that changes its sign")
+    return ""
+
+
+def _steady(effect: type[Effect], vehicle: VehicleParameters) -> str:
+    for base, model in _models(effect):
+        problem = unsteady(base, model, vehicle, SPEEDS)
+        if problem:
+            return f"at its initial values, {base.name}: {problem}"
+    return ""
+
+
+def unsteady(base: Model, model: Model, vehicle: VehicleParameters, speeds: Iterable[float]) -> str:
+    """What is wrong with straight driving where a model is less stable than its base; "" where it is not."""
+    for speed in speeds:
+        if base.name != "kinematic":
+            before, after = (float(lateral_modes(m, vehicle, speed).real.max()) for m in (base, model))
+            if not after <= max(before, 0.0) + GROWTH:
+                return f"a lateral mode grows by {after:.2g} per second at {speed:.3g} m/s; without it {before:.2g}"
+        factor = growth(model, vehicle, speed, STEP)
+        if factor > max(1.0, growth(base, vehicle, speed, STEP)):
+            return f"too fast for steps of {1e3 * STEP:g} ms at {speed:.3g} m/s, factor {factor:.2g} per step"
+    return ""
+
+
+def _corrects(effect: type[Effect], vehicle: VehicleParameters) -> str:
+    if effect.observe is None:
+        return ""
+    _, model = next(_models(effect))
+    shown = np.array(model.observe(READ), float)
+    back = np.array(model.correct(Measured(*shown)), float)
+    left, changed = np.abs(back - READ).max(), np.abs(shown - READ).max()
+    return "" if left <= CORRECTED * changed else f"correct leaves {left:.3g} of the {changed:.3g} that observe changes"
+
+
+PROMISES = {
+    "the equation is written in the file": _texts,
+    "at null it changes nothing, to the last bit": _null,
+    "at its initial values it changes something": _shows,
+    "finite at its bounds, and at standstill": _finite,
+    "the same on floats, in batches, compiled and in CasADi": _backends,
+    "left and right are mirror images, but for surroundings, or it says which sign changes": _mirror,
+    "it does not make the car unstable": _steady,
+    "what it does to a sensor is undone again": _corrects,
+}
+"""What is promised -> function of effect and car that says what is wrong."""
+
+
+def _models(effect: type[Effect]) -> Iterator[tuple[Model, AugmentedModel]]:
+    """(base, base with the effect at its initial values) of every kind of model it applies to."""
+    for name, base in MODELS.items():
+        if name in effect.applies_to:
+            yield base, augment(base, [effect.name])
+
+
+def _course(side: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:
+    time = np.linspace(0.0, STEP * STEPS, 2 * STEPS + 1)
+    return side * 0.05 * np.sin(4.0 * time), acceleration * np.cos(2.0 * time)
+
+
+def _signals(model: Model, side: float = 1.0) -> Mapping[str, np.ndarray]:
+    return {name: side * 0.02 * np.ones(2 * STEPS + 1) for name in model.signals}
+
+
+def _start(speed: float, side: float = 1.0) -> tuple[float, ...]:
+    return 3.0, -2.0 * side, speed, 0.1 * side, 0.3 * side, 0.1 * side
+
+
+def _path(model: Model, vehicle: VehicleParameters, speed: float = 12.0, side: float = 1.0,
+          acceleration: float = 0.8) -> np.ndarray:
+    """(STEPS + 1, 6) on floats."""
+    inputs = InputSequence(*_course(side, acceleration), signals=_signals(model, side))
+    return predict(model, vehicle, VehicleState(*_start(speed, side)), inputs, STEP * STEPS, STEP).states
+
+
+def _batched(model: Model, vehicle: VehicleParameters) -> np.ndarray:
+    """(speeds, STEPS + 1, 6) in one numpy pass."""
+    every = [np.tile(row, (len(SPEEDS), 1)) for row in _course(1.0, 0.8)]
+    signals = {name: np.tile(row, (len(SPEEDS), 1)) for name, row in _signals(model).items()}
+    return predict_batch(model, vehicle, np.array([_start(v) for v in SPEEDS]), *every, STEP * STEPS, STEP, signals)
+
+
+def _lanes(model: Model, vehicle: VehicleParameters) -> np.ndarray:
+    """(speeds, 6) at the end, compiled."""
+    backend, p = get_backend("lanes"), model.parameters(vehicle)
+    speeds = np.pad(SPEEDS, (0, -len(SPEEDS) % backend.LANES), mode="edge")
+    columns = len(speeds)
+    angle, acceleration = (np.repeat(row, columns) for row in _course(1.0, 0.8))
+    signals = [np.repeat(row, columns) for row in _signals(model).values()]
+    w = np.array([np.broadcast_to(f, angle.shape) for f in model.inputs(angle, acceleration, p, *signals)])
+    begin = model.start_state(tuple(np.array([_start(v) for v in speeds]).T), tuple(w[:, :columns]), p)
+    begin = np.array([np.broadcast_to(row, columns) for row in begin])
+    last = backend.advance(model, p, begin, w, np.arange(2 * STEPS + 1) * columns, STEP, np.array([STEPS]))
+    return last[0, :, :len(SPEEDS)].T
+
+
+def _symbolic(model: Model, vehicle: VehicleParameters) -> np.ndarray:
+    """(speeds, 6) at the end, from the rates: an exported step holds its inputs, which a course does not."""
+    from .backends.casadi_backend import build
+    from .integrate import rk4_step
+
+    built = build(model, vehicle)
+    tail = [[row[0] for row in _signals(model).values()]] if model.signals else []
+    grid = list(zip(*_course(1.0, 0.8), strict=True))
+
+    def rates(state, u, _):
+        return tuple(np.asarray(built.dynamics(list(state), list(u), *tail)).ravel().tolist())
+
+    ends = []
+    for speed in SPEEDS:
+        state = tuple(np.asarray(built.start(list(_start(speed)), list(grid[0]), *tail)).ravel().tolist())
+        for k in range(STEPS):
+            state = rk4_step(rates, state, *grid[2 * k:2 * k + 3], None, STEP)
+        ends.append(state[:6])
+    return np.array(ends)
+
+
+def _rates(model: Model, vehicle: VehicleParameters) -> np.ndarray:
+    p = model.parameters(vehicle)
+    w = model.inputs(0.05, 0.8, p, *(row[0] for row in _signals(model).values()))
+    return np.array(model.rhs(model.start_state(_start(SPEEDS[-1]), w, p), w, p), float)
+
+
+def _mirrored(m: Measured) -> Measured:
+    return m._replace(**{name: -getattr(m, name) for name in MIRRORED})

@@ -1,0 +1,96 @@
+"""Promises of an effect: the library keeps them all, and each way to break one is noticed."""
+
+import sys
+
+import numpy as np
+import pytest
+from st_core.contract import PROMISES, check_effect
+from st_core.effects import DYNAMIC, EFFECTS, Effect, Parameter, load_file, register
+from st_core.errors import ConfigurationError
+
+QUICK = ("steering_lag", "road_bank", "yaw_rate_bias", "tyre_slip")
+NAMES = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in sorted(EFFECTS)]
+GAIN = Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), source="theory: 1", meaning="share")
+
+
+@pytest.fixture(autouse=True)
+def registry():
+    before, modules = dict(EFFECTS), set(sys.modules)
+    yield
+    EFFECTS.clear()
+    EFFECTS.update(before)
+    for name in [m for m in sys.modules if m.startswith("st_effects_") and m not in modules]:
+        del sys.modules[name]
+
+
+def broken(effect, leaf) -> dict[str, str]:
+    return {one.what: one.problem for one in check_effect(effect, leaf) if one.problem}
+
+
+def made(parameter=GAIN, **hooks):
+    texts = {"name": "tried", "physics": "y = gain u", "excited_by": "driving", "kind": "physics", "slot": "body",
+             "applies_to": DYNAMIC, "parameters": (parameter,)}
+    return register(type("Tried", (Effect,), texts | {k: staticmethod(f) for k, f in hooks.items()}))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_library_keeps_every_promise(leaf, name):
+    assert broken(EFFECTS[name], leaf) == {}
+
+
+def of(acceleration):
+    return lambda at, given, theta: (0.0 * at.yaw_rate, 0.0 * at.yaw_rate, acceleration(at, theta))
+
+
+@pytest.mark.parametrize(("acceleration", "promise", "words"), [
+    (lambda at, t: (1e-9 + t.gain) * at.yaw_rate, "at null it changes nothing", "to the last bit"),
+    (lambda at, t: 0.0 * at.yaw_rate, "at its initial values it changes something", "nothing changes"),
+    (lambda at, t: -t.gain * at.yaw_rate / at.velocity_x, "finite at its bounds", "division by zero"),
+    (lambda at, t: t.gain * np.float32(at.yaw_rate), "the same on floats", "numpy"),
+    (lambda at, t: 0.1 * t.gain + 0.0 * at.yaw_rate, "left and right are mirror images", "odd=True"),
+    (lambda at, t: 20.0 * t.gain * at.yaw_rate, "it does not make the car unstable", "grows by"),
+    (lambda at, t: -99.0 * t.gain * at.yaw_rate, "it does not make the car unstable", "too fast for steps"),
+])
+def test_a_broken_promise_is_named(leaf, acceleration, promise, words):
+    found = broken(made(acceleration=of(acceleration)), leaf)
+    kept = next(what for what in PROMISES if what.startswith(promise))
+    assert words in found[kept]
+
+
+def test_a_declared_sign_is_no_broken_promise(leaf):
+    push = Parameter("gain", "rad/s^2", null=0.0, initial=0.1, bounds=(-1.0, 1.0), source="theory", meaning="left +",
+                     odd=True)
+    assert broken(made(push, acceleration=of(lambda at, t: t.gain + 0.0 * at.yaw_rate)), leaf) == {}
+
+
+def test_a_sensor_that_is_not_undone(leaf):
+    def shown(measured, theta):
+        return measured._replace(yaw_rate=measured.yaw_rate * (1.0 + theta.gain))
+
+    found = broken(made(observe=shown, correct=shown), leaf)
+    assert list(found) == ["what it does to a sensor is undone again"]
+
+
+def test_one_file_of_a_folder_is_loaded_and_the_others_are_left_alone(tmp_path, leaf):
+    (tmp_path / "broken.py").write_text("import nothing_of_this_name\n")
+    (tmp_path / "good.py").write_text('''
+from st_core.effects import Effect, Parameter, register
+
+
+@register
+class Good(Effect):
+    name = "good"
+    physics = "r_dot = -gain r"
+    excited_by = "turning"
+    kind, slot = "physics", "body"
+    parameters = (Parameter("gain", "1/s", null=0.0, initial=0.5, bounds=(0.0, 5.0), meaning="damping", source="t"),)
+
+    @staticmethod
+    def acceleration(at, given, theta):
+        return 0.0 * at.yaw_rate, 0.0 * at.yaw_rate, -theta.gain * at.yaw_rate
+''')
+    effect, = load_file(str(tmp_path), "good")
+    assert broken(effect, leaf) == {"the equation is written in the file": "no docstring; write the equation there, "
+                                    "with units and signs"}
+    with pytest.raises(ConfigurationError, match=r"broken.py: cannot be loaded"):
+        load_file(str(tmp_path), "broken")
