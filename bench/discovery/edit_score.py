@@ -1,6 +1,6 @@
 """Block F: an answer for edited drives against the answer for the drives as they are.
 
-Before the edit a value is what that answer makes of it, stated or only kept beside what is stated."""
+Before the edit a value is what that answer makes of it: stated, kept, or fitted on top of it and not worth either."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -28,7 +28,7 @@ def edited(plain: Record, r: Record) -> Edited:
     edit = EDITS[r["kind"]]
     before, after = stated(plain), stated(r)
     key = edit.effect, edit.parameter
-    start = before[key][0] if key in before else kept(plain).get(key, (null_of(*key),))[0]
+    start = before[key][0] if key in before else plain["on_top"][edit.effect][edit.parameter]
     expected = edit.expected(start, r["size"])
     if edit.effect == "steering_offset" and ("steering_ratio", "factor") in before:
         # What is added to the recorded angle is divided by the ratio before it reaches the wheels.
@@ -41,11 +41,6 @@ def edited(plain: Record, r: Record) -> Edited:
 
 def stated(r: Record) -> Stated:
     return {(e["name"], n): tuple(v) for e in r["effects"] for n, v in e["values"].items()}
-
-
-def kept(r: Record) -> Stated:
-    """Values that take part in the answer and are not named."""
-    return {(name, n): tuple(v) for name, values in r.get("kept", {}).items() for n, v in values.items()}
 
 
 def alternatives(r: Record) -> set[str]:

@@ -119,7 +119,7 @@ DIFFERENT: dict[str, dict[str, str]] = {
 """plant -> effect -> why it is there in the plant and not in the base model, whatever is hidden: naming it is right."""
 SCATTER = ("heading_misalignment", "lateral_acceleration_bias", "yaw_rate_scale", "speed_scale")
 """What every car has a little of and no vehicle file can hold: naming it is right if its true value is in the interval
-stated."""
+stated. The same holds for what identification left wrong in a file."""
 
 # Effect -> parameter -> setting, where the library counts the quotient of the car's setting and the file's ...
 _QUOTIENTS = {"steering_ratio": "steering_ratio_factor", "front_stiffness": "front_stiffness_factor",

@@ -17,7 +17,7 @@ from st_offline.paths import source_version
 
 from . import baselines, edits
 from .cases import PER_CAR, Case, cases_of
-from .drives import drives_of, settings_of
+from .drives import IDENTIFIED, drives_of, settings_of
 from .edits import EditCase
 from .effects import SCATTER
 from .judge import judged
@@ -40,8 +40,9 @@ def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -
     drives = drives_of(case)
     settings = replace(settings_of(case), limits=limits)
     found, seconds = _timed(drives.suspect, drives.vehicle, drives.reference, settings)
+    known = (*SCATTER, *IDENTIFIED) if case.kind == "identified" else SCATTER
     record = {**about(case), "cpu_s": seconds, "truth": {n: drives.truth[n] for n in case.hidden if n in drives.truth},
-              "scatter": {n: drives.truth[n] for n in SCATTER}, "mistaken": list(drives.mistaken),
+              "scatter": {n: drives.truth[n] for n in known}, "mistaken": list(drives.mistaken),
               **answer(found), **judged(case, drives, found)}
     if whole:
         record |= driven_again(case, drives, found, settings, record)
@@ -75,6 +76,7 @@ def answer(found: Discovery) -> Record:
         "effects": [{"name": e.name, "kind": e.kind, "alternatives": list(e.alternatives),
                      "position_5s": round(e.position_5s, 4), "values": _values(e)} for e in found.effects],
         "kept": {e.name: _values(e) for e in found.minor},
+        "on_top": {c.name: dict(c.parameters) for c in found.candidates},
         "bound": [[b.resembles, b.to] for b in found.bound],
         "unexplained": bool(found.signature),
         "steps": [[s.action, s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]

@@ -169,7 +169,8 @@ def test_an_edit_must_move_its_value_and_no_other():
 
 
 def test_an_offset_shows_behind_the_ratio():
-    plain = answer(effect("steering_ratio", factor=(0.8, 0.78, 0.82)))
+    plain = answer(effect("steering_ratio", factor=(0.8, 0.78, 0.82))) | {
+        "on_top": {"steering_offset": {"angle": 0.0}}}
     r = answer(effect("steering_ratio", factor=(0.8, 0.78, 0.82)),
                effect("steering_offset", angle=(-0.0125, -0.013, -0.012)), name="steering offset", size=0.01)
     assert edited(plain, r).moved

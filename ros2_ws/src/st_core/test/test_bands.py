@@ -40,7 +40,7 @@ def drawn(number, windows=120, spread=0.3):
 
 
 def test_one_window_a_run_is_the_split_conformal_quantile_of_crepes():
-    crepes = pytest.importorskip("crepes")
+    crepes = pytest.importorskip("crepes", reason="crepes is not installed")
     residuals = np.random.default_rng(1).standard_normal(39)
     regressor = crepes.ConformalRegressor().fit(residuals)
     # Levels that leave whole numbers of 40 without rounding: crepes cuts 0.2 * 40 off to 7.

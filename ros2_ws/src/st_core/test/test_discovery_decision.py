@@ -44,6 +44,9 @@ SLIGHT = replace(GOOD, position=0.01, position_somewhere=0.0)
 LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
 EQUAL = Rival("rear_stiffness", share=0.9, worse=0.4, less=0.02, evidence=replace(GOOD, name="rear_stiffness"))
 WEAK = replace(GOOD, gain=0.1)
+SHOWN = Evidence("yaw_rate_scale", gain=0.0, chance=1.0, sensors=0.6, sensors_null=0.001)
+SEEN = replace(GOOD, sensors=0.6, sensors_null=0.001)
+TOLD = replace(GOOD, gain=0.02, chance=1e-4)
 WORSE = replace(EQUAL, worse=0.01)
 AMONG = replace(WORSE, evidence=replace(WORSE.evidence, left=5.0))
 NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
@@ -60,6 +63,11 @@ NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
     (replace(CHEAP, gain=0.03), STATED, {}),
     (replace(CHEAP, position=0.03), STATED, {}),
     (replace(CHEAP, position_somewhere=0.03), STATED, {}),
+    (replace(SHOWN, gain=0.0, chance=0.5, null=0.5, size=0.6), STATED, {}),  # a sensor's error, however little it costs
+    (replace(SHOWN, gain=0.0, chance=0.5, size=0.4), UNWORTHY, {"share": 0.0, "position": 0.0}),
+    (replace(SHOWN, gain=0.0, shares={"yaw_rate": (0.05, 3.0)}), STATED, {}),
+    (replace(SHOWN, gain=0.0, size=0.6, sensors=0.01), NEGLIGIBLE, {}),  # another value than the sensors say
+    (replace(SHOWN, gain=0.0, size=0.6, sensors_null=0.02), NEGLIGIBLE, {}),  # the sensors may mean nothing by it
     (DENIED, SENSORS, {"chance": 0.01, "doubt": 0.05}),
     (replace(GOOD, sensors=0.3), STATED, {}),
     (EDGE, BOUND, {"distance": 0.0, "bound": LIMITS.bound}),
@@ -69,7 +77,7 @@ NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
 ])
 def test_verdict_on_one_effect(evidence, rule, figures):
     verdict = judge(evidence, LIMITS)
-    assert (verdict.rule, verdict.subject) == (rule, "mass")
+    assert (verdict.rule, verdict.subject) == (rule, evidence.name)
     assert {k: verdict.figures[k] for k in figures} == figures
     assert verdict.text
 
@@ -110,7 +118,7 @@ def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
 def test_effect_whose_intervals_hold_its_null_is_kept_and_not_named():
     assert worth_a_name(GOOD, LIMITS, surely=True).rule == STATED
     assert worth_a_name(GOOD, LIMITS, surely=False).rule == MINOR
-    assert worth_a_name(replace(GOOD, sensors_null=0.001), LIMITS, surely=False).rule == STATED
+    assert worth_a_name(SEEN, LIMITS, surely=False).rule == STATED
 
 
 @pytest.mark.parametrize(("agreement", "level"), [
@@ -128,7 +136,13 @@ def test_level_over_which_an_effect_varies(agreement, level):
 @pytest.mark.parametrize(("gain", "chance", "healthy", "told"), [
     (0.2, 1e-4, 0.0, True), (0.2, 0.02, 0.0, False), (0.02, 1e-4, 0.0, False), (0.2, 1e-4, 0.3, False)])
 def test_effect_with_a_value_of_its_own_in_each_part(gain, chance, healthy, told):
-    assert comes_and_goes(gain, chance, healthy, LIMITS) == told
+    assert comes_and_goes(replace(GOOD, gain=gain, chance=chance, healthy=healthy), LIMITS) == told
+
+
+def test_what_comes_and_goes_must_be_worth_it():
+    assert not comes_and_goes(replace(GOOD, position=0.01, position_somewhere=0.01), LIMITS)
+    cheap = replace(EDGE, position=0.01, position_somewhere=0.01)
+    assert decide(replace(NOTHING, refused=[cheap]), LIMITS)[0] == "none"
 
 
 @pytest.mark.parametrize(("interval", "known", "expected"), [
@@ -197,6 +211,7 @@ TURNED = {
     "doubt": (lambda limits: judge(DENIED, limits).rule, 1e-9, SENSORS, STATED),
     "worth": (lambda limits: judge(CHEAP, limits).rule, 1e-9, UNWORTHY, STATED),
     "worth_position": (lambda limits: judge(CHEAP, limits).rule, 1e-9, UNWORTHY, STATED),
+    "size": (lambda limits: judge(replace(SHOWN, size=0.4), limits).rule, 1e-9, UNWORTHY, STATED),
     "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, STATED),
     "rival": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
               "alternative"),
@@ -224,13 +239,13 @@ def test_limit_turns_an_answer(limit):
     ("doubt", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, STATED),
     ("worth", 1e-9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
      STATED),
-    ("worth", 1e-9, lambda limits: comes_and_goes(0.02, 1e-4, 0.0, limits), False, True),
-    ("false_alarm", 1.0, lambda limits: comes_and_goes(0.2, 0.02, 0.0, limits), False, True),
+    ("worth", 1e-9, lambda limits: comes_and_goes(TOLD, limits), False, True),
+    ("false_alarm", 1.0, lambda limits: comes_and_goes(LUCKY, limits), False, True),
     ("worth_position", 1e-9, lambda limits: worth_a_name(SLIGHT, limits).rule, MINOR, STATED),
     ("beside", 1e-9, lambda limits: worth_a_name(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
     ("left", 1e9, lambda limits: worth_a_name(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
-    ("doubt", 1e-9, lambda limits: worth_a_name(replace(WEAK, left=5.0, sensors_null=0.01), limits).rule, STATED,
-     MINOR),
+    ("doubt", 1e-9, lambda limits: worth_a_name(replace(SEEN, gain=0.1, left=5.0, sensors=0.01), limits).rule,
+     MINOR, STATED),
     ("left", 1e9, lambda limits: alternative(AMONG, limits).rule, "alternative", "explains less"),
     ("left", 1e9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule, STATED,
      MINOR),

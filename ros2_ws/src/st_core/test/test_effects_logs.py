@@ -44,7 +44,7 @@ def one_by_one(model, car) -> np.ndarray:
 @pytest.fixture(scope="module", params=["numpy", "lanes"])
 def batch(request) -> LogBatch:
     if request.param == "lanes":
-        pytest.importorskip("numba")
+        pytest.importorskip("numba", reason="numba is not installed")
     return LogBatch(LOG, STARTS, HORIZON, STEP, backend=request.param)
 
 

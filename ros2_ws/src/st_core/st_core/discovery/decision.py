@@ -41,27 +41,14 @@ class Answer:
 
 def judge(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect in a set: the same for adding, keeping and exchanging it."""
-    if e.gain < limits.negligible:
-        return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
-                      f"it takes away {e.share:.1%} of the size of the errors, below the limit of "
-                      f"{limits.negligible:.1%}")
-    if e.chance > limits.false_alarm:
-        return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
-                      f"with probability {e.chance:.2g} something gains as much where nothing is")
-    if e.gain < e.healthy:
-        return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy},
-                      f"it takes away {e.share:.1%} of the size of the errors; between drives of the healthy car "
-                      f"something takes {share_of(e.healthy):.1%}")
-    if e.null > limits.doubt:
-        return Reason(NULL, e.name, {"chance": e.null, "doubt": limits.doubt},
-                      f"values as far from their null come by chance with probability {e.null:.2g}")
-    position = max(e.position, e.position_somewhere)
-    if e.gain < limits.worth and position < limits.worth_position:
-        return Reason(UNWORTHY, e.name, {"gain": e.gain, "position": position, "worth": limits.worth,
-                                         "worth_position": limits.worth_position},
-                      f"it is sure, but takes away {e.share:.1%} of the size of the errors and "
-                      f"{100 * position:.1f} cm after 5 s; {limits.worth:.1%} or {100 * limits.worth_position:.0f} cm "
-                      "are asked for")
+    if not confirmed(e, limits):
+        refused = _by_chance(e, limits)
+        if refused:
+            return refused
+    elif not worth_it(e, limits):
+        return Reason(UNWORTHY, e.name, _worth(e, limits), "the sensors say so among themselves, but it is small and "
+                      f"takes away {_most(e, limits):.1%} of the errors in any channel, {100 * position_of(e):.1f} cm "
+                      "after 5 s")
     if e.sensors is not None and e.sensors < limits.doubt:
         return Reason(SENSORS, e.name, {"chance": e.sensors, "doubt": limits.doubt},
                       f"its value contradicts what the sensors say among themselves (probability {e.sensors:.2g})")
@@ -80,25 +67,75 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                   f"5 s, by chance with probability {e.chance:.2g}, and does not come and go")
 
 
+def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
+    """Why the drives alone do not show an effect, or not enough of it; None where they do."""
+    if e.gain < limits.negligible:
+        return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible},
+                      f"it takes away {e.share:.1%} of the size of the errors, below the limit of "
+                      f"{limits.negligible:.1%}")
+    if e.chance > limits.false_alarm:
+        return Reason(CHANCE, e.name, {"chance": e.chance, "false_alarm": limits.false_alarm},
+                      f"with probability {e.chance:.2g} something gains as much where nothing is")
+    if e.gain < e.healthy:
+        return Reason(CHANCE, e.name, {"gain": e.gain, "healthy": e.healthy},
+                      f"it takes away {e.share:.1%} of the size of the errors; between drives of the healthy car "
+                      f"something takes {share_of(e.healthy):.1%}")
+    if e.null > limits.doubt:
+        return Reason(NULL, e.name, {"chance": e.null, "doubt": limits.doubt},
+                      f"values as far from their null come by chance with probability {e.null:.2g}")
+    if e.gain < limits.worth and position_of(e) < limits.worth_position:
+        return Reason(UNWORTHY, e.name, {"gain": e.gain, "position": position_of(e), "worth": limits.worth,
+                                         "worth_position": limits.worth_position},
+                      f"it is sure, but takes away {e.share:.1%} of the size of the errors and "
+                      f"{100 * position_of(e):.1f} cm after 5 s; {limits.worth:.1%} or "
+                      f"{100 * limits.worth_position:.0f} cm are asked for")
+    return None
+
+
+def confirmed(e: Evidence, limits: Limits) -> bool:
+    """Whether the sensors among themselves deny that there is nothing, and agree with the value."""
+    return (e.sensors is not None and e.sensors_null is not None and e.sensors >= limits.doubt
+            and e.sensors_null < limits.false_alarm)
+
+
+def position_of(e: Evidence) -> float:
+    """Fall of the position error, over all or in one driving condition [m]."""
+    return max(e.position, e.position_somewhere)
+
+
+def worth_it(e: Evidence, limits: Limits) -> bool:
+    """Whether a name is asked for: by the channel where it acts most, by the position, or as an error of a sensor that
+    is surely there."""
+    return (_most(e, limits) >= limits.worth or position_of(e) >= limits.worth_position
+            or (confirmed(e, limits) and e.size >= limits.size))
+
+
+def _most(e: Evidence, limits: Limits) -> float:
+    return max((share for share, over in e.shares.values() if over > limits.left), default=0.0)
+
+
+def _worth(e: Evidence, limits: Limits) -> dict[str, float]:
+    return {"share": _most(e, limits), "position": position_of(e), "worth": limits.worth,
+            "worth_position": limits.worth_position}
+
+
 def worth_a_name(e: Evidence, limits: Limits, surely: bool = True) -> Reason:
     """Whether an effect that holds is stated, or only kept beside what is, so that it does not bend other values.
     surely: whether the interval of one of its values leaves out the null."""
-    position = max(e.position, e.position_somewhere)
-    share = max((share for share, over in e.shares.values() if over > limits.left), default=0.0)
-    confirmed = e.sensors_null is not None and e.sensors_null < limits.doubt
-    if e.left > limits.left and e.gain < limits.beside and not confirmed:
+    sure = confirmed(e, limits)
+    if e.left > limits.left and e.gain < limits.beside and not sure:
         return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "beside": limits.beside, "limit": limits.left},
                       f"it is sure, but takes away {e.share:.1%} of the errors, and {e.left:.1f} times the noise is "
                       "left with it: it may imitate what no effect describes; kept, not named")
-    if not surely and not confirmed:
+    if not surely and not sure:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it takes away something, but in other sets of effects that are "
                       "nearly as good its value is near its null: kept, not named")
-    figures = {"share": share, "position": position, "worth": limits.worth, "worth_position": limits.worth_position}
-    if share >= limits.worth or position >= limits.worth_position:
-        return Reason(STATED, e.name, figures, f"it takes away {share:.1%} of the errors of the start in the channel "
-                      f"where it acts most, and {100 * position:.1f} cm after 5 s")
-    return Reason(MINOR, e.name, figures, f"it is sure, but takes away {share:.1%} of the errors of the start in any "
-                  f"channel that is above the noise, and {100 * position:.1f} cm after 5 s: kept, not named")
+    if worth_it(e, limits):
+        return Reason(STATED, e.name, _worth(e, limits), f"it takes away {_most(e, limits):.1%} of the errors of the "
+                      f"start in the channel where it acts most, and {100 * position_of(e):.1f} cm after 5 s")
+    return Reason(MINOR, e.name, _worth(e, limits), f"it is sure, but takes away {_most(e, limits):.1%} of the errors "
+                  f"of the start in any channel that is above the noise, and {100 * position_of(e):.1f} cm after 5 s: "
+                  "kept, not named")
 
 
 WORDS = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
@@ -111,10 +148,9 @@ def varies_over(e: Evidence, limits: Limits) -> str:
     return max(found, key=lambda level: e.agreement[level].absent, default="")
 
 
-def comes_and_goes(gain: float, chance: float, healthy: float, limits: Limits) -> bool:
-    """Whether an effect that has another value in each part of the driving is told as bound to it. healthy: gain
-    between drives of the healthy car."""
-    return chance < limits.false_alarm and gain > max(limits.worth, healthy)
+def comes_and_goes(e: Evidence, limits: Limits) -> bool:
+    """Whether an effect that has another value in each part of the driving is told as bound to it."""
+    return e.chance < limits.false_alarm and e.gain > max(limits.worth, e.healthy) and worth_it(e, limits)
 
 
 def alternative(rival: Rival, limits: Limits) -> Reason:
@@ -148,7 +184,7 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
         if others:
             return because("ambiguous", f"{1 + len(others)} names explain it equally well", names=1 + len(others))
         return because("named", "one effect is sure, worth it, and does not surely come and go")
-    verdicts = [judge(e, limits) for e in a.refused]
+    verdicts = [judge(e, limits) for e in a.refused if worth_it(e, limits)]
     if a.bound or any(v.rule == VARIES for v in verdicts):
         return because("bound", "something is sure, but not the same everywhere")
     if any(v.rule in (BOUND, SENSORS) for v in verdicts):

@@ -23,6 +23,7 @@ from .decision import (
     judge,
     varies_over,
     worth_a_name,
+    worth_it,
 )
 from .evidence import Evidence, chance, share_of
 from .fit import Fit, Problem
@@ -46,7 +47,7 @@ from .result import (
 from .search import Found, Search
 from .settings import DiscoverySettings
 from .space import Space
-from .varying import Varying, varying
+from .varying import Varying, evidence_of, varying
 from .where import where
 from .windows import CHANNEL_OF, MARGIN_NS, Windows
 
@@ -118,6 +119,7 @@ class _Work:
             # What nothing describes in the healthy car either is no change of it.
             by_column = {c: max(by_column[c], float(v))
                          for c, v in zip(self.windows.columns, healthy.left, strict=True)}
+            by_column["position_5s"] = healthy.position
         loss = Loss(Errors(self.windows, space, self.threads), start)
         self.problem = problem = Problem(loss, start, self.windows.block, prior,
                                          np.array([by_column[c] for c in self.windows.columns]), between)
@@ -217,13 +219,13 @@ class _Work:
         goes most."""
         said: list[tuple[BoundEffect, Fit | None]] = []
         for name, (evidence, verdict, fit) in found.refused.items():
-            if verdict.rule == VARIES and not said:
+            if verdict.rule == VARIES and worth_it(evidence, self.limits) and not said:
                 level = varies_over(evidence, self.limits)
                 said.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
                                          _values(evidence)[level], evidence.position), fit))
         if not said:
             for v in varying(self.problem, found.fit, parts):
-                if comes_and_goes(v.gain, v.chance, self.problem.healthy, self.limits):
+                if comes_and_goes(evidence_of(self.problem, found.fit, v, parts), self.limits):
                     said.append((self._coming(v), None))
                     break
         for bound, _ in said:
@@ -302,8 +304,9 @@ class _Work:
         for column, value in by_column.items():
             channel = CHANNEL_OF.get(column, column)
             result[channel] = float(np.hypot(result.get(channel, 0.0), value))
-        if "position" in result:
-            result["position_5s"] = result["position"] * float(np.sqrt(np.pi) / 2.0)  # mean of a Rayleigh distribution
+        if "position" in result:  # mean of a Rayleigh distribution
+            noise = result["position"] * float(np.sqrt(np.pi) / 2.0)
+            result["position_5s"] = max(result.get("position_5s", 0.0), noise)
         return result
 
     def _left(self, left: float, statements: Sequence[WhereStatement]) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from ..effects import get_effect
 from .fit import Fit, Problem, Slopes
 from .levels import Level
 from .loss import Quadratic
+from .space import Space
 
 FLIPS = 400  # of the signs of blocks: enough to tell a chance of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
@@ -39,8 +40,9 @@ class Evidence:
     the start, size without it over the noise) [1]. position [m]: fall of the mean held-out position error at
     the end of the horizon; position_somewhere: the largest in one driving condition, surely (95 %). left [1]: size of
     the errors with it over the noise, in the column where that is most. bound [1]: distance to the nearest bound in
-    usual sizes. sensors [1]: chance of the fitted value by what the sensors say among themselves, and sensors_null of
-    the null; None where they say nothing. agreement: by level.
+    usual sizes. size [1]: distance of a value from its null, in usual sizes. sensors [1]: chance of the fitted value by
+    what the sensors say among themselves, and sensors_null of the null; None where they say nothing. agreement: by
+    level.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Evidence:
     left: float = 1.0
     bound: float = 1.0
     healthy: float = 0.0
+    size: float = 0.0
     sensors: float | None = None
     sensors_null: float | None = None
     agreement: Mapping[str, Agreement] = field(default_factory=dict)
@@ -159,12 +162,12 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
     before, after = (problem.position(r) for r in rows)
     if problem.prior is not None:  # a known car is as it was without the effect: nothing else makes up for it
         rows = problem.errors.at(problem.put_back(fit, effect)), rows[1]
-    overall, somewhere = _falls(before - after, levels.get("condition"))
+    overall, somewhere = falls(before - after, levels.get("condition"))
     return Evidence(effect, min(float(gain.sum()), by_run) / problem.number,
                     chance(own, gain, scores, len(problem.space.hypotheses)), of_null(problem, fit, effect),
                     shares(problem, *rows), overall, somewhere,
                     left_over(problem, rows[1]),
-                    to_bound(problem, fit, effect), problem.healthy,
+                    to_bound(problem, fit, effect), problem.healthy, size_of(problem, fit, effect),
                     *by_sensors(problem, fit, effect, sensors),
                     {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
 
@@ -197,7 +200,8 @@ def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndar
     return score(whole, problem, fit.names, effect)[0]
 
 
-def _falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
+def falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
+    """(mean fall of an error, the largest that is sure in one driving condition) from that of each window."""
     known = np.isfinite(fall)
     if not known.any():
         return 0.0, 0.0
@@ -221,20 +225,37 @@ def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
     return float(nearest)
 
 
+def size_of(problem: Problem, fit: Fit, effect: str) -> float:
+    """Largest distance of the effect's values from their null, in usual sizes."""
+    own = problem.space.indices(effect)
+    return float(np.abs((fit.vector - problem.space.null) / problem.space.scale)[own].max())
+
+
 def by_sensors(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
     """Chance of a value at least as far from what the sensors say among themselves, and of the null by that; None where
     they say nothing."""
-    said = []
-    deviations = deviation(problem, fit, effect)
-    for own, i in zip(deviations, problem.space.indices(effect), strict=True):
-        free = problem.space.free[i]
-        known = sensors.get(f"{effect}.{free.parameter}")
-        if known:
-            value, low, high = known
-            spread = (high - low) / (2.0 * TWO_SIDED)
-            said.append([2.0 * float(stats.norm.sf(abs(value - there) / max(s, 1e-12)))
-                         for there, s in ((fit.vector[i], np.hypot(spread, own)), (free.null, spread))])
-    return tuple(min(chances) for chances in zip(*said, strict=True)) if said else (None, None)
+    own = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
+    agree = [_as_far(fit.vector[i] - value, np.hypot(spread, own[i]))
+             for i, value, spread in _measured(problem.space, effect, sensors)]
+    # With a reference the null is what the healthy car had, and that the sensors do not know.
+    deny = null_by_sensors(problem.space, effect, sensors) if problem.prior is None else None
+    return min(agree, default=None), deny
+
+
+def null_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
+    """Chance of what the sensors say among themselves were the effect not there; None where they say nothing."""
+    return min((_as_far(space.free[i].null - value, spread) for i, value, spread in _measured(space, effect, sensors)),
+               default=None)
+
+
+def _measured(space: Space, effect: str, sensors: Mapping) -> list[tuple[int, float, float]]:
+    """(index, value, standard deviation) of the parameters the sensors measure among themselves."""
+    named = [(i, sensors.get(f"{effect}.{space.free[i].parameter}")) for i in space.indices(effect)]
+    return [(i, known[0], (known[2] - known[1]) / (2.0 * TWO_SIDED)) for i, known in named if known]
+
+
+def _as_far(distance: float, spread: float) -> float:
+    return 2.0 * float(stats.norm.sf(abs(distance) / max(spread, 1e-12)))
 
 
 def inverse(h: np.ndarray) -> np.ndarray:

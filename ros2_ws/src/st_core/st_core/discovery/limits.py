@@ -17,6 +17,7 @@ class Limits:
     worth [1]: share of the size of the errors an effect must take away to be worth it: of those without it, over all
     channels, to be kept; of those of the start, in one channel, to be named ...
     worth_position [m]: ... or this much of the mean position error after 5 s, over all or in one driving condition.
+    size [1]: ... or, of an effect that the sensors show among themselves, this share of its usual size.
     negligible [1]: share of the size of the errors below which nothing is looked at, however sure.
     rival [1]: share of an effect's gain another name must reach to be called an alternative.
     bound [1]: distance to a bound, as share of the usual size of an effect, below which a value counts as on it.
@@ -32,6 +33,7 @@ class Limits:
     doubt: float = 0.05
     worth: float = 0.025
     worth_position: float = 0.02
+    size: float = 0.5
     negligible: float = 0.01
     rival: float = 0.5
     bound: float = 0.05

@@ -25,12 +25,14 @@ FIXED = 1e6  # curvature of what stays
 @dataclass(frozen=True, eq=False)
 class Healthy:
     """vector: (p,) values of the whole library fitted to the reference. prior: (p, p) curvature of the loss about them.
-    left: (c,) error of each column at the end of the horizon [SI], two thirds are below. gain: for each scored error,
-    the largest that any effect shows of one of its runs against the others."""
+    left: (c,) error of each column at the end of the horizon [SI], two thirds are below. position [m]: mean error
+    there, of the run where that is most. gain: for each scored error, the largest that any effect shows of one of its
+    runs against the others."""
 
     vector: np.ndarray
     prior: np.ndarray
     left: np.ndarray
+    position: float
     gain: float
 
 
@@ -54,7 +56,11 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
     q = loss.quadratic(problem.errors.at(vector), problem.everything(vector).values)
     h = q.hessian.sum(axis=0) + held
     spread = np.sqrt(2.0 * _design(q, np.diag(h), windows))
+    far = problem.position(problem.errors.at(vector))
+    of_runs = [float(np.nanmean(far[windows.run == k])) for k in np.unique(windows.run) if np.isfinite(
+        far[windows.run == k]).any()]
     return Healthy(vector, _prior(h, spread, held), loss.scale_of(vector)[-len(windows.columns):],
+                   max(of_runs, default=0.0),
                    _between_runs(q, space, windows, spread, held))
 
 

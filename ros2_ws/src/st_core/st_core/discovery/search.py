@@ -8,7 +8,7 @@ from scipy import stats
 
 from ..effects import get_effect
 from .decision import CHANCE, NULL, STATED, Rival, judge
-from .evidence import Evidence, Scores, chance, evidence, screen
+from .evidence import Evidence, Scores, chance, evidence, null_by_sensors, screen
 from .fit import Fit, Problem, Slopes
 from .levels import Level
 from .limits import Limits
@@ -54,8 +54,7 @@ class Search:
     def run(self) -> Found:
         """The best of three starts: nothing; what that found and all physics at once; everything at once."""
         p = self.problem
-        base = p.fit((), p.everything(p.start))
-        first = self._from(base)
+        first = self._from(p.fit((), p.everything(p.start)))
         answers = [first]
         physics = [n for n in p.space.hypotheses if get_effect(n).kind == "physics"]
         for names in ([*first.fit.names, *physics], [n for n in p.space.hypotheses if not get_effect(n).members]):
@@ -158,6 +157,17 @@ class Search:
             found.refused[effect] = e, verdict, fits[effect]
             if verdict.rule not in (CHANCE, NULL):
                 best = max(best, gain)
+        return self._by_sensors(found, without, [n for n in gains if n not in fits])
+
+    def _by_sensors(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
+        """The first effect more that the sensors show among themselves, however little the errors say of it."""
+        for effect in names:
+            shown = null_by_sensors(self.problem.space, effect, self.sensors)
+            if self.problem.prior is not None or shown is None or shown > self.limits.false_alarm:
+                continue
+            fit = self._more(without, effect, found.scores.gains[effect][1])
+            if judge(self._evidence(without, fit, effect, found.scores), self.limits).rule == STATED:
+                return fit
         return None
 
     def _more(self, fit: Fit, effect: str, there: np.ndarray, around: Slopes | None = None) -> Fit:

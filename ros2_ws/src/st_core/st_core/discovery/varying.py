@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import inverse
+from .evidence import Evidence, falls, inverse, shares
 from .fit import Fit, Problem
 from .levels import Level
 
@@ -20,7 +20,8 @@ from .levels import Level
 class Varying:
     """An effect with a value of its own in each part of a level. gain [1]: fall of the loss for each scored error
     beyond that of one value. chance [1]: that anything of the library gains so much where nothing is. values: of the
-    parameters [unit] by part, with standard deviations; the first parameter is what shows most."""
+    parameters [unit] by part, with standard deviations; the first parameter is what shows most. steps: (p,) in usual
+    sizes, by number of the part."""
 
     name: str
     level: str
@@ -28,6 +29,7 @@ class Varying:
     chance: float
     parameter: str
     values: Mapping[str, tuple[float, float]]
+    steps: Mapping[int, np.ndarray]
 
 
 def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Varying]:
@@ -85,4 +87,17 @@ def _one(problem: Problem, fit: Fit, q, effect: str, name: str, level: Level, te
     scale = problem.space.scale[own[best]]
     values = {called[k]: (at + scale * float((inverse(hk) @ gk)[best]),
                           scale * float(np.sqrt(0.5 * design * inverse(hk)[best, best]))) for k, gk, hk in seen}
-    return Varying(effect, name, gain / problem.number, chance, problem.space.free[own[best]].parameter, values)
+    steps = {int(k): turn @ (inverse(hk) @ gk) for k, gk, hk in seen}
+    return Varying(effect, name, gain / problem.number, chance, problem.space.free[own[best]].parameter, values, steps)
+
+
+def evidence_of(problem: Problem, fit: Fit, v: Varying, levels: Mapping[str, Level]) -> Evidence:
+    """What values of its own in each part take away, to the first order; on the driving they were fitted to."""
+    rows = problem.errors.at(fit.vector)
+    own, slopes = rows.copy(), problem.everything(fit.vector).values
+    for k, step in v.steps.items():
+        mine = levels[v.level][0] == k
+        own[mine] -= np.tensordot(step, slopes[:, mine], 1)
+    overall, somewhere = falls(problem.position(rows) - problem.position(own), levels.get("condition"))
+    return Evidence(v.name, v.gain, v.chance, shares=shares(problem, rows, own), position=overall,
+                    position_somewhere=somewhere, healthy=problem.healthy)
