@@ -119,7 +119,7 @@ class LiveBag:
                 PREDICTION, header=header(start.time_ns), issued_at=stamp(0, 0), model=model, step=path.step,
                 road_wheel_angle=start.inputs.road_wheel_angle, velocity_x_dot=start.inputs.velocity_x_dot, **columns,
                 cg_to_ins_x=self.car.cg_to_ins_x, cg_to_ins_y=0.0, compute_time=0.0,
-                configuration_hash=configuration_hash(self.car, SETTINGS)))
+                configuration_hash=configuration_hash(self.car, SETTINGS), bands=[]))
         return found
 
     def _score(self, score) -> bytes:
