@@ -283,7 +283,9 @@ def _mask(columns: Columns) -> None:
         nowhere = ~(np.abs(columns.latitude) <= np.pi / 2)
     with np.errstate(invalid="ignore"):
         nowhere |= ~(np.abs(columns.longitude) <= 2 * np.pi)
-    nowhere |= no_navigation | ~np.isfinite(columns.altitude)
+    nowhere |= ~np.isfinite(columns.altitude)
+    columns.counters.impossible_positions = int((nowhere & ~no_navigation).sum())
+    nowhere |= no_navigation
     if nowhere.any():
         for value in (columns.latitude, columns.longitude, columns.altitude):
             value[nowhere] = np.nan
