@@ -1,7 +1,7 @@
 """From an answer that leaves much unexplained to the law that is missing, or to the reason why there is none."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
@@ -13,42 +13,15 @@ from ..discovery.settings import DiscoverySettings
 from ..effects._law import COUNT
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
-from .curve_fit import SMOOTH, Fitted, Laws, RunWindows
-from .places import NEITHER, Candidate, candidates, driven
+from .curve_fit import Fitted, Laws, RunWindows
+from .places import NEITHER, driven
 from .readings import readings
 from .result import Proposal, Proposals
+from .screening import POINTS, Screened, chances_of, screen
 from .scrutiny import refused, shares
 
-DRAWS = 999  # signs of the blocks drawn by chance
 REFITTED = 6  # laws fitted through the simulator
-POINTS = 41  # of a curve that is told
 FEWEST = 10  # blocks: with fewer a curve of eight numbers cannot be held out
-
-
-@dataclass(frozen=True, eq=False)
-class _Screened:
-    """A law by the slopes about the answer. smooth: the penalty that holds out best. observed, drawn: what its freedom
-    gains, and with the signs of the blocks by chance (DRAWS,), both over the mean of the draws. freedom: numbers the
-    penalty leaves to the curve. design: what dependent windows make of the variance of its scores, 1 at least, by what
-    is left of them with the law. gain: held out. information: (COUNT, COUNT) of the drives on the coefficients, what
-    everything beside can do taken out."""
-
-    candidate: Candidate
-    smooth: float
-    observed: float
-    drawn: np.ndarray
-    freedom: float
-    design: float
-    gain: float
-    information: np.ndarray
-
-    def visible(self, chance: float, blocks: int) -> float:
-        """Size at the end of the range [unit of the curve] from which on a straight line is surer than that chance."""
-        c = self.candidate
-        at = np.linspace(c.low, c.high, POINTS)
-        line = np.linalg.lstsq(c.splines(at).T, at / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
-        wanted = 0.5 * float(stats.f.isf(chance, self.freedom, blocks - 1)) * self.freedom * self.design
-        return float(np.sqrt(wanted / max(float(line @ self.information @ line), 1e-30)))
 
 
 def wanted(found: Discovery) -> bool:
@@ -73,30 +46,17 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     limits = settings.limits
     settings = _channels(found, settings)
     windows = RunWindows(runs, vehicle, settings)
-    if len(set(windows.run)) == 1:
-        return Proposals(None, "one run was driven; whether a law holds on another drive cannot be seen: give two or "
-                         "more", {})
-    if len(windows) < 3 or int(windows.block.max()) + 1 < FEWEST:
-        return Proposals(None, f"{int(windows.block.max()) + 1 if len(windows) else 0} blocks of {settings.block:g} s "
-                         f"were driven; a curve asks for {FEWEST}", {})
-    answer = found.model or found.base
+    too_little = _too_little(windows, settings)
+    if too_little:
+        return Proposals(None, too_little, {})
     names = [e.name for e in (*found.effects, *found.minor)]
-    laws = Laws(windows, answer, found.acceleration_gain, names, settings, threads)
+    laws = Laws(windows, found.model or found.base, found.acceleration_gain, names, settings, threads)
     tick()
     without = laws.without()
-    base = laws.promised(without.q, without.penalty, ((without.vector - laws.start) / laws.space.scale)[without.which])
-    car = laws.slopes(without.vector, laws.car)
-    rng = np.random.default_rng(settings.seed)
-    signs = rng.choice([-1.0, 1.0], (DRAWS, laws.blocks))
-    screened: list[_Screened] = []
-    for candidate in candidates(windows, vehicle):
-        tick()
-        one = _screen(laws, without, base, car, candidate, signs)
-        if one is not None:
-            screened.append(one)
+    screened = screen(laws, without, vehicle, settings.seed, tick)
     if not screened:
         return Proposals(None, "no law changes any prediction of these drives", {})
-    chances = _chances(screened, laws.blocks)
+    chances = chances_of(screened, laws.blocks)
     number = laws.loss.number
     tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
@@ -114,31 +74,26 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     kept = {one: fit for one, fit in fits.items() if not against[one]}
     if not kept:
         return Proposals(None, next(iter(against.values())), tried, visible)
-    # A law of two quantities has to be worth it beside the best of one.
-    more = limits.worth * number
-    best = min(kept, key=lambda s: float(kept[s].held_out.sum()) + (more if s.candidate.by else 0.0))
-    said = _judged(best, kept, without, laws, chances, limits, tried, vehicle)
+    said = _judged(_best(kept, limits.worth * number), kept, without, laws, chances, limits, tried, vehicle)
     return replace(said, visible=visible)
 
 
-def _chances(screened: Sequence[_Screened], blocks: int) -> dict[str, float]:
-    """That any law gains as much where nothing is, by name; the smaller of two tests, as for the library.
-
-    Signs of blocks: the largest of all laws, each refitted in every draw. Likelihood ratio: twice the held-out gain
-    over the design effect (of the law, or the median of all laws if larger) and the freedom of the curve, Fisher's F,
-    for all laws; needed for what acts in a few blocks only.
-    """
-    largest = np.max([s.drawn for s in screened], axis=0)
-    design = float(np.median([s.design for s in screened]))
-    found = {}
-    for s in screened:
-        flipped = (1 + int((largest >= s.observed).sum())) / (1 + DRAWS)
-        ratio = 2.0 * max(s.gain, 0.0) / max(design, s.design) / s.freedom
-        found[s.candidate.name] = min(flipped, len(screened) * float(stats.f.sf(ratio, s.freedom, blocks - 1)))
-    return found
+def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
+    """Why these drives can show no law at all; "" where they may."""
+    if len(set(windows.run)) == 1:
+        return "one run was driven; whether a law holds on another drive cannot be seen: give two or more"
+    blocks = int(windows.block.max()) + 1 if len(windows) else 0
+    if len(windows) < 3 or blocks < FEWEST:
+        return f"{blocks} blocks of {settings.block:g} s were driven; a curve asks for {FEWEST}"
+    return ""
 
 
-def _judged(best: _Screened, fits: dict[_Screened, Fitted], without: Fitted, laws: Laws, chances, limits: Limits, tried,
+def _best(fits: dict[Screened, Fitted], worth: float) -> Screened:
+    """The law that holds out best; one of two quantities has to be worth it beside the best of one."""
+    return min(fits, key=lambda s: float(fits[s].held_out.sum()) + (worth if s.candidate.by else 0.0))
+
+
+def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws: Laws, chances, limits: Limits, tried,
             vehicle: VehicleParameters) -> Proposals:
     fit, number = fits[best], laws.loss.number
     gain = float((without.held_out - fit.held_out).sum()) / number
@@ -176,43 +131,6 @@ def _beside(laws: Laws, fit: Fitted) -> AugmentedModel:
     """The model without the law, at the values fitted beside it."""
     whole = laws.space_of(fit.candidate).at(fit.vector)
     return whole.only(e for e in whole.effects if e.name != fit.candidate.effect)
-
-
-def _screen(laws: Laws, without: Fitted, base: np.ndarray, car: np.ndarray, candidate: Candidate,
-            signs: np.ndarray) -> _Screened | None:
-    """Efficient scores of the coefficients: what everything beside explains is taken out of them. base: (b,)
-    held-out loss without a law, by the same slopes. car: slopes of the vehicle file's parameters."""
-    loss, slopes = laws.linear(candidate, without)
-    q = laws.quadratic(loss, without.rows, np.concatenate([without.slopes, slopes]))
-    h = q.hessian.sum(axis=0)
-    if float(np.trace(h[-COUNT:, -COUNT:])) <= 1e-9 * float(np.trace(h)):
-        return None
-    q_all = laws.quadratic(loss, without.rows, np.concatenate([without.slopes, car, slopes]))
-    away = np.concatenate([((without.vector - laws.start) / laws.space.scale)[without.which], np.zeros(COUNT)])
-    best = None
-    for smooth in SMOOTH:
-        penalty = laws.penalty(candidate, h, smooth)
-        gain = float((base - laws.promised(q, penalty, away)).sum())
-        if best is None or gain > best[0]:
-            best = gain, smooth, penalty
-    gain, smooth, penalty = best
-    whole = q_all.hessian.sum(axis=0)
-    rest = whole[:-COUNT, :-COUNT]
-    cross = np.linalg.solve(rest + (1e-6 * np.trace(rest) / max(len(rest), 1) + 1e-9) * np.eye(len(rest)),
-                            whole[:-COUNT, -COUNT:])
-    own = q_all.gradient[:, -COUNT:] - q_all.gradient[:, :-COUNT] @ cross
-    left = whole[-COUNT:, -COUNT:] - whole[-COUNT:, :-COUNT] @ cross + penalty[-COUNT:, -COUNT:]
-    inverse = np.linalg.pinv(left)
-    drawn = np.einsum("di,ij,dj->d", signs @ own, inverse, signs @ own)
-    mean = max(float(drawn.mean()), 1e-30)
-    total = own.sum(axis=0)
-    freedom = max(float(np.trace(inverse @ (left - penalty[-COUNT:, -COUNT:]))), 1.0)
-    step = inverse @ total
-    rest_of = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
-    after = rest_of[:, -COUNT:] - rest_of[:, :-COUNT] @ cross
-    design = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
-    return _Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design, gain,
-                     left - penalty[-COUNT:, -COUNT:])
 
 
 def _channels(found: Discovery, settings: DiscoverySettings) -> DiscoverySettings:
