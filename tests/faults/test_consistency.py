@@ -22,7 +22,8 @@ FIRST = 60.0  # s in which a right car is judged
 def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Row]:
     folder = tmp_path_factory.mktemp("consistency")
     with running(folder, drive=WindingRoad(ROAD)) as rig:
-        assert rig.run(FIRST, lambda: "agree" in rig.monitor.heard.health[CONSISTENCY].message and rig.is_well())
+        assert rig.run(FIRST, lambda: CONSISTENCY in rig.monitor.heard.health
+                       and "agree" in rig.monitor.heard.health[CONSISTENCY].message and rig.is_well())
         assert live_view.health(rig.monitor.heard).plain == "all nodes well"
         windows = [put(rig, fault, until_told=True) for fault in DRIVING]
     assert set(rig.statuses.values()) == {0}
