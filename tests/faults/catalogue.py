@@ -100,47 +100,33 @@ def slowed(name: str) -> Callable[[Rig], Undo]:
     return put
 
 
-def second_unit(rig: Rig) -> Undo:
-    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    other.bind((OTHER_UNIT, 0))
-    elsewhere = changes.moved(0.001)
+def second_car(address: str, away: float) -> Callable[[Rig], Undo]:
+    """Another car's packets beside the own ones. address: sent from; away: to the north [m]."""
 
-    def twice(data: bytes) -> Sequence[bytes]:
-        other.sendto(elsewhere(data)[0], rig.car.ins.to)
-        return (data,)
+    def put(rig: Rig) -> Undo:
+        other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        other.bind((address, 0))
+        elsewhere = changes.moved(away / EARTH_RADIUS)
 
-    rig.car.ins.change = twice
+        def twice(data: bytes) -> Sequence[bytes]:
+            other.sendto(elsewhere(data)[0], rig.car.ins.to)
+            return (data,)
 
-    def undo() -> None:
-        rig.car.ins.change = unchanged
-        other.close()
+        rig.car.ins.change = twice
 
-    return undo
+        def undo() -> None:
+            rig.car.ins.change = unchanged
+            other.close()
 
+        return undo
 
-def second_sender(rig: Rig) -> Undo:
-    """Another car 640 m away, on the unit's own address."""
-    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    other.bind((LOOPBACK, 0))
-    elsewhere = changes.moved(640.0 / EARTH_RADIUS)
-
-    def twice(data: bytes) -> Sequence[bytes]:
-        other.sendto(elsewhere(data)[0], rig.car.ins.to)
-        return (data,)
-
-    rig.car.ins.change = twice
-
-    def undo() -> None:
-        rig.car.ins.change = unchanged
-        other.close()
-
-    return undo
+    return put
 
 
 def second_publisher(rig: Rig) -> Undo:
     process = subprocess.Popen([sys.executable, str(ROOT / "tests" / "intruder.py")], env=rig.suite.environment,
                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    rig.run(20.0, lambda: "intruder" in rig.monitor.node_names())
+    rig.run(20.0, lambda: rig.says(PUBLISHERS, "/intruder"))
 
     def undo() -> None:
         process.terminate()
@@ -241,8 +227,8 @@ INS = (
     Fault("UDP reordering (neighbours)", 3.0, on_ins(lambda: changes.Swap().change),
           "late packets are recorded, not published backwards", STREAM, "late"),
     Fault("UDP bursts of 0.15 s", 3.0, on_ins(lambda: changes.Burst(0.15).change), "predictions go on", "", "", ANY),
-    Fault("second unit on the port", 4.0, second_unit, "ignored, counted by address", short=True),
-    Fault("two cars on one address", 4.0, second_sender, "the one that was there stays; told", SOURCE,
+    Fault("second unit on the port", 4.0, second_car(OTHER_UNIT, 6400.0), "ignored, counted by address", short=True),
+    Fault("two cars on one address", 4.0, second_car(LOOPBACK, 640.0), "the one that was there stays; told", SOURCE,
           "second sender", short=True),
     Fault("second publisher of ins/odometry", 4.0, second_publisher, "told at once with its name; not used",
           PUBLISHERS, "/intruder", short=True),

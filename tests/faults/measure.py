@@ -48,8 +48,8 @@ class Row:
 
 def put(rig: Rig, fault: Fault, until_told: bool = False) -> Window:
     before = dict(rig.supervisor.restarts)
+    begin = time.time_ns()  # a fault that takes time to be put in may be told meanwhile
     undo = fault.put(rig)
-    begin = time.time_ns()
     rig.run(fault.seconds, lambda: until_told and rig.says(fault.check, fault.words))
     undo()
     end = time.time_ns()

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from st_core.evaluation import Evaluator
 from st_core.prediction import PredictionSettings, Predictor, Start, configuration_hash
 from st_core.types import InsSample
@@ -173,7 +174,9 @@ def test_a_score_of_its_own_is_found(live):
 def test_a_recording_that_was_cut_says_so(live):
     assert "was cut" not in st_verify(live.write()).output
     file = live.folder / f"{live.folder.name}_0.mcap"
-    os.truncate(file, file.stat().st_size * 3 // 4)
+    with file.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    os.truncate(file, chunks[-1].chunk_start_offset + chunks[-1].chunk_length)
     recover(live.folder)
     done = st_verify(live.folder)
     assert f"{live.folder} was cut" in done.output.replace("\n", "")
