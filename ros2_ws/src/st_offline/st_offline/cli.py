@@ -1,6 +1,10 @@
 """The `st` command: one function per verb, each in a file of its own under verbs/."""
 
+import errno
 import os
+import sys
+import tempfile
+from pathlib import Path
 
 import typer
 
@@ -59,10 +63,31 @@ app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options"
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.shell)
 
 
+# What is no fault of the program: a disk that is full or may not be written to.
+NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+
+
 def main() -> None:
     if os.environ.get(transport.RANGE, "LOCALHOST") == "LOCALHOST":  # who sets another chooses who hears the car
         os.environ.update(transport.loopback(os.environ))
-    app(prog_name="st")
+    _place_for_logs()
+    try:
+        app(prog_name="st")
+    except OSError as error:
+        if error.errno not in NO_PLACE:
+            raise
+        print(f"st: {error.filename or 'output'}: {error.strerror}; free some room, or name another --output",
+              file=sys.stderr)
+        sys.exit(1)
+
+
+def _place_for_logs() -> None:
+    """ROS writes a log of its own below the home directory, and does not start without one that can be written."""
+    if not {"ROS_LOG_DIR", "ROS_HOME"} & os.environ.keys():
+        try:
+            Path(os.environ["HOME"], ".ros", "log").mkdir(parents=True, exist_ok=True)
+        except (KeyError, OSError):
+            os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir(), f"st-ros-log-{os.getuid()}"))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,10 @@
 """Folders for what a verb leaves behind."""
 
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path
+
+LEAST_ROOM = 10_000_000  # bytes; less does not hold what the shortest run leaves behind
 
 
 class OutputError(OSError):
@@ -17,6 +20,9 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
             raise OutputError(f"{folder} {what}: name another --output (nothing is ever overwritten)")
         if create:
             folder.mkdir(parents=True, exist_ok=True)
+            if (free := shutil.disk_usage(folder).free) < LEAST_ROOM:
+                raise OutputError(f"{folder}: its disk is full ({free / 1e6:.1f} MB left, {LEAST_ROOM / 1e6:.0f} MB "
+                                  "wanted): free some room, or name another --output")
     except OutputError:
         raise
     except OSError as error:

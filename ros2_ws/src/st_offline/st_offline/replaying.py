@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from .evaluation.recorded import RecordedConfiguration
 from .node import Monitor
 from .paths import config
+from .runs.messages import ODOMETRY, STEERING
 from .session import START_TIMEOUT, Outcome
 from .suite import Child, Suite, SuiteError, chosen_domain_id, claimed_domain, merge
 from .view.window import Window
@@ -37,11 +38,12 @@ def node_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration
     return {node: merged[node] for node in NODES}
 
 
-def replay(bag: Path, folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
+def replay(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
            console: Console, view: Window | None = None) -> Outcome:
     """Play the bag through the nodes; their recordings go to folder/bag and folder/errors.
 
-    rate: times as fast as it was recorded; 0: as fast as the nodes follow. Raises SuiteError.
+    topics: type -> topic that is played as the nodes' input (bag.BagDrive). rate: times as fast as it was
+    recorded; 0: as fast as the nodes follow. Raises SuiteError.
     """
     chosen = chosen_domain_id()
     held = claimed_domain() if chosen is None else nullcontext(chosen)
@@ -55,8 +57,8 @@ def replay(bag: Path, folder: Path, parameters: Mapping[str, Mapping[str, Any]],
             view.open(folder, domain, predictor["vehicle_file"], predictor["map_frame"], bag.name, console)
         player = suite.start("player", [
             sys.executable, "-m", "st_offline.nodes.player", str(bag.absolute()), "--rate", str(rate),
-            "--horizon", str(predictor["horizon"]), "--tick-rate", str(predictor["rate"]),
-            "--models", *predictor["models"]])
+            "--odometry", topics[ODOMETRY], "--steering", topics[STEERING], "--horizon", str(predictor["horizon"]),
+            "--tick-rate", str(predictor["rate"]), "--models", *predictor["models"]])
         try:
             _watch(suite, player, bag.name, rate, console)
         except SuiteError as error:

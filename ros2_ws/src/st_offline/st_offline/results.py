@@ -161,7 +161,13 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_summary(path: Path, summary: dict[str, Any]) -> None:
-    path.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    """Whole or not at all: on a full disk there is no empty file that looks like a result."""
+    part = path.with_name(f"{path.name}.part")
+    try:
+        part.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def versions() -> dict[str, str]:

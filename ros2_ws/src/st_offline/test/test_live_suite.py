@@ -1,6 +1,7 @@
 """What st demo and st live refuse before anything starts, and how their terminal view reads."""
 
 import math
+import os
 import socket
 import time
 from pathlib import Path
@@ -110,6 +111,18 @@ def test_a_domain_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, text:
     monkeypatch.setenv("ROS_DOMAIN_ID", text)
     with pytest.raises(SuiteError, match=r"ROS_DOMAIN_ID: .* from 0 to 232"):
         chosen_domain_id()
+
+
+@pytest.mark.parametrize("home", [None, "/proc"])
+def test_logs_of_ros_find_a_place_without_a_home(monkeypatch: pytest.MonkeyPatch, home: str | None) -> None:
+    from st_offline import cli
+
+    for name in ("ROS_LOG_DIR", "ROS_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    if home:
+        monkeypatch.setenv("HOME", home)
+    cli._place_for_logs()
+    assert Path(os.environ["ROS_LOG_DIR"]).parent.is_dir()
 
 
 def test_a_domain_is_claimed_once_at_a_time() -> None:

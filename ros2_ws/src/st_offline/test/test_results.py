@@ -1,11 +1,13 @@
 """What a run left behind: means against the arrays they come from, and the segments that are drawn."""
 
+import resource
+import signal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from st_offline.results import SEGMENTS, read_results, summarise
+from st_offline.results import SEGMENTS, read_results, summarise, write_summary
 from st_offline.runs.bag import definitions
 from st_offline.runs.cdr import Layouts, typestore
 from st_offline.runs.errors import RunError
@@ -140,3 +142,18 @@ def test_recording_that_was_cut_is_named(run_folder: Path) -> None:
     file.write_bytes(file.read_bytes()[:-400])
     with pytest.raises(RunError, match=r"errors_0\.mcap: .*st recover"):
         read_results(run_folder)
+
+
+def test_a_summary_that_cannot_be_written_whole_is_none(tmp_path: Path) -> None:
+    file = tmp_path / "summary.json"
+    write_summary(file, {"ticks": 1})
+    before = file.read_text()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+    try:
+        with pytest.raises(OSError):
+            write_summary(file, {"ticks": "x" * 1000})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert file.read_text() == before and list(tmp_path.iterdir()) == [file]

@@ -1,6 +1,7 @@
 """Live equals offline, without ROS: the live classes' words in a bag against the library; and when they differ."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from st_offline.cli import app
 from st_offline.evaluation.verification import verify
 from st_offline.runs.bag import ODOMETRY, STEERING, definitions
 from st_offline.runs.cdr import typestore
-from st_predictor.mcap import BagWriter
+from st_predictor.mcap import BagWriter, recover
 from support import ROOT
 from typer.testing import CliRunner
 
@@ -118,7 +119,7 @@ class LiveBag:
                 PREDICTION, header=header(start.time_ns), issued_at=stamp(0, 0), model=model, step=path.step,
                 road_wheel_angle=start.inputs.road_wheel_angle, velocity_x_dot=start.inputs.velocity_x_dot, **columns,
                 cg_to_ins_x=self.car.cg_to_ins_x, cg_to_ins_y=0.0, compute_time=0.0,
-                configuration_hash=configuration_hash(self.car, SETTINGS)))
+                configuration_hash=configuration_hash(self.car, SETTINGS), bands=[]))
         return found
 
     def _score(self, score) -> bytes:
@@ -167,6 +168,15 @@ def test_a_score_of_its_own_is_found(live):
     found = verify(live.write())
     assert found.comparisons[1].error["hindsight"] == pytest.approx(0.005, abs=1e-9)
     assert found.comparisons[1].error["forecast"] < 1e-9 and found.largest == pytest.approx(0.005, abs=1e-9)
+
+
+def test_a_recording_that_was_cut_says_so(live):
+    assert "was cut" not in st_verify(live.write()).output
+    file = live.folder / f"{live.folder.name}_0.mcap"
+    os.truncate(file, file.stat().st_size * 3 // 4)
+    recover(live.folder)
+    done = st_verify(live.folder)
+    assert f"{live.folder} was cut" in done.output.replace("\n", "")
 
 
 def test_a_meaningless_recording_is_compared_when_forced(live):

@@ -4,6 +4,7 @@
 """
 
 import os
+import signal
 from datetime import UTC, datetime
 
 from launch import LaunchDescription
@@ -18,6 +19,8 @@ DBC = LaunchConfiguration("dbc")
 SIGNALS = LaunchConfiguration("signals")
 PARAMETERS = LaunchConfiguration("parameters")
 OUTPUT = LaunchConfiguration("output")
+# launch hands only SIGINT on. However it ends, the kernel interrupts its nodes: none is left holding port and bag.
+ENDS_WITH_US = "setpriv --pdeathsig INT"
 
 
 def argument(name, description, default=None):
@@ -37,11 +40,15 @@ def suite_node(package, executable, *overrides, **options):
     clock = number(executable, "use_sim_time", LaunchConfiguration("use_sim_time"))
     words = ["--params-file", PARAMETERS, *(word for pair in (clock, *overrides) for word in pair)]
     return Node(
-        package=package, executable=executable, name=executable, output="screen", ros_arguments=words,
-        respawn=LaunchConfiguration("respawn"), respawn_delay=2.0, **options)
+        package=package, executable=executable, name=executable, exec_name=executable, output="screen",
+        ros_arguments=words, respawn=LaunchConfiguration("respawn"), respawn_delay=2.0, prefix=ENDS_WITH_US, **options)
 
 
 def generate_launch_description():
+    # Started in a script's background, launch would inherit a SIGINT that is ignored: Ctrl-C would end the nodes and
+    # launch would start all of them again.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     drawn = {"condition": IfCondition(LaunchConfiguration("markers"))}
     tracked = {"condition": IfCondition(LaunchConfiguration("identify"))}
     bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}

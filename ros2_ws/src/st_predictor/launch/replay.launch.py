@@ -40,7 +40,7 @@ def generate_launch_description():
     )
     play = ExecuteProcess(
         cmd=["ros2", "bag", "play", value["bag"], "--clock", CLOCK_RATE, "--rate", value["speed"], "--regex", MEASURED],
-        output="screen", on_exit=Shutdown(reason="the bag is over"),
+        output="screen", prefix="setpriv --pdeathsig INT", on_exit=Shutdown(reason="the bag is over"),
     )
     arguments = [
         DeclareLaunchArgument(name, default_value=default, description=text)

@@ -49,7 +49,8 @@ def generate_launch_description():
             "--can-interface", "udp_multicast", "--can-channel", value["can_channel"],
             "--output", PathJoinSubstitution([value["output"], "truth"]),
         ],
-        name="virtual_leaf", output="screen", on_exit=Shutdown(reason="the drive is over"),
+        name="virtual_leaf", output="screen", prefix="setpriv --pdeathsig INT",
+        on_exit=Shutdown(reason="the drive is over"),
     )
     arguments = [
         DeclareLaunchArgument(name, default_value=default, description=text)

@@ -99,6 +99,15 @@ def test_launched_nodes_are_installed_and_their_parameters_exist() -> None:
     assert "configuration_files" in {p.name for p in params.RECORDER}
 
 
+def test_nothing_that_is_launched_outlives_the_launch() -> None:
+    """launch hands SIGTERM on to nobody; the kernel does where it is asked to."""
+    for file in LAUNCH_FILES:
+        for call in calls(file, "Node", "ExecuteProcess"):
+            given = {k.arg: ast.unparse(k.value) for k in call.keywords}
+            assert given["prefix"] in ("ENDS_WITH_US", "'setpriv --pdeathsig INT'"), file.name
+    assert "ENDS_WITH_US = \"setpriv --pdeathsig INT\"" in (LAUNCH / "car.launch.py").read_text()
+
+
 def test_launch_arguments_that_are_used_are_declared() -> None:
     declared_by_car = {call.args[0].value for call in calls(LAUNCH / "car.launch.py", "argument")}
     used = {call.args[0].value for call in calls(LAUNCH / "car.launch.py", "LaunchConfiguration")}

@@ -13,7 +13,7 @@ from st_core.models import Model, get_model
 from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
 
-from ..runs.bag import is_bag, read_bag
+from ..runs.bag import is_bag, read_bag, was_cut
 from .recorded import (
     Predictions,
     Progress,
@@ -26,6 +26,7 @@ from .recorded import (
 
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
 MODES = ("hindsight", "forecast")
+CUT = "{} was cut: its recorder did not end it; what came after is not compared"
 
 
 @dataclass
@@ -78,11 +79,12 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     from ..bands.live import with_bands
     from ..replaying import node_parameters, replay
 
-    car, recorded, _ = configuration_of(read_bag(bag).records, vehicle)
+    drive = read_bag(bag)
+    car, recorded, _ = configuration_of(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
     parameters = with_bands(node_parameters(folder, file, recorded), bands)
-    return replay(bag, folder, parameters, rate, console, view), car.name
+    return replay(bag, drive.topics, folder, parameters, rate, console, view), car.name
 
 
 def recordings_of(path: Path) -> tuple[Path, list[Path]]:
@@ -106,7 +108,8 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     settings = _settings(recorded)
     scores = read_scores(score_bags, progress)
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
-    comparisons, warnings = [], list(drive.warnings)
+    cut = [CUT.format(one) for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
+    comparisons, warnings = [], [*drive.warnings, *cut]
     for name, live in predictions.items():
         try:
             model = get_model(name)

@@ -1,4 +1,4 @@
-"""Plays a recording on the topics it was made from, with /clock: a process that `st replay` starts beside the nodes.
+"""Plays odometry and steering of a recording, with /clock: a process that `st replay` starts beside the nodes.
 
 Messages go out as they were recorded, byte for byte, in the order of their log times; /clock advances in steps behind
 them. At a rate of 0 it goes as fast as predictor and evaluator follow: their newest stamps are heard, and the clock
@@ -7,7 +7,6 @@ waits for them.
 
 import argparse
 import json
-import re
 import signal
 import struct
 import sys
@@ -21,7 +20,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
@@ -32,9 +31,7 @@ from ..runs.bag import definitions
 from ..runs.cdr import typestore
 from ._messages import message_class
 
-# What came from the car; predictions and errors of the first run stay out. Predictor and evaluator take two of these.
-MEASURED = re.compile(r"^(/\w+)*/(ins|vehicle|can)/.*|^/tf$|^/tf_static$")
-INPUTS = ("/ins/odometry", "/vehicle/steering")
+INPUTS = ("/ins/odometry", "/vehicle/steering")  # whatever they are called in the recording
 CLOCK_STEP_NS = 10_000_000
 DEPTH = 1000
 DISCOVERY_TIMEOUT = 15.0  # s
@@ -87,7 +84,8 @@ def issued_at_of(data: bytes) -> int:
 class Player:
     def __init__(self, options: argparse.Namespace):
         self.stop = False
-        self._bag, self._rate, self._everything = options.bag, options.rate, options.everything
+        self._bag, self._rate = options.bag, options.rate
+        self._played = dict(zip((options.odometry, options.steering), INPUTS, strict=True))
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
@@ -102,9 +100,6 @@ class Player:
         """Exit status: 0 when everything was played, or somebody asked to stop."""
         with AnyReader([self._bag], default_typestore=typestore(definitions())) as reader:
             publishers = self._publishers(reader.connections)
-            if not publishers:
-                print(f"{self._bag}: {' and '.join(INPUTS)} are not in it", file=sys.stderr)
-                return 2
             if not self._wait_for_listeners(list(publishers.values())):
                 print("predictor and evaluator do not listen", file=sys.stderr)
                 return 1
@@ -128,23 +123,14 @@ class Player:
     def _publishers(self, connections: Sequence[Any]) -> dict[str, Publisher]:
         publishers: dict[str, Publisher] = {}
         for connection in connections:
-            wanted = MEASURED.match(connection.topic) if self._everything else connection.topic.endswith(INPUTS)
-            if not wanted or not connection.msgcount or connection.topic in publishers:
-                continue
-            message_type = message_class(connection.msgtype)
-            if message_type is None:
-                print(f"{connection.topic} is left out: type {connection.msgtype} is not installed", file=sys.stderr)
-                continue
-            static = connection.topic.endswith("tf_static")
-            durability = DurabilityPolicy.TRANSIENT_LOCAL if static else DurabilityPolicy.VOLATILE
-            qos = QoSProfile(depth=1 if static else DEPTH, durability=durability)
-            publishers[connection.topic] = self._node.create_publisher(message_type, connection.topic, qos)
+            if connection.topic in self._played and connection.topic not in publishers:
+                publishers[connection.topic] = self._node.create_publisher(
+                    message_class(connection.msgtype), self._played[connection.topic], QoSProfile(depth=DEPTH))
         return publishers
 
     def _wait_for_listeners(self, publishers: Sequence[Publisher]) -> bool:
-        """Whether every topic has found its recorder, and odometry, steering and the clock the other nodes too."""
-        wanted = {p: (LISTENERS if p.topic_name.endswith(INPUTS) else 0) + 1 for p in publishers}
-        wanted[self._clock] = LISTENERS + 1
+        """Whether odometry, steering and the clock have found the recorder and the other nodes."""
+        wanted = dict.fromkeys((*publishers, self._clock), LISTENERS + 1)
         end = time.monotonic() + DISCOVERY_TIMEOUT
         while any(p.get_subscription_count() < count for p, count in wanted.items()):
             if time.monotonic() > end or self.stop:
@@ -178,7 +164,8 @@ def main() -> int:
     parser.add_argument("--models", nargs="+", required=True, help="models of the predictor, in its order")
     parser.add_argument("--tick-rate", type=float, required=True, help="of the predictor [Hz]")
     parser.add_argument("--horizon", type=float, required=True, help="of the predictor [s]")
-    parser.add_argument("--everything", action="store_true", help="all topics of the car, not just the nodes' inputs")
+    parser.add_argument("--odometry", required=True, help="its topic in the recording")
+    parser.add_argument("--steering", required=True, help="its topic in the recording")
     options = parser.parse_args()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     player = Player(options)

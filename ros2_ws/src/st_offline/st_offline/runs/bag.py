@@ -23,6 +23,8 @@ from .mcap_columns import DAMAGE, summary_of
 from .messages import ODOMETRY, STEERING
 
 EXTENSIONS = (".mcap", ".db3")
+OURS = {"recording", "configuration"}  # records that recorder and evaluator begin with
+CLOSING = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
 # Where several topics have the type: the one whose name ends like this.
 PREFERRED = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
@@ -111,6 +113,18 @@ def _numbers(path: Path, storage: Storage, topic: Topic, fields: Sequence[str]) 
 
 def records_of(path: Path) -> dict[str, dict[str, str]]:
     """Metadata records of an MCAP recording, as the recorder and `st import` leave them; empty for other storage."""
+    records = _records(path)
+    records.pop(CLOSING, None)
+    return records
+
+
+def was_cut(path: Path) -> bool:
+    """Whether a recorder of the suite did not end this recording itself: full disk, kill, `st recover` afterwards."""
+    records = _records(path)
+    return bool(OURS & records.keys()) and CLOSING not in records
+
+
+def _records(path: Path) -> dict[str, dict[str, str]]:
     records: dict[str, dict[str, str]] = {}
     for file in [path] if path.is_file() else storage_files(path):
         if file.suffix.lower() == ".mcap" and summary_of(file) is not None:
@@ -120,7 +134,6 @@ def records_of(path: Path) -> dict[str, dict[str, str]]:
             except (McapError, *DAMAGE) as error:
                 what = f"what it says about itself is damaged ({type(error).__name__})"
                 raise RunError(file, what, "mend the bag with `st recover`") from None
-    records.pop("rosbag2", None)
     return records
 
 
