@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from _band_changes import changes
 from scipy import stats
 from st_core.bands import Band, RunSamples, Seen, calibrate, run_samples
 from st_core.bands.scale import Scale, features, fit_scale, spread
@@ -43,8 +44,8 @@ Learn = Callable[[Sequence[RunSamples], tuple[str, str]], Band]
 
 
 def run() -> dict:
-    """ST_BANDS=genesis or virtual: that part only. Figures are of one model and question a row."""
-    parts = {"genesis": genesis, "virtual": virtual}
+    """ST_BANDS=genesis, virtual or changes: that part only. Figures are of one model and question a row."""
+    parts = {"genesis": genesis, "virtual": virtual, "changes": changes}
     chosen = os.environ.get("ST_BANDS")
     found: dict[str, str] = {}
     for name, part in parts.items():

@@ -2,6 +2,7 @@
 
     min  sum_k  q_n n_k^2 + q_c c_k^2 + q_s s_k^2 + q_v (v_k - v_ref,k)^2 + r_d (d_delta_k)^2 + r_a (d_a_k)^2
     s.t. x_{k+1} = F(x_k, u_k, h),  u_k = u_{k-1} + d_k,  bounds on u and d
+         low_k - e_k <= n_k <= high_k + e_k,  e_k >= 0, with r_e e_k^2 added to the sum     (corridor only)
 
 n, s: distance from the reference point across and along the road [m]; c: velocity across the road [m/s]; d: change of
 the inputs from one step to the next. F is `step` of st_core.backends.casadi_backend; multiple shooting.
@@ -33,7 +34,8 @@ qrqp, Hessian of Gauss and Newton, whole steps), the next step goes on from ther
 class Tuning:
     """Weights [1 / unit^2], limits and the prediction step h [s], which is also the time between two decisions.
 
-    substeps: a car at 3 m/s is too stiff for one Runge-Kutta step of 0.1 s.
+    substeps: a car at 3 m/s is too stiff for one Runge-Kutta step of 0.1 s. outside: r_e [1/m^2]; a corridor that can
+    be kept is left by millimetres.
     """
 
     step: float = 0.1
@@ -48,6 +50,7 @@ class Tuning:
     angle_change: float = 0.045
     acceleration: tuple[float, float] = (-5.0, 2.5)
     acceleration_step: float = 1.0
+    outside: float = 1.0e4
 
 
 class Reference(NamedTuple):
@@ -76,13 +79,17 @@ class Solution(NamedTuple):
 
 @dataclass
 class Controller:
-    """One model, one horizon. Call `control` every `tuning.step` seconds; it starts from its last solution."""
+    """One model, one horizon. Call `control` every `tuning.step` seconds; it starts from its last solution.
+
+    corridor: whether `control` is given limits of the distance from the road.
+    """
 
     model: Model
     vehicle: VehicleParameters
     steps: int
     tuning: Tuning = field(default_factory=Tuning)
     solver: str = "ipopt"
+    corridor: bool = False
 
     def __post_init__(self):
         self.symbolic = build(self.model, self.vehicle, self.tuning.substeps)
@@ -96,9 +103,11 @@ class Controller:
 
     def _make(self) -> None:
         t, n, steps = self.tuning, self._states, self.steps
-        unknown = casadi.MX.sym("unknown", (2 + n) * steps)
-        given = casadi.MX.sym("given", n + 2 + 4 * steps)
-        rows, road = casadi.reshape(unknown, 2 + n, steps), casadi.reshape(given[n + 2:], 4, steps)
+        limits = steps if self.corridor else 0
+        unknown = casadi.MX.sym("unknown", (2 + n) * steps + limits)
+        given = casadi.MX.sym("given", n + 2 + 4 * steps + 2 * limits)
+        rows = casadi.reshape(unknown[:(2 + n) * steps], 2 + n, steps)
+        road = casadi.reshape(given[n + 2:n + 2 + 4 * steps], 4, steps)
         x, last, residuals, gaps, changes = given[:n], given[n:n + 2], [], [], []
         for k in range(steps):
             u, ahead = rows[:2, k], rows[2:, k]
@@ -108,16 +117,22 @@ class Controller:
             residuals += [self._stage(ahead, u, road[:, k]), weights * change]
             changes.append(change)
             x, last = ahead, u
-        residuals = casadi.vertcat(*residuals)
-        problem = {"x": unknown, "f": casadi.sumsqr(residuals), "g": casadi.vertcat(*gaps, *changes), "p": given}
+        outside, bounds = unknown[(2 + n) * steps:], given[n + 2 + 4 * steps:]
+        residuals = casadi.vertcat(*residuals, t.outside ** 0.5 * outside)
+        low, high = bounds[:limits], bounds[limits:]
+        off = casadi.vertcat(*[self._across(rows[2:, k], road[:, k]) for k in range(limits)])
+        inside = casadi.vertcat(off + outside - low, high + outside - off) if limits else casadi.MX(0, 1)
+        problem = {"x": unknown, "f": casadi.sumsqr(residuals),
+                   "g": casadi.vertcat(*gaps, *changes, inside), "p": given}
         name, options = SOLVERS[self.solver]
         if self.solver == "rti":
             options = {**options, "hess_lag": self._gauss_newton(unknown, given, residuals, problem["g"])}
         self._solve = casadi.nlpsol("mpc", name, problem, {**options, "expand": True})
         largest = [t.angle_change, t.acceleration_step] * steps
-        self._limits = {"lbg": [0.0] * (n * steps) + [-v for v in largest], "ubg": [0.0] * (n * steps) + largest,
-                        "lbx": [-t.angle, t.acceleration[0], *[-np.inf] * n] * steps,
-                        "ubx": [t.angle, t.acceleration[1], *[np.inf] * n] * steps}
+        self._limits = {"lbg": [0.0] * (n * steps) + [-v for v in largest] + [0.0] * (2 * limits),
+                        "ubg": [0.0] * (n * steps) + largest + [np.inf] * (2 * limits),
+                        "lbx": [-t.angle, t.acceleration[0], *[-np.inf] * n] * steps + [0.0] * limits,
+                        "ubx": [t.angle, t.acceleration[1], *[np.inf] * n] * steps + [np.inf] * limits}
 
     @staticmethod
     def _gauss_newton(unknown, given, residuals, constraints):
@@ -128,27 +143,41 @@ class Controller:
                                [2.0 * scale * casadi.mtimes(jacobian.T, jacobian)],
                                ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"]).expand()
 
+    @staticmethod
+    def _across(x, road):
+        return casadi.cos(road[2]) * (x[1] - road[1]) - casadi.sin(road[2]) * (x[0] - road[0])
+
     def _stage(self, x, u, road):
         t = self.tuning
         sine, cosine = casadi.sin(road[2]), casadi.cos(road[2])
         off_x, off_y = x[0] - road[0], x[1] - road[1]
         rates = self.symbolic.dynamics(x, u)
-        return casadi.vertcat(t.across ** 0.5 * (cosine * off_y - sine * off_x),
+        return casadi.vertcat(t.across ** 0.5 * self._across(x, road),
                               t.along ** 0.5 * (cosine * off_x + sine * off_y),
                               t.course ** 0.5 * (cosine * rates[1] - sine * rates[0]),
                               t.speed ** 0.5 * (x[2] - road[3]))
 
-    def control(self, state: tuple[float, ...], road: Reference) -> Solution:
-        """The inputs for the next step from the six states at the CG; yaw and the yaw of the road need no wrapping."""
+    def forget(self) -> None:
+        """Start from nothing again, as for another drive."""
+        self._last, self._guess, self._duals = (0.0, 0.0), None, None
+
+    def control(self, state: tuple[float, ...], road: Reference,
+                corridor: tuple[np.ndarray, np.ndarray] | None = None) -> Solution:
+        """The inputs for the next step from the six states at the CG; yaw and the yaw of the road need no wrapping.
+
+        corridor: least and largest distance from the road at the end of each step, left + (steps,) [m].
+        """
         start = self.symbolic.start(state, self._last).full().ravel()
         if self._guess is None:
             self._guess = self._rollout(start)
-        p = np.concatenate([start, self._last, np.column_stack(road).ravel()])
+        p = np.concatenate([start, self._last, np.column_stack(road).ravel(), *(corridor or ())])
+        count = (2 + self._states) * self.steps
+        first = np.concatenate([self._guess.ravel(), np.zeros(self.steps if self.corridor else 0)])
         warm = {"lam_x0": self._duals[0], "lam_g0": self._duals[1]} if self._duals else {}
         wall, cpu = perf_counter(), process_time()
-        found = self._solve(x0=self._guess.ravel(), p=p, **self._limits, **warm)
+        found = self._solve(x0=first, p=p, **self._limits, **warm)
         wall, cpu = perf_counter() - wall, process_time() - cpu
-        rows = found["x"].full().reshape(self.steps, 2 + self._states)
+        rows = found["x"].full()[:count].reshape(self.steps, 2 + self._states)
         statistics = self._solve.stats()
         if not np.all(np.isfinite(rows)):
             self._guess, self._duals = None, None

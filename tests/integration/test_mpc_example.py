@@ -17,7 +17,7 @@ from support import ROOT
 pytest.importorskip("casadi", reason="casadi is not installed")
 FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 LEAF = VehicleParameters.from_yaml(FILE.read_text(), str(FILE))
-NAMES = ("acados_example", "closed_loop", "controller", "drawing", "nmpc")
+NAMES = ("acados_example", "closed_loop", "controller", "corridor", "drawing", "nmpc")
 
 
 @pytest.fixture(autouse=True)
@@ -51,6 +51,28 @@ def test_one_iteration_does_what_the_whole_solution_does():
     (fast, quick), (whole, full) = (driven(model, solver, 5.0) for solver in ("rti", "ipopt"))
     assert whole.unsolved == 0 and fast.finished
     np.testing.assert_allclose(quick[:, 1:3], full[:, 1:3], atol=0.03)
+
+
+def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatch):
+    import corridor
+    from controller import Controller, Tuning
+    from st_core.bands import Band, Seen
+    from st_core.bands.scale import Scale, features, knots_of
+
+    monkeypatch.setattr(corridor, "DURATION", 6.0)
+    there, time = [corridor.Gate(30.0, 36.0, -1, 1.0)], 0.05 * np.arange(1, 101)
+    low, high = corridor.limits(there, np.array([29.0, 33.0]), np.array([0.2, 0.2]))
+    assert high == pytest.approx([4.0, -1.2]) and low == pytest.approx([-4.0, -4.0])
+    # 0.3 m at every point, whatever the conditions.
+    nothing = np.full((3, 6, features(np.zeros((1, 4))).shape[1]), 0.0)
+    nothing[:, :, 0] = -30.0
+    band = Band(Scale(nothing, np.full(3, 0.3), time, knots_of(5.0)), {0.9: 1.0}, np.zeros((3, 19)))
+    seen = Seen(np.full((99, 99), 100), (100.0, 100.0))
+    controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)
+    plain, kept_off = (corridor.drive(controller, read_car(FILE), LEAF, there, 1, one) for one in (None, (band, seen)))
+    assert -0.2 < plain.depth < 0.3
+    assert kept_off.depth == pytest.approx(plain.depth - 0.3, abs=0.1) and kept_off.error > plain.error
+    assert len(plain.log.x) == 300
 
 
 def test_command_writes_figures_and_numbers(tmp_path, monkeypatch, capsys):

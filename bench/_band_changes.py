@@ -1,0 +1,137 @@
+"""A change put in while the virtual car drives: how soon the evaluator's count of coverage says so, and how often it
+does where nothing has changed. The counts are `st_core.bands.Coverages`, as the node has them."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from st_core.bands import Band, Coverages, RunSamples, Seen, calibrate, conditions_at, run_samples
+from st_core.evaluation import make_score
+from st_core.log import DriveLog
+from st_core.log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
+from st_core.models import get_model
+from st_core.vehicle import VehicleParameters
+from st_offline.paths import project_root
+
+SETTINGS = EvaluationSettings()
+TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
+MODELS, MODES = ("linear", "nonlinear"), ("hindsight", "forecast")
+SEED, KNOWN, HOURS, CHANGED = 22, 24, 8, 12
+HOUR_PARTS, CHANGED_PARTS, KNOWN_PARTS = 450, 30, 9
+"""Manoeuvres, each of about 8 s: an hour, four minutes, one minute."""
+STYLES = {"ordinary": ("ORDINARY", "CIRCLE", "ORDINARY", "SWEEP", "ORDINARY", "STEPS", "WEAVE", "SLALOM",
+                       "SLOW_CIRCLE"),
+          "brisk": ("STEPS", "SLALOM", "SWEEP", "BRAKING", "CIRCLE")}
+"""Manoeuvres of discovery.manoeuvres. ordinary: mostly below 2.5 m/s^2 across. brisk: up to 5."""
+CHANGES = {
+    "steering offset 0.005 rad": {"steering_offset": 0.005}, "steering offset 0.01 rad": {"steering_offset": 0.01},
+    "steering offset 0.02 rad": {"steering_offset": 0.02}, "friction 0.7": {"friction_factor": 0.7},
+    "friction 0.5": {"friction_factor": 0.5}, "friction 0.4": {"friction_factor": 0.4},
+    "friction 0.3": {"friction_factor": 0.3},
+    "friction 0.5 and stiffness 0.6": {"friction_factor": 0.5, "front_stiffness_factor": 0.6,
+                                       "rear_stiffness_factor": 0.6},
+}
+
+Bands = Mapping[tuple[str, str], Band]
+
+
+@dataclass
+class Watched:
+    """warned: seconds into the drive at which a warning began, by model and question. share: kept at 90 %."""
+
+    seconds: float
+    warned: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    share: dict[tuple[str, str], float] = field(default_factory=dict)
+
+
+def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, seen: Seen) -> Watched:
+    """A drive through the evaluator's counts. A score is known a horizon after its start."""
+    signals, counts = SETTINGS.signals(log), Coverages()
+    models = [get_model(model) for model in {model: None for model, _ in bands}]
+    starts, _ = usable_starts(signals, vehicle, regular_starts(log, SETTINGS.interval),
+                              SETTINGS.prediction.minimum_speed)
+    found, horizon = Watched(log.overlap, {key: [] for key in bands}), SETTINGS.prediction.horizon
+    before = dict.fromkeys(bands, False)
+    for rows, block in evaluate_blocks(models, vehicle, signals, starts, SETTINGS):
+        here = conditions_at(signals, starts[rows])
+        known = seen(here)
+        widths = {key: {level: np.pad(factor * band.scale(here[known]), ((0, 0), (1, 0), (0, 0)))
+                        for level, factor in band.factors.items() if level in (0.5, 0.9)}
+                  for key, band in bands.items()}
+        place = np.cumsum(known) - 1
+        for row in np.flatnonzero(known):
+            start = int(starts[rows][row])
+            for (model, mode), stated in widths.items():
+                counts.expect(model, start, {(mode, level): one[place[row]] for level, one in stated.items()})
+                errors = list(block.errors[model, mode][row].T)
+                counts.add(make_score(model, mode, start, SETTINGS.prediction.step, errors))
+                one = counts.by_question.get((model, mode))
+                if one and one.warns and not before[model, mode]:
+                    found.warned[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
+                before[model, mode] = bool(one and one.warns)
+    found.share = {key: one.share(0.9) for key, one in counts.by_question.items()}
+    return found
+
+
+def learnt(runs: Sequence[RunSamples]) -> tuple[Bands, Seen]:
+    questions = [(model, mode) for model in MODELS for mode in MODES]
+    return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in questions}, Seen.of([r.conditions for r in runs]))
+
+
+def changes() -> dict[str, str]:
+    """Rows of text by style of driving: healthy hours, then each change."""
+    return {key: text for number, style in enumerate(STYLES) for key, text in of_style(number, style).items()}
+
+
+def of_style(number: int, style: str) -> dict[str, str]:
+    sys.path.insert(0, str(project_root()))
+    from bench.discovery import cars, manoeuvres
+    from bench.discovery.plants import Order, driven, vehicle_of
+
+    healthy = cars.healthy_car(cars.LEAF, (SEED,)).settings
+    file = vehicle_of(cars.LEAF, healthy)
+    kinds = [getattr(manoeuvres, name) for name in STYLES[style]]
+
+    def drive(kind: int, which: int, count: int, after: Mapping[str, float] | None = None) -> DriveLog:
+        """count: manoeuvres. after: settings from the middle on."""
+        parts = tuple(kinds[k % len(kinds)] for k in range(count))
+        changed: dict[str, Any] = {} if after is None else {"before": healthy, "from_": 0.5}
+        return driven(cars.LEAF, file, Order(f"{kind} {which}", (SEED, number, kind, which), after or healthy, parts,
+                                             **changed))
+
+    models = [get_model(model) for model in MODELS]
+    runs = [run_samples(models, file, SETTINGS.signals(log), SETTINGS)
+            for log in (drive(0, k, KNOWN_PARTS) for k in range(KNOWN))]
+    bands, seen = learnt(runs)
+    found = {f"{style}, nothing": healthy_row([watch(drive(1, k, HOUR_PARTS), file, bands, seen)
+                                               for k in range(HOURS)])}
+    print(style, found, flush=True)
+    for place, (name, change) in enumerate(CHANGES.items()):
+        moved = {key: healthy[key] + v if key == "steering_offset" else healthy[key] * v for key, v in change.items()}
+        drives = [drive(2 + place, k, CHANGED_PARTS, healthy | moved) for k in range(CHANGED)]
+        found[f"{style}, {name}"] = changed_row([watch(log, file, bands, seen) for log in drives])
+        print(style, name, found[f"{style}, {name}"], flush=True)
+    return found
+
+
+def healthy_row(drives: Sequence[Watched]) -> str:
+    hours = sum(one.seconds for one in drives) / 3600.0
+    words = [f"{model}, {mode}: {sum(len(one.warned[model, mode]) for one in drives)} false warnings in {hours:.1f} h, "
+             f"kept {np.mean([one.share[model, mode] for one in drives]):.1%}" for model, mode in drives[0].warned]
+    return "; ".join(words)
+
+
+def changed_row(drives: Sequence[Watched]) -> str:
+    """Delays from the change, in the middle of the drive, to the first warning after it."""
+    words = []
+    for key in drives[0].warned:
+        delays = [min((t - 0.5 * one.seconds for t in one.warned[key] if t > 0.5 * one.seconds), default=np.inf)
+                  for one in drives]
+        soon = sum(delay <= 60.0 for delay in delays)
+        early = sum(any(t <= 0.5 * one.seconds for t in one.warned[key]) for one in drives)
+        middle = float(np.median(delays))
+        words.append(f"{key[0]}, {key[1]}: {soon} of {len(drives)} within a minute, median "
+                     f"{f'{middle:.0f} s' if np.isfinite(middle) else 'none'}" + (f", {early} before" if early else ""))
+    return "; ".join(words)

@@ -1,0 +1,178 @@
+"""A constraint tightened by a calibrated band: gates passed by cars that are not quite the one in the controller.
+
+    ./st shell -- python examples/mpc/corridor.py              50 seeds, with and without
+    ./st shell -- python examples/mpc/corridor.py --seeds 5
+
+A straight road at 10 m/s with three gates; the controller is to stay as near to the road as they let it, so it passes
+along their posts. Every seed is a car of its own: mass, tyres, friction and steering are drawn around the vehicle file
+(SPREAD). Bands of the controller's model are learnt from drives of other such cars through other gates; the tightened
+controller keeps the half-width across of each point of its horizon away from every post. Writes corridor.json.
+docs/mpc.md explains the result.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from closed_loop import LOOK, Road
+from controller import Controller, Tuning
+from st_core.bands import Band, Seen, calibrate, conditions, run_samples, steering_activity
+from st_core.log import DriveLog
+from st_core.log_evaluation import EvaluationSettings
+from st_core.models import get_model
+from st_core.vehicle import VehicleParameters
+from st_offline.output import new_folder
+from st_offline.paths import config
+from st_sim.car import Car, read_car
+from st_sim.controlled import ControlledCar
+from st_sim.path import straight
+from st_sim.scenarios import RoadPlan
+from st_sim.settings import REALISTIC, Settings
+
+SPEED, DURATION, HORIZON = 10.0, 15.0, 2.5
+SPREAD = {"mass_factor": 0.04, "front_stiffness_factor": 0.08, "rear_stiffness_factor": 0.08, "friction_factor": 0.05,
+          "steering_offset": 0.006, "steering_ratio_factor": 0.02}
+"""One standard deviation, of a factor or of the value [rad]."""
+KNOWN, LEVELS = 16, (0.5, 0.9)
+SETTINGS = EvaluationSettings()
+TOUCHED = 0.01
+"""m across a post that count as a violation."""
+
+
+class Gate(NamedTuple):
+    """From and to along the road [m]; the CG passes at least `room` [m] to the left (side 1) or right (-1)."""
+
+    begin: float
+    end: float
+    side: int
+    room: float
+
+
+class Outcome(NamedTuple):
+    """depth: farthest beyond a post [m], <= 0 where none was touched. error: rms distance from the road [m]. cost: mean
+    of the controller's q_n n^2 + q_v (v - v_ref)^2 + r_d d_delta^2 as driven. log: what was driven."""
+
+    depth: float
+    error: float
+    cost: float
+    log: DriveLog
+
+
+def gates(generator: np.random.Generator | None = None) -> list[Gate]:
+    """Three; drawn, or those of the comparison without a generator."""
+    if generator is None:
+        return [Gate(40.0, 46.0, 1, 1.2), Gate(80.0, 86.0, -1, 1.2), Gate(120.0, 126.0, 1, 1.2)]
+    begins = 40.0 * np.arange(1, 4) + generator.uniform(-6.0, 6.0, 3)
+    return [Gate(b, b + 6.0, int(generator.choice([-1, 1])), generator.uniform(0.5, 1.5)) for b in begins]
+
+
+def limits(there: Sequence[Gate], distances: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest distance from the road at distances along it (n,); margin (n,) is kept from every post [m]."""
+    low, high = np.full(len(distances), -4.0), np.full(len(distances), 4.0)
+    for gate in there:
+        beside = (distances >= gate.begin) & (distances <= gate.end)
+        if gate.side > 0:
+            low[beside] = gate.room + margin[beside]
+        else:
+            high[beside] = -gate.room - margin[beside]
+    return low, high
+
+
+def drawn(seed: int) -> Settings:
+    """The plant of a seed."""
+    draw = np.random.default_rng([21, seed])
+    values = dict(REALISTIC)
+    for name, spread in SPREAD.items():
+        values[name] += spread * float(np.clip(draw.standard_normal(), -2.5, 2.5))
+    return values
+
+
+def drive(controller: Controller, car: Car, vehicle: VehicleParameters, there: Sequence[Gate], seed: int,
+          band: tuple[Band, Seen] | None = None) -> Outcome:
+    """One drive; band: keep its 90 % half-width across from every post."""
+    controller.forget()
+    plan = RoadPlan(straight(400.0, SPEED))
+    road, plant, step = Road(plan), ControlledCar(car, drawn(seed), seed), controller.tuning.step
+    plant.place(0.0, 0.0, 0.0, SPEED)
+    rows, angles, depth, acceleration = [], [0.0] * 12, -np.inf, 0.0
+    while plant.time < DURATION - 1e-9:
+        road.track(*plant.state[:2])
+        ahead = road.ahead(controller.steps, step)
+        margin = np.zeros(controller.steps) if band is None else _margin(band, plant.state, angles, acceleration, step)
+        along = road.distance + step * SPEED * np.arange(1, controller.steps + 1)
+        angle, acceleration = controller.control(plant.state, ahead, limits(there, along, margin)).inputs
+        angles.append(angle)
+        for _ in range(round(step / LOOK)):
+            rows.append((plant.time, *plant.state, angle))
+            plant.advance(LOOK, angle, acceleration)
+            off = road.track(*plant.state[:2])
+            low, high = limits(there, np.array([road.distance]), np.zeros(1))
+            depth = max(depth, float(low[0]) - off, off - float(high[0]))
+    table, tuning = np.array(rows), controller.tuning
+    cost = (tuning.across * np.mean(table[:, 2] ** 2) + tuning.speed * np.mean((table[:, 3] - SPEED) ** 2)
+            + tuning.steering_change * np.mean(np.diff(angles) ** 2))
+    return Outcome(depth, float(np.sqrt(np.mean(table[:, 2] ** 2))), float(cost), _log(table, vehicle, seed))
+
+
+def _margin(band: tuple[Band, Seen], state: Sequence[float], angles: Sequence[float], acceleration: float,
+            step: float) -> np.ndarray:
+    """The half-width across at the end of each step [m]; that of the nearest calibrated speed is not guessed: 0."""
+    learnt, seen = band
+    at = np.interp(np.arange(-1.0, 0.01, 0.05), step * np.arange(-10, 1), angles[-11:])
+    here = conditions(state[2], state[5], acceleration, steering_activity(at))[None]
+    if not seen(here)[0]:
+        return np.zeros(round(HORIZON / step))
+    every = round(step / SETTINGS.prediction.step)
+    return learnt.half_widths(here, 0.9)[0, every - 1::every, 1][:round(HORIZON / step)]
+
+
+def _log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
+    """The drive as an INS without noise would have recorded it, with the steering the controller asked for."""
+    time, x, y, forward, across, yaw, rate, angle = table.T
+    time_ns = np.round(time * 1e9).astype(np.int64)
+    d_x, d_y = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
+    return DriveLog(f"car {seed}", time_ns, x + np.cos(yaw) * d_x - np.sin(yaw) * d_y,
+                    y + np.sin(yaw) * d_x + np.cos(yaw) * d_y, yaw, forward - rate * d_y, across + rate * d_x, rate,
+                    time_ns, angle, vehicle.steering_wheel_angle(angle))
+
+
+def learn(controller: Controller, car: Car, vehicle: VehicleParameters, model: str) -> tuple[Band, Seen]:
+    """The model question's band: what the controller plans is what the inputs will be."""
+    runs = []
+    for k in range(KNOWN):
+        log = drive(controller, car, vehicle, gates(np.random.default_rng([22, k])), 1000 + k).log
+        runs.append(run_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
+    time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
+    return calibrate(runs, (model, "hindsight"), time, LEVELS), Seen.of([one.conditions for one in runs])
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--model", default="linear", choices=["kinematic", "linear", "nonlinear"])
+    parser.add_argument("--output", type=Path, help="folder; default runs/corridor-<time>")
+    options = parser.parse_args()
+    folder, file = new_folder(options.output, "corridor"), config("vehicle/leaf.yaml")
+    vehicle, car, tuning = VehicleParameters.from_yaml(file.read_text(), str(file)), read_car(file), Tuning()
+
+    controller = Controller(get_model(options.model), vehicle, round(HORIZON / tuning.step), tuning, "rti",
+                            corridor=True)
+    band, found = learn(controller, car, vehicle, options.model), {}
+    for name, used in (("as it is", None), ("tightened", band)):
+        drives = [drive(controller, car, vehicle, gates(), seed, used) for seed in range(options.seeds)]
+        depths = np.array([one.depth for one in drives])
+        found[name] = {
+            "seeds": options.seeds, "violations": int((depths > TOUCHED).sum()), "deepest": float(depths.max()),
+            "depth_median": float(np.median(depths)), "error_rms": float(np.mean([one.error for one in drives])),
+            "cost": float(np.mean([one.cost for one in drives]))}
+        print(name, found[name], flush=True)
+    (folder / "corridor.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    print(folder)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
