@@ -19,6 +19,9 @@ from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
 from st_sim.plant import STANDSTILL, STEP, Plant
 from st_sim.settings import Settings
 
+from .pushes import Car as Body
+from .pushes import Law, push
+
 DECIDE = 5
 """Steps between two decisions of hand and foot, and between two samples: 0.01 s."""
 FASTEST_HAND = 8.0
@@ -27,6 +30,9 @@ SPEED_GAIN, HARDEST_BRAKING, HARDEST_DRIVE, JERK = 1.2, 7.0, 3.5, 10.0
 """1/s, m/s^2, m/s^2, m/s^3 of the foot, as the driver of st_sim."""
 RECORDED = STATES + 4
 """State, then the derivatives of v_x, v_y, yaw rate and z."""
+
+
+NO_LAW = Law()
 
 
 class Stopped(Exception):
@@ -62,8 +68,8 @@ class Recording:
 
 
 def drive(car: Car, settings: Settings, programme: Programme, seed: int,
-          later: tuple[Settings, int] | None = None) -> Recording:
-    """The car drives a programme. later: other settings from that sample on. Raises Stopped."""
+          later: tuple[Settings, int] | None = None, law: Law = NO_LAW) -> Recording:
+    """The car drives a programme. later: other settings from that sample on. law: of `pushes`. Raises Stopped."""
     parts = [(settings, len(programme.hand))] if later is None else [
         (settings, later[1]), (later[0], len(programme.hand) - later[1])]
     plant = Plant(car, settings, seed)
@@ -87,7 +93,9 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
         part = slice(first, first + count)
         arrays = [np.ascontiguousarray(getattr(programme, name)[part], float)
                   for name in ("hand", "yaw", "gain", "speed", "acceleration")]
-        good = kernel(state, options, constants(car, s, STEP), road_of(s), delayed, gusts, *arrays, out[part])
+        c = constants(car, s, STEP)
+        body = Body(c.to_front, c.to_rear, c.yaw_inertia / c.mass, car.cornering_stiffness_rear / c.mass)
+        good = kernel(state, options, c, road_of(s), law, body, first, delayed, gusts, *arrays, out[part])
         if not good:
             raise Stopped
         first += count
@@ -122,7 +130,14 @@ def _tuple(s):
     return (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9], s[10], s[11], s[12], s[13], s[14], s[15])
 
 
-def _loop(state, options, c, road, delayed, gusts, hand, yaw, gain, speed, acceleration, out):
+def _pushed(rates, s, law, body, time, ax):
+    """The rates of the state with a law no library holds."""
+    aside, turning = push(law, body, time, s[VX], s[YAW_RATE], ax, rates[VY], rates[YAW_RATE])
+    return (rates[0], rates[1], rates[2], rates[3], rates[4], rates[5] + aside, rates[6] + turning, rates[7], rates[8],
+            rates[9], rates[10], rates[11], rates[12], rates[13], rates[14], rates[15])
+
+
+def _loop(state, options, c, road, law, body, first, delayed, gusts, hand, yaw, gain, speed, acceleration, out):
     mass, wheelbase, rear, nominal_ratio, ratio, play, wind, gust = options
     memory = exp(-STEP / GUST_TIME)
     kick = gust * sqrt(1.0 - memory * memory)
@@ -133,6 +148,8 @@ def _loop(state, options, c, road, delayed, gusts, hand, yaw, gain, speed, accel
     friction, bank, grade = road_at(road, s[X], s[YAW])
     for k in range(len(hand)):
         rates, _ = derivative(_tuple(s), s[RACK], force, (friction, bank, grade, gust_x, wind + gust_y), c)
+        if law[0]:
+            rates = _pushed(rates, s, law, body, (first + k) * DECIDE * STEP, pedal)
         for i in range(STATES):
             out[k, i] = s[i]
         out[k, STATES], out[k, STATES + 1], out[k, STATES + 2] = rates[VX], rates[VY], rates[YAW_RATE]
@@ -164,10 +181,14 @@ def _loop(state, options, c, road, delayed, gusts, hand, yaw, gain, speed, accel
             if c.lag == 0.0:
                 s[RACK] = rack
             rates, _ = derivative(_tuple(s), rack, force, here, c)
+            if law[0]:
+                rates = _pushed(rates, s, law, body, (first + k) * DECIDE * STEP, pedal)
             for i in range(STATES):
                 k1[i] = rates[i]
                 middle[i] = s[i] + STEP * rates[i]
             rates, _ = derivative(_tuple(middle), rack, force, here, c)
+            if law[0]:
+                rates = _pushed(rates, middle, law, body, (first + k) * DECIDE * STEP, pedal)
             for i in range(STATES):
                 s[i] += STEP / 2 * (k1[i] + rates[i])
             if s[VX] < STANDSTILL:

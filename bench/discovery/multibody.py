@@ -20,8 +20,10 @@ from st_sim.dynamics import LEAN, LEAN_RATE, SQUAT, STATES, VX, VY, WIND_ARM, YA
 from st_sim.environment import GUST_TIME, normal_stream, road_at, road_of
 from vehiclemodels.init_mb import init_mb
 
-from .compiled import FASTEST_HAND, RECORDED, Programme, Recording, Stopped, compiled, foot
-from .multibody_car import complete, dynamics, nominal_car, parameters_of, rest_pitch
+from .compiled import FASTEST_HAND, NO_LAW, RECORDED, Programme, Recording, Stopped, compiled, foot
+from .multibody_car import complete, cornering_stiffness, dynamics, nominal_car, parameters_of, rest_pitch, static_loads
+from .pushes import REAR_CURVE, Law, push
+from .pushes import Car as Body
 from .sensing import PERIOD, STEERING_PHASE, log_of
 
 STEP = 0.001
@@ -66,7 +68,7 @@ class Options(NamedTuple):
 
 
 def drive_multibody(car: str, settings: Mapping[str, float], programme: Programme, seed: int,
-                    later: tuple[Mapping[str, float], int] | None = None) -> Recording:
+                    later: tuple[Mapping[str, float], int] | None = None, law: Law = NO_LAW) -> Recording:
     """A car of `multibody_car.CARS` drives a programme of `manoeuvres`, made for `nominal_car(car)`.
 
     settings: what is hidden, others as in HEALTHY. later: other settings from that sample on. The recording is in the
@@ -81,14 +83,15 @@ def drive_multibody(car: str, settings: Mapping[str, float], programme: Programm
     state[BODY_STATES + 4] = complete(settings)["gust_speed"] * draw()
     state[BODY_STATES + 5] = complete(settings)["gust_speed"] * draw()
     for chosen, first, end in parts:
-        _run(car, complete(chosen), state, programme, slice(first, end), draw, out)
+        _run(car, complete(chosen), state, programme, slice(first, end), draw, out, law)
     return Recording(out[:, :RECORDED], out[:, RECORDED], out[:, RECORDED + 1], out[:, RECORDED + 2])
 
 
 def log_multibody(name: str, car: str, settings: Mapping[str, float], programme: Programme, seed: int,
-                  vehicle: VehicleParameters, later: tuple[Mapping[str, float], int] | None = None) -> DriveLog:
+                  vehicle: VehicleParameters, later: tuple[Mapping[str, float], int] | None = None,
+                  law: Law = NO_LAW) -> DriveLog:
     """The same as a recorded drive. vehicle: what the reader of the files thinks the car is."""
-    recording = drive_multibody(car, settings, programme, seed, later)
+    recording = drive_multibody(car, settings, programme, seed, later, law)
     after = None if later is None else (complete(later[0]), later[1])
     return log_of(name, recording, nominal_car(car), vehicle, complete(settings), seed, after)
 
@@ -111,10 +114,13 @@ def _settled(car: str, settings: Mapping[str, float], programme: Programme) -> n
 
 
 def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Programme, part: slice, draw,
-         out: np.ndarray) -> None:
+         out: np.ndarray, law: Law = NO_LAW) -> None:
     """Drive a part of the programme; `state` and `out` are changed."""
-    p = parameters_of(car, s)
-    slippery = parameters_of(car, {**s, "friction_factor": s["friction_factor"] * s["friction_patch"]})
+    p = _with_curve(parameters_of(car, s), law)
+    slippery = _with_curve(
+        parameters_of(car, {**s, "friction_factor": s["friction_factor"] * s["friction_patch"]}), law)
+    stiffness = 2.0 * cornering_stiffness(static_loads(p)[1], p.tire_rear)
+    body = Body(p.a, p.b, p.I_z / p.m, stiffness / p.m)
     arrays = [np.ascontiguousarray(getattr(programme, name)[part], float)
               for name in ("hand", "yaw", "gain", "speed", "acceleration")]
     gust = s["gust_speed"]
@@ -127,8 +133,26 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
         to_rear=p.b, wheelbase=p.a + p.b, drag_area=s["drag_area"], calm=not (s["wind_speed"] or gust),
         wind=s["wind_speed"], gust=gust)
     delayed = np.full(round(s["steering_delay"] / STEP), state[BODY_STATES])
-    if not compiled(_loop)(state, options, p, slippery, road_of(s), delayed, gusts, *arrays, out[part]):
+    if not compiled(_loop)(state, options, p, slippery, road_of(s), law, body, part.start or 0, delayed, gusts,
+                           *arrays, out[part]):
         raise Stopped
+
+
+def _with_curve(p, law: Law):
+    """The numbers of a car whose rear tyres have another shape of curve, as stiff and as strong as they were."""
+    if law.kind != REAR_CURVE:
+        return p
+    rear = p.tire_rear
+    return p._replace(tire_rear=rear._replace(p_cy1=rear.p_cy1 * (1.0 - law.size), p_ey1=rear.p_ey1 - 4.0 * law.size))
+
+
+def _pushed(f, x, law, body, time, ax):
+    """The rates with a law no library holds; f is changed."""
+    aside, turning = push(law, body, time, x[P_VX], x[P_YAW_RATE], ax, f[P_VY], f[P_YAW_RATE])
+    f[P_VY] += aside
+    f[P_VY_FRONT] += aside
+    f[P_VY_REAR] += aside
+    f[P_YAW_RATE] += turning
 
 
 def rates(x, steering_rate, acceleration, here, p, drag_area, calm):
@@ -145,7 +169,7 @@ def rates(x, steering_rate, acceleration, here, p, drag_area, calm):
     return f
 
 
-def _loop(state, o, p, slippery, road, delayed, gusts, hand, yaw, gain, speed, acceleration, out):
+def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, yaw, gain, speed, acceleration, out):
     fading = exp(-STEP / GUST_TIME)
     kick = o.gust * sqrt(1.0 - fading * fading)
     x, middle = state[:BODY_STATES].copy(), state[:BODY_STATES].copy()
@@ -155,6 +179,9 @@ def _loop(state, o, p, slippery, road, delayed, gusts, hand, yaw, gain, speed, a
         friction, bank, grade = road_at(road, x[0], x[P_YAW])
         tyres = p if friction == road.friction else slippery
         f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.calm)
+        time = (first + k) * DECIDE * STEP
+        if law[0]:
+            _pushed(f, x, law, body, time, pedal)
         row = out[k]
         row[:] = 0.0
         row[X], row[Y], row[Z], row[YAW] = x[0], x[1], -x[P_Z], x[P_YAW]
@@ -189,9 +216,13 @@ def _loop(state, o, p, slippery, road, delayed, gusts, hand, yaw, gain, speed, a
             # The rate that brings the wheels to where the rack wants them within the step.
             turn = (rack + o.offset - x[P_STEER]) / STEP
             f = rates(x, turn, pedal, here, tyres, o.drag_area, o.calm)
+            if law[0]:
+                _pushed(f, x, law, body, time, pedal)
             for i in range(BODY_STATES):
                 middle[i] = x[i] + STEP / 2 * f[i]
             f = rates(middle, turn, pedal, here, tyres, o.drag_area, o.calm)
+            if law[0]:
+                _pushed(f, middle, law, body, time, pedal)
             for i in range(BODY_STATES):
                 x[i] += STEP * f[i]
             if not (x[P_VX] > SLOWEST and abs(x[P_ROLL]) < STEEPEST):

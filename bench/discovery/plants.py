@@ -12,11 +12,12 @@ from st_sim.settings import Settings
 
 from . import cars
 from . import manoeuvres as m
-from .compiled import Programme, Stopped, drive
+from .compiled import NO_LAW, Programme, Stopped, drive
 from .multibody import log_multibody
 from .multibody_car import KNOWN_HERE, nominal_car
 from .multibody_car import vehicle_of as multibody_vehicle
 from .paths import ROOT
+from .pushes import REAR_CURVE, Law
 from .sensing import log_of
 
 LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
@@ -29,7 +30,7 @@ SLID_AWAY = 6.0
 @dataclass(frozen=True)
 class Order:
     """One run that is to be driven. settings: of plant and sensors. before: those until the share `from_` of it, None:
-    the same throughout. moved [m]: to the east, at another site."""
+    the same throughout. moved [m]: to the east, at another site. law: of `pushes`, that no library holds."""
 
     name: str
     seed: tuple[int, ...]
@@ -39,6 +40,7 @@ class Order:
     before: Settings | None = None
     from_: float = 0.0
     moved: float = 0.0
+    law: Law = NO_LAW
 
 
 def driven(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
@@ -63,8 +65,18 @@ def _driven_once(plant: str, vehicle: VehicleParameters, order: Order, programme
         first, later = order.before, (order.settings, round(order.from_ * len(programme.hand)))
     if plant != cars.LEAF:
         return log_multibody(order.name, plant, _known(first), programme, noise, vehicle,
-                             later and (_known(later[0]), later[1]))
-    return log_of(order.name, drive(NOMINAL, first, programme, noise, later), NOMINAL, vehicle, first, noise, later)
+                             later and (_known(later[0]), later[1]), order.law)
+    recording = drive(_curved(order.law), first, programme, noise, later, order.law)
+    return log_of(order.name, recording, NOMINAL, vehicle, first, noise, later)
+
+
+def _curved(law: Law) -> Car:
+    """The virtual Leaf, with rear tyres of another shape where the law says so, as stiff and as strong as they were."""
+    if law.kind != REAR_CURVE:
+        return NOMINAL
+    rear = NOMINAL.tyre_rear
+    return replace(NOMINAL, tyre_rear=replace(rear, p_cy1=rear.p_cy1 * (1.0 - law.size),
+                                              p_ey1=rear.p_ey1 - 4.0 * law.size))
 
 
 def _known(settings: Settings) -> Settings:

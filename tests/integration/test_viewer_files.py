@@ -95,7 +95,8 @@ def test_the_table_of_topics_in_the_reference_is_what_the_nodes_publish(publishe
 def test_rviz_draws_topics_that_are_there_with_a_quality_they_offer(published) -> None:
     document = yaml.safe_load((ROOT / "config/rviz/st.rviz").read_text())["Visualization Manager"]
     displays = [d for d in document["Displays"] if "Topic" in d]
-    assert {d["Topic"]["Value"] for d in displays} >= {f"/predictor/{m}/path" for m in MODEL_COLOUR} | {"/view/markers"}
+    assert {d["Topic"]["Value"] for d in displays} >= {f"/predictor/{m}/path" for m in MODEL_COLOUR} | {
+        "/view/markers", "/view/bands"}
     for display in displays:
         topic = existing(display["Topic"]["Value"])
         type_name, offered = published[topic]
@@ -117,6 +118,7 @@ def test_foxglove_shows_topics_and_fields_that_are_there(published) -> None:
     layout = json.loads((ROOT / "config/foxglove/st.json").read_text())
     panels = layout["configById"]
     assert set(_leaves(layout["layout"])) == set(panels)
+    assert {"/view/markers", "/view/bands"} <= set(panels["3D!map"]["topics"])
     for topic in panels["3D!map"]["topics"]:
         assert published[existing(topic)][0] in DRAWN.values(), topic
     lines = [line for name, panel in panels.items() if name.startswith("Plot!") for line in panel["paths"]]

@@ -8,6 +8,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from .bands.counted import lines
 from .node import Heard
 from .style import MODEL_COLOUR
 
@@ -25,7 +26,7 @@ def view(heard: Heard, elapsed: float, duration: float | None, title: str) -> Re
         )
     else:
         line.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
-    return Group(line, motion(heard), error_table(heard), ticks(heard), health(heard))
+    return Group(line, motion(heard), error_table(heard), *bands(heard), ticks(heard), health(heard))
 
 
 def motion(heard: Heard) -> Text:
@@ -61,6 +62,11 @@ def error_table(heard: Heard) -> RenderableType:
             _triple(s.lateral_mean, s.lateral_max, s.lateral_rmse),
         )
     return table
+
+
+def bands(heard: Heard) -> list[Text]:
+    """How often published bands held, where there are some."""
+    return [Text(line) for line in lines(heard.summary.statistics if heard.summary else [])]
 
 
 def ticks(heard: Heard) -> Text:

@@ -29,7 +29,8 @@ def node_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration
     ours = {"vehicle_file": str(vehicle), "use_sim_time": True}
     before = {node: recorded.nodes.get(node, {}) for node in ("predictor", "evaluator")}
     merged = merge(config("nodes.yaml"), {
-        "predictor": {**before["predictor"], **ours},
+        # Bands are asked for anew: the file of the recorded run may be elsewhere by now, or another.
+        "predictor": {**before["predictor"], **ours, "bands_file": ""},
         "evaluator": {**before["evaluator"], **ours, "output_directory": str(folder / "errors")},
         "recorder": {"use_sim_time": True, "output_directory": str(folder / "bag"),
                      "configuration_files": [str(vehicle), str(folder / "parameters.yaml")]},

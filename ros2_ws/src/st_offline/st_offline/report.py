@@ -6,6 +6,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from .bands.counted import lines
 from .figures import paths_figure
 from .results import read_results, summarise, write_summary
 from .runs.errors import RunError
@@ -48,6 +49,8 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
         write_summary(folder / "summary.json", summary)
         paths_figure(results, f"{about['what']}: {finding(summary)}", folder / "paths.png")
     console.print(error_table(summary, f"{about['what']}: error over each 5 s horizon, at the INS point"))
+    for line in lines(results.bands):
+        console.print(line, highlight=False, soft_wrap=True)
     ticks = summary["ticks"]
     console.print(f"ticks {ticks['due']}, predicted {ticks['predicted']}, skipped {ticks['skipped']}")
     for name, what in (

@@ -5,13 +5,14 @@ import json
 import math
 import platform
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from st_core.evaluation import Statistic
 
+from .bands.counted import Row, as_dict, counted
 from .paths import source_version
 from .runs.bag import definitions, numbers, open_bag
 from .runs.bag_storage import Storage
@@ -59,13 +60,16 @@ class Segment:
 
 @dataclass(frozen=True)
 class Results:
-    """scores: by model and mode. segments: of SEGMENTS starts spread over the run, by model and start."""
+    """scores: by model and mode. segments: of SEGMENTS starts spread over the run, by model and start.
+    bands: how often they held, where there were some.
+    """
 
     track: Track
     scores: dict[tuple[str, str], MeanErrors]
     segments: dict[tuple[str, int], Segment]
     ticks: dict[str, Any]
     configuration_hash: str
+    bands: list[Row] = field(default_factory=list)
 
     def models(self) -> list[str]:
         return list(dict.fromkeys(model for model, _ in self.scores))
@@ -79,7 +83,8 @@ def read_results(folder: Path) -> Results:
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
     scores, configuration = _scores(errors)
     segments = _segments(errors, _spread_starts(scores))
-    return Results(_track(folder / "bag", bag), scores, segments, _ticks(bag), configuration)
+    return Results(_track(folder / "bag", bag), scores, segments, _ticks(bag), configuration,
+                   [row for row in counted(errors) if row.n_bands])
 
 
 def _track(path: Path, bag: Storage) -> Track:
@@ -144,6 +149,8 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
     models: dict[str, Any] = {}
     for model in results.models():
         models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in MODES}
+    for row in results.bands:
+        models[row.model][row.mode]["bands"] = as_dict(row)
     return {
         **about,
         "models": models,

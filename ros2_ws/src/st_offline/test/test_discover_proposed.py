@@ -98,6 +98,7 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     lines = "\n".join(proposed.told(said))
     assert "PROPOSAL" in lines and "as good on held-out driving: another (cosine 0.90)" in lines
     assert "1 of 1 runs" in lines
+    assert "least sure at acceleration y -6 m/s^2: " in lines and "± 0.02 rad; driving there would pin it down" in lines
     content = proposed.document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
 

@@ -169,6 +169,14 @@ def test_the_running_table_takes_one_line_per_model_and_mode_on_eighty_columns()
     assert "ticks 130, predicted 128, skipped 2" in lines
 
 
+def test_how_often_bands_held_stands_under_the_table() -> None:
+    rows = [ErrorStatistics(model="linear", mode=mode, n_starts=9, n_bands=count, coverage_50=0.25, coverage_90=0.875)
+            for mode, count in (("forecast", 8), ("hindsight", 0))]
+    lines = lines_of(Heard(ErrorSummary(statistics=rows)))
+    bands = [line for line in lines if "band" in line]
+    assert bands == ["inside the 90 | 50 % band, forecast: linear 88 % | 25 % of 8"]
+
+
 def test_what_is_wrong_stands_under_the_table_worst_first() -> None:
     now = time.monotonic()
     health = [Status("a: one", 1, "not so good", now), Status("b: two", 2, "[bad]", now),

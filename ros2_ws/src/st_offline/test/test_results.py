@@ -73,8 +73,8 @@ def run_folder(tmp_path: Path) -> Path:
         bag.write(ins, odometry(T0 + k * 10**7, 0.03 * k, 0.001 * k), T0 + k * 10**7)
     for k in (1, 2):
         bag.write(status, message(STATUS, header=header(T0), due=50 * k, predicted=45 * k, skipped_stale=2 * k,
-                                      state_age=0.003, state_age_max=0.008,
-                                  skipped_overrun=k, skipped_slow=2 * k, reason="below 0.5 m/s"), T0 + k)
+                                  skipped_overrun=k, skipped_slow=2 * k, reason="below 0.5 m/s", state_age=0.01,
+                                  state_age_max=0.02), T0 + k)
     bag.close()
     errors, (scores,) = writer("errors", {"/evaluator/errors": ERROR})
     for k in reversed(range(STARTS)):

@@ -21,6 +21,7 @@ from st_predictor.history import GHOST_AGES, GHOST_TOLERANCE, History
 from st_predictor.history import Path as PredictedPath
 from st_predictor.outline import car_outline
 from st_predictor.palette import LABEL_AT, MODEL_COLOUR, label_index, rgb
+from st_predictor.ribbon import ribbon
 from support import ROOT
 
 pytestmark = pytest.mark.ros
@@ -94,6 +95,19 @@ def test_a_gap_in_the_predictions_has_no_ghosts_and_a_step_back_in_time_begins_a
     assert len(history.track) == 1
     history.add_pose(1_000_000_000, 5.0, 6.0)  # a replay begins again
     assert list(history.track) == [(1_000_000_000, 5.0, 6.0)] and history.models == ()
+
+
+def test_a_ribbon_is_as_wide_as_its_band_and_reaches_beyond_the_path() -> None:
+    x, zero = np.linspace(0.0, 10.0, 11), np.zeros(11)
+    east = ribbon(0.9, (x, zero, zero), 0.2 * x, 0.1 * x)
+    assert east.left[:-1] == pytest.approx(np.stack([x, 0.1 * x], axis=1))
+    assert east.right[-1] == pytest.approx([12.0, -1.0])
+    for stride in (1, 4):  # a triangle to the end of the path, a rectangle beyond it
+        a, b, c = np.moveaxis(east.triangles(stride), 1, 0)
+        area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum()
+        assert area == pytest.approx(0.5 * 10.0 * 2.0 + 2.0 * 2.0)
+    north = ribbon(0.5, (zero, x, zero + np.pi / 2), 0.2 * x, 0.1 * x)
+    assert north.left[5] == pytest.approx([-0.5, 5.0]) and north.right[-1] == pytest.approx([1.0, 12.0])
 
 
 def test_names_of_models_that_predict_the_same_do_not_cover_each_other() -> None:

@@ -65,6 +65,7 @@ def generate_launch_description():
         argument("can_channel", "channel of that interface", "can0"),
         argument("ncom_port", "UDP port the INS sends NCOM to", "3000"),
         argument("ncom_address", "local address to listen on", "0.0.0.0"),
+        argument("bands", "bands.yaml of st calibrate; empty: predictions without bands", ""),
         argument("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
         argument("bridges", "false: odometry and steering come from elsewhere", "true"),
         argument("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
@@ -83,7 +84,10 @@ def generate_launch_description():
             text("evaluator", "output_directory", PathJoinSubstitution([OUTPUT, "errors"])),
             number("evaluator", "number_when_taken", LaunchConfiguration("respawn")),
         ),
-        suite_node("st_predictor", "predictor", text("predictor", "vehicle_file", VEHICLE)),
+        suite_node(
+            "st_predictor", "predictor",
+            text("predictor", "vehicle_file", VEHICLE), text("predictor", "bands_file", LaunchConfiguration("bands")),
+        ),
         suite_node("st_predictor", "markers", text("markers", "vehicle_file", VEHICLE), **drawn),
         suite_node("st_predictor", "identifier", text("identifier", "vehicle_file", VEHICLE), **tracked),
         suite_node(

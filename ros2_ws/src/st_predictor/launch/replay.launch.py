@@ -23,6 +23,7 @@ ARGUMENTS = {
     "vehicle": ([LaunchConfiguration("config_dir"), "/vehicle/leaf.yaml"], "vehicle file"),
     "bag": (None, "bag directory to play"),
     "speed": ("1.0", "times as fast as it was recorded"),
+    "bands": ("", "bands.yaml of st calibrate; empty: predictions without bands"),
     "output": (f"runs/replay-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the new recordings, must not exist"),
 }
 
@@ -32,7 +33,8 @@ def generate_launch_description():
     suite = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(Path(__file__).with_name("car.launch.py"))),
         launch_arguments={
-            "config_dir": value["config_dir"], "vehicle": value["vehicle"], "output": value["output"],
+            "config_dir": value["config_dir"], "vehicle": value["vehicle"], "bands": value["bands"],
+            "output": value["output"],
             "bridges": "false", "use_sim_time": "true",
         }.items(),
     )

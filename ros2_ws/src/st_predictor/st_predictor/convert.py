@@ -21,6 +21,7 @@ from st_ros.stamps import from_nanoseconds, to_nanoseconds
 
 from .bag_metadata import INFINITE_NS, Qos
 from .history import Path
+from .ribbon import MODE, ribbon
 
 # A unit quaternion that went through float32 is off by 1e-7; one that was never set has length 0.
 QUATERNION_TOLERANCE = 0.01
@@ -102,10 +103,13 @@ def read_prediction(message: Prediction) -> tuple[int, VehicleState, ControlInpu
 
 
 def ins_path(message: Prediction) -> Path:
-    """The predicted path of the INS point, for drawing."""
-    x, y = cg_to_ins_position(*map(np.asarray, (message.x, message.y, message.yaw)), message.cg_to_ins_x,
-                              message.cg_to_ins_y)
-    return Path(to_nanoseconds(message.header.stamp), message.step, x, y)
+    """The predicted path of the INS point, and the bands around it, for drawing."""
+    pose = tuple(map(np.asarray, (message.x, message.y, message.yaw)))
+    x, y = cg_to_ins_position(*pose, message.cg_to_ins_x, message.cg_to_ins_y)
+    bands = sorted((b for b in message.bands if b.mode == MODE), key=lambda b: -b.level)
+    ribbons = tuple(ribbon(b.level, (x, y, pose[2]), np.asarray(b.along), np.asarray(b.across)) for b in bands
+                    if len(b.along) == len(b.across) == len(x))
+    return Path(to_nanoseconds(message.header.stamp), message.step, x, y, ribbons)
 
 
 def error_message(score: Score, map_frame: str, configuration_hash: str) -> PredictionError:

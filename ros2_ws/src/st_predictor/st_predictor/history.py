@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .ribbon import Ribbon
+
 TRACK_SPAN = 90.0  # s of measured track kept
 GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s
 GHOST_TOLERANCE = 0.15  # s; a ghost further off its age than this is not drawn
@@ -13,12 +15,16 @@ GHOST_TOLERANCE = 0.15  # s; a ghost further off its age than this is not drawn
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A predicted path of the INS point: x, y (n,) in m, map frame, a point every `step` s from start_ns (UTC) on."""
+    """A predicted path of the INS point: x, y (n,) in m, map frame, a point every `step` s from start_ns (UTC) on.
+
+    ribbons: the bands around it, the widest first; none where nothing is stated.
+    """
 
     start_ns: int
     step: float
     x: np.ndarray
     y: np.ndarray
+    ribbons: tuple[Ribbon, ...] = ()
 
     def at(self, time_ns: int) -> tuple[float, float] | None:
         """Where the car was predicted to be at an instant; None outside the horizon."""

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import TypeVar
 
 from st_core import errors as core_errors
+from st_core.bands import Bands
 from st_core.effects import load_folder
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
@@ -20,6 +21,7 @@ _DEFAULTS = PredictionSettings()
 _VEHICLE_FILE = Parameter("vehicle_file", "", "vehicle parameters, a file of config/vehicle/; required")
 _MODEL_FILE = Parameter("model_file", "", "model.yaml of a further model, named augmented; empty: none")
 _EFFECTS_DIRECTORY = Parameter("effects_directory", "", "folder of own effects that model_file uses; empty: none")
+_BANDS_FILE = Parameter("bands_file", "", "bands.yaml of st calibrate for this car, models and settings; empty: none")
 _MAP_FRAME = Parameter("map_frame", "map", "frame the odometry must be in; odometry in another one is refused")
 _MAXIMUM_GAP = Parameter(
     "maximum_gap", _DEFAULTS.maximum_gap, "nothing is interpolated between samples further apart", "s", 0.001, 10.0)
@@ -31,6 +33,7 @@ PREDICTOR = (
     Parameter("models", MODELS, "models to predict with, in this order"),
     _MODEL_FILE,
     _EFFECTS_DIRECTORY,
+    _BANDS_FILE,
     Parameter("horizon", _DEFAULTS.horizon, "how far ahead; a whole number of steps", "s", 0.01, 60.0),
     Parameter("step", _DEFAULTS.step, "of integration and of the published points", "s", 0.001, 1.0),
     Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
@@ -101,6 +104,11 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
     place = f"model_file: {values.model_file}: "
     checked(values, lambda: file.check_vehicle(vehicle, values.vehicle_file), place)
     return file
+
+
+def load_bands(values: SimpleNamespace) -> Bands | None:
+    """The bands of the parameter `bands_file`, None without one. Raises ConfigurationError naming the file."""
+    return _read(values, "bands_file", Bands.from_yaml) if values.bands_file else None
 
 
 def _read(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T:

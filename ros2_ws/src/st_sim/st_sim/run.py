@@ -118,17 +118,22 @@ class _Run:
         )
 
 
+def _bus(options: argparse.Namespace) -> tuple[Path, Path]:
+    """DBC and signal table: those beside the vehicle file, else those of --config."""
+    folder = options.vehicle.resolve().parent
+    config = options.config or options.vehicle.absolute().parents[1]
+    for dbc, signals in ((folder / "can.dbc", folder / "signals.yaml"),
+                         (config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml")):
+        if dbc.exists() and signals.exists() and (options.config is None or dbc.is_relative_to(config)):
+            return dbc, signals
+    raise SimulationError(f"--config {config}: has no can/leaf_ze0.dbc and can/leaf_ze0.yaml; give the folder that has")
+
+
 def _prepare(options: argparse.Namespace) -> _Run:
     if not options.vehicle:
         raise SimulationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
     car = read_car(options.vehicle)
-    config = options.config or options.vehicle.resolve().parents[1]
-    dbc, signals = config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml"
-    if not (dbc.exists() and signals.exists()):
-        raise SimulationError(
-            f"--config {config}: has no can/leaf_ze0.dbc and can/leaf_ze0.yaml; give the folder that has"
-        )
-    codec = Decoder(dbc, signals)
+    codec = Decoder(*_bus(options))
     settings = _settings(options)
     source: Source
     if options.drive:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..discovery.levels import sites
 from ..discovery.windows import Windows, smoothed
 from ..effects._law import COUNT, INTERVALS, PLACES, bump
 from ..filtering import NANOSECOND
@@ -18,6 +19,10 @@ QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "accel
               "lagging_steering": "rad", "lean": "m/s^2", "north": "1", "east": "1", "position_x": "m",
               "position_y": "m", "run_time": "s"}
 """Unit. lean: lateral acceleration as the body rolls with it. north, east: sine and cosine of the course."""
+LEAST = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "acceleration_y": 0.5, "acceleration_x": 0.3,
+         "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5, "north": 0.1,
+         "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
+"""Width of a range below which noise and unevenness are most of what varies: nothing is asked over it."""
 MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
 """Quantity -> what it is made of, how, and the lag [s]."""
@@ -26,6 +31,7 @@ USUAL = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_f
          "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
          "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
 """Usual size of a law, by place, in its unit."""
+SLOPE_NS = 400_000_000  # the forward speed is smoothed over before its slope: shorter is the noise of the INS
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
 """What a curve may be multiplied with, and a usual size of that."""
 ASKED: Mapping[str, tuple[tuple[str, float], ...]] = {
@@ -49,7 +55,7 @@ ASKED: Mapping[str, tuple[tuple[str, float], ...]] = {
 """What a law at each place may depend on, and whether left and right are mirror images there."""
 PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "steering"),
          ("rear_steer", "speed", "acceleration_y"), ("yaw_moment", "acceleration_x", "steering"))
-"""Place, quantity of the curve, and what that is multiplied with: asked where no law of one quantity is sure."""
+"""Place, quantity of the curve, and what that is multiplied with: for where one quantity does not do."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +136,8 @@ def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray
     with np.errstate(all="ignore"):
         found = {"slip_front": (across + vehicle.cg_to_front_axle * rate) / speed - angle,
                  "slip_rear": (across - vehicle.cg_to_rear_axle * rate) / speed, "steering": angle,
-                 "acceleration_y": speed * rate, "acceleration_x": np.gradient(speed, time * NANOSECOND),
+                 "acceleration_y": speed * rate,
+                 "acceleration_x": np.gradient(smoothed(stamps, speed, SLOPE_NS), time * NANOSECOND),
                  "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
                  "position_x": log.x, "position_y": log.y, "run_time": run_time(windows, stamps)}
         for name, (source, kind, tau) in MEMORY.items():
@@ -139,21 +146,24 @@ def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray
     return {name: values[moving] for name, values in found.items()}
 
 
-def candidates(windows: Windows, vehicle: VehicleParameters, pairs: bool = False) -> list[Candidate]:
-    """What these drives can ask: not of a channel that was not measured, nor over a quantity that hardly moves. pairs:
-    those of two quantities, instead of those of one."""
+def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
+    """What these drives can ask: not of a channel that was not measured, nor over a quantity that hardly moves, nor of
+    places where there are several sites, whose maps may have different origins."""
     values, found = driven(windows, vehicle), []
-    asked = [(p, q, NEITHER, by) for p, q, by in PAIRS] if pairs else [
-        (p, q, parity, "") for p, quantities in ASKED.items() for q, parity in quantities]
-    for place, quantity, parity, by in asked:
+    one_site = int(sites(windows).max()) == 0
+    asked = [(p, q, parity, "") for p, quantities in ASKED.items() for q, parity in quantities]
+    for place, quantity, parity, by in [*asked, *((p, q, NEITHER, by) for p, q, by in PAIRS)]:
         channel = place.removeprefix("sensor_")
         if place.startswith("sensor_") and channel != "heading" and channel not in windows.columns:
+            continue
+        if quantity.startswith("position_") and not one_site:
             continue
         u = values[quantity][np.isfinite(values[quantity])]
         low, high = np.quantile(u, [EDGE, 1.0 - EDGE])
         if parity == ODD:
             high = np.quantile(np.abs(u), 1.0 - EDGE)
             low = -high
-        if high - low > 1e-6 * max(abs(high), abs(low), 1e-6):
+        factor = values[by][np.isfinite(values[by])] if by else u
+        if high - low > LEAST[quantity] and (not by or np.ptp(np.quantile(factor, [EDGE, 1.0 - EDGE])) > LEAST[by]):
             found.append(Candidate(place, quantity, parity, float(low), float(high), by))
     return found

@@ -14,7 +14,7 @@ from ..effects._law import COUNT
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from .curve_fit import SMOOTH, Fitted, Laws, RunWindows
-from .places import Candidate, candidates, driven
+from .places import NEITHER, Candidate, candidates, driven
 from .readings import readings
 from .result import Proposal, Proposals
 from .scrutiny import refused, shares
@@ -73,6 +73,9 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     limits = settings.limits
     settings = _channels(found, settings)
     windows = RunWindows(runs, vehicle, settings)
+    if len(set(windows.run)) == 1:
+        return Proposals(None, "one run was driven; whether a law holds on another drive cannot be seen: give two or "
+                         "more", {})
     if len(windows) < 3 or int(windows.block.max()) + 1 < FEWEST:
         return Proposals(None, f"{int(windows.block.max()) + 1 if len(windows) else 0} blocks of {settings.block:g} s "
                          f"were driven; a curve asks for {FEWEST}", {})
@@ -86,19 +89,14 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     rng = np.random.default_rng(settings.seed)
     signs = rng.choice([-1.0, 1.0], (DRAWS, laws.blocks))
     screened: list[_Screened] = []
-    chances: dict[str, float] = {}
-    # Of two quantities only where one does not do.
-    for pairs in (False, True):
-        for candidate in candidates(windows, vehicle, pairs):
-            tick()
-            one = _screen(laws, without, base, car, candidate, signs)
-            if one is not None:
-                screened.append(one)
-        if not screened:
-            return Proposals(None, "no law changes any prediction of these drives", {})
-        chances = _chances(screened, laws.blocks)
-        if min(chances.values()) <= limits.false_alarm:
-            break
+    for candidate in candidates(windows, vehicle):
+        tick()
+        one = _screen(laws, without, base, car, candidate, signs)
+        if one is not None:
+            screened.append(one)
+    if not screened:
+        return Proposals(None, "no law changes any prediction of these drives", {})
+    chances = _chances(screened, laws.blocks)
     number = laws.loss.number
     tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
@@ -116,8 +114,10 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     kept = {one: fit for one, fit in fits.items() if not against[one]}
     if not kept:
         return Proposals(None, next(iter(against.values())), tried, visible)
-    said = _judged(min(kept, key=lambda s: float(kept[s].held_out.sum())), kept, without, laws, chances, limits, tried,
-                   vehicle)
+    # A law of two quantities has to be worth it beside the best of one.
+    more = limits.worth * number
+    best = min(kept, key=lambda s: float(kept[s].held_out.sum()) + (more if s.candidate.by else 0.0))
+    said = _judged(best, kept, without, laws, chances, limits, tried, vehicle)
     return replace(said, visible=visible)
 
 
@@ -166,7 +166,8 @@ def _judged(best: _Screened, fits: dict[_Screened, Fitted], without: Fitted, law
             and np.isfinite(before[mine]).any() and np.isfinite(after[mine]).any()}
     proposal = Proposal(c, fit.coefficients, at, value, deviation, density, gain, chance,
                         (float(np.nanmean(before)), float(np.nanmean(after))), runs, _beside(laws, fit), others,
-                        readings(c.place, c.quantity, at, value, density, c.by), shares(laws, fit))
+                        readings(c.place, c.quantity, at, value, density, c.by, c.parity != NEITHER, deviation),
+                        shares(laws, fit))
     return Proposals(proposal, f"{c.name} takes away {-np.expm1(-gain):.1%} of the size of the errors and "
                      f"{100 * fall:.1f} cm after 5 s on runs it was not fitted to", tried)
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 MOST = 3
-SIMPLER = 0.01  # of the explained part: a shape with one number more must explain so much more
+SIMPLER, COARSEST = 0.01, 0.1  # of the explained part: a shape with one number more must explain so much more
 LEAST = 0.5  # of the curve: a shape that explains less is none
 
 Formula = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -29,13 +29,21 @@ SHAPES: dict[str, tuple[str, int, Formula]] = {
     "linear": ("y = {0:.3g} u", 1, lambda u, p: p[0] * u),
     "cubic": ("y = {0:.3g} u^3", 1, lambda u, p: p[0] * u**3),
     "square": ("y = {0:.3g} u |u|", 1, lambda u, p: p[0] * u * np.abs(u)),
-    "inverse": ("y = {0:.3g} / u", 1, lambda u, p: p[0] / np.where(np.abs(u) < 1e-9, 1e-9, u)),
-    "straight line": ("y = {0:.3g} + {1:.3g} u", 2, lambda u, p: p[0] + p[1] * u),
     "saturating": ("y = {0:.3g} tanh(u / {1:.3g})", 2, lambda u, p: p[0] * np.tanh(u / _apart(p[1]))),
     "dead zone": ("y = {0:.3g} (|u| - {1:.3g}) sign u beyond {1:.3g}, 0 within", 2,
                   lambda u, p: p[0] * np.sign(u) * np.maximum(np.abs(u) - np.abs(p[1]), 0.0)),
     "linear and cubic": ("y = {0:.3g} u + {1:.3g} u^3", 2, lambda u, p: p[0] * u + p[1] * u**3),
 }
+ONE_SIDED: dict[str, tuple[str, int, Formula]] = {
+    "constant": SHAPES["constant"], "linear": SHAPES["linear"], "dead zone": SHAPES["dead zone"],
+    "straight line": ("y = {0:.3g} + {1:.3g} u", 2, lambda u, p: p[0] + p[1] * u),
+    "square": ("y = {0:.3g} + {1:.3g} u |u|", 2, lambda u, p: p[0] + p[1] * u * np.abs(u)),
+    "inverse": ("y = {0:.3g} + {1:.3g} / u", 2, lambda u, p: p[0] + p[1] / np.where(np.abs(u) < 1e-9, 1e-9, u)),
+    "saturating": ("y = {0:.3g} + {1:.3g} tanh(u / {2:.3g})", 3,
+                   lambda u, p: p[0] + p[1] * np.tanh(u / _apart(p[2]))),
+}
+"""Of a curve without a mirror image: a constant is what a parameter of the vehicle file can do as well, so that the
+curve is known but for one."""
 
 CAUSES = {
     ("front_steer", "acceleration_y"): "roll steer or compliance of the front suspension",
@@ -95,16 +103,18 @@ CONSTANT = {
 }
 
 
-def readings(place: str, quantity: str, at: np.ndarray, value: np.ndarray, weight: np.ndarray,
-             by: str = "") -> Sequence[Reading]:
+def readings(place: str, quantity: str, at: np.ndarray, value: np.ndarray, weight: np.ndarray, by: str = "",
+             mirrored: bool = True, deviation: np.ndarray | float = 0.0) -> Sequence[Reading]:
     """Up to three shapes, best first. at, value: (k,) the curve; weight: (k,) how often each value was driven. by: what
-    the curve is multiplied with."""
+    the curve is multiplied with. mirrored: whether it is odd by nature. deviation: of the curve; a shape with one
+    number more has to explain more than that."""
     weight = weight / max(float(weight.sum()), 1e-30)
     total = float(weight @ np.square(value))
     if total <= 0.0:
         return ()
+    simpler = min(max(SIMPLER, float(weight @ np.square(deviation + 0.0 * value)) / total), COARSEST)
     found = []
-    for shape, (text, count, formula) in SHAPES.items():
+    for shape, (text, count, formula) in (SHAPES if mirrored else ONE_SIDED).items():
         if shape == "inverse" and np.abs(at).min() < 0.05 * np.abs(at).max():
             continue
         numbers = _fitted(formula, count, at, value, weight)
@@ -114,7 +124,7 @@ def readings(place: str, quantity: str, at: np.ndarray, value: np.ndarray, weigh
         if explained >= LEAST:
             causes = (PAIRED.get((place, quantity, by), "") if by else CONSTANT.get(place, "") if shape == "constant"
                       else CAUSES.get((place, quantity), ""))
-            found.append((explained - SIMPLER * (count - 1), Reading(shape, text.format(*numbers), explained, causes)))
+            found.append((explained - simpler * (count - 1), Reading(shape, text.format(*numbers), explained, causes)))
     return tuple(reading for _, reading in sorted(found, key=lambda f: -f[0])[:MOST])
 
 
@@ -129,7 +139,7 @@ def _fitted(formula: Formula, count: int, at: np.ndarray, value: np.ndarray, wei
     sign = float(np.sign(weight @ (value * np.sign(at)))) or 1.0
     best = None
     for share in (0.15, 0.4, 0.8):
-        start = np.array([sign * size / max(reach, 1e-9), share * reach][:count])
+        start = np.array([sign * size / max(reach, 1e-9), share * reach, share * reach][:count])
         done = least_squares(lambda p: root * (formula(at, p) - value) / size, start, x_scale=np.abs(start) + 1e-9)
         if best is None or done.cost < best.cost:
             best = done

@@ -6,9 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..augmented import AugmentedModel
-from .places import Candidate
+from .places import FACTORS, USUAL, Candidate
 from .readings import Reading
 from .scrutiny import Shares
+
+HUGE = 3.0  # usual sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,3 +51,12 @@ class Proposals:
     why: str
     tried: Mapping[str, tuple[float, float]]
     visible: Mapping[str, float] = field(default_factory=dict)
+
+    def unseen(self) -> list[str]:
+        """Places of which these drives show too little: no law there would be sure below HUGE usual sizes."""
+        size: dict[str, float] = {}
+        for name, visible in self.visible.items():
+            place, _, rest = name.partition(" over ")
+            usual = USUAL[place] / FACTORS.get(rest.partition(" times ")[2], 1.0)
+            size[place] = min(size.get(place, np.inf), visible / usual)
+        return [place for place, least in size.items() if least > HUGE]

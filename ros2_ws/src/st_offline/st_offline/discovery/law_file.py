@@ -87,6 +87,8 @@ def name_of(one: Proposal) -> str:
 def law_in_words(one: Proposal) -> str:
     c = one.candidate
     by = f" times {c.by}" if c.by else ""
+    if one.readings and one.readings[0].shape == "constant":
+        return f"{c.place}{by}, the same over {c.quantity}".replace("_", " ")
     return f"{c.place} as a function of {c.quantity}{by}".replace("_", " ")
 
 

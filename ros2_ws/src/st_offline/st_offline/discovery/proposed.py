@@ -9,6 +9,7 @@ from st_core.proposals import Proposals
 from st_core.proposals.places import QUANTITIES, WHERE
 from st_core.vehicle import VehicleParameters
 
+from . import words
 from .law_file import effect_file, name_of, title
 
 DIFFER = 0.01  # chance below which runs do not show the same law
@@ -62,13 +63,20 @@ def document(found: Proposals | None) -> dict:
 def told(found: Proposals) -> list[str]:
     """Lines for terminal and page."""
     one = found.proposal
+    unseen = found.unseen()
+    places = ", ".join(unseen).replace("_", " ")
+    less = [f"these drives hardly show {places}: nothing is said of laws there"] if unseen else []
     if one is None:
-        return [f"nothing is proposed: {found.why}"]
+        return [f"nothing is proposed: {found.why}", *less]
     c = one.candidate
     lines = [f"PROPOSAL, for you to keep or delete: {title(one)}; {found.why}"]
     lines += [f"reads as {r.text} ({r.shape}; {r.explained:.0%} of the curve)" for r in one.readings]
     lines.append(f"y in {c.unit}, {WHERE[c.place][1]}; u is {c.quantity.replace('_', ' ')} in "
                  f"{QUANTITIES[c.quantity]}, {c.low:.3g} to {c.high:.3g}")
+    least = int(one.deviation.argmax())
+    there = f"{c.quantity.replace('_', ' ')} {one.at[least]:.3g} {QUANTITIES[c.quantity]}"
+    lines.append(f"least sure at {there}: {one.value[least]:.2g} ± {words.SURE * one.deviation[least]:.2g} {c.unit}; "
+                 "driving there would pin it down")
     if one.others:
         names = ", ".join(f"{name} (cosine {cosine:.2f})" for name, cosine in one.others.items())
         lines.append(f"as good on held-out driving: {names}")
@@ -82,4 +90,4 @@ def told(found: Proposals) -> list[str]:
     worse = [name for name, (before, after) in one.runs.items() if after > before]
     lines.append(f"it helps in {len(one.runs) - len(worse)} of {len(one.runs)} runs"
                  + (f", not in {', '.join(worse)}" if worse else ""))
-    return lines
+    return lines + less

@@ -24,6 +24,8 @@ TOPICS = (
     ("/identifier/parameters", "st_msgs/msg/TrackedParameters", "identifier",
      "steering and stiffness tracked while driving; latched, never applied"),
     ("/view/markers", "visualization_msgs/msg/MarkerArray", "markers", "car, track, ghosts, errors, names; 10 Hz"),
+    ("/view/bands", "visualization_msgs/msg/MarkerArray", "markers",
+     "90 % and 50 % bands of the newest predictions, a namespace per model; with a bands file only"),
     ("/view/<model>/error", "geometry_msgs/msg/Vector3Stamped", "markers",
      "mean error of a forecast: x longitudinal, y lateral [m], z yaw [rad]"),
     ("/tf", "tf2_msgs/msg/TFMessage", "oxts_bridge", "odom -> base_link"),

@@ -73,15 +73,18 @@ class Verification:
         return sum(c.n_starts for c in self.comparisons)
 
 
-def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console, view=None):
+def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console, view=None,
+               bands: Path | None = None):
     """(Outcome, name of the vehicle) of playing a recording with its own configuration; see replaying.replay."""
+    from ..bands.live import with_bands
     from ..replaying import node_parameters, replay
 
     drive = read_bag(bag)
     car, recorded, _ = configuration_of(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
-    return replay(bag, drive.topics, folder, node_parameters(folder, file, recorded), rate, console, view), car.name
+    parameters = with_bands(node_parameters(folder, file, recorded), bands)
+    return replay(bag, drive.topics, folder, parameters, rate, console, view), car.name
 
 
 def recordings_of(path: Path) -> tuple[Path, list[Path]]:

@@ -26,7 +26,7 @@ from .sources import Label, RunSource
 class ReadSettings:
     """How raw files become a run.
 
-    dbc, signals: of the CAN bus; default config/can/leaf_ze0.*. steering_sign: +1 where the decoded sensor is left
+    dbc, signals: of the CAN bus; default that of the Leaf. steering_sign: +1 where the decoded sensor is left
     positive. steering_latency: from the turn of the wheel to the frame in the log [s]. offset: INS minus CAN clock [s],
     given by hand. search: bounds of that offset [s] when it is looked for. ins_can_latency: from the instant an INS
     value is true to its CAN frame in the log, and the standard deviation of that [s]; None: assumed (clocks.py).
@@ -161,5 +161,5 @@ def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
 
 def signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:
     """(DBC, table) of a run: of the settings, else of its run.yaml, else the Leaf's."""
-    return (settings.dbc or source.settings.get("dbc") or config("can/leaf_ze0.dbc"),
-            settings.signals or source.settings.get("signals") or config("can/leaf_ze0.yaml"))
+    return (settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc"),
+            settings.signals or source.settings.get("signals") or config("car/leaf/signals.yaml"))

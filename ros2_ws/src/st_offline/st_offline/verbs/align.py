@@ -5,6 +5,8 @@ from pathlib import Path
 
 import typer
 
+from ._options import CarName, Dbc, InsCanLatency, Signals, whose
+
 VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 
 
@@ -18,13 +20,10 @@ def align(
     search: tuple[float, float] | None = typer.Option(
         None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."
     ),
-    ins_can_latency: tuple[float, float] | None = typer.Option(
-        None, help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002."
-    ),
-    dbc: Path | None = typer.Option(None, help="DBC of the bus; default config/can/leaf_ze0.dbc.", exists=True),
-    signals: Path | None = typer.Option(
-        None, help="Table from DBC signals to ours; default config/can/leaf_ze0.yaml.", exists=True
-    ),
+    ins_can_latency: InsCanLatency = None,
+    car: CarName = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
     output: Path | None = typer.Option(None, help="Folder for alignment.json and alignment.png."),
 ) -> None:
     """Find offset and drift between the clocks of INS and CAN log, say how sure they are, and draw both signals.
@@ -36,13 +35,12 @@ def align(
     from ..alignment_figure import alignment_figure
     from ..output import OutputError, new_folder
     from ..runs.errors import RunError
-    from ..runs.load import ReadSettings
     from ..runs.pairs import read_pair
     from ..runs.raw import about_alignment
 
     console = Console()
     try:
-        settings = ReadSettings(dbc=dbc, signals=signals, offset=offset, search=search, ins_can_latency=ins_can_latency)
+        _, settings = whose(car, None, dbc, signals, offset=offset, search=search, ins_can_latency=ins_can_latency)
         with console.status("reading and aligning"):
             pair = read_pair(files, settings)
         folder = new_folder(output, f"align-{pair.name}")

@@ -5,6 +5,7 @@ from typing import Literal
 
 import typer
 
+from ._options import CarName, Dbc, Offset, Signals, SteeringLatency, SteeringSign, VehicleFile, say_whose, whose
 from .evaluate import MODELS, car_of, model_named
 
 
@@ -19,10 +20,8 @@ def calibrate(
     effects: Path | None = typer.Option(
         None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
     ),
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default the car in the model file, else config/vehicle/leaf.yaml.", exists=True,
-        dir_okay=False
-    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
     output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; never one that is there already."),
     level: list[float] = typer.Option(
         [0.5, 0.9], "--level", help="Share of whole paths that is to lie inside; repeatable. n runs can promise "
@@ -37,12 +36,11 @@ def calibrate(
     horizon: float = typer.Option(5.0, help="s, a whole number of steps."),
     step: float = typer.Option(0.05, help="s, of the integration."),
     minimum_speed: float = typer.Option(0.5, help="m/s; no prediction starts below."),
-    offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
-    dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
-    signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
-    steering_sign: int = typer.Option(1, help="CAN logs: +1 where the decoded sensor is left positive; -1: right.",
-                                      min=-1, max=1),
-    steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
+    offset: Offset = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    steering_sign: SteeringSign = None,
+    steering_latency: SteeringLatency = None,
     force: bool = typer.Option(False, "--force", help="Use also runs in which `st check` finds an error."),
 ) -> None:
     """Learn how far from its predicted path the car will be: bands that hold on drives that were not among these.
@@ -59,22 +57,20 @@ def calibrate(
     from ..bands.command import Job, run_command
     from ..evaluation.work import Task
     from ..output import OutputError
-    from ..runs import ReadSettings, RunError
+    from ..runs import RunError
 
-    if steering_sign == 0:
-        typer.echo("st calibrate: --steering-sign: 0 is neither 1 nor -1", err=True)
-        raise typer.Exit(2)
     try:
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
         models = tuple(model_named(name) for name in dict.fromkeys(model))
-        car, _ = car_of(vehicle, models, effects)
-        reading = ReadSettings(dbc=dbc, signals=signals, steering_sign=steering_sign, steering_latency=steering_latency,
-                               offset=offset)
-        task = Task(car, models, EvaluationSettings(prediction, acceleration=filtering, inputs=inputs), reading,
+        vehicle, reading = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
+        parameters, car_from = car_of(vehicle, models, effects)
+        task = Task(parameters, models, EvaluationSettings(prediction, acceleration=filtering, inputs=inputs), reading,
                     force=force, effects=effects)
         status = run_command(Job(runs, task, output, tuple(sorted(set(level)))), Console())
     except (StCoreError, RunError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st calibrate: {error}", err=True)
         raise typer.Exit(2) from None
+    if vehicle is None:
+        say_whose("calibrate", car_from)
     raise typer.Exit(status)

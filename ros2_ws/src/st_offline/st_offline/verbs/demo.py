@@ -34,12 +34,16 @@ def demo(
     effects: Path | None = typer.Option(
         None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
     ),
+    bands: Path | None = typer.Option(
+        None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False
+    ),
     view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
     view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
 ) -> None:
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
     # Imported when it runs: the drawing and ROS libraries take a second that `st --help` need not wait.
+    from ..bands.live import with_bands
     from ..fourth_model import fourth_model
     from ..output import OutputError, new_folder
     from ..report import conclude
@@ -63,7 +67,7 @@ def demo(
         fourth = fourth_model(model, effects, car.vehicle)
         shown = window(view, view_save)
         folder = new_folder(output, f"demo-{what}")
-        parameters = node_parameters(folder, car.vehicle, car.bridge_parameters(), fourth)
+        parameters = with_bands(node_parameters(folder, car.vehicle, car.bridge_parameters(), fourth), bands)
         outcome = run(folder, parameters, what, duration, car.start, console, shown)
     except (SuiteError, OutputError) as error:
         typer.echo(f"st demo: {error}", err=True)

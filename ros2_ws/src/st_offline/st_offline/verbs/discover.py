@@ -6,7 +6,18 @@ from pathlib import Path
 import typer
 from typer.core import TyperCommand
 
-from ..paths import config
+from ._options import (
+    LEAF,
+    CarName,
+    Dbc,
+    Offset,
+    Signals,
+    SteeringLatency,
+    SteeringSign,
+    VehicleFile,
+    say_whose,
+    whose,
+)
 
 REFERENCE = "--reference"
 
@@ -49,9 +60,8 @@ def discover(
         "instead of the vehicle file."
     ),
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
-    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(
         "velocity_y,yaw_rate,acceleration_y,yaw,position", help="Measurements to use, with commas between."
@@ -71,10 +81,11 @@ def discover(
     jobs: int = typer.Option(1, help="Processes side by side.", min=1),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
     report: bool = typer.Option(True, help="Draw the figures and the page; without, numbers, model and vehicle only."),
-    offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
-    dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
-    signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
-    steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
+    offset: Offset = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    steering_sign: SteeringSign = None,
+    steering_latency: SteeringLatency = None,
     force: bool = typer.Option(False, "--force", help="Use also runs in which `st check` finds an error."),
     fresh: bool = typer.Option(False, "--fresh", help="Read and search anew; take nothing from an earlier start."),
 ) -> None:
@@ -90,20 +101,22 @@ def discover(
 
     from ..discovery.command import CommandError, Job, run_command
     from ..output import OutputError
-    from ..runs import ReadSettings
+    from ..runs import RunError
 
-    file = vehicle or config("vehicle/leaf.yaml")
     try:
+        vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
+        file = vehicle or LEAF
         text = file.read_text(encoding="utf-8")
         job = Job(
             runs, reference, base, VehicleParameters.from_yaml(text, str(file)), str(file), text,
             DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify),
-            ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset),
-            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose)
+            read, effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose)
         status = run_command(job, Console())
-    except (StCoreError, CommandError, OutputError, UnicodeDecodeError) as error:
+    except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
         typer.echo(f"st discover: {error}", err=True)
         raise typer.Exit(2) from None
+    if vehicle is None:
+        say_whose("discover", file)
     raise typer.Exit(status)
 
 

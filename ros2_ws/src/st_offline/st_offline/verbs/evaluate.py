@@ -6,7 +6,19 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from ..paths import config
+from ._options import (
+    LEAF,
+    CarName,
+    Dbc,
+    InsCanLatency,
+    Offset,
+    Signals,
+    SteeringLatency,
+    SteeringSign,
+    VehicleFile,
+    say_whose,
+    whose,
+)
 
 if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
@@ -24,10 +36,8 @@ def evaluate(
     effects: Path | None = typer.Option(
         None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
     ),
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default the car in the model file, else config/vehicle/leaf.yaml.", exists=True,
-        dir_okay=False
-    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
     at: str = typer.Option("", help="Starts to look at closely, s: 1,10,19,28. Default: four spread over the run."),
     acceleration: Literal["causal", "zero-phase"] = typer.Option(
@@ -44,14 +54,12 @@ def evaluate(
     interval: float = typer.Option(0.1, help="s, between starts."),
     minimum_speed: float = typer.Option(0.5, help="m/s; no prediction starts below."),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
-    offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
-    ins_can_latency: tuple[float, float] | None = typer.Option(
-        None, help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002."
-    ),
-    dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
-    signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
-    steering_sign: int = typer.Option(1, help="CAN logs: +1 where the decoded sensor is left positive; -1: right."),
-    steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
+    offset: Offset = None,
+    ins_can_latency: InsCanLatency = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    steering_sign: SteeringSign = None,
+    steering_latency: SteeringLatency = None,
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate`, to be tested on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False
@@ -74,23 +82,21 @@ def evaluate(
     from ..evaluation.command import CommandError, run_command
     from ..evaluation.work import Task, load_bands, load_models
     from ..output import OutputError
-    from ..runs import ReadSettings
+    from ..runs import RunError
 
-    if steering_sign not in (1, -1):
-        typer.echo(f"st evaluate: --steering-sign: {steering_sign} is neither 1 nor -1", err=True)
-        raise typer.Exit(2)
     try:
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
         models = tuple(model_named(name) for name in dict.fromkeys(model))
-        car, car_from = car_of(vehicle, models, effects)
+        vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
+                              ins_can_latency=ins_can_latency)
+        parameters, car_from = car_of(vehicle, models, effects)
         task = Task(
-            vehicle=car,
+            vehicle=parameters,
             models=models,
             settings=settings,
-            read=ReadSettings(dbc=dbc, signals=signals, steering_sign=steering_sign, steering_latency=steering_latency,
-                              offset=offset, ins_can_latency=ins_can_latency),
+            read=read,
             starts=_numbers(at),
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
             force=force,
@@ -99,9 +105,11 @@ def evaluate(
         )
         load_bands(task, load_models(task))
         status = run_command(runs, task, output, table, car_from, workers, scheduler, Console())
-    except (StCoreError, CommandError, OutputError, UnicodeDecodeError) as error:
+    except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
         typer.echo(f"st evaluate: {error}", err=True)
         raise typer.Exit(2) from None
+    if vehicle is None:
+        say_whose("evaluate", car_from)
     raise typer.Exit(status)
 
 
@@ -132,7 +140,7 @@ def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
             held = ModelFile.from_yaml(text, origin).vehicle
             if held is not None:
                 return held, origin
-    file = vehicle or config("vehicle/leaf.yaml")
+    file = vehicle or LEAF
     return VehicleParameters.from_yaml(file.read_text(), str(file)), str(file)
 
 

@@ -7,6 +7,7 @@ from typing import Literal
 import typer
 
 from ..paths import config
+from ._options import CarName, VehicleFile, whose
 
 
 def export(
@@ -15,10 +16,8 @@ def export(
     effects: Path | None = typer.Option(
         None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
     ),
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default config/vehicle/leaf.yaml, or the one in the model file.", exists=True,
-        dir_okay=False,
-    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the files; default runs/export-<time>."),
     substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
     free: list[str] = typer.Option([], help="Parameter left as an argument: road_bank.angle; repeatable."),
@@ -32,6 +31,7 @@ def export(
     from st_core.vehicle import VehicleParameters
 
     from ..output import new_folder
+    from ..runs.errors import RunError
 
     if importlib.util.find_spec("casadi") is None:
         typer.echo("st export: casadi is not installed: pip install casadi", err=True)
@@ -39,15 +39,15 @@ def export(
     from ..model_export import export as write
     from ..model_export import load_model
 
-    file = vehicle or config("vehicle/leaf.yaml")
     try:
-        car = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        file = whose(car, vehicle)[0] or config("car/leaf/vehicle.yaml")
+        parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
         if effects is not None:
             load_folder(str(effects.absolute()))
-        chosen, car = load_model(model, car, str(file))
+        chosen, parameters = load_model(model, parameters, str(file))
         folder = new_folder(output, "export")
-        written = write(chosen, car, folder, kind, substeps, free)
-    except (OSError, StCoreError, UnicodeDecodeError) as error:
+        written = write(chosen, parameters, folder, kind, substeps, free)
+    except (OSError, RunError, StCoreError, UnicodeDecodeError) as error:
         typer.echo(f"st export: {error}", err=True)
         raise typer.Exit(2) from None
     for path in written:

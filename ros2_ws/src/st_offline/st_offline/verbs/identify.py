@@ -4,15 +4,25 @@ from pathlib import Path
 
 import typer
 
-from ..paths import config
+from ._options import (
+    LEAF,
+    CarName,
+    Dbc,
+    Offset,
+    Signals,
+    SteeringLatency,
+    SteeringSign,
+    VehicleFile,
+    say_whose,
+    whose,
+)
 
 
 def identify(
     what: str | None = typer.Argument(None, help="One of the experiments; without it they are listed."),
     files: list[Path] = typer.Argument(None, help="Data of the experiment: tables (CSV) or recordings."),
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file to start from; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
-    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
     model: Path | None = typer.Option(
         None, help="Model file that drives are predicted with, instead of nonlinear; its effects stay as they are.",
         exists=True, dir_okay=False
@@ -23,10 +33,11 @@ def identify(
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
     force: bool = typer.Option(False, "--force", help="Use also drives in which `st check` finds an error."),
     seed: int = typer.Option(0, help="Of the bootstrap."),
-    offset: float | None = typer.Option(None, help="INS minus CAN clock, s, by hand; default: found in the signals."),
-    dbc: Path | None = typer.Option(None, help="DBC of the CAN logs.", exists=True, dir_okay=False),
-    signals: Path | None = typer.Option(None, help="Signal table of the CAN logs.", exists=True, dir_okay=False),
-    steering_latency: float = typer.Option(0.0, help="s, from the turn of the wheel to the frame in the log."),
+    offset: Offset = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    steering_sign: SteeringSign = None,
+    steering_latency: SteeringLatency = None,
 ) -> None:
     """Identify parameters: value, uncertainty, verdict; a figure, a report, and a vehicle file with provenance.
 
@@ -44,7 +55,7 @@ def identify(
     from ..identification.experiment import Setup
     from ..identification.experiments import EXPERIMENTS
     from ..output import OutputError, new_folder
-    from ..runs import ReadSettings, RunError
+    from ..runs import RunError
     from ..suite import SuiteError
 
     console = Console()
@@ -57,15 +68,17 @@ def identify(
     if what not in EXPERIMENTS:
         typer.echo(f"st identify: no experiment {what!r}; there are {', '.join(EXPERIMENTS)}", err=True)
         raise typer.Exit(2)
-    file = vehicle or config("vehicle/leaf.yaml")
     try:
-        car = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
-        read = ReadSettings(dbc=dbc, signals=signals, steering_latency=steering_latency, offset=offset)
+        vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
+        file = vehicle or LEAF
+        parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
         folder = new_folder(output, f"identify-{what}", create=False)
-        base = known_model(model, effects, car, str(file))
-        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(car, seed, read, force, base), str(file), folder)
+        base = known_model(model, effects, parameters, str(file))
+        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(parameters, seed, read, force, base), str(file), folder)
         status = run(job, console)
     except (StCoreError, RunError, OutputError, SuiteError, UnicodeDecodeError) as error:
         typer.echo(f"st identify {what}: {error}", err=True)
         raise typer.Exit(2) from None
+    if vehicle is None:
+        say_whose("identify", file)
     raise typer.Exit(status)

@@ -4,26 +4,35 @@ from pathlib import Path
 
 import typer
 
+from ._options import (
+    LEAF,
+    CarName,
+    Dbc,
+    InsCanLatency,
+    Offset,
+    Signals,
+    SteeringLatency,
+    SteeringSign,
+    VehicleFile,
+    say_whose,
+    whose,
+)
+
 
 def import_(
     paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file (steering ratio and offset); default config/vehicle/leaf.yaml.", exists=True
-    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
     output: Path | None = typer.Option(
         None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."
     ),
-    offset: float | None = typer.Option(None, "--offset", help="INS minus CAN clock in seconds, by hand."),
+    offset: Offset = None,
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
-    steering_sign: int = typer.Option(1, help="+1: the decoded sensor is left positive; -1: right positive."),
-    steering_latency: float = typer.Option(0.0, help="From the turn of the wheel to the frame in the log, s.", min=0.0),
-    ins_can_latency: tuple[float, float] | None = typer.Option(
-        None, help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002."
-    ),
-    dbc: Path | None = typer.Option(None, help="DBC of the bus; default config/can/leaf_ze0.dbc.", exists=True),
-    signals: Path | None = typer.Option(
-        None, help="Table from DBC signals to ours; default config/can/leaf_ze0.yaml.", exists=True
-    ),
+    steering_sign: SteeringSign = None,
+    steering_latency: SteeringLatency = None,
+    ins_can_latency: InsCanLatency = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
     force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
     strict: bool = typer.Option(False, "--strict", help="Refuse runs whose alignment is doubtful."),
 ) -> None:
@@ -37,23 +46,18 @@ def import_(
     from st_core.vehicle import VehicleParameters
 
     from ..output import OutputError, new_folder
-    from ..paths import config
     from ..runs.errors import RunError
-    from ..runs.load import ReadSettings
     from ..runs.sources import find_runs
 
     console = Console()
-    if steering_sign not in (1, -1):
-        typer.echo(f"st import: --steering-sign: {steering_sign} is neither 1 nor -1", err=True)
-        raise typer.Exit(2)
-    vehicle = vehicle or config("vehicle/leaf.yaml")
     try:
-        parameters = VehicleParameters.from_yaml(vehicle.read_text(encoding="utf-8"), str(vehicle))
-    except (OSError, UnicodeDecodeError, StCoreError) as error:
+        vehicle, settings = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
+                                  search=search, ins_can_latency=ins_can_latency, doubtful=not strict)
+        file = vehicle or LEAF
+        parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+    except (OSError, UnicodeDecodeError, RunError, StCoreError) as error:
         typer.echo(f"st import: {error}", err=True)
         raise typer.Exit(2) from None
-    settings = ReadSettings(dbc=dbc, signals=signals, steering_sign=steering_sign, steering_latency=steering_latency,
-                            offset=offset, search=search, ins_can_latency=ins_can_latency, doubtful=not strict)
     found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not found:
         typer.echo(f"st import: {', '.join(map(str, paths))}: no raw logs (.ncom with CAN logs) are in there", err=True)
@@ -67,6 +71,8 @@ def import_(
             written += 1
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)
+    if vehicle is None:
+        say_whose("import", file)
     if written < len(found):
         raise typer.Exit(1 if written else 2)
 

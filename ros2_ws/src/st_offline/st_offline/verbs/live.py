@@ -37,12 +37,16 @@ def live(
     realtime: bool = typer.Option(
         False, "--realtime", help="Real-time scheduling for bridges and predictor; needs the right to (README)."
     ),
+    bands: Path | None = typer.Option(
+        None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False
+    ),
     view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
     view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
     # Imported when it runs, see demo.py.
+    from ..bands.live import with_bands
     from ..fourth_model import fourth_model
     from ..output import OutputError, new_folder
     from ..report import conclude
@@ -65,7 +69,7 @@ def live(
         shown = window(view, view_save)
         folder = new_folder(output, "live")
         bridges = bridge_parameters(vehicle, ins, bus, dbc, signals)
-        parameters = node_parameters(folder, vehicle, bridges, fourth)
+        parameters = with_bands(node_parameters(folder, vehicle, bridges, fourth), bands)
         outcome = run(folder, parameters, "live", duration, None, console, shown, supervised=True,
                       realtime=realtime)
     except (SuiteError, OutputError) as error:

@@ -14,6 +14,9 @@ def replay(
         dir_okay=False
     ),
     force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
+    bands: Path | None = typer.Option(
+        None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False
+    ),
     view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
     view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/replay-<time>."),
@@ -39,7 +42,7 @@ def replay(
         findings = passed_bag(bag, vehicle, force)
         say(bag.name, findings, console)
         folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, shown)
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, shown, bands)
     except (RunError, StCoreError, SuiteError, OutputError) as error:
         typer.echo(f"st replay: {error}", err=True)
         raise typer.Exit(2) from None

@@ -1,7 +1,7 @@
 """Draws one instant of a running suite into a Rerun recording: plain values in, nothing of ROS."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import rerun as rr
@@ -9,6 +9,7 @@ from st_core.vehicle import VehicleParameters
 from st_predictor.history import History
 from st_predictor.outline import car_outline
 from st_predictor.palette import MEASURED_COLOUR, colour_of, rgb
+from st_predictor.ribbon import Ribbon
 
 from .geometry import Pose, grid, heading_up, north_up
 from .layout import AROUND, ASIDE, BEHIND, GRID, TIMELINE, blueprint
@@ -19,6 +20,8 @@ GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
 OLD = 1.0  # s; a prediction older than this is not the current one
 GHOST_STRIDE, TRACK_STRIDE = 5, 2  # of their points, one in so many is drawn
 # Half the width of a line, in points of the screen: the same at every zoom.
+RIBBON_STRIDE = 2  # of its points, one in so many is drawn
+RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}
 THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
 # One after the other on top and narrower: where models agree, all of them are seen.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
@@ -79,7 +82,10 @@ class Scene:
         self._rr.log("words", rr.TextDocument(markdown, media_type="text/markdown"))
 
     def paths(self, time_ns: int, pose: Pose, history: History) -> None:
-        """Car, track, predictions and ghosts, on the map and from the driver's seat; pose (x, y [m], yaw [rad])."""
+        """Car, track, predictions with bands, and ghosts, on the map and from the driver's seat.
+
+        pose: x, y [m], yaw [rad].
+        """
         self._at(time_ns)
         lines = [north_up(x, y, pose) for x, y in grid(pose, GRID, 2.0 * AROUND)]
         self._lines("map/grid", lines, [FAINT], THIN, order=-1.0)
@@ -97,6 +103,7 @@ class Scene:
             fresh = now_ns - path.start_ns < OLD * 1e9
             self._lines(f"{root}/paths/{model}", [place(path.x, path.y)] if fresh else [], [rgb(colour_of(model))],
                         MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
+            self._ribbons(f"{root}/bands/{model}", place, path.ribbons if fresh else (), model, number)
             for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(place(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
@@ -106,6 +113,21 @@ class Scene:
                 miss_colours.append(rgb(colour_of(model)))
         self._lines(f"{root}/ghosts", ghosts, ghost_colours, THIN, order=1.0)
         self._lines(f"{root}/misses", misses, miss_colours, THICK, order=4.5)
+
+    def _ribbons(self, entity: str, place: Place, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
+        """Filled with lines from edge to edge, each as wide as it is far to the next: Rerun fills no areas in 2D. The
+        edges of the widest are drawn over all areas: where models cover each other, every one is seen."""
+        edges = [place(*side.T) for one in ribbons[:1] for side in (one.left, one.right)]
+        self._lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN, order=0.8)
+        for level, strength in RIBBON_STRENGTH.items():
+            strips, radii = [], []
+            for one in (r for r in ribbons if r.level == level):
+                left, right = (place(*side[::RIBBON_STRIDE].T) for side in (one.left, one.right))
+                middle = 0.5 * (left + right)
+                strips = np.stack([left, right], axis=1)
+                radii = 0.6 * np.hypot(*np.gradient(middle, axis=0).T)
+            order = 0.2 + 0.1 * number - 0.05 * level
+            self._lines(f"{entity}/{level:.0%}", strips, [rgb(colour_of(model), strength)], radii, order=order)
 
     def _name(self, model: str) -> None:
         """Its colour and name in the lower left corner: models that agree would cover each other's names."""

@@ -4,12 +4,12 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
+from ..bands import counted
 
-class Row(Protocol):
+
+class Row(counted.Row, Protocol):
     """One model and mode of st_msgs/ErrorSummary."""
 
-    model: str
-    mode: str
     n_starts: int
     longitudinal_rmse: float
     lateral_rmse: float
@@ -28,7 +28,7 @@ def page(rows: Sequence[Row], ticks: str, health: Sequence[tuple[int, str, str]]
             lines.append(f"| {row.model} | {meaning} | {row.n_starts} | {numbers} |")
     if len(lines) == 2:
         lines = ["Waiting for the first complete horizon."]
-    lines += ["", ticks, ""]
+    lines += ["", *(f"- {line}" for line in counted.lines(rows)), "", ticks, ""]
     wrong = [entry for entry in health if entry[0] > 0]
     lines += [f"- {LEVELS[min(level, 3)]}: {name}: {message}" for level, name, message in sorted(wrong, reverse=True)]
     if health and not wrong:

@@ -9,6 +9,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from st_core.bands import Coverages
 from st_core.evaluation import ErrorStatistics, Evaluator, Score
 from st_core.models import get_model
 from st_core.prediction import predict
@@ -21,6 +22,7 @@ from .. import convert, params
 from ..consistency import Consistency
 from ..mcap import BagWriter, Qos
 from ._bag import open_bag, recording_check
+from ._bands import add_coverage, coverage_check, read_bands
 from ._inputs import Inputs
 
 NICE = 5  # bridges and predictor go first; a third of an equal share
@@ -50,6 +52,7 @@ class EvaluatorNode(Node):
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering, self._tell)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
+        self._coverages = Coverages()
         self._hashes: dict[tuple[str, int], str] = {}  # of the predictions waiting, by model and start
         self._other_configuration: dict[tuple[str, str], bool] = {}  # by hash and model
         self._refused = ""
@@ -118,11 +121,13 @@ class EvaluatorNode(Node):
             self._other_configuration[key] = not view.has_memory and not np.allclose(
                 again.states, trajectory.states, rtol=0.0, atol=SAME_TRAJECTORY, equal_nan=True)
         self._hashes[model, start_ns] = message.configuration_hash
+        self._coverages.expect(model, start_ns, read_bands(message))
         self._core.add_prediction(model, start_ns, start, inputs, trajectory)
 
     def _publish_scores(self, scores: list[Score]) -> None:
         for score in scores:
             self._statistics[score.model, score.mode].add(score)
+            self._coverages.add(score)
             message = convert.error_message(score, self._map_frame, self._hashes.get((score.model, score.start_ns), ""))
             self._error_publisher.publish(message)
             self._record("errors", message)
@@ -134,7 +139,8 @@ class EvaluatorNode(Node):
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._map_frame
         message.statistics = [
-            convert.statistics_message(*key, statistics) for key, statistics in self._statistics.items()
+            add_coverage(convert.statistics_message(*key, statistics), self._coverages)
+            for key, statistics in self._statistics.items()
         ]
         self._summary_publisher.publish(message)
         self._record("summary", message)
@@ -159,7 +165,8 @@ class EvaluatorNode(Node):
         recording = recording_check(self._bag) if self._bag else off
         found = self._consistency.verdict
         consistency = Check("consistency", LEVELS.get(found.severity, diagnostics.OK), found.message, found.values)
-        return [Check("scoring", level, text, values), recording, consistency, *self._inputs.checks()]
+        return [Check("scoring", level, text, values), recording, consistency, coverage_check(self._coverages),
+                *self._inputs.checks()]
 
     @property
     def exit_status(self) -> int:

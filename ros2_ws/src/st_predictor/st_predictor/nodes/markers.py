@@ -1,4 +1,4 @@
-"""Node markers: the car, its errors and the models' names for RViz and Foxglove, and the errors of each model to plot.
+"""Node markers: car, bands, errors and the models' names for RViz and Foxglove, and the errors of each model to plot.
 
 It listens best effort with short queues, so that a publisher never waits for it.
 """
@@ -28,6 +28,8 @@ SCORES = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # tho
 LIFETIME = Duration(sec=1)  # a marker of a silent suite goes away
 TEXT_HEIGHT, CAR_WIDTH, MISS_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
+RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}
+RIBBON_STRIDE = 4  # of its points, one in so many is drawn
 
 
 class MarkersNode(Node):
@@ -42,6 +44,7 @@ class MarkersNode(Node):
             for model in values.models}
         self._errors = PolledSubscription(self, PredictionError, "evaluator/errors", SCORES)
         self._markers = self.create_publisher(MarkerArray, "view/markers", 10)
+        self._bands = self.create_publisher(MarkerArray, "view/bands", 10)
         self._plots = {model: self.create_publisher(Vector3Stamped, f"view/{model}/error", 10)
                        for model in values.models}
         self.create_timer(1.0 / values.rate, self._draw, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -61,6 +64,8 @@ class MarkersNode(Node):
         if sample is not None:
             self._history.add_pose(sample.time_ns, sample.x, sample.y)
             self._markers.publish(MarkerArray(markers=self._picture(sample)))
+            if ribbons := self._ribbons(sample.time_ns):
+                self._bands.publish(MarkerArray(markers=ribbons))
 
     def _publish_error(self, message: PredictionError) -> None:
         """x: longitudinal, y: lateral, the means over the horizon [m]; z: yaw [rad]."""
@@ -86,6 +91,22 @@ class MarkersNode(Node):
                                            colour_of(model), MISS_WIDTH, z=0.1))
             pictures.append(self._name(number, now_ns, model, self._history.newest(model)))
         return pictures
+
+    def _ribbons(self, now_ns: int) -> list[Marker]:
+        """The bands of the newest predictions, the 50 % one on the 90 % one; namespace: the model."""
+        found = []
+        for number, model in enumerate(self._history.models):
+            for ribbon in self._history.newest(model).ribbons:
+                alpha = RIBBON_ALPHA.get(ribbon.level, RIBBON_ALPHA[0.9])
+                marker = self._marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns, colour_of(model),
+                                      alpha)
+                marker.scale.x = marker.scale.y = marker.scale.z = 1.0
+                # Under the paths, and none at the height of another.
+                z = -0.3 - 0.02 * number - 0.1 * ribbon.level
+                marker.points = [Point(x=px, y=py, z=z)
+                                 for px, py in ribbon.triangles(RIBBON_STRIDE).reshape(-1, 2).tolist()]
+                found.append(marker)
+        return found
 
     def _marker(self, kind: int, space: str, number: int, time_ns: int, colour: str, alpha: float) -> Marker:
         marker = Marker(type=kind, ns=space, id=number, action=Marker.ADD, lifetime=LIFETIME)

@@ -20,6 +20,7 @@ from st_ros.diagnostics import Check, Diagnostics
 
 from .. import convert, params
 from ..ticks import TickCounter
+from ._bands import PredictionBands
 from ._inputs import Inputs
 
 # Inputs are taken this often between ticks, so that a tick finds only a few milliseconds of them waiting [s].
@@ -47,6 +48,8 @@ class PredictorNode(Node):
         self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         if file:
             self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
+        own = {found[-1].name: file.hash} if file else {}
+        self._bands = PredictionBands(values, self._vehicle, {m: own.get(m, "") for m in self._core.models}, settings)
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering, self._tell)
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
@@ -113,7 +116,7 @@ class PredictorNode(Node):
         return Skip("stale", f"{signal}: nothing new since the last tick, newest sample is {age:.2f} s old")
 
     def _predict(self, start: Start) -> None:
-        paths = []
+        paths, bands = [], self._bands.at(self._core.history, start.time_ns)
         for model, (path_publisher, prediction_publisher) in self._outputs.items():
             began = time.perf_counter()
             trajectory = self._core.run(start, model)
@@ -122,6 +125,7 @@ class PredictorNode(Node):
             message = convert.prediction_message(
                 start, model, trajectory, car, self._map_frame, self._hash[model])
             message.compute_time = compute_time
+            message.bands = bands.get(model, [])
             issued = self.get_clock().now()
             message.issued_at = issued.to_msg()
             prediction_publisher.publish(message)
@@ -170,6 +174,7 @@ class PredictorNode(Node):
                    "state age at issue, median [ms]": self._state_age * 1e3}),
             self._position_check(),
             self._steering_check(),
+            self._bands.check(),
             *self._inputs.checks(),
         ]
 

@@ -1,0 +1,109 @@
+"""Twelve laws no library holds, and six effects taken out of it: how each is hidden, where it acts, its shape.
+
+What acts on the car is in its equations (`pushes`, or a switch of the plant); what lies between wheel and sensor, or in
+a sensor, is put into the recording.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+from . import pushes
+from .cars import LEAF
+from .compiled import NO_LAW
+from .pushes import Law
+
+FRONT, REAR = ("front_force", "front_grip"), ("rear_force", "rear_grip", "rear_steer")
+GRIP = ("both_grip", "front_grip", "rear_grip", "front_force", "rear_force")
+AXLES = ("front axle", "rear axle", "both axles")
+Change = Callable[[DriveLog, VehicleParameters, float], DriveLog]
+
+
+def _kinked(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
+    """Beyond 0.04 rad the wheels turn `size` more than the recorded angle says."""
+    true, edge = log.road_wheel_angle, 0.04
+    beyond = np.maximum(np.abs(true) - edge, 0.0)
+    angle = np.sign(true) * (np.minimum(np.abs(true), edge) + beyond / (1.0 + size))
+    return replace(log, road_wheel_angle=angle, steering_wheel_angle=vehicle.steering_wheel_angle(angle))
+
+
+def _later_when_fast(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
+    """The wheels follow the recorded angle by 0.06 s at 10 m/s, and `size` more for each m/s."""
+    time = log.steering_time_ns * 1e-9
+    speed = np.interp(log.steering_time_ns.astype(float), log.ins_time_ns.astype(float), log.velocity_x)
+    angle = np.interp(time + 0.06 + size * (speed - 10.0), time, log.road_wheel_angle)
+    return replace(log, road_wheel_angle=angle, steering_wheel_angle=vehicle.steering_wheel_angle(angle))
+
+
+def _feeling_gyroscope(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
+    return replace(log, yaw_rate=log.yaw_rate + size * log.acceleration_y)
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """name; places: of a law that are right; shapes: of its first reading that are right, () where nothing is; slots:
+    of the library where it acts. settings: added to those of the plant; law, change: of the equations, of the
+    recording, with their size. On the multi-body cars `elsewhere` stands in for switches only the virtual Leaf has.
+    removed: the effect of the library that is taken out, and what is like it."""
+
+    name: str
+    places: tuple[str, ...]
+    shapes: tuple[str, ...]
+    slots: tuple[str, ...]
+    settings: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    law: Law = NO_LAW
+    change: Change | None = None
+    size: float = 0.0
+    elsewhere: Law | None = None
+    removed: str = ""
+
+    def law_in(self, plant: str) -> Law:
+        return self.law if plant == LEAF or self.elsewhere is None else self.elsewhere
+
+    def settings_in(self, plant: str) -> Mapping[str, float]:
+        return self.settings if plant == LEAF or self.elsewhere is None else {}
+
+
+STRAIGHT = ("linear", "straight line")
+LAWS = (
+    Hidden("rear roll steer", REAR, ("linear",), AXLES, {"rear_roll_steer": 0.25},
+           elsewhere=Law(pushes.REAR_STEER, 0.0012)),
+    Hidden("camber thrust", (*FRONT, *REAR, "side_force"), ("linear",), (*AXLES, "body"), {"camber_thrust": 1.0},
+           elsewhere=Law(pushes.CAMBER, 0.06)),
+    Hidden("steering map with a kink", ("front_steer",), ("dead zone",), ("steering", "front axle"), change=_kinked,
+           size=0.25),
+    Hidden("rear axle with another curve", REAR, ("cubic", "linear and cubic", "dead zone", "square"),
+           ("rear axle", "both axles"), law=Law(pushes.REAR_CURVE, 0.3)),
+    Hidden("lift of the front axle with v^2", FRONT, ("square", *STRAIGHT), ("front axle", "both axles"),
+           law=Law(pushes.LIFT, 0.0012)),
+    Hidden("gusts", ("side_force", "yaw_moment"), (), ("body",), {"gust_speed": 10.0}),
+    Hidden("friction patch", GRIP, (), AXLES, {"friction_patch": -0.4}),
+    Hidden("aerodynamic yaw moment with v^2", ("yaw_moment",), ("square", *STRAIGHT), ("body",),
+           law=Law(pushes.AIR_MOMENT, 0.0006)),
+    Hidden("torque steer with a_x", ("yaw_moment",), STRAIGHT, ("body", "front axle"),
+           law=Law(pushes.TORQUE_STEER, 0.05)),
+    Hidden("gyroscope with g-sensitivity", ("sensor_yaw_rate",), ("linear",), ("yaw rate",), change=_feeling_gyroscope,
+           size=0.004),
+    Hidden("steering delay that grows with speed", ("front_steer",), STRAIGHT, ("steering",), change=_later_when_fast,
+           size=0.012),
+    Hidden("tyres that warm up", GRIP, ("saturating", "inverse", *STRAIGHT), AXLES, law=Law(pushes.WARM_UP, 0.25)),
+)
+"""rad/(rad roll) and rad s^2/m; 1/rad and 1; 1; 1; s^2/m^2; m/s; 1; 1/m^2 rad; rad/m; rad s/m; s^2/m; 1."""
+REMOVED = (
+    Hidden("steering lag", ("front_steer",), ("linear",), ("steering",), {"steering_lag": 0.08},
+           removed="steering_lag"),
+    Hidden("yaw rate scale", ("sensor_yaw_rate",), ("linear",), ("yaw rate",), {"yaw_rate_scale": 0.05},
+           removed="yaw_rate_scale"),
+    Hidden("heading misalignment", ("sensor_velocity_y", "sensor_heading"), ("linear", "constant"),
+           ("heading", "velocity"), {"ins_misalignment": 0.01}, removed="heading_misalignment"),
+    Hidden("lever arm", ("sensor_velocity_y",), ("linear",), ("position", "velocity"), {"ins_lever_error": 0.3},
+           removed="sensor_lever_arm"),
+    Hidden("road bank", ("side_force",), ("constant",), ("body",), {"bank_angle": 0.03}, removed="road_bank"),
+    Hidden("steering offset", ("front_steer", "yaw_moment"), ("constant",), ("steering", "front axle", "body"),
+           {"steering_offset": 0.008}, removed="steering_offset"),
+)
+BY_NAME = {hidden.name: hidden for hidden in (*LAWS, *REMOVED)}

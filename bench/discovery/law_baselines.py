@@ -1,0 +1,129 @@
+"""What is done elsewhere with what a model leaves: regress the residual accelerations, and predict with that.
+
+Measured minus modelled accelerations of the fitted drives, as a sparse regression (`regression`) or a Gaussian process
+of the same drives, are added to the model's own in the simulation of the held-out drives.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, WhiteKernel
+from st_core import frames
+from st_core.augmented import AugmentedModel
+from st_core.discovery.settings import DiscoverySettings
+from st_core.discovery.windows import STEP, Windows
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+from .regression import TERMS, Regression
+
+HORIZON, FURTHEST = 5.0, 100.0
+SAMPLES, SEED = 250, 5
+"""Of the fitted drives, drawn for the Gaussian process: its cost grows with their cube."""
+FEATURES = ("angle", "slip front", "slip rear", "speed", "yaw rate", "a_x")
+Push = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""(states (6, n), road wheel angle, forward acceleration) -> (v_y, yaw) accelerations added [m/s^2, rad/s^2]."""
+
+
+def compared(drives: Sequence[DriveLog], held_out: Sequence[DriveLog], vehicle: VehicleParameters,
+             answer: AugmentedModel, settings: DiscoverySettings) -> dict[str, Any]:
+    """Held-out 5 s position [m] by method, simulated alike; what each names."""
+    windows = Windows(held_out, vehicle, settings)
+    regression = Regression(drives, vehicle, answer)
+    process, inputs = _process(regression, drives, vehicle, answer)
+    return {"plain": _position(windows, vehicle, answer, lambda s, angle, a_x: (0.0, 0.0)),
+            "regression": _position(windows, vehicle, answer, _sparse(regression, vehicle, answer)),
+            "process": _position(windows, vehicle, answer, process),
+            "regression_names": list(regression.names), "process_names": inputs}
+
+
+def _features(states: np.ndarray, angle: np.ndarray, a_x: np.ndarray, car: VehicleParameters) -> np.ndarray:
+    """(n, features) as FEATURES."""
+    _, _, vx, vy, _, r = states
+    slow = np.maximum(vx, 3.0)
+    return np.stack([angle, (vy + car.cg_to_front_axle * r) / slow - angle, (vy - car.cg_to_rear_axle * r) / slow, vx,
+                     r, a_x], axis=1)
+
+
+def _sparse(regression: Regression, vehicle: VehicleParameters, answer: AugmentedModel) -> Push:
+    car = answer.effective_vehicle(vehicle)
+    coefficients = regression.coefficients * regression._target_size[:, None] / regression._size
+    constant = -coefficients @ regression._mean
+
+    def push(states, angle, a_x):
+        f = _features(states, angle, a_x, car)
+        a_y = states[2] * states[5]
+        rows = {"1": np.ones_like(angle), "angle": angle, "angle rate": 0.0 * angle, "slip front": f[:, 1],
+                "slip rear": f[:, 2], "slip front^3": f[:, 1] ** 3, "slip rear^3": f[:, 2] ** 3, "r vx": a_y,
+                "ay abs(ay)": a_y * np.abs(a_y), "vx^2": states[2] ** 2, "ax": a_x}
+        added = coefficients @ np.stack([rows[name] for name in TERMS]) + constant[:, None]
+        return added[0], added[1]
+    return push
+
+
+def _process(regression: Regression, drives: Sequence[DriveLog], vehicle: VehicleParameters,
+             answer: AugmentedModel) -> tuple[Push, list[str]]:
+    """Two Gaussian processes, and the input each of their length scales finds shortest, in deviations of that input."""
+    car = answer.effective_vehicle(vehicle)
+    library, target = regression._rows(drives)
+    rows = {name: library[:, k] for k, name in enumerate(TERMS)}
+    speed = np.sqrt(np.maximum(rows["vx^2"], 0.0))
+    rate = rows["r vx"] / np.maximum(speed, 3.0)
+    inputs = np.stack([rows["angle"], rows["slip front"], rows["slip rear"], speed, rate, rows["ax"]], axis=1)
+    mean, size = inputs.mean(axis=0), inputs.std(axis=0) + 1e-9
+    chosen = np.random.default_rng(SEED).choice(len(inputs), min(SAMPLES, len(inputs)), replace=False)
+    made, named = [], []
+    for k in (0, 1):
+        kernel = RBF(np.ones(len(FEATURES)), (0.2, 1e3)) + WhiteKernel(0.5)
+        process = GaussianProcessRegressor(kernel, normalize_y=True, random_state=SEED)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # of inputs that do not matter
+            process.fit((inputs[chosen] - mean) / size, target[chosen, k])
+        made.append(process)
+        named.append(FEATURES[int(np.argmin(process.kernel_.k1.length_scale))])
+
+    def push(states, angle, a_x):
+        f = (_features(states, angle, a_x, car) - mean) / size
+        good = np.isfinite(f).all(axis=1)
+        added = np.zeros((2, len(f)))
+        for k, process in enumerate(made):
+            added[k, good] = process.predict(f[good])
+        return added[0], added[1]
+    return push, named
+
+
+def _position(windows: Windows, vehicle: VehicleParameters, answer: AugmentedModel, push: Push) -> float:
+    """Mean position error after HORIZON [m] of the model with accelerations added: RK4, those held over each step."""
+    signals = windows._batch.recording(answer).signals
+    car, p = answer.effective_vehicle(vehicle), answer.parameters(vehicle)
+    steps = round(HORIZON / STEP)
+    times = windows.starts_ns[:, None] + np.round(np.arange(2 * steps + 1) * STEP / 2 * 1e9).astype(np.int64)
+    angle, a_x = signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0]
+    rows = [tuple(np.broadcast_to(f, len(times)) for f in answer.inputs(angle[:, k], a_x[:, k], p))
+            for k in range(2 * steps + 1)]
+    state = tuple(answer.start_state(tuple(np.asarray(signals.states_at(windows.starts_ns, car)).T), rows[0], p))
+    with np.errstate(all="ignore"):
+        for k in range(0, 2 * steps, 2):
+            aside, turning = push(np.stack(state[:6]), angle[:, k], a_x[:, k])
+            state = _stepped(answer, state, rows[k:k + 3], p, aside, turning)
+        x, y = frames.cg_to_ins_position(state[0], state[1], state[4], car.cg_to_ins_x, car.cg_to_ins_y)
+        there_x, there_y = windows.measured_at(times[:, -1], "x", "y")
+        off = np.hypot(x - there_x, y - there_y)
+    return float(np.mean(np.minimum(np.nan_to_num(off, nan=FURTHEST, posinf=FURTHEST), FURTHEST)))
+
+
+def _stepped(model: AugmentedModel, state: tuple, w: Sequence[tuple], p, aside, turning) -> tuple:
+    def rates(s, row):
+        f = model.rhs(s, row, p)
+        return (*f[:3], f[3] + aside, f[4], f[5] + turning, *f[6:])
+
+    half = STEP / 2
+    a = rates(state, w[0])
+    b = rates(tuple(s + half * d for s, d in zip(state, a, strict=True)), w[1])
+    c = rates(tuple(s + half * d for s, d in zip(state, b, strict=True)), w[1])
+    d = rates(tuple(s + STEP * d for s, d in zip(state, c, strict=True)), w[2])
+    return tuple(s + STEP / 6 * (i + 2 * j + 2 * k + m) for s, i, j, k, m in zip(state, a, b, c, d, strict=True))

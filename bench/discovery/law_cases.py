@@ -1,0 +1,107 @@
+"""Blocks L, M and N: a law no library holds, an effect taken out of the library, nothing left. Drives and truth."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from st_core.discovery.settings import DiscoverySettings
+from st_core.effects import applicable
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+
+from .cars import LEAF, PLANTS, HealthyCar, has, healthy_car
+from .cases import seed_of
+from .effects import alike
+from .hidden_laws import LAWS, REMOVED, Hidden
+from .plants import Order, driven, vehicle_of
+from .resimulated import resimulated
+
+EACH, NOTHING = 5, 60
+COUNTS = {"L": EACH * len(LAWS), "M": EACH * len(REMOVED), "N": NOTHING}
+RUNS, HELD_OUT = 4, 2
+WRONG = {"front_stiffness_factor": 1.15, "steering_ratio_factor": 0.94, "yaw_inertia_factor": 1.2}
+"""Half of block N: what the vehicle file believes of the car in their place; the library can mend all of it."""
+
+
+@dataclass(frozen=True)
+class LawCase:
+    """block: L, M or N; index: in it. hidden: None in N. car: healthy. scale: of what is hidden. wrong: the file is."""
+
+    set_: str
+    block: str
+    index: int
+    hidden: Hidden | None
+    car: HealthyCar
+    scale: float = 1.0
+    wrong: bool = False
+
+    @property
+    def seed(self) -> int:
+        return seed_of(self.set_, self.block, self.index)
+
+    @property
+    def settings(self) -> DiscoverySettings:
+        """Of the discovery: without the effect that is taken out, and what is like it."""
+        effects = None
+        if self.hidden and self.hidden.removed:
+            effects = tuple(n for n in applicable("nonlinear") if not alike(n, self.hidden.removed))
+        return DiscoverySettings(effects=effects, where=False)
+
+
+@dataclass(frozen=True)
+class LawDrives:
+    """suspect, held_out: of the car with the law. healthy, twin: the same programmes without it; () in block N."""
+
+    suspect: list[DriveLog]
+    held_out: list[DriveLog]
+    healthy: list[DriveLog]
+    twin: list[DriveLog]
+    vehicle: VehicleParameters
+
+
+def cases_of(set_: str, block: str) -> list[LawCase]:
+    """All cases of a block: the laws in turn, so that the first ones hold each once."""
+    return [_case(set_, block, i) for i in range(COUNTS[block])]
+
+
+def _case(set_: str, block: str, index: int) -> LawCase:
+    draw = np.random.default_rng(seed_of(set_, block, index, "law"))
+    pool = {"L": LAWS, "M": REMOVED}.get(block)
+    hidden = pool[index % len(pool)] if pool else None
+    round_ = index // len(pool) if pool else index
+    # Half of the cases on the multi-body cars, in turn, where the plant has the switch.
+    plant = PLANTS[1 + round_ % (len(PLANTS) - 1)] if (round_ + index) % 2 else LEAF
+    if hidden and not all(has(plant, name) for name in hidden.settings_in(plant)):
+        plant = LEAF
+    car = healthy_car(plant, (seed_of(set_, block, index, "car"),))
+    return LawCase(set_, block, index, hidden, car, float(draw.choice([1.0, 0.7])), block == "N" and index % 2 == 1)
+
+
+def drives_of(case: LawCase) -> LawDrives:
+    """All drives of a case."""
+    car, hidden = case.car, case.hidden
+    own = vehicle_of(car.plant, car.settings)
+    believed = {name: car.settings[name] * factor for name, factor in WRONG.items()} if case.wrong else {}
+    vehicle = vehicle_of(car.plant, {**car.settings, **believed})
+
+    def drive(with_law: bool, first: int, count: int) -> list[DriveLog]:
+        return [_one(case, own if hidden is None else vehicle, with_law, first + i) for i in range(count)]
+
+    if hidden is None:
+        logs = [resimulated(log, own, int(np.random.default_rng([case.seed, k, 7]).integers(2**31)))
+                for k, log in enumerate((*drive(False, 0, RUNS), *drive(False, 200, HELD_OUT)))]
+        logs = [log.with_steering(vehicle) for log in logs]
+        return LawDrives(logs[:RUNS], logs[RUNS:], [], [], vehicle)
+    return LawDrives(drive(True, 0, RUNS), drive(True, 200, HELD_OUT), drive(False, 0, RUNS),
+                     drive(False, 200, HELD_OUT), vehicle)
+
+
+def _one(case: LawCase, vehicle: VehicleParameters, with_law: bool, number: int) -> DriveLog:
+    plant, hidden, settings = case.car.plant, case.hidden, dict(case.car.settings)
+    order = Order(f"run_{number + 1}", (case.seed, number), settings)
+    if not with_law:
+        return driven(plant, vehicle, order)
+    for name, more in hidden.settings_in(plant).items():
+        settings[name] += case.scale * more
+    law = hidden.law_in(plant)
+    log = driven(plant, vehicle, replace(order, settings=settings, law=law._replace(size=case.scale * law.size)))
+    return hidden.change(log, vehicle, case.scale * hidden.size) if hidden.change else log

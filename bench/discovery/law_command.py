@@ -1,0 +1,72 @@
+"""Options of the blind test of proposals."""
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from st_offline.paths import source_version
+
+from . import law_score, law_tables
+from .compiled import Stopped
+from .law_cases import COUNTS, LawCase, cases_of
+from .law_run import Record, run_case
+from .run import key_of, read, read_all
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(prog="st bench discovery --laws", description=(
+        "Laws no library holds, hidden in two plants: what is proposed, against the truth. Block L: twelve laws, M: "
+        "six effects taken out of the library, N: nothing left."))
+    parser.add_argument("--set", default="development", help="development, sealed, or any other word")
+    parser.add_argument("--until", type=float, metavar="MINUTES", help="begin no case after this time")
+    parser.add_argument("--plain", action="store_true", help="leave out oracle and baselines")
+    parser.add_argument("--out", type=Path, default=Path("laws.jsonl"),
+                        help="file of JSON lines; cases in it are not computed again")
+    parser.add_argument("--tables", type=Path, nargs="+", metavar="FILE",
+                        help="run nothing: write the scores into docs/proposals.md from these files")
+    chosen = parser.parse_args(arguments)
+    if chosen.tables:
+        law_tables.write(read_all(chosen.tables))
+        return 0
+    until = None if chosen.until is None else time.time() + 60 * chosen.until
+    records = _run(in_turn(chosen.set), chosen.out, until, not chosen.plain)
+    for name, measured, *_ in law_score.scores(records):
+        print(f"{name}: {measured}")
+    return 0
+
+
+def in_turn(set_: str) -> list[LawCase]:
+    """The blocks side by side: wherever it is stopped, each is about equally far."""
+    cases = [((k + 0.5) / count, block, case) for block, count in COUNTS.items()
+             for k, case in enumerate(cases_of(set_, block))]
+    return [case for *_, case in sorted(cases, key=lambda c: c[:2])]
+
+
+def _run(cases: Sequence[LawCase], file: Path, until: float | None, whole: bool) -> list[Record]:
+    done, records = read(file), []
+    for case in cases:
+        key = key_of(case)
+        if key not in done:
+            if until is not None and time.time() >= until:
+                break
+            try:
+                answered = run_case(case, whole)
+            except Stopped as error:
+                print(f"{case.block} {case.index}: cannot be driven, {error}", flush=True)
+                continue
+            done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **answered}
+            with file.open("a") as out:
+                out.write(json.dumps(done[key]) + "\n")
+            _say(done[key])
+        records.append(done[key])
+    return records
+
+
+def _say(r: Record) -> None:
+    law = r["law"]
+    said = f"{law['place']} over {law['quantity']} {law['reads']}" if law else r["outcome"]
+    errors = ", ".join(f"{k} {v:.2f}" for k, v in r["position"].items())
+    print(f"{r['block']} {r['index']} [{r['plant']}, {r['hidden']} x {r['scale']:g}] -> {said}; 5 s {errors} m; "
+          f"{sum(r['seconds']):.0f} s", flush=True)

@@ -1,0 +1,86 @@
+"""One case of blocks L, M and N: what is found, what is proposed, what that is worth on drives nobody fitted to."""
+
+import time
+from typing import Any
+
+import numpy as np
+from st_core.augmented import AugmentedModel, augment
+from st_core.checks import check, pooled
+from st_core.discovery import Discovery, discover
+from st_core.log import DriveLog
+from st_core.proposals import Proposals, propose, wanted
+from st_core.proposals.curve_fit import RunWindows
+from st_core.vehicle import VehicleParameters
+
+from . import law_baselines
+from .effects import SCATTER, members
+from .judge import different
+from .law_cases import LawCase, drives_of
+from .oracle import Oracle
+
+Record = dict[str, Any]
+FURTHEST = 100.0
+"""m a prediction that diverged counts."""
+ORACLE_LEFT_OUT = ("front_stiffness", "rear_stiffness")
+"""Of what is different in the plants: `tyre_stiffness` is both."""
+
+
+def run_case(case: LawCase, whole: bool = True) -> Record:
+    """Plain data. whole: with the oracle and the two baselines. The law is asked for whatever `st discover` would do by
+    default; wanted says what that is."""
+    drives = drives_of(case)
+    vehicle, settings = drives.vehicle, case.settings
+    begin = time.process_time()
+    sensors = pooled([{n: v for n, v in check(log, vehicle).estimates.items() if np.isfinite(v).all()}
+                      for log in drives.suspect])
+    found = discover(drives.suspect, vehicle, "nonlinear", (), settings, identities=sensors)
+    middle = time.process_time()
+    said = propose(found, drives.suspect, vehicle, settings)
+    end = time.process_time()
+    judge = RunWindows(drives.held_out, vehicle, settings)
+    answer = found.model or found.base
+    after = proposed_model(said) or answer
+    record = {"hidden": case.hidden.name if case.hidden else "nothing", "plant": case.car.plant, "scale": case.scale,
+              "wrong": case.wrong, "seconds": [middle - begin, end - middle],
+              "driven": float(sum(log.duration for log in drives.suspect)), **_told(found, said),
+              "position": {"base": position(judge, found.base), "found": position(judge, answer),
+                           "proposed": position(judge, after)}}
+    if whole and case.hidden:
+        record["position"]["oracle"] = _oracle(case, drives.healthy, drives.twin, vehicle)
+        record["baselines"] = law_baselines.compared(drives.suspect, drives.held_out, vehicle, answer, settings)
+    return record
+
+
+def proposed_model(said: Proposals) -> AugmentedModel | None:
+    one = said.proposal
+    if one is None:
+        return None
+    heights = {f"c{k}": float(c) for k, c in enumerate(one.coefficients)}
+    return augment(one.model, {one.candidate.effect: heights | one.candidate.constants})
+
+
+def position(windows: RunWindows, model: AugmentedModel) -> float:
+    """Mean position error after 5 s [m]."""
+    last = windows.errors(model).values[:, -1, windows.columns.index("position_lateral"):][:, :2]
+    return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=FURTHEST, posinf=FURTHEST), FURTHEST)))
+
+
+def _oracle(case: LawCase, healthy: list[DriveLog], twin: list[DriveLog], vehicle: VehicleParameters) -> float:
+    """What is left where there is no law: the effects that are truly there in the plant, fitted to the same programmes
+    of the healthy car, on the same programmes that are held out."""
+    names = {*SCATTER, *(n for n in different(case.car.plant) if members(n) == (n,))} - set(ORACLE_LEFT_OUT)
+    best = Oracle(healthy, vehicle, names, {}, case.settings).best
+    return position(RunWindows(twin, vehicle, case.settings), best.model)
+
+
+def _told(found: Discovery, said: Proposals) -> Record:
+    one = said.proposal
+    law = None
+    if one is not None:
+        law = {"place": one.candidate.place, "quantity": one.candidate.quantity, "by": one.candidate.by,
+               "others": dict(one.others), "chance": one.chance, "gain": one.gain,
+               "shape": one.readings[0].shape if one.readings else "",
+               "reads": one.readings[0].text if one.readings else "", "promised": list(one.position_5s)}
+    return {"outcome": found.outcome, "wanted": wanted(found), "why": said.why, "law": law,
+            "alone": [e.name for e in found.effects if not e.alternatives],
+            "kept": [e.name for e in (*found.effects, *found.minor)]}

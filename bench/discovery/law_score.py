@@ -1,0 +1,140 @@
+"""Records of blocks L, M and N to scores."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from st_core.effects import get_effect
+
+from .effects import SCATTER
+from .hidden_laws import BY_NAME, Hidden
+from .judge import different
+from .score import wilson
+
+Record = dict[str, Any]
+WORSE = 1.02
+"""Times the position error without a law: with it, that is worse."""
+CLOSABLE = 0.02, 0.1
+"""m, and share of what the library leaves: the oracle must be so much better for a share of that to mean anything."""
+LENGTH = 300.0
+"""s of driving the time is told for."""
+
+
+def hidden_of(r: Record) -> Hidden:
+    return BY_NAME[r["hidden"]]
+
+
+def leaves(r: Record) -> float:
+    """What the library leaves beyond the oracle [m]."""
+    return r["position"]["found"] - r["position"]["oracle"]
+
+
+def closable(r: Record) -> bool:
+    least, share = CLOSABLE
+    return leaves(r) > max(least, share * r["position"]["found"])
+
+
+def noticed(r: Record) -> bool:
+    return r["law"] is not None or r["outcome"] == "unknown"
+
+
+def place_right(r: Record) -> bool:
+    return r["law"]["place"] in hidden_of(r).places
+
+
+def slot_right(r: Record) -> bool:
+    """The place of the law, or of one that is named beside it."""
+    places = {r["law"]["place"], *(name.partition(" over ")[0] for name in r["law"]["others"])}
+    return bool(places & set(hidden_of(r).places))
+
+
+def closed(r: Record, after: float | None = None) -> float:
+    """Share of what the library leaves that is taken away; 0 without a proposal."""
+    return (r["position"]["found"] - (r["position"]["proposed"] if after is None else after)) / leaves(r)
+
+
+def is_worse(r: Record) -> bool:
+    return r["position"]["proposed"] > WORSE * r["position"]["found"]
+
+
+def misnamed(r: Record) -> list[str]:
+    """Effects of the library stated alone that are not there, and not where the law is."""
+    fine = {*different(r["plant"]), *SCATTER}
+    return [n for n in r["alone"] if n not in fine and get_effect(n).slot not in hidden_of(r).slots]
+
+
+def shape_right(r: Record) -> bool:
+    return r["law"]["shape"] in hidden_of(r).shapes
+
+
+def seconds(r: Record) -> float:
+    """For LENGTH of driving, one core."""
+    return sum(r["seconds"]) * LENGTH / r["driven"]
+
+
+def row(name: str, measured: str, floor: str = "", goal: str = "") -> tuple[str, str, str, str]:
+    return name, measured, floor, goal
+
+
+def share(hits: Iterable[bool]) -> str:
+    values = list(hits)
+    if not values:
+        return "no cases"
+    low, high = wilson(sum(values), len(values))
+    return f"{sum(values)} of {len(values)}, {sum(values) / len(values):.0%} [{low:.0%}, {high:.0%}]"
+
+
+def spread(values: Sequence[float]) -> str:
+    """Median and 10th percentile, as shares."""
+    if not len(values):
+        return "no cases"
+    return f"{np.median(values):.0%} / {np.quantile(values, 0.1):.0%} ({len(values)} cases)"
+
+
+def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
+    """(score, measured, floor, goal)."""
+    hidden = [r for r in records if r["block"] in "LM"]
+    proposed, nothing = [r for r in hidden if r["law"]], [r for r in records if r["block"] == "N"]
+    matter = [r for r in hidden if "oracle" in r["position"] and closable(r)]
+    shaped = [r for r in proposed if place_right(r) and hidden_of(r).shapes]
+    times = [seconds(r) for r in records]
+    alarms = sum(r["law"] is not None for r in nothing)
+    return [
+        row("noticed (proposed or *unknown*)", share(map(noticed, hidden)), "85 %", "95 %"),
+        row("... where the library leaves something", share(map(noticed, matter))),
+        row("right slot, or a set that holds it, of proposals", share(map(slot_right, proposed)), "80 %", "90 %"),
+        row("... the proposal's own place", share(map(place_right, proposed))),
+        row("held-out gap closed relative to the oracle, median / 10th percentile", spread([closed(r) for r in matter]),
+            "70 / 40 %", "90 / 60 %"),
+        row("held-out made worse, of proposals", share(map(is_worse, proposed)), "1 %", "0"),
+        row("proposal where nothing is left", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
+        row("a library name stated alone and wrong", share(bool(misnamed(r)) for r in hidden), "5 %", "2 %"),
+        row("first reading of the shape right, where the place is", share(map(shape_right, shaped)), "60 %", "80 %"),
+        row("time, 5 minutes of driving, one core, median / largest", f"{np.median(times):.0f} / {max(times):.0f} s"
+            if times else "no cases", "90 s", "30 s"),
+    ]
+
+
+def methods(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
+    """(method, gap closed, made worse, what it names) on the cases all were given."""
+    given = [r for r in records if r.get("baselines") and closable(r)]
+    everywhere = [r for r in records if r.get("baselines")]
+
+    def one(name: str, after: Callable[[Record], float], names: str) -> tuple[str, str, str, str]:
+        worse = share(after(r) > WORSE * r["position"]["found"] for r in everywhere)
+        return name, spread([closed(r, after(r)) for r in given]), worse, names
+
+    def regressed(r: Record) -> bool:
+        return bool({get_effect(n).slot for n in r["baselines"]["regression_names"]} & set(hidden_of(r).slots))
+
+    inputs = [name for r in everywhere for name in r["baselines"]["process_names"]]
+    most = max(set(inputs), key=inputs.count) if inputs else "-"
+    return [
+        one("proposal, or none", lambda r: r["position"]["proposed"],
+            "a law; slot right in " + share(map(slot_right, [r for r in everywhere if r["law"]]))),
+        one("sparse regression of residual accelerations", lambda r: r["baselines"]["regression"],
+            f"its largest term; a name that goes with it acts in the slot in {share(map(regressed, everywhere))}"),
+        one("Gaussian process on residual accelerations", lambda r: r["baselines"]["process"],
+            f"nothing; its shortest length scale is most often that of the {most} "
+            f"({inputs.count(most)} of {len(inputs)})"),
+    ]

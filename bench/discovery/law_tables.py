@@ -1,0 +1,92 @@
+"""Records of blocks L, M and N as a part of docs/proposals.md: scores, other methods, every law, all that failed."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+from . import law_score as score
+from .hidden_laws import BY_NAME
+from .law_cases import COUNTS
+from .paths import ROOT
+from .tables import table
+
+Record = dict[str, Any]
+PAGE = ROOT / "docs" / "proposals.md"
+BEGIN, END = "<!-- scores: written by ./st bench discovery --laws --tables FILE ... -->", "<!-- end of scores -->"
+
+
+def write(records: Sequence[Record]) -> None:
+    """Raises ValueError where the page has no place for it."""
+    before, rest = PAGE.read_text().split(BEGIN)
+    PAGE.write_text(f"{before}{BEGIN}\n\n{as_markdown(records)}\n\n{END}{rest.partition(END)[2]}")
+
+
+def as_markdown(records: Sequence[Record]) -> str:
+    return "\n\n".join([
+        _origin(records),
+        table(("score", "measured", "floor", "goal"), score.scores(records)),
+        "Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
+        table(("method", "gap closed, median / 10th percentile", "made worse", "names"), score.methods(records)),
+        "Law by law; position after 5 s on held-out drives, mean over the cases, m:",
+        table(("hidden", "cases", "noticed", "slot right", "vehicle file", "library", "with the proposal", "oracle"),
+              _laws(records)),
+        "What failed, case by case:", table(("case", "hidden", "said", "wrong"), _failures(records) or [("-",) * 4])])
+
+
+def _origin(records: Sequence[Record]) -> str:
+    sets, versions = (", ".join(sorted({r[key] for r in records})) for key in ("set", "version"))
+    counts = ", ".join(f"{sum(r['block'] == b for r in records)} of {n} {b}" for b, n in COUNTS.items())
+    looked = "" if sets == "sealed" else " **Development cases: they were looked at while the method was written.**"
+    return (f"Set: {sets}. Version {versions}. Cases: {counts} (L: laws no library holds, M: an effect taken out of "
+            f"the library, N: nothing left to find).{looked} In brackets: 95 % Wilson interval.")
+
+
+def _laws(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    by: dict[str, list[Record]] = defaultdict(list)
+    for r in records:
+        by[r["hidden"]].append(r)
+
+    def mean(rows: Sequence[Record], which: str) -> str:
+        values = [r["position"][which] for r in rows if which in r["position"]]
+        return f"{sum(values) / len(values):.2f}" if values else "-"
+
+    lines = []
+    for name in [*BY_NAME, "nothing"]:
+        rows = by.get(name, [])
+        if rows:
+            laws = [r for r in rows if r["law"]]
+            slot = "-" if name == "nothing" else f"{sum(map(score.slot_right, laws))} of {len(laws)}"
+            lines.append((name, str(len(rows)), str(sum(map(score.noticed, rows))), slot,
+                          *(mean(rows, which) for which in ("base", "found", "proposed", "oracle"))))
+    return lines
+
+
+def _failures(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    rows = []
+    for r in sorted(records, key=lambda r: (r["block"], r["index"])):
+        wrong = failures(r)
+        if wrong:
+            law = r["law"]
+            by = f" times {law['by']}" if law and law["by"] else ""
+            said = f"{r['outcome']}, no proposal"
+            if law:
+                said = f"{law['place']} over {law['quantity']}{by}, {law['reads']}"
+            rows.append((f"{r['block']} {r['index']}", f"{r['plant']}: {r['hidden']} x {r['scale']:g}",
+                         said.replace("|", "\\|"), "; ".join(wrong)))
+    return rows
+
+
+def failures(r: Record) -> list[str]:
+    """What is wrong with an answer, in words; empty where nothing is."""
+    if r["block"] == "N":
+        return ["a proposal where nothing is left"] if r["law"] else []
+    wrong = []
+    if "oracle" in r["position"] and score.closable(r) and not score.noticed(r):
+        wrong.append("not noticed")
+    if r["law"]:
+        wrong += [] if score.slot_right(r) else ["another slot"]
+        wrong += ["made worse"] if score.is_worse(r) else []
+        if score.place_right(r) and score.hidden_of(r).shapes and not score.shape_right(r):
+            wrong.append(f"shape read as {r['law']['shape'] or 'none'}")
+    misnamed = score.misnamed(r)
+    return [*wrong, *([f"stated alone: {', '.join(misnamed)}"] if misnamed else [])]

@@ -1,0 +1,54 @@
+"""Laws no library holds, as accelerations of a plant: the same few lines in both plants, compiled into their loops.
+
+    F_f / m = (l_r a_y + k^2 r_dot) / l,   F_r / m = (l_f a_y - k^2 r_dot) / l,   a_y = v_y_dot + v_x r,   k^2 = I_z / m
+
+are the forces that act; a law takes a share of them away, or adds a force or a moment of its own.
+"""
+
+from math import exp
+from typing import NamedTuple
+
+NOTHING, REAR_STEER, CAMBER, LIFT, AIR_MOMENT, TORQUE_STEER, WARM_UP, REAR_CURVE = range(8)
+WARM = 15.0
+"""s until 63 % of what cold tyres lack is there; minutes on the road, shortened to the length of these runs."""
+
+
+class Law(NamedTuple):
+    """kind: of the numbers above; size: in the unit of the kind, see `hidden_laws`."""
+
+    kind: int = NOTHING
+    size: float = 0.0
+
+
+class Car(NamedTuple):
+    """What the laws need of a car. radius_square [m^2]: k^2; rear: stiffness of the rear axle over mass [m/s^2/rad]."""
+
+    to_front: float
+    to_rear: float
+    radius_square: float
+    rear: float
+
+
+def push(law, car, time, vx, r, ax, vy_dot, r_dot):
+    """(m/s^2 to the left, rad/s^2 to the left) a law adds to the rates there are. time: into the run [s]."""
+    kind, size = law
+    to_front, to_rear, square, rear = car
+    a_y, wheelbase = vy_dot + vx * r, to_front + to_rear
+    front_force = (to_rear * a_y + square * r_dot) / wheelbase
+    rear_force = (to_front * a_y - square * r_dot) / wheelbase
+    f, b, moment = 0.0, 0.0, 0.0
+    if kind == REAR_STEER:
+        b = rear * size * vx * r
+    elif kind == CAMBER:
+        f = -size * front_force
+        b = -size * rear_force
+    elif kind == LIFT:
+        f = -size * vx * vx * front_force
+    elif kind == AIR_MOMENT:
+        moment = size * vx * vx
+    elif kind == TORQUE_STEER:
+        moment = size * ax
+    elif kind == WARM_UP:
+        f = -size * exp(-time / WARM) * front_force
+        b = -size * exp(-time / WARM) * rear_force
+    return f + b, (to_front * f - to_rear * b) / square + moment

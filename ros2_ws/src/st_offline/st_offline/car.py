@@ -1,0 +1,77 @@
+"""A car in one folder: its vehicle file, its bus, and how its steering is measured."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from .paths import config
+from .runs.errors import RunError, check_readable
+
+STEERING = {"steering_sign": 1, "steering_latency": 0.0}
+"""What car.yaml may hold, and what holds without it."""
+
+
+@dataclass(frozen=True)
+class Car:
+    """vehicle, dbc, signals: files of the folder; a car whose bus nobody has described has no dbc and no signals there.
+    steering_sign: +1 where the decoded sensor is left positive. steering_latency: from the turn of the wheel to the
+    frame [s]."""
+
+    folder: Path
+    steering_sign: int
+    steering_latency: float
+
+    @property
+    def vehicle(self) -> Path:
+        return self.folder / "vehicle.yaml"
+
+    @property
+    def dbc(self) -> Path:
+        return self.folder / "can.dbc"
+
+    @property
+    def signals(self) -> Path:
+        return self.folder / "signals.yaml"
+
+
+def car_named(text: str) -> Car:
+    """A car by the name of its folder in config/car, or by any folder.
+
+    Raises RunError for a folder that is not there or has no vehicle file, and for a car.yaml that says something else
+    than steering_sign (1 or -1) and steering_latency (0 to 1 s).
+    """
+    folder = Path(text) if "/" in text or Path(text).is_dir() else config("car") / text
+    if not (folder / "vehicle.yaml").is_file():
+        raise RunError(folder, "no car: there is no vehicle.yaml in it", f"there are {', '.join(names())}; or name the "
+                       "folder of a car")
+    file = folder / "car.yaml"
+    said = _read(file) if file.exists() else {}
+    strange = set(said) - set(STEERING)
+    if strange:
+        raise RunError(file, f"{', '.join(sorted(strange))}: unknown", f"it may hold {', '.join(STEERING)}")
+    values = {**STEERING, **said}
+    if values["steering_sign"] not in (1, -1):
+        raise RunError(file, f"steering_sign: {values['steering_sign']!r} is neither 1 nor -1")
+    latency = values["steering_latency"]
+    if isinstance(latency, bool) or not isinstance(latency, int | float) or not 0.0 <= latency <= 1.0:
+        raise RunError(file, f"steering_latency: {latency!r} is not 0 to 1 s")
+    return Car(folder, int(values["steering_sign"]), float(latency))
+
+
+def names() -> list[str]:
+    """Of the cars in config/car."""
+    return sorted(path.parent.name for path in config("car").glob("*/vehicle.yaml"))
+
+
+def _read(file: Path) -> dict:
+    check_readable(file)
+    try:
+        said = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise RunError(file, f"not YAML: {' '.join(str(error).split())}") from None
+    if said is None:
+        return {}
+    if not isinstance(said, dict):
+        raise RunError(file, "not a table of keys and values")
+    return said

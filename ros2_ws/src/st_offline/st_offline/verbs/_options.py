@@ -1,0 +1,69 @@
+"""Options that several verbs have, in one place: whose recordings these are, and how raw logs become runs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..paths import config
+
+if TYPE_CHECKING:
+    from ..runs import ReadSettings
+
+
+def _sign(value: int | None) -> int | None:
+    if value not in (None, 1, -1):
+        raise typer.BadParameter(f"{value} is neither 1 nor -1")
+    return value
+
+
+CarName = Annotated[str | None, typer.Option(
+    "--car", help="Whose recordings these are: a name in config/car, or a folder with vehicle.yaml, can.dbc, "
+    "signals.yaml and car.yaml. --vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
+VehicleFile = Annotated[Path | None, typer.Option(
+    "--vehicle", help="Vehicle file; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+Offset = Annotated[float | None, typer.Option(
+    help="INS minus CAN clock, s, by hand; default: found in the signals.")]
+InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
+    help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002.")]
+Dbc = Annotated[Path | None, typer.Option(
+    help="DBC of the CAN logs; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+Signals = Annotated[Path | None, typer.Option(
+    help="Table from DBC signals to ours; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+SteeringSign = Annotated[int | None, typer.Option(
+    callback=_sign, help="CAN logs: 1 where the decoded sensor is left positive; -1: right. Default that of --car, "
+    "else 1.")]
+SteeringLatency = Annotated[float | None, typer.Option(
+    help="s, from the turn of the wheel to the frame in the log; default that of --car, else 0.", min=0.0, max=1.0)]
+
+
+def whose(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
+          steering_sign: int | None = None, steering_latency: float | None = None,
+          **others) -> "tuple[Path | None, ReadSettings]":
+    """(vehicle file, None where none was named; how raw logs are read). others: of ReadSettings.
+
+    Raises RunError for a car that cannot be read.
+    """
+    from ..car import STEERING, car_named
+    from ..runs import ReadSettings
+
+    steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
+    given = {name: value for name, value in steering.items() if value is not None}
+    if car is None:
+        return vehicle, ReadSettings(dbc=dbc, signals=signals, **STEERING | given, **others)
+    named = car_named(car)
+    its = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+    return vehicle or named.vehicle, ReadSettings(dbc=dbc or named.dbc, signals=signals or named.signals, **its | given,
+                                                  **others)
+
+
+LEAF = config("car/leaf/vehicle.yaml")
+
+
+def say_whose(verb: str, file: Path | str) -> None:
+    """One line where nobody named a car and the Leaf was taken."""
+    from ..car import names
+
+    if Path(file) == LEAF:
+        typer.echo(f"st {verb}: no car was named: these recordings were taken for the Leaf's; --car names one "
+                   f"({', '.join(names())}, or a folder)", err=True)

@@ -1,0 +1,122 @@
+"""Bands over real DDS: st demo and st replay with a bands file, what predictions state, what the evaluator counts."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+pytest.importorskip("st_msgs", reason="needs the built workspace")
+
+from bags import read_messages
+from drives import write_drive
+from st_core.bands import Bands, conditions_at
+from st_core.log_evaluation import EvaluationSettings
+from st_core.vehicle import VehicleParameters
+from st_offline.runs.bag import read_bag
+from support import ROOT
+from winding_road import Truth, winding_road
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(400)]
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+MODELS = ("kinematic", "linear", "nonlinear")
+WARN = 1
+
+
+def st(*arguments: object, status: tuple[int, ...] = (0,)) -> str:
+    done = subprocess.run([str(ROOT / "st"), *map(str, arguments)], check=False, capture_output=True, text=True,
+                          cwd=ROOT, timeout=240)
+    assert done.returncode in status, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def road(path: Path, seconds: float, seed: int, offset: float = 0.0) -> Path:
+    """A drive of the Leaf on a winding road. offset: of the hand wheel, which the vehicle file does not know [rad]."""
+    car = VehicleParameters.from_yaml(LEAF.read_text())
+    truth = Truth(offset, car.steering_ratio, 0.95)
+    time, x, y, yaw, forward, across, rate, _ = winding_road(car, truth, seconds, seed, 0.0).T
+    hand = winding_road(car, truth, seconds, seed, 0.5)[:, 7]
+    ahead, left = np.gradient(forward, time) - across * rate, np.gradient(across, time) + forward * rate
+    return write_drive(path, np.stack([time, x, y, yaw, forward, across, rate, ahead, left,
+                                       car.road_wheel_angle(hand)], axis=1))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Bands of ten drives, and two runs with them: the same car, and one with its steering off."""
+    base = tmp_path_factory.mktemp("bands")
+    for seed in range(10):
+        road(base / "known" / f"road_{seed}.csv", 40.0, seed)
+    st("calibrate", base / "known", "--vehicle", LEAF, "--output", base / "bands.yaml")
+    for name, seconds, offset in (("same", 25.0, 0.0), ("off", 65.0, 0.5)):
+        st("demo", "--drive", road(base / f"{name}.csv", seconds, 20, offset), "--bands", base / "bands.yaml",
+           "--output", base / name)
+    return base
+
+
+def stated(run: Path) -> dict[str, dict[int, dict[tuple[str, float], np.ndarray]]]:
+    """Half-widths by model, start, and mode and level."""
+    messages, found = read_messages(run / "bag"), {}
+    for model in MODELS:
+        found[model] = {
+            m.header.stamp.sec * 10**9 + m.header.stamp.nanosec: {
+                (b.mode, b.level): np.stack([b.along, b.across, b.yaw], axis=1) for b in m.bands}
+            for m in messages[f"/predictor/{model}/prediction"]}
+    return found
+
+
+def compare(run: Path, file: Path) -> int:
+    """Every band in a bag against the library on what was measured there; returns how many there are."""
+    bands, signals, compared = Bands.from_yaml(file.read_text()), EvaluationSettings().signals(
+        read_bag(run / "bag").log), 0
+    for model, by_start in stated(run).items():
+        starts = np.array(sorted(by_start))
+        here = conditions_at(signals, starts)
+        wanted = {key: bands.half_widths(model, key[0], here, key[1])
+                  for key in ((m, p) for m in ("forecast", "hindsight") for p in (0.5, 0.9))}
+        for row, start in enumerate(starts.tolist()):
+            for (mode, level), widths in by_start[start].items():
+                assert widths == pytest.approx(wanted[mode, level][row], rel=1e-4, abs=1e-5)
+                compared += 1
+    return compared
+
+
+def test_predictions_carry_what_the_library_says_live_and_in_a_replay(folder: Path) -> None:
+    file = folder / "bands.yaml"
+    assert compare(folder / "same", file) > 4 * 3 * 100
+    st("replay", folder / "same" / "bag", "--fast", "--bands", file, "--output", folder / "again")
+    assert compare(folder / "again", file) > 4 * 3 * 100
+
+
+def test_the_evaluator_counts_what_lay_inside(folder: Path) -> None:
+    summary = json.loads((folder / "same" / "summary.json").read_text())["models"]
+    for model in MODELS:
+        for mode in ("forecast", "hindsight"):
+            one = summary[model][mode]
+            assert 50 < one["bands"]["n"] <= one["n_starts"]
+            assert one["bands"]["0.5"] <= one["bands"]["0.9"] and one["bands"]["0.9"] > 0.6
+    assert not [text for text in told(folder / "same") if "far less" in text]
+
+
+def told(run: Path) -> set[str]:
+    """What the check on bands of predictor and evaluator warned of."""
+    return {status.message for array in read_messages(run / "bag")["/diagnostics"] for status in array.status
+            if status.name.endswith("bands") and status.level == WARN}
+
+
+def test_a_car_that_is_not_the_one_calibrated_with_is_warned_of(folder: Path) -> None:
+    texts = told(folder / "off")
+    assert any("cover far less" in text and "hindsight of linear (the 90% band" in text for text in texts), texts
+    summary = json.loads((folder / "off" / "summary.json").read_text())["models"]
+    assert summary["linear"]["hindsight"]["bands"]["0.9"] < 0.3
+
+
+def test_bands_of_another_car_are_refused_in_one_line_before_a_node_starts(folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text(LEAF.read_text().replace("mass: {value: 1", "mass: {value: 2", 1))
+    for arguments, words in ((("--vehicle", other), "the bands hold for"), ((), "unknown key")):
+        file = LEAF if not arguments else folder / "bands.yaml"
+        text = st("demo", *arguments, "--bands", file, "--output", tmp_path / "run", status=(2,)).strip()
+        assert words in text and len(text.splitlines()) == 1, text
