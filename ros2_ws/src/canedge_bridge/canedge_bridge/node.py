@@ -12,12 +12,12 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
-from st_msgs.msg import CanFrame, CanFrames, InsOnCan, Steering, WheelSpeeds
+from st_msgs.msg import CanFrames, InsOnCan, Steering, WheelSpeeds
 from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError, Parameter
 
-from .convert import to_can_frame, to_can_frames, to_ins_on_can, to_steering, to_wheel_speeds
+from .convert import serialised_frame, serialised_frames, to_ins_on_can, to_steering, to_wheel_speeds
 from .decode import Decoded, Decoder
 from .error_frames import BusState
 from .health import Health
@@ -28,7 +28,7 @@ from .transport import check_channel, id_filters, open_bus
 
 # Four seconds at 250 Hz: what a reader that was held up (a busy machine, a laptop that slept) can still be sent again.
 QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-FRAMES_PERIOD = 0.02
+FRAMES_PERIOD = 0.1  # s; nobody waits for raw frames
 
 PARAMETERS = (
     Parameter("interface", "socketcan", "python-can interface: socketcan, udp_multicast (loopback only), ..."),
@@ -61,7 +61,7 @@ class CanedgeBridge(Node):
         self._steering = self.create_publisher(Steering, "vehicle/steering", QOS)
         self._wheel_speeds = self.create_publisher(WheelSpeeds, "vehicle/wheel_speeds", QOS)
         self._ins_on_can = self.create_publisher(InsOnCan, "vehicle/ins_on_can", QOS)
-        self._frames: list[CanFrame] = []
+        self._frames: list[bytes] = []
         self._frames_lock = threading.Lock()
         if settings.publish_frames:
             self._can_frames = self.create_publisher(CanFrames, "can/frames", QOS)
@@ -106,7 +106,7 @@ class CanedgeBridge(Node):
     def _on_frame(self, frame: can.Message, time_ns: int) -> None:
         if self._settings.publish_frames:
             with self._frames_lock:
-                self._frames.append(to_can_frame(frame, time_ns))
+                self._frames.append(serialised_frame(frame, time_ns))
         decoded = self._decoder.decode(frame, time_ns)
         if decoded is not None:
             self._publish(decoded)
@@ -129,7 +129,8 @@ class CanedgeBridge(Node):
         with self._frames_lock:
             frames, self._frames = self._frames, []
         if frames:
-            self._can_frames.publish(to_can_frames(frames, f"{self._settings.interface}:{self._settings.channel}"))
+            bus = f"{self._settings.interface}:{self._settings.channel}"
+            self._can_frames.publish(serialised_frames(frames, bus))
 
     def _on_state(self, state: BusState, reason: str) -> None:
         if rclpy.ok():
