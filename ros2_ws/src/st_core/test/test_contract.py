@@ -1,9 +1,9 @@
 """Promises of an effect: the library keeps them all, and each way to break one is noticed."""
 
-import sys
 
 import numpy as np
 import pytest
+from effect_registry import restored
 from st_core.contract import PROMISES, check_effect
 from st_core.effects import DYNAMIC, EFFECTS, Effect, Parameter, load_file, register
 from st_core.errors import ConfigurationError
@@ -13,14 +13,7 @@ NAMES = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) f
 GAIN = Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), source="theory: 1", meaning="share")
 
 
-@pytest.fixture(autouse=True)
-def registry():
-    before, modules = dict(EFFECTS), set(sys.modules)
-    yield
-    EFFECTS.clear()
-    EFFECTS.update(before)
-    for name in [m for m in sys.modules if m.startswith("st_effects_") and m not in modules]:
-        del sys.modules[name]
+registry = pytest.fixture(autouse=True)(restored)
 
 
 def broken(effect, leaf) -> dict[str, str]:

@@ -1,11 +1,11 @@
 """The registry refuses what is wrong, and takes the user's own effects from a folder."""
 
-import sys
 import textwrap
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from effect_registry import restored
 from st_core import effects
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, Effect, Parameter, get_effect, load_folder, register
@@ -42,15 +42,7 @@ BANK_FROM_A_MAP = '''
 '''
 
 
-@pytest.fixture(autouse=True)
-def registry():
-    """Each test leaves the registry as it found it."""
-    before, modules = dict(EFFECTS), set(sys.modules)
-    yield
-    EFFECTS.clear()
-    EFFECTS.update(before)
-    for name in [m for m in sys.modules if m.startswith("st_effects_") and m not in modules]:
-        del sys.modules[name]
+registry = pytest.fixture(autouse=True)(restored)
 
 
 def write(folder, file, text):

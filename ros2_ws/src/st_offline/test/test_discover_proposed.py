@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from answers import discovery
 from driven import drive
+from effect_registry import restored
 from st_core.augmented import augment
 from st_core.contract import check_effect
 from st_core.effects import EFFECTS, Measured, load_folder
@@ -36,12 +37,7 @@ def proposal(place: str, quantity: str, parity: float, by: str = "") -> Proposal
                     (Reading("linear", "y = 2 u", 0.97, "a cause"),))
 
 
-@pytest.fixture
-def registry():
-    before = dict(EFFECTS)
-    yield
-    for name in set(EFFECTS) - set(before):
-        del EFFECTS[name]
+registry = pytest.fixture(restored)
 
 
 @pytest.mark.parametrize(("place", "quantity", "parity", "by"), EVERY, ids=[f"{p}-{q}-{b}" for p, q, _, b in EVERY])

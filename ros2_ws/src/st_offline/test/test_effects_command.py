@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 from drives import weave, write_drive
+from effect_registry import restored
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, load_folder
 from st_core.model_file import ModelFile
@@ -24,14 +25,7 @@ def st(*arguments):
     return CliRunner().invoke(app, [*map(str, arguments)], env={"COLUMNS": "200"})
 
 
-@pytest.fixture(autouse=True)
-def registry():
-    before, modules = dict(EFFECTS), set(sys.modules)
-    yield
-    EFFECTS.clear()
-    EFFECTS.update(before)
-    for name in [m for m in sys.modules if m.startswith("st_effects_") and m not in modules]:
-        del sys.modules[name]
+registry = pytest.fixture(autouse=True)(restored)
 
 
 @pytest.fixture
