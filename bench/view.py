@@ -10,7 +10,7 @@ import numpy as np
 import psutil
 import rclpy
 from _suite import running_suite
-from latency import MODELS, PERIOD, Listener, latencies
+from latency import PERIOD, Listener, latencies
 from rich.console import Console
 from st_offline.paths import config
 from st_offline.suite import Suite
@@ -77,8 +77,8 @@ def _listen(seconds: float) -> Listener:
 def _numbers(listeners: list[Listener], seconds: float) -> dict:
     intervals, rounds = [], []
     for node in listeners:
-        first = sorted({measured: out for measured, model, out, _ in node.predictions if model == MODELS[0]}.values())
-        intervals += list(np.diff(first) * 1e-6)
+        last = sorted({start: issued for start, issued, _ in node.predictions}.values())
+        intervals += list(np.diff(last) * 1e-6)
         rounds.append(latencies(node)[0])
     pooled = np.concatenate(rounds)
     if len(pooled) < SHARE * 10.0 * seconds:

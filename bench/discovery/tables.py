@@ -142,7 +142,11 @@ def _ablation(records: Sequence[Record]) -> str:
     for (name, factor), mine in sorted(by.items()):
         measured = {r["name"]: shown(r) for r in score.scores(mine)}
         rows.append((f"{name} x {factor:g}" if name else "as they are", *(measured[n] for n in ABLATED)))
-    return table(("limit", *ABLATED), rows)
+    usual = by["", 1.0]
+    cases = ", ".join(f"{n} {block}" for block, n in sorted(Counter(r["block"] for r in usual).items()))
+    about = (f"The same cases with half and twice each limit; set {usual[0]['set']}, version {usual[0]['version']}, "
+             f"{cases}. So few cases show what a limit cannot be moved past, not which value is best.")
+    return "\n\n".join((about, table(("limit", *ABLATED), rows)))
 
 
 def _failures(records: Sequence[Record]) -> list[str]:
