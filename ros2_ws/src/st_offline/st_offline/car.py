@@ -46,7 +46,7 @@ def car_named(text: str) -> Car:
         raise RunError(folder, "no car: there is no vehicle.yaml in it", f"there are {', '.join(names())}; or name the "
                        "folder of a car")
     file = folder / "car.yaml"
-    said = _read(file) if file.exists() else {}
+    said = read_table(file) if file.exists() else {}
     strange = set(said) - set(STEERING)
     if strange:
         raise RunError(file, f"{', '.join(sorted(strange))}: unknown", f"it may hold {', '.join(STEERING)}")
@@ -64,7 +64,8 @@ def names() -> list[str]:
     return sorted(path.parent.name for path in config("car").glob("*/vehicle.yaml"))
 
 
-def _read(file: Path) -> dict:
+def read_table(file: Path) -> dict:
+    """A YAML file of keys and values. Raises RunError."""
     check_readable(file)
     try:
         said = yaml.safe_load(file.read_text(encoding="utf-8"))

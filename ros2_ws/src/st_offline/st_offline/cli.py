@@ -13,6 +13,7 @@ from .verbs import (
     align,
     bench,
     calibrate,
+    car,
     check,
     demo,
     develop,
@@ -43,6 +44,7 @@ app = typer.Typer(
 app.command()(demo.demo)
 app.command()(live.live)
 app.command()(ncom.ncom)
+app.command()(car.car)
 app.command()(check.check)
 app.command()(evaluate.evaluate)
 app.command()(calibrate.calibrate)

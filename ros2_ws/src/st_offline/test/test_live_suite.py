@@ -85,8 +85,36 @@ def test_the_steering_of_the_nodes_file_holds_unless_it_is_given(tmp_path: Path,
         raise SuiteError("not now")
     monkeypatch.setattr(session, "run", not_now)
     for number, options in enumerate(([], ["--steering-latency", "0", "--steering-sign", "1"])):
-        assert run(live.live, "--output", tmp_path / str(number), *options).stderr == "st live: not now\n"
+        said = run(live.live, "--output", tmp_path / str(number), *options).stderr.splitlines()
+        assert len(said) == 2 and "no car was named" in said[0] and said[1] == "st live: not now"
     assert [(bus["steering_sign"], bus["steering_latency"]) for bus in buses] == [(-1, 0.05), (1, 0.0)]
+
+
+def test_live_takes_a_car_by_its_folder(tmp_path: Path, monkeypatch) -> None:
+    car, asked = tmp_path / "mycar", []
+    car.mkdir()
+    for name in ("vehicle.yaml", "can.dbc", "signals.yaml"):
+        (car / name).write_bytes((ROOT / "config/car/leaf" / name).read_bytes())
+    (car / "car.yaml").write_text("steering_sign: -1\nsteering_latency: 0.03\n")
+
+    def not_now(_folder, parameters, *_arguments, **_more):
+        asked.append(parameters)
+        raise SuiteError("not now")
+    monkeypatch.setattr(session, "run", not_now)
+    for number, options in enumerate(([], ["--steering-sign", "1", "--dbc", ROOT / "config/car/leaf/can.dbc"])):
+        result = run(live.live, "--car", car, "--output", tmp_path / str(number), *options)
+        assert result.stderr == "st live: not now\n"
+    buses = [nodes["canedge_bridge"] for nodes in asked]
+    assert [(bus["steering_sign"], bus["steering_latency"]) for bus in buses] == [(-1, 0.03), (1, 0.03)]
+    assert [bus["dbc_file"] for bus in buses] == [str(car / "can.dbc"), str(ROOT / "config/car/leaf/can.dbc")]
+    assert all(bus["signals_file"] == str(car / "signals.yaml") for bus in buses)
+    assert all(nodes["predictor"]["vehicle_file"] == str(car / "vehicle.yaml") for nodes in asked)
+
+
+def test_live_refuses_a_car_whose_bus_nobody_has_described(tmp_path: Path) -> None:
+    result = run(live.live, "--car", "hyundai_genesis", "--output", tmp_path / "run")
+    assert result.exit_code == 2 and "can.dbc" in result.stderr and "--dbc" in result.stderr
+    assert result.stderr.count("\n") == 1 and not (tmp_path / "run").exists()
 
 
 def test_a_recording_is_not_overwritten_by_its_own_csv(tmp_path: Path) -> None:

@@ -1,19 +1,21 @@
 """The suite on the car: bridges, predictor, evaluator and recorder.
 
-    ros2 launch st_predictor car.launch.py config_dir:=/path/to/config can_channel:=can0 ncom_port:=3000
+    ros2 launch st_predictor car.launch.py config_dir:=/path/to/config car:=mycar can_channel:=can0 ncom_port:=3000
 """
 
 import os
 import signal
 from datetime import UTC, datetime
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+import yaml
+from launch import LaunchDescription, Substitution
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 
 CONFIG = LaunchConfiguration("config_dir")
+CAR = LaunchConfiguration("car")
 VEHICLE = LaunchConfiguration("vehicle")
 DBC = LaunchConfiguration("dbc")
 SIGNALS = LaunchConfiguration("signals")
@@ -21,6 +23,21 @@ PARAMETERS = LaunchConfiguration("parameters")
 OUTPUT = LaunchConfiguration("output")
 # launch hands only SIGINT on. However it ends, the kernel interrupts its nodes: none is left holding port and bag.
 ENDS_WITH_US = "setpriv --pdeathsig INT"
+
+
+class CarFile(Substitution):
+    """A file of the car's folder, config_dir/car/NAME or an absolute one; the Leaf's where no car is named."""
+
+    def __init__(self, name):
+        super().__init__()
+        self._name = name
+
+    def describe(self):
+        return f"CarFile({self._name})"
+
+    def perform(self, context):
+        # What is joined to an absolute path replaces all before it: a folder may stand for the name.
+        return os.path.join(CONFIG.perform(context), "car", CAR.perform(context) or "leaf", self._name)
 
 
 def argument(name, description, default=None):
@@ -44,6 +61,32 @@ def suite_node(package, executable, *overrides, **options):
         ros_arguments=words, respawn=LaunchConfiguration("respawn"), respawn_delay=2.0, prefix=ENDS_WITH_US, **options)
 
 
+def can_bridge(context):
+    """Steering as the arguments say, else as the named car's car.yaml, else as the file of node parameters."""
+    steering = {}
+    if CAR.perform(context):
+        steering = {"steering_sign": 1, "steering_latency": 0.0}
+        file = CarFile("car.yaml").perform(context)
+        if os.path.exists(file):
+            with open(file, encoding="utf-8") as stream:
+                steering |= yaml.safe_load(stream) or {}
+    given = {"steering_sign": LaunchConfiguration("steering_sign").perform(context),
+             "steering_latency": LaunchConfiguration("steering_latency").perform(context)}
+    steering |= {name: yaml.safe_load(value) for name, value in given.items() if value}
+    # rcl tells 0 from 0.0, and a latency is the latter.
+    if "steering_latency" in steering:
+        steering["steering_latency"] = float(steering["steering_latency"])
+    return [suite_node(
+        "canedge_bridge", "canedge_bridge",
+        text("canedge_bridge", "interface", LaunchConfiguration("can_interface")),
+        text("canedge_bridge", "channel", LaunchConfiguration("can_channel")),
+        text("canedge_bridge", "vehicle_file", VEHICLE),
+        text("canedge_bridge", "dbc_file", DBC),
+        text("canedge_bridge", "signals_file", SIGNALS),
+        *(number("canedge_bridge", name, str(value)) for name, value in steering.items()),
+    )]
+
+
 def generate_launch_description():
     # Started in a script's background, launch would inherit a SIGINT that is ignored: Ctrl-C would end the nodes and
     # launch would start all of them again.
@@ -56,11 +99,14 @@ def generate_launch_description():
     transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     return LaunchDescription([
         SetEnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", transports),
-        argument("config_dir", "folder with nodes.yaml, vehicle/ and can/ (config/ of the repository)"),
-        argument("vehicle", "vehicle file", [CONFIG, "/vehicle/leaf.yaml"]),
+        argument("config_dir", "folder with nodes.yaml and car/ (config/ of the repository)"),
+        argument("car", "a name in config_dir/car, or an absolute folder like one there; empty: the Leaf", ""),
+        argument("vehicle", "vehicle file", CarFile("vehicle.yaml")),
         argument("parameters", "node parameters", [CONFIG, "/nodes.yaml"]),
-        argument("dbc", "DBC of the car's bus", [CONFIG, "/can/leaf_ze0.dbc"]),
-        argument("signals", "table from DBC signals to our names", [CONFIG, "/can/leaf_ze0.yaml"]),
+        argument("dbc", "DBC of the car's bus", CarFile("can.dbc")),
+        argument("signals", "table from DBC signals to our names", CarFile("signals.yaml")),
+        argument("steering_sign", "1: decoded sensor left positive, -1: right; empty: the car's, or the file's", ""),
+        argument("steering_latency", "s, from the turn of the wheel to the frame; empty: likewise", ""),
         argument("can_interface", "python-can interface", "socketcan"),
         argument("can_channel", "channel of that interface", "can0"),
         argument("ncom_port", "UDP port the INS sends NCOM to", "3000"),
@@ -96,13 +142,5 @@ def generate_launch_description():
             text("oxts_bridge", "bind_address", LaunchConfiguration("ncom_address")),
             **bridges,
         ),
-        suite_node(
-            "canedge_bridge", "canedge_bridge",
-            text("canedge_bridge", "interface", LaunchConfiguration("can_interface")),
-            text("canedge_bridge", "channel", LaunchConfiguration("can_channel")),
-            text("canedge_bridge", "vehicle_file", VEHICLE),
-            text("canedge_bridge", "dbc_file", DBC),
-            text("canedge_bridge", "signals_file", SIGNALS),
-            **bridges,
-        ),
+        OpaqueFunction(function=can_bridge, **bridges),
     ])

@@ -9,7 +9,7 @@ from pathlib import Path
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, Shutdown, TimerAction
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 
 # What came from the car; predictions and errors of the first run stay out.
 MEASURED = "/(ins|vehicle|can)/.*|/tf|/tf_static"
@@ -19,8 +19,10 @@ START_DELAY = 3.0
 CLOCK_RATE = "200"
 
 ARGUMENTS = {
-    "config_dir": (None, "folder with nodes.yaml and vehicle/ (config/ of the repository)"),
-    "vehicle": ([LaunchConfiguration("config_dir"), "/vehicle/leaf.yaml"], "vehicle file"),
+    "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),
+    "car": ("leaf", "a name in config_dir/car, or an absolute folder like one there"),
+    "vehicle": (PathJoinSubstitution([LaunchConfiguration("config_dir"), "car", LaunchConfiguration("car"),
+                                      "vehicle.yaml"]), "vehicle file"),
     "bag": (None, "bag directory to play"),
     "speed": ("1.0", "times as fast as it was recorded"),
     "bands": ("", "bands.yaml of st calibrate; empty: predictions without bands"),

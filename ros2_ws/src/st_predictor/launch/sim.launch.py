@@ -12,9 +12,10 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackagePrefix
 
+# No car: DBC, table and steering on these wires are the virtual Leaf's, those of another car could not be heeded.
 ARGUMENTS = {
-    "config_dir": (None, "folder with nodes.yaml, vehicle/ and can/ (config/ of the repository)"),
-    "vehicle": ([LaunchConfiguration("config_dir"), "/vehicle/leaf.yaml"], "vehicle file"),
+    "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),
+    "vehicle": ([LaunchConfiguration("config_dir"), "/car/leaf/vehicle.yaml"], "vehicle file"),
     "scenario": ("S6", "manoeuvre: S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, "
                  "slalom, weave, circle, there_and_back"),
     "duration": ("60", "seconds of driving"),

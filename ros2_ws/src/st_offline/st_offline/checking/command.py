@@ -45,8 +45,11 @@ class Job:
     cure: Path | None = None
 
 
-def run_command(job: Job, console: Console) -> int:
-    """Exit status: 0 no error was found, 1 one was, or a run could not be read. Raises CommandError, OutputError."""
+def run_command(job: Job, console: Console, told: Callable[[str], None] | None = None) -> int:
+    """Exit status: 0 no error was found, 1 one was, or a run could not be read. Raises CommandError, OutputError.
+
+    told: hears, where nobody named a vehicle file, of each that was used.
+    """
     sources = find_runs(job.paths)
     if job.cure is not None:
         check_name(job.cure)
@@ -60,6 +63,9 @@ def run_command(job: Job, console: Console) -> int:
     for run in runs:
         show(run, console)
     show_together([run.checked for run in runs if not run.problem], console)
+    if told and not job.given:
+        for file in sorted({run.car_from for run in runs if not run.problem}):
+            told(file)
     for file, what in write(runs, job, folder, console).items():
         console.print(f"  {escape(str(file))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
     return int(any(run.problem or run.checked.of(Severity.ERROR) for run in runs))

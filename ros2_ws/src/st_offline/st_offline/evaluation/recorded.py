@@ -75,12 +75,12 @@ def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> Recorded
 def configuration_of(records: Mapping[str, Mapping[str, str]],
                      vehicle: Path | None) -> tuple[VehicleParameters, RecordedConfiguration, str]:
     """(vehicle, recorded configuration, name of where the vehicle comes from): of the file given, else of the
-    recording, else config/vehicle/leaf.yaml. Raises RunError, ConfigurationError.
+    recording, else config/car/leaf/vehicle.yaml. Raises RunError, ConfigurationError.
     """
     recorded = recorded_configuration(records)
     if vehicle is None and recorded.vehicle is not None:
         return VehicleParameters.from_yaml(recorded.vehicle, "the vehicle in the recording"), recorded, "the recording"
-    file = vehicle or config("vehicle/leaf.yaml")
+    file = vehicle or config("car/leaf/vehicle.yaml")
     try:
         return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), recorded, str(file)
     except (OSError, UnicodeDecodeError) as error:

@@ -1,7 +1,8 @@
 """Options that several verbs have, in one place: whose recordings these are, and how raw logs become runs."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,7 +19,7 @@ def _sign(value: int | None) -> int | None:
 
 
 CarName = Annotated[str | None, typer.Option(
-    "--car", help="Whose recordings these are: a name in config/car, or a folder with vehicle.yaml, can.dbc, "
+    "--car", help="The car that drives or was recorded: a name in config/car, or a folder with vehicle.yaml, can.dbc, "
     "signals.yaml and car.yaml. --vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
     "--vehicle", help="Vehicle file; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
@@ -31,10 +32,11 @@ Dbc = Annotated[Path | None, typer.Option(
 Signals = Annotated[Path | None, typer.Option(
     help="Table from DBC signals to ours; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
 SteeringSign = Annotated[int | None, typer.Option(
-    callback=_sign, help="CAN logs: 1 where the decoded sensor is left positive; -1: right. Default that of --car, "
-    "else 1.")]
+    callback=_sign, help="1 where the sensor, as DBC and table decode it, is left positive; -1: right. Default that of "
+    "--car, else 1; live: else that of config/nodes.yaml.")]
 SteeringLatency = Annotated[float | None, typer.Option(
-    help="s, from the turn of the wheel to the frame in the log; default that of --car, else 0.", min=0.0, max=1.0)]
+    help="s, from the turn of the wheel to the frame; default that of --car, else 0; live: else that of "
+    "config/nodes.yaml.", min=0.0, max=1.0)]
 
 
 def whose(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
@@ -57,6 +59,36 @@ def whose(car: str | None, vehicle: Path | None, dbc: Path | None = None, signal
                                                   **others)
 
 
+@dataclass(frozen=True)
+class Wires:
+    """A car for the live nodes. vehicle, dbc, signals: None where nobody named one. steering: of canedge_bridge, only
+    what was said; config/nodes.yaml holds for the rest."""
+
+    vehicle: Path | None
+    dbc: Path | None
+    signals: Path | None
+    steering: dict[str, Any]
+
+
+def on_the_wires(car: str | None, vehicle: Path | None, dbc: Path | None, signals: Path | None,
+                 steering_sign: int | None, steering_latency: float | None) -> Wires:
+    """As `whose`, for a bus that is listened to. Raises RunError, also for a car whose bus nobody has described."""
+    from ..car import car_named
+    from ..runs.errors import RunError
+
+    steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
+    given = {name: value for name, value in steering.items() if value is not None}
+    if car is None:
+        return Wires(vehicle, dbc, signals, given)
+    named = car_named(car)
+    for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
+        if not file.is_file():
+            raise RunError(file, "there is no such file: nobody has described the bus of this car",
+                           f"write it, or name another with {option}")
+    its = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+    return Wires(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, its | given)
+
+
 LEAF = config("car/leaf/vehicle.yaml")
 
 
@@ -64,6 +96,16 @@ def say_whose(verb: str, file: Path | str) -> None:
     """One line where nobody named a car and the Leaf was taken."""
     from ..car import names
 
-    if Path(file) == LEAF:
-        typer.echo(f"st {verb}: no car was named: these recordings were taken for the Leaf's; --car names one "
+    if Path(file).resolve() == LEAF.resolve():
+        typer.echo(f"st {verb}: no car was named: the Leaf's file {LEAF} is used; --car names another "
                    f"({', '.join(names())}, or a folder)", err=True)
+
+
+def say_whose_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
+    """The same line for a recording that carries no vehicle file. Raises RunError for one that cannot be read."""
+    from ..evaluation.recorded import recorded_configuration
+    from ..evaluation.verification import recordings_of
+    from ..runs.bag import records_of
+
+    if vehicle is None and recorded_configuration(records_of(recordings_of(bag)[0])).vehicle is None:
+        say_whose(verb, LEAF)

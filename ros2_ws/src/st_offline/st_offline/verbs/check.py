@@ -5,7 +5,18 @@ from pathlib import Path
 import typer
 
 from ..paths import config
-from ._options import CarName, Dbc, InsCanLatency, Offset, Signals, SteeringLatency, SteeringSign, VehicleFile, whose
+from ._options import (
+    CarName,
+    Dbc,
+    InsCanLatency,
+    Offset,
+    Signals,
+    SteeringLatency,
+    SteeringSign,
+    VehicleFile,
+    say_whose,
+    whose,
+)
 
 
 def check(
@@ -49,7 +60,7 @@ def check(
             runs, VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), str(file),
             vehicle is not None,
             read, output, json, propose_cure)
-        status = run_command(job, Console())
+        status = run_command(job, Console(), lambda file: say_whose("check", file))
     except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
         typer.echo(f"st check: {error}", err=True)
         raise typer.Exit(2) from None

@@ -15,8 +15,10 @@ SCENARIOS = (
 def demo(
     scenario: str | None = typer.Option(None, help=f"Manoeuvre of the virtual Leaf: {SCENARIOS}; default S6."),
     drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", exists=True, dir_okay=False),
+    # No --car: DBC, table and steering on these wires are the virtual Leaf's, those of another car could not be heeded.
     vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
+        None, help="Vehicle file; default the Leaf's. Its bus is always the Leaf's: hence no --car here.", exists=True,
+        dir_okay=False
     ),
     plant_vehicle: Path | None = typer.Option(
         None, help="Vehicle file of the virtual Leaf itself; default the same. --vehicle is what the nodes believe.",

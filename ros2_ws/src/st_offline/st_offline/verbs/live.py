@@ -5,6 +5,8 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
+from ._options import CarName, Dbc, Signals, SteeringLatency, SteeringSign, VehicleFile, on_the_wires, say_whose
+
 
 def live(
     can_interface: str = typer.Option("socketcan", help="python-can interface."),
@@ -12,20 +14,12 @@ def live(
     ncom_port: int = typer.Option(3000, help="UDP port the RT sends NCOM to.", min=1, max=65535),
     ncom_address: str = typer.Option("0.0.0.0", help="Local address to listen on; the RT broadcasts: all by default."),
     ncom_sender: str = typer.Option("", help="Take packets of this sender address only."),
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
-    ),
-    dbc: Path | None = typer.Option(None, help="DBC; default config/can/leaf_ze0.dbc.", exists=True, dir_okay=False),
-    signals: Path | None = typer.Option(
-        None, help="Signal table; default config/can/leaf_ze0.yaml.", exists=True, dir_okay=False
-    ),
-    steering_sign: int | None = typer.Option(
-        None, help="+1: the decoded sensor is left positive; -1: right positive; default in config/nodes.yaml."
-    ),
-    steering_latency: float | None = typer.Option(
-        None, help="From the turn of the wheel to the frame on this host, s; default in config/nodes.yaml.", min=0.0,
-        max=1.0
-    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    steering_sign: SteeringSign = None,
+    steering_latency: SteeringLatency = None,
     duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C.", min=1.0),
     model: Path | None = typer.Option(
         None, help="Model file (model.yaml of `st discover`): a fourth model beside the three.", exists=True,
@@ -50,29 +44,28 @@ def live(
     from ..fourth_model import fourth_model
     from ..output import OutputError, new_folder
     from ..report import conclude
+    from ..runs.errors import RunError
     from ..session import node_parameters, run
     from ..suite import SuiteError
     from ..view.window import finish, window
     from ..wires import bridge_parameters, vehicle_file
 
     console = Console()
-    if steering_sign not in (None, 1, -1):
-        typer.echo(f"st live: --steering-sign: {steering_sign} is neither 1 nor -1", err=True)
-        raise typer.Exit(2)
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     bus = {"interface": can_interface, "channel": can_channel}
-    steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
-    bus |= {name: value for name, value in steering.items() if value is not None}
     try:
-        vehicle = vehicle_file(vehicle)
+        named = on_the_wires(car, vehicle, dbc, signals, steering_sign, steering_latency)
+        vehicle = vehicle_file(named.vehicle)
         fourth = fourth_model(model, effects, vehicle)
         shown = window(view, view_save)
         folder = new_folder(output, "live")
-        bridges = bridge_parameters(vehicle, ins, bus, dbc, signals)
+        bridges = bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
         parameters = with_bands(node_parameters(folder, vehicle, bridges, fourth), bands)
+        if named.vehicle is None:
+            say_whose("live", vehicle)
         outcome = run(folder, parameters, "live", duration, None, console, shown, supervised=True,
                       realtime=realtime)
-    except (SuiteError, OutputError) as error:
+    except (RunError, SuiteError, OutputError) as error:
         typer.echo(f"st live: {error}", err=True)
         raise typer.Exit(2) from None
     source = f"{can_interface}:{can_channel}, NCOM port {ncom_port}"

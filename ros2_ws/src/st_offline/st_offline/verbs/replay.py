@@ -4,13 +4,16 @@ from pathlib import Path
 
 import typer
 
+from ._options import CarName, say_whose_bag, whose
+
 
 def replay(
     bag: Path = typer.Argument(..., help="A recording with odometry and steering (rosbag2).", exists=True),
     rate: float = typer.Option(1.0, help="Times as fast as it was recorded.", min=0.05, max=100.0),
     fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator follow."),
+    car: CarName = None,
     vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default the one in the recording, else config/vehicle/leaf.yaml.", exists=True,
+        None, help="Vehicle file; default that of --car, else the one in the recording, else the Leaf's.", exists=True,
         dir_okay=False
     ),
     force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
@@ -38,9 +41,11 @@ def replay(
 
     console = Console()
     try:
+        vehicle = whose(car, vehicle)[0]
         shown = window(view, view_save)
         findings = passed_bag(bag, vehicle, force)
         say(bag.name, findings, console)
+        say_whose_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
         outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, shown, bands)
     except (RunError, StCoreError, SuiteError, OutputError) as error:

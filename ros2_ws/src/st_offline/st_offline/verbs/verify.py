@@ -4,13 +4,17 @@ from pathlib import Path
 
 import typer
 
+from ._options import CarName, say_whose_bag, whose
+
 TOLERANCE = 0.001  # m
 
 
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
+    car: CarName = None,
     vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default the one in the recording.", exists=True, dir_okay=False
+        None, help="Vehicle file; default that of --car, else the one in the recording, else the Leaf's.", exists=True,
+        dir_okay=False
     ),
     tolerance: float = typer.Option(TOLERANCE, help="m; the largest difference that passes.", min=0.0),
     again: bool = typer.Option(False, "--replay", help="Play it through the nodes, and compare what they say now."),
@@ -31,6 +35,8 @@ def verify(
     from ..suite import SuiteError
 
     try:
+        vehicle = whose(car, vehicle)[0]
+        say_whose_bag("verify", bag, vehicle)
         status = verify_command(bag, vehicle, tolerance, again, output, Console(), force)
     except (RunError, StCoreError, SuiteError, OutputError) as error:
         typer.echo(f"st verify: {error}", err=True)

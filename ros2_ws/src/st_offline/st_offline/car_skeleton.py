@@ -1,0 +1,188 @@
+"""A new car's folder with the places to fill in, and what is wrong with a car's folder."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from canedge_bridge.signals import load_table
+from canedge_bridge.table_reader import TableError
+from st_core.errors import StCoreError
+from st_core.vehicle import VEHICLE_QUANTITIES, VehicleParameters
+
+from .car import STEERING, Car, car_named, read_table
+from .paths import config
+from .runs.errors import RunError
+
+FILL_IN = "FILL_IN"
+"""Stands where only the owner of the car knows; no reader of these files takes it for a value."""
+HINTS = {
+    "mass": "four wheel scales, with driver and equipment",
+    "yaw_inertia": "a comparable car to begin with, or identified",
+    "wheelbase": "tape, or the papers of the car",
+    "cg_to_front_axle": "wheelbase * load of the rear axle / mass",
+    "cg_to_ins_x": "tape, from the CG to the unit's measurement point; behind the CG is negative",
+    "steering_ratio": "turntables, mean of both front wheels",
+    "cornering_stiffness_front": "a comparable car to begin with, then identified",
+    "cornering_stiffness_rear": "a comparable car to begin with, then identified",
+}
+"""What no other car can lend, and how it is got."""
+ZERO = ("cg_to_ins_y", "steering_wheel_offset")
+_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
+
+SIGNALS = """\
+messages:
+  FILL_IN_message:                      # name of the message in can.dbc that carries the steering wheel angle
+    needed: true
+    period: {value: 0.01, unit: s}
+    timeout: {value: 0.2, unit: s}
+    # counter: {signal: NAME, check: warn}                # worth the trouble where the car has them
+    # checksum: {signal: NAME, rule: sum8_id, check: drop}
+    signals:
+      # unit as in the DBC. Leave sign at 1: which way the sensor counts is steering_sign in car.yaml.
+      FILL_IN_signal: {name: steering_wheel_angle, unit: deg, sign: 1, range: [-900, 900], max_rate: 2000}
+
+"""
+DBC = """\
+VERSION ""
+
+BU_: CAR RT LOGGER
+
+// The messages of your car. Needed is one with the steering wheel angle, for example:
+// BO_ 37 MyCar_Steering: 8 CAR
+//  SG_ SteerAngle : 0|16@1- (0.1,0) [-3276.8|3276.7] "deg" LOGGER
+// start bit | length @ 1: low byte first, 0: high byte first; - signed, + unsigned; (factor,offset) [least|greatest].
+// A message that is multiplexed (m0, M) is refused by name: declare what you need of it as a plain message, and only
+// if those bits never mean anything else.
+// Where the OxTS RT sends on the same bus, append its messages: cat rt.dbc >> can.dbc
+"""
+CAR = """\
+# road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio, left positive.
+# steering_wheel_offset and steering_ratio stand in vehicle.yaml.
+steering_sign: 1         # 1: the sensor, as can.dbc and signals.yaml decode it, is left positive; -1: right positive
+steering_latency: 0.0    # s, from the turn of the wheel to the frame in the log (0 to 1)
+"""
+VEHICLE = """\
+# Every value carries its unit and where it comes from; FILL_IN is what only you know: value and source.
+# The other values are assumed and fair to begin with. Not here, for nothing reads them: track width, driven axle, drag area.
+name: FILL_IN
+"""
+
+
+def write_skeleton(folder: Path) -> list[Path]:
+    """vehicle.yaml, signals.yaml, can.dbc, rt.dbc and car.yaml in a new or empty folder.
+
+    Raises RunError for a folder that holds something, or cannot be written.
+    """
+    texts = {"vehicle.yaml": _vehicle(), "signals.yaml": _signals(), "can.dbc": DBC, "rt.dbc": _rt(), "car.yaml": CAR}
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise RunError(folder, "is there already, and nothing is overwritten", "name a new folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RunError(folder, f"cannot be written: {error.strerror}") from None
+    return [folder / name for name in texts]
+
+
+def problems(folder: str) -> list[str]:
+    """One line each, naming file and key, for what keeps the car from being used: empty for a good one.
+
+    Raises RunError where there is no car at all.
+    """
+    path = Path(folder)
+    if "/" in folder and not path.is_dir():
+        raise RunError(path, "there is no such folder", f"st car new {folder} writes one")
+    try:
+        car = car_named(folder)
+    except RunError as error:
+        if not str(error.path).endswith("car.yaml"):
+            raise
+        # The other files deserve their lines all the same.
+        car = Car(error.path.parent, **STEERING)
+        return [str(error), *_vehicle_problems(car.vehicle), *_bus_problems(car)]
+    return [*_vehicle_problems(car.vehicle), *_bus_problems(car)]
+
+
+def _vehicle_problems(file: Path) -> list[str]:
+    try:
+        document = read_table(file)
+        empty = sorted({where for where in _places(document)}, key=list(document).index)
+        if empty:
+            return [f"{file}: {key}: to be filled in, value and source" + _limit(key) for key in empty]
+        VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+    except (RunError, StCoreError) as error:
+        return [str(error)]
+    return []
+
+
+def _bus_problems(car: Car) -> list[str]:
+    there = [file for file in (car.dbc, car.signals) if file.exists()]
+    if not there:  # CSV and bags of such a car can be read
+        return []
+    if len(there) == 1:
+        missing = car.signals if car.dbc.exists() else car.dbc
+        return [f"{missing}: there is no such file, and {there[0].name} means nothing without it; write it, or take "
+                "both away"]
+    try:
+        if any(_places(read_table(car.signals))):
+            return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are to be filled in: names in "
+                    f"{car.dbc.name} of the message and the signal with the steering wheel angle"]
+        table = load_table(car.dbc, car.signals)
+    except (RunError, TableError) as error:
+        return [str(error)]
+    if not any(signal.name == "steering_wheel_angle" for one in table.messages.values() for signal in one.signals):
+        return [f"{car.signals}: messages: no signal of {car.dbc.name} is named steering_wheel_angle; without it there "
+                "is nothing to predict with"]
+    return []
+
+
+def _places(document: Any, top: str = "") -> Iterator[str]:
+    """Top keys under which something is still to be filled in."""
+    if isinstance(document, dict):
+        for key, value in document.items():
+            if str(key).startswith(FILL_IN):
+                yield top or str(key)
+            yield from _places(value, top or str(key))
+    elif isinstance(document, list):
+        for value in document:
+            yield from _places(value, top)
+    elif str(document).startswith(FILL_IN):
+        yield top
+
+
+def _limit(key: str) -> str:
+    quantity = VEHICLE_QUANTITIES.get(key)
+    return f"; {quantity.limit()}" if quantity else ""
+
+
+def _leaf(name: str) -> str:
+    return (config("car/leaf") / name).read_text(encoding="utf-8")
+
+
+def _vehicle() -> str:
+    lines = _leaf("vehicle.yaml").splitlines()
+    begun = next(i for i, line in enumerate(lines) if line.startswith("name:")) + 1
+    return VEHICLE + "".join(f"{_mine(line)}\n" for line in lines[begun:])
+
+
+def _mine(line: str) -> str:
+    row = _ROW.match(line)
+    if row is None:
+        return line
+    key, unit = row["key"], row["unit"]
+    if key in HINTS:
+        return f"{key}: {{value: {FILL_IN}, unit: {unit}, source: {FILL_IN}}}  # {HINTS[key]}"
+    value, why = (0.0, "none") if key in ZERO else (row["value"], "as a Nissan Leaf ZE0")
+    return f'{row["indent"]}{key}: {{value: {value}, unit: {unit}, source: "assumed: {why}"}}'
+
+
+def _signals() -> str:
+    head, rest = _leaf("signals.yaml").split("messages:\n", 1)
+    return head + SIGNALS + rest[rest.index("  # The INS on CAN"):]
+
+
+def _rt() -> str:
+    blocks = re.split(r"\n(?=\S)", _leaf("can.dbc"))
+    return "\n" + "".join(f"{block.rstrip()}\n\n" for block in blocks if re.match(r"BO_ \d+ RT_", block))
