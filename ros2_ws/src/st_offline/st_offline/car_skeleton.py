@@ -64,7 +64,8 @@ steering_latency: 0.0    # s, from the turn of the wheel to the frame in the log
 """
 VEHICLE = """\
 # Every value carries its unit and where it comes from; FILL_IN is what only you know: value and source.
-# The other values are assumed and fair to begin with. Not here, for nothing reads them: track width, driven axle, drag area.
+# The other values are assumed and fair to begin with. Track width and driven axle are not here: nothing reads them.
+# The side area is a parameter of the effect crosswind and stands in a model file.
 name: FILL_IN
 """
 
@@ -110,7 +111,7 @@ def _vehicle_problems(file: Path) -> list[str]:
         document = read_table(file)
         empty = sorted({where for where in _places(document)}, key=list(document).index)
         if empty:
-            return [f"{file}: {key}: to be filled in, value and source" + _limit(key) for key in empty]
+            return [f"{file}: {key}: to be filled in{_limit(key)}" for key in empty]
         VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
     except (RunError, StCoreError) as error:
         return [str(error)]
@@ -154,7 +155,7 @@ def _places(document: Any, top: str = "") -> Iterator[str]:
 
 def _limit(key: str) -> str:
     quantity = VEHICLE_QUANTITIES.get(key)
-    return f"; {quantity.limit()}" if quantity else ""
+    return f", value and source; {quantity.limit().removesuffix(' 1')}" if quantity else ""
 
 
 def _leaf(name: str) -> str:

@@ -1,12 +1,18 @@
 """A car in one folder, and the options that replace a part of it."""
 
+import shutil
+
 import pytest
+import typer
 from canedge_bridge.signals import load_table
 from st_core.vehicle import VehicleParameters
 from st_offline.car import car_named, names
+from st_offline.car_skeleton import HINTS, problems, write_skeleton
 from st_offline.paths import config
 from st_offline.runs.errors import RunError
 from st_offline.verbs._options import LEAF, say_whose, whose
+from st_offline.verbs.car import car as verb
+from typer.testing import CliRunner
 
 
 @pytest.fixture
@@ -69,3 +75,100 @@ def test_a_car_that_says_nonsense_is_refused(folder, text, said):
 def test_a_car_nobody_knows_is_refused_with_those_that_are_known():
     with pytest.raises(RunError, match=r"no vehicle\.yaml.*hyundai_genesis, leaf"):
         car_named("unknown_car")
+
+
+def st_car(*words):
+    app = typer.Typer()
+    app.command()(verb)
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+@pytest.fixture
+def new(tmp_path):
+    assert st_car("new", tmp_path / "new").exit_code == 0
+    return tmp_path / "new"
+
+
+def fill_in(folder):
+    """What an owner would write: values of the Leaf, and its steering message."""
+    file = folder / "vehicle.yaml"
+    lines = {line.split(":")[0]: line for line in (config("car/leaf") / "vehicle.yaml").read_text().splitlines()}
+    file.write_text("\n".join(lines[key] if "FILL_IN" in line and (key := line.split(":")[0]) in lines else line
+                              for line in file.read_text().splitlines()))
+    signals = folder / "signals.yaml"
+    signals.write_text(signals.read_text().replace("FILL_IN_message", "MyCar_Steering").replace(
+        "FILL_IN_signal", "SteerAngle"))
+    dbc = folder / "can.dbc"
+    # The example of the skeleton itself, without its comment signs.
+    dbc.write_text(dbc.read_text().replace("// BO_", "BO_").replace("//  SG_", " SG_")
+                   + (folder / "rt.dbc").read_text())
+
+
+def test_a_new_car_fails_for_what_is_to_be_filled_in_and_nothing_else(new):
+    done = st_car("check", new)
+    said = done.stderr.splitlines()
+    assert done.exit_code == 1 and len(said) == len(HINTS) + 2
+    assert all("filled in" in line and str(new) in line for line in said)
+    for key in ("name", *HINTS):
+        assert sum(f"vehicle.yaml: {key}:" in line for line in said) == 1
+    assert any("signals.yaml: messages: FILL_IN_message" in line for line in said)
+
+
+def test_a_new_car_that_is_filled_in_can_be_used(new):
+    fill_in(new)
+    done = st_car("check", new)
+    assert done.exit_code == 0 and not done.stderr, done.stderr
+    car = car_named(str(new))
+    table = load_table(car.dbc, car.signals)
+    assert not table.absent and len(table.messages) == 9
+    assert VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle)).mass == 1590.0
+
+
+@pytest.mark.parametrize(("name", "before", "after", "words"), [
+    ("vehicle.yaml", "value: 1590.0", "value: 15.9", ["vehicle.yaml: mass: 15.9 is outside 50 to 60000 kg"]),
+    ("vehicle.yaml", "mass:", "masss:", ["vehicle.yaml: masss: unknown key"]),
+    ("signals.yaml", "unit: deg, sign: 1, range", "unit: rad, sign: 1, range", ["signals.yaml", "SteerAngle.unit"]),
+    ("signals.yaml", "sign: 1, range", "sign: 2, range", ["signals.yaml", "SteerAngle.sign"]),
+    ("can.dbc", "MyCar_Steering", "OtherName", ["can.dbc: has no message MyCar_Steering"]),
+    ("can.dbc", " SG_ SteerAngle : 0", ' SG_ Page M : 56|8@1+ (1,0) [0|255] "" CAR\n SG_ SteerAngle m0 : 0',
+     ["can.dbc: MyCar_Steering is multiplexed"]),
+    ("car.yaml", "steering_sign: 1", "steering_sign: 0", ["car.yaml: steering_sign: 0 is neither 1 nor -1"]),
+    ("car.yaml", "steering_latency: 0.0", "steering_latency: 30", ["car.yaml: steering_latency: 30 is not 0 to 1 s"]),
+])
+def test_each_fault_of_a_car_is_one_line_with_file_and_key(new, name, before, after, words):
+    fill_in(new)
+    text = (new / name).read_text()
+    assert before in text
+    (new / name).write_text(text.replace(before, after, 1))
+    (said,) = problems(str(new))
+    assert "\n" not in said and all(word in said for word in words), said
+
+
+def test_faults_of_several_files_are_said_together(new):
+    fill_in(new)
+    (new / "car.yaml").write_text("steering_sign: 0\n")
+    (new / "can.dbc").unlink()
+    said = problems(str(new))
+    assert len(said) == 2 and "car.yaml" in said[0] and "can.dbc: there is no such file" in said[1]
+
+
+def test_a_table_without_steering_is_refused(new):
+    fill_in(new)
+    text = (new / "signals.yaml").read_text()
+    (new / "signals.yaml").write_text(text[:text.index("  MyCar")] + text[text.index("  # The INS on CAN"):])
+    assert "steering_wheel_angle" in problems(str(new))[0]
+
+
+@pytest.mark.parametrize("name", names())
+def test_the_cars_of_the_configuration_are_good(name):
+    assert problems(name) == []
+
+
+def test_nothing_is_overwritten(new):
+    done = st_car("new", new)
+    assert done.exit_code == 2 and done.stderr.count("\n") == 1 and "nothing is overwritten" in done.stderr
+    shutil.rmtree(new)
+    assert st_car("check", new).exit_code == 2
+    new.write_text("a file")
+    with pytest.raises(RunError, match="is there already"):
+        write_skeleton(new)
