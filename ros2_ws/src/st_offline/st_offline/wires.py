@@ -29,6 +29,11 @@ def vehicle_file(given: Path | None) -> Path:
     return path
 
 
+def name_of(vehicle: Path) -> str:
+    """Of a car, in results: its folder where the file is one of a folder, else its file."""
+    return vehicle.parent.name if vehicle.name == "vehicle.yaml" else vehicle.stem
+
+
 def bridge_parameters(
     vehicle: Path,
     ins: dict[str, Any],

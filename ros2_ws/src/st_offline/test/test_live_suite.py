@@ -15,7 +15,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rich.console import Console
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
-from st_offline import live_view, session
+from st_offline import live_view, session, wires
 from st_offline.node import Heard, Status
 from st_offline.suite import SuiteError, chosen_domain_id, claimed_domain, merge
 from st_offline.verbs import demo, develop, live, ncom
@@ -109,6 +109,11 @@ def test_live_takes_a_car_by_its_folder(tmp_path: Path, monkeypatch) -> None:
     assert [bus["dbc_file"] for bus in buses] == [str(car / "can.dbc"), str(ROOT / "config/car/leaf/can.dbc")]
     assert all(bus["signals_file"] == str(car / "signals.yaml") for bus in buses)
     assert all(nodes["predictor"]["vehicle_file"] == str(car / "vehicle.yaml") for nodes in asked)
+
+
+def test_results_name_a_car_by_its_folder(tmp_path: Path) -> None:
+    assert wires.name_of(ROOT / "config/car/leaf/vehicle.yaml") == "leaf"
+    assert wires.name_of(tmp_path / "winter.yaml") == "winter"
 
 
 def test_live_refuses_a_car_whose_bus_nobody_has_described(tmp_path: Path) -> None:

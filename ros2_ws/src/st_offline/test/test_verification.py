@@ -69,6 +69,7 @@ class LiveBag:
         self.shift_one = 0.0  # m added to one predicted path
         self.score_shift = 0.0  # m added to one score
         self.without_predictions = False
+        self.names_its_car = True
         self.velocity_factor = 1.0
         self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
         self._count = 0
@@ -77,7 +78,8 @@ class LiveBag:
         import yaml
 
         parameters = yaml.safe_dump({node: {"ros__parameters": values} for node, values in NODES.items()})
-        writer = BagWriter(self.folder, {"configuration": {"leaf.yaml": LEAF, "parameters.yaml": parameters}})
+        files = {"leaf.yaml": LEAF} if self.names_its_car else {}
+        writer = BagWriter(self.folder, {"configuration": {**files, "parameters.yaml": parameters}})
         topics = {name: writer.add_topic(topic, name, definition=STORE.generate_msgdef(name, ros_version=2)[0],
                                          type_hash=STORE.hash_rihs01(name))
                   for topic, name in (("/ins/odometry", ODOMETRY), ("/vehicle/steering", STEERING),
@@ -231,3 +233,23 @@ def test_a_file_that_is_no_recording_says_so(tmp_path):
     file.write_bytes(b"nothing of the kind")
     result = st_verify(file)
     assert result.exit_code == 2 and "x.mcap" in result.output
+
+
+def test_the_leaf_is_not_taken_silently_for_a_recording_without_a_car(live, tmp_path):
+    live.names_its_car = False
+    bag = live.write()
+    drive = ROOT / "examples" / "data" / "rfs_turn_a.csv"
+    for number, (verb, recording) in enumerate((("verify", bag), ("check", bag), ("check", drive))):
+        output = [] if verb == "verify" else ["--output", str(tmp_path / str(number))]
+        silent = CliRunner().invoke(app, [verb, str(recording), "--car", "leaf", *(f"{o}-named" if "/" in o else o
+                                                                                 for o in output)])
+        assert "no car was named" not in silent.stderr and silent.exit_code in (0, 1), silent.output
+        said = CliRunner().invoke(app, [verb, str(recording), *output]).stderr
+        assert said.count("no car was named") == 1 and "car/leaf/vehicle.yaml" in said and "--car" in said
+
+
+def test_nothing_is_said_of_the_leaf_where_the_recording_carries_its_car(live, tmp_path):
+    bag = live.write()
+    assert "no car was named" not in st_verify(bag).stderr
+    checked = CliRunner().invoke(app, ["check", str(bag), "--output", str(tmp_path / "checked")])
+    assert checked.exit_code in (0, 1) and "no car was named" not in checked.stderr

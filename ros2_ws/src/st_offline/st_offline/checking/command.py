@@ -64,7 +64,7 @@ def run_command(job: Job, console: Console, told: Callable[[str], None] | None =
         show(run, console)
     show_together([run.checked for run in runs if not run.problem], console)
     if told and not job.given:
-        for file in sorted({run.car_from for run in runs if not run.problem}):
+        for file in sorted({run.vehicle_from for run in runs if not run.problem}):
             told(file)
     for file, what in write(runs, job, folder, console).items():
         console.print(f"  {escape(str(file))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)

@@ -52,7 +52,7 @@ def demo(
     from ..session import node_parameters, run
     from ..suite import SuiteError
     from ..view.window import finish, window
-    from ..wires import VirtualCar, vehicle_file
+    from ..wires import VirtualCar, name_of, vehicle_file
 
     console = Console()
     what = drive.stem if drive else Path(scenario or "S6").stem
@@ -75,7 +75,7 @@ def demo(
         typer.echo(f"st demo: {error}", err=True)
         raise typer.Exit(2) from None
     source = "recorded drive" if drive else "virtual Leaf"
-    about = {"what": what, "source": source, "vehicle": car.vehicle.stem, "seed": seed}
+    about = {"what": what, "source": source, "vehicle": name_of(car.vehicle), "seed": seed}
     status = conclude(folder, outcome, about, console)
     finish(shown, console)
     raise typer.Exit(status)

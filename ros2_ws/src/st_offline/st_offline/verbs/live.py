@@ -48,7 +48,7 @@ def live(
     from ..session import node_parameters, run
     from ..suite import SuiteError
     from ..view.window import finish, window
-    from ..wires import bridge_parameters, vehicle_file
+    from ..wires import bridge_parameters, name_of, vehicle_file
 
     console = Console()
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
@@ -69,6 +69,6 @@ def live(
         typer.echo(f"st live: {error}", err=True)
         raise typer.Exit(2) from None
     source = f"{can_interface}:{can_channel}, NCOM port {ncom_port}"
-    status = conclude(folder, outcome, {"what": "live", "source": source, "vehicle": vehicle.stem}, console)
+    status = conclude(folder, outcome, {"what": "live", "source": source, "vehicle": name_of(vehicle)}, console)
     finish(shown, console)
     raise typer.Exit(status)

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import typer
 
+from ._options import say_whose_bag
+
 
 def view(
     recording: Path = typer.Argument(..., help="Folder of a run, a bag, or a saved view (.rrd).", exists=True),
@@ -31,6 +33,7 @@ def view(
             if recording.suffix != ".rrd":
                 from ..view.recorded import draw
 
+                say_whose_bag("view", recording, vehicle)
                 file = save or Path(name, "view.rrd")
                 with console.status("drawing"):
                     pictures = draw(recording, file, vehicle)
