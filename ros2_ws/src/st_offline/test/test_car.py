@@ -3,15 +3,15 @@
 import shutil
 
 import pytest
-import typer
 from canedge_bridge.signals import load_table
 from st_core.vehicle import VehicleParameters
 from st_offline.car import car_named, names
 from st_offline.car_skeleton import HINTS, problems, write_skeleton
+from st_offline.cli import app
 from st_offline.paths import config
 from st_offline.runs.errors import RunError
 from st_offline.verbs._options import LEAF, say_whose, whose
-from st_offline.verbs.car import car as verb
+from typer.main import get_command
 from typer.testing import CliRunner
 
 
@@ -77,10 +77,19 @@ def test_a_car_nobody_knows_is_refused_with_those_that_are_known():
         car_named("unknown_car")
 
 
+@pytest.mark.parametrize("name", ["calibrate", "check", "discover", "evaluate", "identify", "import", "live"])
+def test_every_verb_that_decodes_steering_means_the_same_by_the_same_options(name):
+    commands = get_command(app).commands
+    options, reference = ({p.opts[0]: p for p in commands[verb].params} for verb in (name, "evaluate"))
+    for option in ("--car", "--vehicle", "--dbc", "--signals", "--steering-sign", "--steering-latency"):
+        ours, theirs = options[option], reference[option]
+        assert (ours.help, ours.default) == (theirs.help, None), option
+    refused = CliRunner().invoke(app, [name, *([] if name == "live" else [str(LEAF)]), "--steering-sign", "2"])
+    assert refused.exit_code == 2 and "2 is neither 1 nor -1" in refused.output
+
+
 def st_car(*words):
-    app = typer.Typer()
-    app.command()(verb)
-    return CliRunner().invoke(app, [str(word) for word in words])
+    return CliRunner().invoke(app, ["car", *map(str, words)])
 
 
 @pytest.fixture

@@ -61,8 +61,8 @@ def suite_node(package, executable, *overrides, **options):
         ros_arguments=words, respawn=LaunchConfiguration("respawn"), respawn_delay=2.0, prefix=ENDS_WITH_US, **options)
 
 
-def can_bridge(context):
-    """Steering as the arguments say, else as the named car's car.yaml, else as the file of node parameters."""
+def steering_of(context):
+    """As the arguments say, else as the named car's car.yaml; without either, the file of node parameters holds."""
     steering = {}
     if CAR.perform(context):
         steering = {"steering_sign": 1, "steering_latency": 0.0}
@@ -76,6 +76,10 @@ def can_bridge(context):
     # rcl tells 0 from 0.0, and a latency is the latter.
     if "steering_latency" in steering:
         steering["steering_latency"] = float(steering["steering_latency"])
+    return {name: str(value) for name, value in steering.items()}
+
+
+def can_bridge(context):
     return [suite_node(
         "canedge_bridge", "canedge_bridge",
         text("canedge_bridge", "interface", LaunchConfiguration("can_interface")),
@@ -83,7 +87,7 @@ def can_bridge(context):
         text("canedge_bridge", "vehicle_file", VEHICLE),
         text("canedge_bridge", "dbc_file", DBC),
         text("canedge_bridge", "signals_file", SIGNALS),
-        *(number("canedge_bridge", name, str(value)) for name, value in steering.items()),
+        *(number("canedge_bridge", name, value) for name, value in steering_of(context).items()),
     )]
 
 

@@ -4,6 +4,7 @@ import ast
 import importlib
 import math
 import re
+import runpy
 import socket
 import subprocess
 import sys
@@ -118,6 +119,32 @@ def test_launch_arguments_that_are_used_are_declared() -> None:
         (include,) = calls(file, "IncludeLaunchDescription")
         handed = {k.value for d in ast.walk(include) if isinstance(d, ast.Dict) for k in d.keys}
         assert handed <= declared_by_car, file.name
+
+
+@pytest.mark.parametrize(("given", "steering"), [
+    ({}, {}),
+    ({"car": "leaf"}, {"steering_sign": "1", "steering_latency": "0.0"}),
+    ({"car": "FOLDER"}, {"steering_sign": "-1", "steering_latency": "0.03"}),
+    ({"car": "FOLDER", "steering_sign": "1"}, {"steering_sign": "1", "steering_latency": "0.03"}),
+    ({"steering_latency": "0"}, {"steering_latency": "0.0"}),
+])
+def test_a_launched_suite_takes_a_car_by_its_folder(tmp_path: Path, given: dict[str, str], steering) -> None:
+    """Each file of the folder, and its steering; arguments replace a part; nodes.yaml holds where no car is named."""
+    launch = pytest.importorskip("launch")
+    pytest.importorskip("launch_ros")
+    (tmp_path / "car.yaml").write_text("steering_sign: -1\nsteering_latency: 0.03\n")
+    given = {name: str(tmp_path) if value == "FOLDER" else value for name, value in given.items()}
+    names = runpy.run_path(str(LAUNCH / "car.launch.py"))
+    context = launch.LaunchContext()
+    context.launch_configurations.update({"config_dir": str(ROOT / "config"), **given})
+    for entity in names["generate_launch_description"]().entities:
+        if isinstance(entity, launch.actions.DeclareLaunchArgument):
+            entity.execute(context)
+    folder = Path(given["car"]) if "/" in given.get("car", "") else ROOT / "config" / "car" / "leaf"
+    files = {"vehicle": "vehicle.yaml", "dbc": "can.dbc", "signals": "signals.yaml"}
+    assert {key: context.launch_configurations[key] for key in files} == {
+        key: str(folder / name) for key, name in files.items()}
+    assert names["steering_of"](context) == steering
 
 
 def test_virtual_leaf_knows_every_option_it_is_launched_with() -> None:
