@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from st_core.errors import ConfigurationError
 from st_core.log_evaluation import EvaluationSettings, evaluate_blocks
 from st_core.log_signals import LogSignals
@@ -14,6 +15,7 @@ from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
 
 from ..runs.bag import is_bag, read_bag, was_cut
+from ..runs.foreign import SteeringField
 from .recorded import (
     Predictions,
     Progress,
@@ -74,17 +76,33 @@ class Verification:
 
 
 def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console, view=None,
-               bands: Path | None = None):
-    """(Outcome, name of the vehicle) of playing a recording with its own configuration; see replaying.replay."""
+               bands: Path | None = None, steering: SteeringField | None = None):
+    """(Outcome, name of the vehicle) of playing a recording with its own configuration; see replaying.replay.
+
+    steering: where the angle is in a recording of another make.
+    """
     from ..bands.live import with_bands
     from ..replaying import node_parameters, replay
 
-    drive = read_bag(bag)
+    drive = read_bag(bag, steering=steering)
+    if drive.unknown:
+        console.print(escape(f"not known and not played: {', '.join(drive.unknown)}"), highlight=False, soft_wrap=True)
     car, recorded, _ = configuration_of(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
     parameters = with_bands(node_parameters(folder, file, recorded), bands)
-    return replay(bag, drive.topics, folder, parameters, rate, console, view), car.name
+    if "map_frame" not in recorded.nodes.get("predictor", {}):
+        for node in ("predictor", "evaluator"):  # of another make, its odometry may be in a frame of another name
+            parameters[node]["map_frame"] = drive.frame
+    return replay(bag, drive.topics, folder, parameters, rate, console, view, player_options(steering, car)), car.name
+
+
+def player_options(steering: SteeringField | None, car: VehicleParameters) -> list[str]:
+    """How the player makes st_msgs/Steering of another topic; nothing where it is that already."""
+    if steering is None:
+        return []
+    wheel = ["--steering-wheel", repr(car.steering_ratio), repr(car.steering_wheel_offset)]
+    return ["--steering-field", steering.field, *(wheel if steering.quantity == "wheel" else [])]
 
 
 def recordings_of(path: Path) -> tuple[Path, list[Path]]:
