@@ -177,6 +177,8 @@ def test_a_recording_that_was_cut_says_so(live):
     with file.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     os.truncate(file, chunks[-1].chunk_start_offset + chunks[-1].chunk_length)
+    unread = st_verify(live.folder)
+    assert unread.exit_code == 2 and "was not closed" in unread.output and "st recover" in unread.output
     recover(live.folder)
     done = st_verify(live.folder)
     assert f"{live.folder} was cut" in done.output.replace("\n", "")
