@@ -1,6 +1,6 @@
 """Live equals offline: what the nodes predicted and scored against the library, start by start, on one recording."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,7 +28,7 @@ from .recorded import (
 
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
 MODES = ("hindsight", "forecast")
-CUT = "{} was cut: its recorder did not end it; what came after is not compared"
+CUT = "{} was cut: its recorder did not end it; what came after is not {}"
 
 
 @dataclass
@@ -85,8 +85,8 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     from ..replaying import node_parameters, replay
 
     drive = read_bag(bag, steering=steering)
-    if drive.unknown:
-        console.print(escape(f"not known and not played: {', '.join(drive.unknown)}"), highlight=False, soft_wrap=True)
+    for line in not_played(bag, drive.unknown):
+        console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
     car, recorded, _ = configuration_of(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
@@ -95,6 +95,12 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
         for node in ("predictor", "evaluator"):  # of another make, its odometry may be in a frame of another name
             parameters[node]["map_frame"] = drive.frame
     return replay(bag, drive.topics, folder, parameters, rate, console, view, player_options(steering, car)), car.name
+
+
+def not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
+    """What a replay does not show, in sentences: topics nobody here knows, and the rest of a recording that was cut."""
+    topics = [f"not known and not played: {', '.join(unknown)}"] if unknown else []
+    return topics + ([CUT.format(bag, "played")] if was_cut(bag) else [])
 
 
 def player_options(steering: SteeringField | None, car: VehicleParameters) -> list[str]:
@@ -126,7 +132,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     settings = _settings(recorded)
     scores = read_scores(score_bags, progress)
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
-    cut = [CUT.format(one) for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
+    cut = [CUT.format(one, "compared") for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
     comparisons, warnings = [], [*drive.warnings, *cut]
     for name, live in predictions.items():
         try:
