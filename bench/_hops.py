@@ -21,6 +21,8 @@ HOPS = {
     "last prediction written -> heard": ("written", "heard"),
     "all: both in the kernel -> last prediction heard": ("known", "heard"),
 }
+# A subscription that is new gets the first messages late, all at once.
+SETTLE_NS = 1_000_000_000
 COMPUTE = "of it in the models"
 
 
@@ -34,9 +36,9 @@ class Stream:
     heard: np.ndarray
 
     def first_from(self, start: int) -> int | None:
-        """The first sample measured at an instant or later."""
+        """The first sample measured at an instant or later; None before the listener had settled, and at the end."""
         row = int(np.searchsorted(self.stamp, start))
-        return row if row < len(self.stamp) else None
+        return row if row < len(self.stamp) and start >= self.stamp[0] + SETTLE_NS else None
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,8 @@ def latencies(node: Listener) -> tuple[list[float], list[float]]:
         # stamp it carries, and the first steering angle of then or later.
         packet = int(np.searchsorted(packets.utc_ns, start))
         angle = int(np.searchsorted(node.steering, start))
-        if len(three) == len(MODELS) and packet < len(received) and angle < len(node.steering):
+        # Row 0 may be the first that was heard only.
+        if len(three) == len(MODELS) and 0 < packet < len(received) and 0 < angle < len(node.steering):
             known = max(received[packet], node.steering[angle])
             to_published.append((max(issued for issued, _ in three) - known) * 1e-6)
             to_heard.append((max(heard for _, heard in three) - known) * 1e-6)

@@ -1,14 +1,9 @@
 """Hops of a prediction: each between its own stamps, and together the whole way."""
 
-import sys
-
 import numpy as np
 import pytest
-from support import ROOT
 
-sys.path.insert(0, str(ROOT / "bench"))
-
-from _hops import COMPUTE, HOPS, Made, Stream, hops, marks
+from bench._hops import COMPUTE, HOPS, Made, Stream, hops, marks
 
 MS = 1_000_000
 T0 = 1_700_000_000_000_000_000
@@ -17,7 +12,7 @@ WAY = [name for name in HOPS if not name.startswith(("CAN", "all"))]
 
 def stream(period: int, first: int, late: int, decode: int, transport: int) -> Stream:
     """Samples `late` in the kernel, `decode` later written, `transport` later heard [ms]."""
-    stamp = T0 + (np.arange(50) * period + first) * MS
+    stamp = T0 + (np.arange(300) * period + first) * MS
     return Stream(stamp, stamp + late * MS, stamp + (late + decode) * MS, stamp + (late + decode + transport) * MS)
 
 
@@ -29,7 +24,7 @@ def predictions(begun: int) -> list[Made]:
 
 def test_the_hops_of_the_later_input_add_up_to_the_whole_way():
     ins, steering = stream(10, 0, 4, 2, 1), stream(10, 1, 0, 1, 1)
-    start = T0 + 100 * MS
+    start = T0 + 1500 * MS
     begun = start + 9 * MS
     tick = marks(start, ins, steering, predictions(begun))
     rows = {name: row["p50"] for name, row in hops([tick]).items()}
@@ -46,11 +41,13 @@ def test_the_hops_of_the_later_input_add_up_to_the_whole_way():
 
 def test_the_samples_of_a_tick_are_the_first_at_or_after_its_start():
     ins, steering = stream(10, 0, 0, 1, 1), stream(20, 5, 0, 1, 1)
-    tick = marks(T0 + 30 * MS, ins, steering, predictions(T0 + 60 * MS))
-    assert tick["packet"] == T0 + 30 * MS and tick["frame"] == T0 + 45 * MS
-    assert tick["known"] == tick["frame"] and tick["complete"] == T0 + 47 * MS
+    tick = marks(T0 + 2030 * MS, ins, steering, predictions(T0 + 2060 * MS))
+    assert tick["packet"] == T0 + 2030 * MS and tick["frame"] == T0 + 2045 * MS
+    assert tick["known"] == tick["frame"] and tick["complete"] == T0 + 2047 * MS
 
 
-def test_a_tick_whose_samples_were_not_heard_is_none():
+@pytest.mark.parametrize("start", [2991, 500], ids=["after the last sample", "before the listener had settled"])
+def test_a_tick_whose_samples_were_not_heard_is_none(start):
     ins, steering = stream(10, 0, 0, 1, 1), stream(10, 0, 0, 1, 1)
-    assert marks(T0 + 491 * MS, ins, steering, predictions(T0)) is None
+    assert marks(T0 + 2000 * MS, ins, steering, predictions(T0)) is not None
+    assert marks(T0 + start * MS, ins, steering, predictions(T0)) is None
