@@ -83,7 +83,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     """
     storage, store = open_bag(path), typestore(definitions())
     there = storage.topics()
-    needed = {_topic(path, there, ODOMETRY): _ODOMETRY_FIELDS}
+    needed: dict[Topic, tuple[str, ...]] = {_topic(path, there, ODOMETRY): _ODOMETRY_FIELDS}
     if steering is None:
         needed[_topic(path, there, STEERING)] = _STEERING_FIELDS
     others = extra_fields(there)
@@ -98,9 +98,10 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     extras = bag_extras(storage, there, {topic: quick[topic.name] for topic in others if topic.name in quick},
                         stamps, missing, store)
     topics = {topic.type_name: topic.name for topic in needed} | ({} if steering is None else {STEERING: named.name})
-    others = tuple(f"{t.name} ({t.type_name})" for t in unknown(there, tuple(topics.values())))
+    passed_over = tuple(f"{t.name} ({t.type_name})" for t in unknown(there, tuple(topics.values())))
     frame = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY).header.frame_id
-    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in notes), extras, frame, others)
+    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in notes), extras, frame,
+                    passed_over)
 
 
 def open_bag(path: Path) -> Storage:
