@@ -109,7 +109,8 @@ class Player:
         self._steering = options.steering
         self._translator = None
         if options.steering_field:
-            field = SteeringField(options.steering, options.steering_field, "wheel" if options.steering_wheel else "road")
+            field = SteeringField(options.steering, options.steering_field,
+                                  "wheel" if options.steering_wheel else "road")
             self._translator = Translator(options.bag, field, *(options.steering_wheel or (1.0, 0.0)))
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
