@@ -6,11 +6,14 @@ import time
 import numpy as np
 import psutil
 import rclpy
+from _hops import Made, Stream, hops, marks, percentiles
 from _suite import running_suite
+from nav_msgs.msg import Odometry
 from oxts_bridge.batch import decode_file
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from st_msgs.msg import Ncom, Prediction, Steering
+from st_offline.nodes.player import stamp_of
 from st_ros.polling import PolledSubscription
 from st_ros.stamps import to_nanoseconds
 
@@ -30,22 +33,34 @@ class Listener(Node):
         self.packets: list[tuple[int, bytes]] = []  # (received [ns], as sent)
         self.steering: list[int] = []  # received [ns]
         self.predictions: list[tuple[int, int, int]] = []  # (start, issued, heard) [ns]
+        self.made: dict[int, list[Made]] = {}  # by start
+        self.odometry: list[tuple[int, int, int]] = []  # (stamp, written, heard) [ns]
+        self.angles: list[tuple[int, int, int]] = []  # (stamp, written, heard) [ns]
         qos = QoSProfile(depth=1000)
         self._packets = PolledSubscription(self, Ncom, "ins/ncom", qos)
+        self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos, raw=True)
         self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
         self._models = [PolledSubscription(self, Prediction, f"predictor/{m}/prediction", qos) for m in MODELS]
 
     def take(self) -> None:
         self.packets += [(to_nanoseconds(message.header.stamp), bytes(message.raw_packet))
                          for message, _, _ in self._packets.take()]
-        self.steering += [to_nanoseconds(message.header.stamp) for message, _, _ in self._steering.take()]
+        self.odometry += [(stamp_of(data), sent, arrived) for data, arrived, sent in self._odometry.take()]
+        angles = [(to_nanoseconds(message.header.stamp), sent, arrived) for message, arrived, sent
+                  in self._steering.take()]
+        self.angles += angles
+        self.steering += [stamp for stamp, _, _ in angles]
         for subscription in self._models:
-            self.predictions += [(to_nanoseconds(message.header.stamp), to_nanoseconds(message.issued_at), arrived)
-                                 for message, arrived, _ in subscription.take()]
+            for message, arrived, sent in subscription.take():
+                start, issued = to_nanoseconds(message.header.stamp), to_nanoseconds(message.issued_at)
+                self.predictions.append((start, issued, arrived))
+                made = Made(issued, sent, arrived, round(message.compute_time * 1e9))
+                self.made.setdefault(start, []).append(made)
 
 
 def run() -> dict:
-    """Latency [ms]: both samples of a start at the host -> last of three predictions published, and -> heard.
+    """Latency [ms]: both samples of a start at the host -> last of three predictions published, and -> heard; and
+    what each hop of the way takes (_hops.py).
 
     cpu_percent: of a core, per process. ST_BENCH_SECONDS, ST_BENCH_NCOM_RATE [Hz] change the run.
     """
@@ -71,6 +86,18 @@ def cpu_seconds(pid: int) -> float:
     return times.user + times.system
 
 
+def hops_of(node: Listener) -> dict[str, dict[str, float]]:
+    """Where the time goes [ms], of the ticks whose every sample and prediction was heard."""
+    packets = decode_file(b"".join(raw for _, raw in node.packets))
+    received = dict(zip(packets.utc_ns.tolist(), (stamp for stamp, _ in node.packets), strict=True))
+    known = [one for one in sorted(node.odometry) if one[0] in received]
+    ins = Stream(*np.array([(stamp, received[stamp], written, heard) for stamp, written, heard in known]).T)
+    # Latency zero: the stamp is that of the kernel.
+    steering = Stream(*np.array([(stamp, stamp, written, heard) for stamp, written, heard in sorted(node.angles)]).T)
+    found = [marks(start, ins, steering, made) for start, made in node.made.items() if len(made) == len(MODELS)]
+    return hops([tick for tick in found if tick is not None])
+
+
 def latencies(node: Listener) -> tuple[list[float], list[float]]:
     """Of each tick with three predictions [ms]: both samples at the host -> last one published, and -> last heard."""
     packets = decode_file(b"".join(raw for _, raw in node.packets))
@@ -84,7 +111,8 @@ def latencies(node: Listener) -> tuple[list[float], list[float]]:
         # stamp it carries, and the first steering angle of then or later.
         packet = int(np.searchsorted(packets.utc_ns, start))
         angle = int(np.searchsorted(node.steering, start))
-        if len(three) == len(MODELS) and packet < len(received) and angle < len(node.steering):
+        # Row 0 may be the first that was heard only.
+        if len(three) == len(MODELS) and 0 < packet < len(received) and 0 < angle < len(node.steering):
             known = max(received[packet], node.steering[angle])
             to_published.append((max(issued for issued, _ in three) - known) * 1e-6)
             to_heard.append((max(heard for _, heard in three) - known) * 1e-6)
@@ -97,14 +125,11 @@ def _evaluate(node: Listener) -> dict:
     return {
         "packets_heard": len(node.packets),
         "ticks_with_three_predictions": len(to_published),
-        "samples_to_third_prediction_published_ms": _percentiles(to_published),
-        "samples_to_third_prediction_heard_ms": _percentiles(to_heard),
-        "between_packets_ms": _percentiles(gaps),
+        "samples_to_third_prediction_published_ms": percentiles(to_published),
+        "samples_to_third_prediction_heard_ms": percentiles(to_heard),
+        "between_packets_ms": percentiles(gaps),
+        "hops_ms": hops_of(node),
     }
-
-
-def _percentiles(values: object) -> dict:
-    return {f"p{q}": float(np.percentile(values, q)) for q in (50, 99)} | {"max": float(np.max(values))}
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -71,3 +72,59 @@ def test_replay_scores_anew_what_evaluate_finds_in_the_file(recording, tmp_path)
         for axis in ("longitudinal", "lateral"):
             expected = offline[model]["hindsight"][axis]["rmse"]
             assert modes["hindsight"][axis]["rmse"] == pytest.approx(expected, rel=0.1, abs=0.01)
+
+
+def in_process(*arguments: object) -> subprocess.CompletedProcess:
+    """As `st`, with the Python of the tests."""
+    command = [sys.executable, "-m", "st_offline.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=240, check=False)
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same drive as another recorder has it: odometry in a frame `odom`, the angle as a bare Float64, a text."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from st_offline.runs.bag import definitions
+    from st_offline.runs.cdr import typestore
+    from st_sim.run import main
+
+    base, store = tmp_path_factory.mktemp("foreign"), typestore(definitions())
+    vehicle = ROOT / "config/vehicle/leaf.yaml"
+    assert main(["--scenario", "S6", "--vehicle", str(vehicle), "--duration", str(SECONDS), "--to-files",
+                 str(base / "S6")]) == 0
+    done = in_process("import", base / "S6", "--output", base / "bag")
+    assert done.returncode == 0, done.stdout + done.stderr
+    odometry, number, text = "nav_msgs/msg/Odometry", "std_msgs/msg/Float64", "std_msgs/msg/String"
+    types = {"/localization": odometry, "/steer": number, "/chatter": text}
+    with (AnyReader([base / "bag"], default_typestore=store) as reader,
+          Writer(base / "foreign", version=9, storage_plugin=StoragePlugin.MCAP) as writer):
+        made = {topic: writer.add_connection(topic, name, typestore=store) for topic, name in types.items()}
+        wanted = [c for c in reader.connections if c.topic in ("/ins/odometry", "/vehicle/steering")]
+        for connection, log_ns, data in reader.messages(connections=wanted):
+            message = reader.deserialize(data, connection.msgtype)
+            if connection.msgtype == odometry:
+                message.header.frame_id, topic = "odom", "/localization"
+            else:
+                message, topic = store.types[number](data=float(message.road_wheel_angle)), "/steer"
+            writer.write(made[topic], log_ns, bytes(store.serialize_cdr(message, types[topic])))
+        writer.write(made["/chatter"], log_ns, bytes(store.serialize_cdr(store.types[text](data="x"), text)))
+    return base / "foreign"
+
+
+def test_a_recording_of_another_make_goes_through_the_nodes(foreign, tmp_path):
+    refused = in_process("replay", foreign, "--output", tmp_path / "no")
+    assert refused.returncode == 2 and "--steering-topic" in refused.stderr, refused.stderr
+    played = in_process("replay", foreign, "--steering-topic", "/steer", "--rate", "2", "--output", tmp_path / "yes")
+    assert played.returncode == 0, played.stdout + played.stderr
+    assert "not known and not played: /chatter (std_msgs/msg/String)" in played.stdout
+    evaluated = in_process("evaluate", foreign, "--steering-topic", "/steer", "--figures", "", "--output",
+                           tmp_path / "evaluated")
+    assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
+    summary = json.loads((tmp_path / "yes" / "summary.json").read_text())["models"]
+    (offline,) = json.loads((tmp_path / "evaluated" / "evaluation.json").read_text())["runs"].values()
+    for model in ("kinematic", "linear", "nonlinear"):
+        scored = summary[model]["hindsight"]
+        assert scored["n_starts"] > 80
+        for axis in ("longitudinal", "lateral"):
+            assert scored[axis]["rmse"] == pytest.approx(offline[model]["hindsight"][axis]["rmse"], rel=0.1, abs=0.01)

@@ -3,7 +3,7 @@
 import json
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -39,11 +39,11 @@ def node_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration
 
 
 def replay(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
-           console: Console, view: Window | None = None) -> Outcome:
+           console: Console, view: Window | None = None, options: Sequence[str] = ()) -> Outcome:
     """Play the bag through the nodes; their recordings go to folder/bag and folder/errors.
 
     topics: type -> topic that is played as the nodes' input (bag.BagDrive). rate: times as fast as it was
-    recorded; 0: as fast as the nodes follow. Raises SuiteError.
+    recorded; 0: as fast as the nodes follow. options: further ones of the player. Raises SuiteError.
     """
     chosen = chosen_domain_id()
     held = claimed_domain() if chosen is None else nullcontext(chosen)
@@ -58,7 +58,7 @@ def replay(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mappi
         player = suite.start("player", [
             sys.executable, "-m", "st_offline.nodes.player", str(bag.absolute()), "--rate", str(rate),
             "--odometry", topics[ODOMETRY], "--steering", topics[STEERING], "--horizon", str(predictor["horizon"]),
-            "--tick-rate", str(predictor["rate"]), "--models", *predictor["models"]])
+            "--tick-rate", str(predictor["rate"]), "--models", *predictor["models"], *options])
         try:
             _watch(suite, player, bag.name, rate, console)
         except SuiteError as error:

@@ -13,7 +13,7 @@ from st_core.prediction import PredictionSettings, Predictor, Start, configurati
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
 from st_offline.cli import app
-from st_offline.evaluation.verification import verify
+from st_offline.evaluation.verification import not_played, verify
 from st_offline.runs.bag import ODOMETRY, STEERING, definitions
 from st_offline.runs.cdr import typestore
 from st_predictor.mcap import BagWriter, recover
@@ -174,14 +174,19 @@ def test_a_score_of_its_own_is_found(live):
 
 
 def test_a_recording_that_was_cut_says_so(live):
-    assert "was cut" not in st_verify(live.write()).output
+    assert "was cut" not in st_verify(live.write()).output and not_played(live.folder, ()) == []
     file = live.folder / f"{live.folder.name}_0.mcap"
     with file.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     os.truncate(file, chunks[-1].chunk_start_offset + chunks[-1].chunk_length)
+    unread = st_verify(live.folder)
+    assert unread.exit_code == 2 and "was not closed" in unread.output and "st recover" in unread.output
     recover(live.folder)
     done = st_verify(live.folder)
     assert f"{live.folder} was cut" in done.output.replace("\n", "")
+    (said,) = not_played(live.folder, ())
+    assert said.startswith(f"{live.folder} was cut") and said.endswith("is not played")
+    assert not_played(live.folder, ["/a (b)"])[0] == "not known and not played: /a (b)"
 
 
 def test_a_meaningless_recording_is_compared_when_forced(live):

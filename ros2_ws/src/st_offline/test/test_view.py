@@ -148,3 +148,68 @@ def test_a_view_that_was_never_opened_ends_quietly() -> None:
     window = Window(page=True)
     window.finish(Console(quiet=True))
     window.close()
+
+
+def said(**changes: object) -> list[str]:
+    values: dict = {"velocity_x": 10.0, "yaw_rate": -0.2, "road_wheel_angle": 0.05, "mode": "RTK integer",
+                    "mode_age": 0.4, "health": words.light([(0, "a", "fine")]), "age": 0.12}
+    return words.passenger(**values | changes).split("\n\n")
+
+
+def test_the_passenger_reads_speed_steering_position_mode_and_one_light() -> None:
+    assert said() == ["# 36 km/h", "## wheels 2.9° left", "## 2.0 m/s² right", "## RTK integer", "## all well",
+                      "picture 0.1 s old"]
+    assert "## wheels -" in said(road_wheel_angle=None) and "## wheels 0.0°" in said(road_wheel_angle=-1e-4)
+    assert "## RTK float (9 s ago)" in said(mode="RTK float", mode_age=9.0)
+    assert "## position mode not heard" in said(mode="")
+    assert not any("old" in line for line in said(age=None))  # a recording is as old as it is
+    assert "## the picture stands: 3 s old" in said(age=3.2)
+
+
+def test_the_light_is_that_of_the_worst_check_and_never_green_over_an_old_picture() -> None:
+    health = [(0, "a", "fine"), (1, "b", "late"), (2, "c", "silent")]
+    assert words.light(health) == ("error", "c: silent, and 1 more")
+    assert words.light(health[:2]) == ("warning", "b: late")
+    assert words.light(health[:1], 0.2) == ("all well", "") and words.light([]) == ("nothing heard", "")
+    assert words.light(health[:1], 1.5)[0] == words.light([(3, "d", "gone")])[0] == "error"
+
+
+def test_a_view_whose_odometry_stops_says_so(tmp_path: Path) -> None:
+    rr = pytest.importorskip("rerun", reason="not beside a sourced ROS")
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+    from nav_msgs.msg import Odometry
+    from st_msgs.msg import InsStatus, Steering
+    from st_offline.view.feed import Feed
+    from st_offline.view.scene import Scene, recording
+    from st_ros.stamps import from_nanoseconds
+
+    class Noted(Scene):
+        """Draws, and keeps what the passenger was told."""
+
+        def passenger(self, time_ns: int, markdown: str, light: str) -> None:
+            super().passenger(time_ns, markdown, light)
+            told.append((time_ns, markdown, light))
+
+    told: list[tuple[int, str, str]] = []
+    drawing = recording("test", 0.1, rr.FileSink(str(tmp_path / "view.rrd")))
+    feed = Feed(Noted(drawing, VehicleParameters.from_yaml(LEAF.read_text(), "leaf")), "map")
+    start, measured = 1_800_000_000_000_000_000, 1_700_000_000_000_000_000  # of another clock than the host's
+    odometry, status = Odometry(), InsStatus(position_mode=6, position_mode_text="RTK integer")
+    odometry.header.frame_id, odometry.twist.twist.linear.x = "map", 10.0
+    for k in range(60):
+        now = start + k * 100_000_000
+        odometry.header.stamp = status.header.stamp = from_nanoseconds(measured + k * 100_000_000)
+        if k % 10 == 0:
+            feed.take("ins/status", status, now)
+            feed.take("/diagnostics", DiagnosticArray(status=[DiagnosticStatus(name="a")]), now)
+        feed.take("vehicle/steering", Steering(road_wheel_angle=0.1), now)
+        if k < 40:
+            feed.take("ins/odometry", odometry, now)
+        feed.draw(now + 20_000_000)
+    drawing.flush()
+    drawing.disconnect()
+    moving = [(text, light) for time_ns, text, light in told if time_ns < measured + 3_800_000_000]
+    assert {light for _, light in moving} == {"all well"} and all("picture 0.0 s old" in text for text, _ in moving)
+    assert 8 <= len(moving) <= 12 and "# 36 km/h" in moving[0][0] and "## RTK integer" in moving[0][0]
+    assert told[-1][2] == "error" and "the picture stands: 2 s old" in told[-1][1] and "no position" in told[-1][1]
+    assert (tmp_path / "view.rrd").stat().st_size > 1000

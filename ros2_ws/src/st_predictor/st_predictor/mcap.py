@@ -23,6 +23,7 @@ from . import definitions
 from .bag_metadata import BagFile, BagInformation, Qos, Topic, qos_text, short_entries
 from .mcap_contents import MAGIC, Contents
 from .recovery import RecoveryError, RecoveryReport, recover
+from .syncing import Syncer
 
 __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
 
@@ -44,13 +45,16 @@ class BagWriter:
     deleted) it is closed whole wherever it is now, `error` says so and `moved` is set.
     """
 
-    def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None):
+    def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,
+                 synced: bool = False):
         """Creates the directory, the file and a first metadata.yaml.
 
         Args:
             directory: must not exist, or be empty; nothing is ever overwritten.
             records: MCAP metadata records, name -> {key: text}; short one-line texts also go to `custom_data` of
                 metadata.yaml as "name.key".
+            synced: each chunk is brought to the disk as soon as it is written, by a thread of its own: a loss of power
+                costs the last second. For recordings made live; a file that can be made again needs it not.
 
         Raises:
             OSError: cannot be created, or (FileExistsError) holds something already.
@@ -80,10 +84,17 @@ class BagWriter:
         for name, entries in (records or {}).items():
             self._contents.append_metadata(self._file, name, dict(entries))
         self._next_flush = self._next_look = time.monotonic() + FLUSH_PERIOD
+        if synced:
+            self._file.keep_synced((self.directory, self.directory.parent))
 
     @property
     def message_count(self) -> int:
         return self._bag_file.count
+
+    @property
+    def syncer(self) -> Syncer | None:
+        """How the disk follows; None where it is not asked to, or no longer."""
+        return self._file.syncer
 
     def add_topic(
         self, name: str, type_name: str, qos: Sequence[Qos] = (Qos(),), definition: str = "", type_hash: str = ""
@@ -136,7 +147,7 @@ class BagWriter:
         """Call this at least twice a second: it hands the messages of the last FLUSH_PERIOD to the operating system,
         and looks whether the file is still where it was made.
 
-        From then on they survive the end of this process. (Not the loss of power: the system writes them out later.)
+        From then on they survive the end of this process; the loss of power as soon as the disk has them (`synced`).
         """
         now = time.monotonic()
         if now >= self._next_flush:
@@ -180,6 +191,7 @@ class BagWriter:
         chunk = Chunk(compression="zstd", data=self._compressor.compress(data), message_start_time=min(times),
                       message_end_time=max(times), uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data))
         self._contents.append_chunk(self._file, chunk, messages)
+        self._file.wake()
 
     def _information(self) -> BagInformation:
         return BagInformation([self._bag_file], self._topics, self._custom)
@@ -250,6 +262,15 @@ class _WholeWrites:
         with contextlib.suppress(OSError):
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._length = 0
+        self.syncer: Syncer | None = None
+
+    def keep_synced(self, folders: Sequence[Path]) -> None:
+        self.syncer = Syncer(self._descriptor, folders)
+        self.syncer.wake()
+
+    def wake(self) -> None:
+        if self.syncer:
+            self.syncer.wake()
 
     def write(self, data: bytes) -> int:
         view = memoryview(data)
@@ -283,4 +304,6 @@ class _WholeWrites:
         os.fsync(self._descriptor)
 
     def close(self) -> None:
+        if self.syncer:
+            self.syncer.stop()
         os.close(self._descriptor)

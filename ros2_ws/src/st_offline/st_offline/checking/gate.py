@@ -13,7 +13,8 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 
 from ..evaluation.recorded import configuration_of
-from ..runs import RunError, RunSource, read
+from ..runs import ReadSettings, RunError, RunSource, read
+from ..runs.foreign import SteeringField
 from . import words
 from .document import documents
 
@@ -49,15 +50,18 @@ def refuse(where: Path | str, findings: Sequence[Finding], force: bool) -> None:
         raise Refused(where, findings)
 
 
-def passed_bag(bag: Path, vehicle: Path | None, force: bool) -> list[Finding]:
+def passed_bag(bag: Path, vehicle: Path | None, force: bool,
+               steering: SteeringField | None = None) -> list[Finding]:
     """Findings of a recording as it is to be played or compared: with the vehicle, the models and the step it carries,
     where it carries them. Raises Refused, and RunError for what cannot be read.
     """
-    run = read(RunSource(bag.stem, "bag", (bag,)))
+    run = read(RunSource(bag.stem, "bag", (bag,)), settings=ReadSettings(steering=steering))
     car, recorded, _ = configuration_of(run.provenance["recorded"], vehicle)
+    # What the hand wheel's angle was taken for until the vehicle was known.
+    log = run.log.with_steering(car) if steering is not None and steering.quantity == "wheel" else run.log
     predictor = recorded.nodes.get("predictor", {})
     models = [model for model in predictor.get("models", MODELS) if model in MODELS]
-    findings = checked_log(run.log, car, run.extras, models, predictor.get("step", STEP)).findings
+    findings = checked_log(log, car, run.extras, models, predictor.get("step", STEP)).findings
     refuse(bag, findings, force)
     return list(findings)
 

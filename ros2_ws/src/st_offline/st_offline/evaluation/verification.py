@@ -1,11 +1,12 @@
 """Live equals offline: what the nodes predicted and scored against the library, start by start, on one recording."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from st_core.errors import ConfigurationError
 from st_core.log_evaluation import EvaluationSettings, evaluate_blocks
 from st_core.log_signals import LogSignals
@@ -14,6 +15,7 @@ from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
 
 from ..runs.bag import is_bag, read_bag, was_cut
+from ..runs.foreign import SteeringField
 from .recorded import (
     Predictions,
     Progress,
@@ -26,7 +28,7 @@ from .recorded import (
 
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
 MODES = ("hindsight", "forecast")
-CUT = "{} was cut: its recorder did not end it; what came after is not compared"
+CUT = "{} was cut: its recorder did not end it; what came after is not {}"
 
 
 @dataclass
@@ -74,17 +76,39 @@ class Verification:
 
 
 def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console, view=None,
-               bands: Path | None = None):
-    """(Outcome, name of the vehicle) of playing a recording with its own configuration; see replaying.replay."""
+               bands: Path | None = None, steering: SteeringField | None = None):
+    """(Outcome, name of the vehicle) of playing a recording with its own configuration; see replaying.replay.
+
+    steering: where the angle is in a recording of another make.
+    """
     from ..bands.live import with_bands
     from ..replaying import node_parameters, replay
 
-    drive = read_bag(bag)
+    drive = read_bag(bag, steering=steering)
+    for line in not_played(bag, drive.unknown):
+        console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
     car, recorded, _ = configuration_of(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())
     parameters = with_bands(node_parameters(folder, file, recorded), bands)
-    return replay(bag, drive.topics, folder, parameters, rate, console, view), car.name
+    if "map_frame" not in recorded.nodes.get("predictor", {}):
+        for node in ("predictor", "evaluator"):  # of another make, its odometry may be in a frame of another name
+            parameters[node]["map_frame"] = drive.frame
+    return replay(bag, drive.topics, folder, parameters, rate, console, view, player_options(steering, car)), car.name
+
+
+def not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
+    """What a replay does not show, in sentences: topics nobody here knows, and the rest of a recording that was cut."""
+    topics = [f"not known and not played: {', '.join(unknown)}"] if unknown else []
+    return topics + ([CUT.format(bag, "played")] if was_cut(bag) else [])
+
+
+def player_options(steering: SteeringField | None, car: VehicleParameters) -> list[str]:
+    """How the player makes st_msgs/Steering of another topic; nothing where it is that already."""
+    if steering is None:
+        return []
+    wheel = ["--steering-wheel", repr(car.steering_ratio), repr(car.steering_wheel_offset)]
+    return ["--steering-field", steering.field, *(wheel if steering.quantity == "wheel" else [])]
 
 
 def recordings_of(path: Path) -> tuple[Path, list[Path]]:
@@ -108,7 +132,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     settings = _settings(recorded)
     scores = read_scores(score_bags, progress)
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
-    cut = [CUT.format(one) for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
+    cut = [CUT.format(one, "compared") for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
     comparisons, warnings = [], [*drive.warnings, *cut]
     for name, live in predictions.items():
         try:

@@ -1,12 +1,13 @@
 """Plays odometry and steering of a recording, with /clock: a process that `st replay` starts beside the nodes.
 
-Messages go out as they were recorded, byte for byte, in the order of their log times; /clock advances in steps behind
-them. At a rate of 0 it goes as fast as predictor and evaluator follow: their newest stamps are heard, and the clock
-waits for them.
+Messages go out as they were recorded, byte for byte, in the order of their log times (steering of another make: one
+number of a message becomes a Steering); /clock advances in steps behind them. At a rate of 0 it goes as fast as
+predictor and evaluator follow: their newest stamps are heard, and the clock waits for them.
 """
 
 import argparse
 import json
+import math
 import signal
 import struct
 import sys
@@ -24,11 +25,14 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
-from st_msgs.msg import Prediction, PredictionError
+from st_msgs.msg import Prediction, PredictionError, Steering
 from st_ros.polling import PolledSubscription
+from st_ros.stamps import from_nanoseconds
 
 from ..runs.bag import definitions
 from ..runs.cdr import typestore
+from ..runs.foreign import SteeringField, steering_value
+from ..runs.foreign import stamp_of as instant_of
 from ._messages import message_class
 
 INPUTS = ("/ins/odometry", "/vehicle/steering")  # whatever they are called in the recording
@@ -81,11 +85,33 @@ def issued_at_of(data: bytes) -> int:
     return seconds * 1_000_000_000 + nanoseconds
 
 
+class Translator:
+    """Messages with a steering angle somewhere in them, as Steering."""
+
+    def __init__(self, bag: Path, steering: SteeringField, ratio: float, offset: float):
+        """ratio [1], offset [rad] of the hand wheel; 1 and 0 where the angle is the road wheels'."""
+        self._bag, self._steering, self._ratio, self._offset = bag, steering, ratio, offset
+
+    def steering(self, message: Any, log_ns: int) -> Steering:
+        value = steering_value(self._bag, message, self._steering)
+        wheel = value if self._steering.quantity == "wheel" else math.nan
+        translated = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
+                              valid=math.isfinite(value))
+        translated.header.stamp = from_nanoseconds(instant_of(message, log_ns))
+        return translated
+
+
 class Player:
     def __init__(self, options: argparse.Namespace):
         self.stop = False
         self._bag, self._rate = options.bag, options.rate
         self._played = dict(zip((options.odometry, options.steering), INPUTS, strict=True))
+        self._steering = options.steering
+        self._translator = None
+        if options.steering_field:
+            field = SteeringField(options.steering, options.steering_field,
+                                  "wheel" if options.steering_wheel else "road")
+            self._translator = Translator(options.bag, field, *(options.steering_wheel or (1.0, 0.0)))
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
@@ -112,7 +138,11 @@ class Player:
                     self._say((clock_ns - first) * 1e-9, total)
                 if self.stop:
                     break
-                publishers[connection.topic].publish(bytes(data))
+                if self._translator and connection.topic == self._steering:
+                    message = reader.deserialize(data, connection.msgtype)
+                    publishers[connection.topic].publish(self._translator.steering(message, log_ns))
+                else:
+                    publishers[connection.topic].publish(bytes(data))
             self._advance(clock_ns + CLOCK_STEP_NS, first, began)
         self._say(total, total, "done", time.monotonic() - began)
         return 0
@@ -124,8 +154,10 @@ class Player:
         publishers: dict[str, Publisher] = {}
         for connection in connections:
             if connection.topic in self._played and connection.topic not in publishers:
+                translated = self._translator and connection.topic == self._steering
+                message_type = Steering if translated else message_class(connection.msgtype)
                 publishers[connection.topic] = self._node.create_publisher(
-                    message_class(connection.msgtype), self._played[connection.topic], QoSProfile(depth=DEPTH))
+                    message_type, self._played[connection.topic], QoSProfile(depth=DEPTH))
         return publishers
 
     def _wait_for_listeners(self, publishers: Sequence[Publisher]) -> bool:
@@ -166,6 +198,8 @@ def main() -> int:
     parser.add_argument("--horizon", type=float, required=True, help="of the predictor [s]")
     parser.add_argument("--odometry", required=True, help="its topic in the recording")
     parser.add_argument("--steering", required=True, help="its topic in the recording")
+    parser.add_argument("--steering-field", default="", help="where the angle is, if it is no st_msgs/Steering")
+    parser.add_argument("--steering-wheel", type=float, nargs=2, help="it is the hand wheel's: ratio, offset [rad]")
     options = parser.parse_args()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     player = Player(options)

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from st_core.vehicle import VehicleParameters
-from st_msgs.msg import ErrorSummary, Prediction, PredictionError, PredictorStatus, Steering
+from st_msgs.msg import ErrorSummary, InsStatus, Prediction, PredictionError, PredictorStatus, Steering
 from st_ros.polling import PolledSubscription
 from st_ros.scheduling import lower
 
@@ -30,8 +30,8 @@ from ..view.scene import Scene, recording
 
 PERIOD = 0.1  # s between pictures
 FLUSH = 0.2  # s; every piece costs the page something
-TYPES = {"status": PredictorStatus, "odometry": Odometry, "steering": Steering, "prediction": Prediction,
-         "error": PredictionError, "summary": ErrorSummary, "diagnostics": DiagnosticArray}
+TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
+         "prediction": Prediction, "error": PredictionError, "summary": ErrorSummary, "diagnostics": DiagnosticArray}
 # Messages kept of a topic: the newest few of what comes often; scores of one instant come together.
 DEPTH = {"error": 200, "diagnostics": 50}
 NEWEST = 5
@@ -56,13 +56,13 @@ class Viewer:
         while not self.stop:
             executor.spin_once(timeout_sec=0.0)
             for topic, subscription in self._heard.items():
-                for message, _, _ in subscription.take():
-                    self._feed.take(topic, message)
+                for message, heard_ns, _ in subscription.take():
+                    self._feed.take(topic, message, heard_ns)
                     predicting = True
             if len(self._heard) == 1 and predicting:
                 # Not before: a player of recordings counts its listeners before it begins.
                 self._heard |= {topic: self._listen(topic) for topic in TOPICS if topic not in self._heard}
-            self._feed.draw()
+            self._feed.draw(time.time_ns())
             # After a pause no picture is made up for.
             due = max(due + PERIOD, time.monotonic())
             time.sleep(max(due - time.monotonic(), 0.01))

@@ -19,6 +19,7 @@ from .bag_extras import bag_extras, extra_fields
 from .bag_storage import Storage, Topic, open_storage
 from .cdr import typestore
 from .errors import RunError, check_readable
+from .foreign import SteeringField, steering_columns, steering_topic, unknown
 from .mcap_columns import DAMAGE, summary_of
 from .messages import ODOMETRY, STEERING
 
@@ -37,7 +38,8 @@ _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", 
 class BagDrive:
     """topics: type -> topic that was read. records: what the recording says about itself, name -> {key: text}.
 
-    extras: what else is in it, for checks.
+    extras: what else is in it, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of what is
+    neither read nor of the suite.
     """
 
     log: DriveLog
@@ -45,6 +47,8 @@ class BagDrive:
     records: Mapping[str, Mapping[str, str]]
     warnings: tuple[str, ...]
     extras: Extras = field(default_factory=Extras)
+    frame: str = ""
+    unknown: tuple[str, ...] = ()
 
 
 def definitions() -> Path:
@@ -71,25 +75,33 @@ def holds_odometry(path: Path) -> bool:
     return True
 
 
-def read_bag(path: Path, name: str | None = None) -> BagDrive:
+def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None) -> BagDrive:
     """Odometry and steering of a recording; topics of other types, known or not, are passed over.
 
-    Raises RunError for what is no bag, was not closed, or lacks one of the two.
+    steering: where the steering angle is in a recording of another make; default st_msgs/Steering. Raises RunError for
+    what is no bag, was not closed, or lacks one of the two.
     """
     storage, store = open_bag(path), typestore(definitions())
     there = storage.topics()
-    needed = {_topic(path, there, type_name): fields
-              for type_name, fields in ((ODOMETRY, _ODOMETRY_FIELDS), (STEERING, _STEERING_FIELDS))}
+    needed: dict[Topic, tuple[str, ...]] = {_topic(path, there, ODOMETRY): _ODOMETRY_FIELDS}
+    if steering is None:
+        needed[_topic(path, there, STEERING)] = _STEERING_FIELDS
     others = extra_fields(there)
     quick = storage.columns({**needed, **others}, store)
     columns = {topic.type_name: quick.get(topic.name) or _one_by_one(path, storage, topic, fields, store)
                for topic, fields in needed.items()}
+    if steering is not None:
+        named = steering_topic(path, there, steering, store)
+        columns[STEERING] = steering_columns(path, storage, named, steering, store)
     log, missing, notes = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     extras = bag_extras(storage, there, {topic: quick[topic.name] for topic in others if topic.name in quick},
                         stamps, missing, store)
-    topics = {topic.type_name: topic.name for topic in needed}
-    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in notes), extras)
+    topics = {topic.type_name: topic.name for topic in needed} | ({} if steering is None else {STEERING: named.name})
+    passed_over = tuple(f"{t.name} ({t.type_name})" for t in unknown(there, tuple(topics.values())))
+    frame = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY).header.frame_id
+    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in notes), extras, frame,
+                    passed_over)
 
 
 def open_bag(path: Path) -> Storage:
@@ -145,8 +157,9 @@ def _topic(path: Path, topics: Sequence[Topic], type_name: str) -> Topic:
     found = [t for t in topics if t.type_name == type_name and t.count]
     if not found:
         what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "no messages"
+        other = ", or name the topic that holds the angle with --steering-topic" if type_name == STEERING else ""
         raise RunError(path, f"no message of type {type_name} is in it; it has {what}",
-                       f"record the topic {PREFERRED[type_name]} too")
+                       f"record the topic {PREFERRED[type_name]} too{other}")
     preferred = [t for t in found if t.name.endswith(PREFERRED[type_name])] or found
     if len(preferred) > 1:
         names = ", ".join(sorted(t.name for t in preferred))

@@ -44,6 +44,9 @@ class Storage(Protocol):
     def messages(self, topic: str) -> Iterator[bytes]:
         """Serialised messages, in the order of the file."""
 
+    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        """(log time [ns], message), in the order of the file."""
+
     def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
         """The quick way to some numbers of all messages (cdr.Layout), by topic; without those it cannot be gone for."""
 
@@ -108,6 +111,11 @@ class Mcap:
                 for start, size in zip(block.starts.tolist(), block.sizes.tolist(), strict=True):
                     yield block.buffer[start : start + size].tobytes()
 
+    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        for file, _ in self._files:
+            yield from ((message.log_time, message.data) for _, channel, message in self._stream(file)
+                        if channel.topic == topic)
+
     @staticmethod
     def _blocks(file: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
         try:
@@ -161,11 +169,13 @@ class Sqlite:
         return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
 
     def messages(self, topic: str) -> Iterator[bytes]:
-        text = ("SELECT messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
+        return (data for _, data in self.timed(topic))
+
+    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        text = ("SELECT messages.timestamp, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
                 "WHERE topics.name = ? ORDER BY messages.timestamp")
         for file in self._files:
-            for (data,) in self._query(file, text, topic):
-                yield data
+            yield from self._query(file, text, topic)
 
     def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
         found = {}
@@ -193,8 +203,11 @@ class Rosbags:
         return [Topic(c.topic, c.msgtype, c.msgcount) for c in self._reader.connections]
 
     def messages(self, topic: str) -> Iterator[bytes]:
+        return (data for _, data in self.timed(topic))
+
+    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
         chosen = [c for c in self._reader.connections if c.topic == topic]
-        return (bytes(data) for _, _, data in self._reader.messages(connections=chosen))
+        return ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=chosen))
 
     def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
         return {}

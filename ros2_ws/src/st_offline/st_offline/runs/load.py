@@ -19,6 +19,7 @@ from st_core.vehicle import VehicleParameters
 from ..paths import config
 from . import bag, csv
 from .errors import RunError
+from .foreign import SteeringField
 from .sources import Label, RunSource
 
 
@@ -30,7 +31,8 @@ class ReadSettings:
     positive. steering_latency: from the turn of the wheel to the frame in the log [s]. offset: INS minus CAN clock [s],
     given by hand. search: bounds of that offset [s] when it is looked for. ins_can_latency: from the instant an INS
     value is true to its CAN frame in the log, and the standard deviation of that [s]; None: assumed (clocks.py).
-    doubtful: whether an alignment that is doubtful may be used (with a warning); a refused one never is.
+    doubtful: whether an alignment that is doubtful may be used (with a warning); a refused one never is. steering:
+    where the angle is in bags without st_msgs/Steering.
     """
 
     dbc: Path | None = None
@@ -41,6 +43,7 @@ class ReadSettings:
     search: tuple[float, float] | None = None
     ins_can_latency: tuple[float, float] | None = None
     doubtful: bool = True
+    steering: SteeringField | None = None
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ def _loaded(source: RunSource, vehicle: VehicleParameters | None, settings: Read
 
         return read_raw_run(source, vehicle, settings)
     if source.kind == "bag":
-        drive = bag.read_bag(source.where, source.name)
+        drive = bag.read_bag(source.where, source.name, settings.steering)
         recorded = {name: dict(record) for name, record in drive.records.items()}
         about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
         labels = source.labels or _recorded_labels(drive.records)

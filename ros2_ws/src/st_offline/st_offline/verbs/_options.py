@@ -10,6 +10,7 @@ from ..paths import config
 
 if TYPE_CHECKING:
     from ..runs import ReadSettings
+    from ..runs.foreign import SteeringField
 
 
 def _sign(value: int | None) -> int | None:
@@ -34,9 +35,26 @@ Signals = Annotated[Path | None, typer.Option(
 SteeringSign = Annotated[int | None, typer.Option(
     callback=_sign, help="1 where the sensor, as DBC and table decode it, is left positive; -1: right. Default that of "
     "--car, else 1; live: else that of config/nodes.yaml.")]
+SteeringTopic = Annotated[str | None, typer.Option(
+    "--steering-topic", help="Bags of another make: the topic with the steering angle, rad, left +; of any type of "
+    "ROS 2 Jazzy. Default: the one of type st_msgs/Steering.")]
+SteeringPath = Annotated[str, typer.Option(
+    "--steering-field", help="The number in its messages: data, drive.steering_angle, ...")]
+SteeringIs = Annotated[str, typer.Option(
+    "--steering-is", help="road: angle of the front wheels; wheel: of the hand wheel, ratio and offset of the vehicle "
+    "file make the other.")]
 SteeringLatency = Annotated[float | None, typer.Option(
     help="s, from the turn of the wheel to the frame; default that of --car, else 0; live: else that of "
     "config/nodes.yaml.", min=0.0, max=1.0)]
+
+
+def foreign_steering(topic: str | None, path: str, quantity: str) -> "SteeringField | None":
+    """Where the angle is in a bag of another make; None where no topic was named."""
+    from ..runs.foreign import SteeringField
+
+    if quantity not in ("road", "wheel"):
+        raise typer.BadParameter(f"--steering-is {quantity}: road or wheel is wanted")
+    return None if topic is None else SteeringField(topic, path, quantity)  # type: ignore[arg-type]
 
 
 def whose(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,

@@ -69,9 +69,32 @@ def _load(path: Path) -> ModuleType:
 
 def _show(console: Console, name: str, result: dict) -> None:
     table = Table("measure", "value", title=name, box=None, title_justify="left")
-    for key, value in _flatten(result):
-        table.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+    plain = {key: value for key, value in result.items() if not _is_table(value)}
+    for key, value in _flatten(plain):
+        table.add_row(key, _text(value))
     console.print(table)
+    for key, rows in result.items():
+        if key not in plain:
+            columns = list(next(iter(rows.values())))
+            of_rows = Table(key, box=None)
+            for column in columns:
+                of_rows.add_column(column, justify="right")
+            for row, values in rows.items():
+                of_rows.add_row(row, *(_text(values[column]) for column in columns))
+            console.print()
+            console.print(of_rows)
+
+
+def _is_table(value: object) -> bool:
+    """Whether these are rows with the same columns, all numbers or words."""
+    rows = list(value.values()) if isinstance(value, dict) else []
+    if len(rows) < 2 or not all(isinstance(row, dict) and row.keys() == rows[0].keys() for row in rows):
+        return False
+    return bool(rows[0]) and not any(isinstance(cell, dict) for row in rows for cell in row.values())
+
+
+def _text(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _flatten(result: dict, prefix: str = "") -> list[tuple[str, object]]:

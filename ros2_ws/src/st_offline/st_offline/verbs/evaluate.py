@@ -13,9 +13,13 @@ from ._options import (
     InsCanLatency,
     Offset,
     Signals,
+    SteeringIs,
     SteeringLatency,
+    SteeringPath,
     SteeringSign,
+    SteeringTopic,
     VehicleFile,
+    foreign_steering,
     say_whose,
     whose,
 )
@@ -60,6 +64,9 @@ def evaluate(
     signals: Signals = None,
     steering_sign: SteeringSign = None,
     steering_latency: SteeringLatency = None,
+    steering_topic: SteeringTopic = None,
+    steering_field: SteeringPath = "data",
+    steering_is: SteeringIs = "road",
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate`, to be tested on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False
@@ -90,7 +97,8 @@ def evaluate(
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
         models = tuple(model_named(name) for name in dict.fromkeys(model))
         vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
-                              ins_can_latency=ins_can_latency)
+                              ins_can_latency=ins_can_latency,
+                              steering=foreign_steering(steering_topic, steering_field, steering_is))
         parameters, car_from = car_of(vehicle, models, effects)
         task = Task(
             vehicle=parameters,

@@ -4,11 +4,22 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, say_whose_bag, whose
+from ._options import (
+    CarName,
+    SteeringIs,
+    SteeringPath,
+    SteeringTopic,
+    foreign_steering,
+    say_whose_bag,
+    whose,
+)
 
 
 def replay(
     bag: Path = typer.Argument(..., help="A recording with odometry and steering (rosbag2).", exists=True),
+    steering_topic: SteeringTopic = None,
+    steering_field: SteeringPath = "data",
+    steering_is: SteeringIs = "road",
     rate: float = typer.Option(1.0, help="Times as fast as it was recorded.", min=0.05, max=100.0),
     fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator follow."),
     car: CarName = None,
@@ -43,11 +54,12 @@ def replay(
     try:
         vehicle = whose(car, vehicle)[0]
         shown = window(view, view_save)
-        findings = passed_bag(bag, vehicle, force)
+        steering = foreign_steering(steering_topic, steering_field, steering_is)
+        findings = passed_bag(bag, vehicle, force, steering)
         say(bag.name, findings, console)
         say_whose_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, shown, bands)
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, shown, bands, steering)
     except (RunError, StCoreError, SuiteError, OutputError) as error:
         typer.echo(f"st replay: {error}", err=True)
         raise typer.Exit(2) from None

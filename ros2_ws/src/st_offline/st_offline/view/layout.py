@@ -31,13 +31,15 @@ def blueprint() -> rrb.Blueprint:
     around = rrb.Spatial2DView(
         origin="map", name=f"Map (north up, {GRID:.0f} m grid)", background=PAPER,
         visual_bounds=rrb.VisualBounds2D(x_range=[-AROUND, AROUND], y_range=[-AROUND, AROUND]))
+    passenger = rrb.TextDocumentView(origin="passenger", name="Now")
     words = rrb.TextDocumentView(origin="words", name="Errors so far, and health")
     # A Tabs container shows its first; the others are a click away.
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(ahead, rrb.Tabs(plot("steering"), plot("speed"), plot("lateral_acceleration")),
                          row_shares=[3, 1]),
-            rrb.Vertical(rrb.Horizontal(around, words, column_shares=[1, 1.3]), plot("lateral"), plot("longitudinal"),
+            rrb.Vertical(rrb.Horizontal(around, rrb.Vertical(passenger, words), column_shares=[1, 1.3]),
+                         plot("lateral"), plot("longitudinal"),
                          row_shares=[1.8, 1, 1]),
             column_shares=[1, 1.35],
         ),

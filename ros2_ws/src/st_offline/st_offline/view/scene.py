@@ -12,10 +12,12 @@ from st_predictor.palette import MEASURED_COLOUR, colour_of, rgb
 from st_predictor.ribbon import Ribbon
 
 from .geometry import Pose, grid, heading_up, north_up
-from .layout import AROUND, ASIDE, BEHIND, GRID, TIMELINE, blueprint
+from .layout import AHEAD, AROUND, ASIDE, BEHIND, GRID, TIMELINE, blueprint
 
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 FAINT = (228, 228, 228)
+LIGHT_COLOUR = {"all well": (0, 150, 60), "warning": (235, 150, 0), "error": (200, 0, 0),
+                "nothing heard": (150, 150, 150)}
 GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
 OLD = 1.0  # s; a prediction older than this is not the current one
 GHOST_STRIDE, TRACK_STRIDE = 5, 2  # of their points, one in so many is drawn
@@ -76,6 +78,13 @@ class Scene:
         self._at(end_ns)
         self._rr.log(f"plots/lateral/{model}", rr.Scalars([lateral]))
         self._rr.log(f"plots/longitudinal/{model}", rr.Scalars([longitudinal]))
+
+    def passenger(self, time_ns: int, markdown: str, light: str) -> None:
+        """Large words, and the light in the corner of the picture ahead. light: a key of LIGHT_COLOUR."""
+        self._at(time_ns)
+        self._rr.log("passenger", rr.TextDocument(markdown, media_type="text/markdown"))
+        self._rr.log("ahead/light", rr.Points2D([(ASIDE - 6.0, -AHEAD + 6.0)], colors=[LIGHT_COLOUR[light]],
+                                                radii=rr.Radius.ui_points(14.0), labels=[light], show_labels=True))
 
     def words(self, time_ns: int, markdown: str) -> None:
         self._at(time_ns)

@@ -21,7 +21,7 @@ from st_ros.polling import PolledSubscription
 from .. import convert, params
 from ..consistency import Consistency
 from ..mcap import BagWriter, Qos
-from ._bag import open_bag, recording_check
+from ._bag import is_whole, open_bag, recording_check
 from ._bands import add_coverage, coverage_check, read_bands
 from ._inputs import Inputs
 
@@ -171,7 +171,7 @@ class EvaluatorNode(Node):
     @property
     def exit_status(self) -> int:
         """1 when the recording is not whole."""
-        return int(self._bag is not None and bool(self._bag.error))
+        return int(self._bag is not None and not is_whole(self._bag))
 
     def close(self) -> None:
         self._work()

@@ -23,7 +23,7 @@ from st_ros.polling import PolledSubscription
 from .. import convert, params
 from ..definitions import UnknownTypeError
 from ..mcap import Qos
-from ._bag import open_bag, recording_check
+from ._bag import is_whole, open_bag, recording_check
 from ._heard import DIAGNOSTICS, Heard
 
 NICE = 5  # bridges and predictor go first; a third of an equal share
@@ -143,7 +143,7 @@ class RecorderNode(Node):
     @property
     def exit_status(self) -> int:
         """1 when the recording is not whole."""
-        return int(bool(self._bag.error or self._stopped))
+        return int(bool(self._stopped) or not is_whole(self._bag))
 
     def close(self) -> None:
         self._work()

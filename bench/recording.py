@@ -1,0 +1,83 @@
+"""What it costs to bring a recording to the disk twice a second: the writer with and without, in turn.
+
+Messages of the sizes and rates of a drive with raw CAN frames. ST_BENCH_FOLDER: where to write, default the current
+folder; ST_BENCH_SECONDS: of each of the four turns.
+"""
+
+import os
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from st_predictor.mcap import BagWriter
+
+# (rate [Hz], size [byte]): packets, odometry, imu, steering, wheel speeds, raw frames, predictions, paths.
+TOPICS = ((250, 100), (250, 740), (250, 340), (100, 60), (50, 80), (10, 12_000), (30, 7_500), (30, 9_000))
+WORK_PERIOD = 0.05  # s; the recorder's
+TURNS = ("without", "with") * 2
+DEFINITION = ("uint8[] data", "RIHS01_" + "0" * 64)
+
+
+def turn(folder: Path, seconds: float, synced: bool) -> dict:
+    """One bag. ms: how long the writer was busy in each of its turns of work, and each sync."""
+    pool = _pool()
+    bag = BagWriter(folder, {"recording": {"recorder": "bench"}}, synced=synced)
+    topics = [bag.add_topic(f"/{k}", "bench_msgs/msg/Bytes", (), *DEFINITION) for k in range(len(TOPICS))]
+    written, busy, at = [0] * len(TOPICS), [], 0
+    began, processor = time.monotonic(), time.process_time()
+    while (now := time.monotonic()) < began + seconds:
+        for k, (rate, size) in enumerate(TOPICS):
+            while written[k] < (now - began) * rate:
+                bag.write(topics[k], pool[at : at + size], int(now * 1e9))
+                at = at + size if at < len(pool) - 50_000 else 0
+                written[k] += 1
+        bag.flush_when_due()
+        busy.append(time.monotonic() - now)
+        time.sleep(max(0.0, WORK_PERIOD - busy[-1]))
+    used = (time.process_time() - processor) / (time.monotonic() - began)
+    syncer = bag.syncer
+    bag.close()
+    result = {"cpu_percent": 100.0 * used, "bytes_per_s": bag.path.stat().st_size / seconds, "lost": bag.lost,
+              "busy_ms": np.array(busy) * 1e3}
+    return result | ({"syncs": syncer.count, "slowest_sync_ms": syncer.longest * 1e3} if syncer else {})
+
+
+def _pool() -> bytes:
+    """Numbers of which half the bytes are the same, as those of signals are; no two messages are alike."""
+    random = np.random.default_rng(0)
+    return (random.integers(0, 256, (2**21, 2)) * (0, 1)).astype(np.uint8).tobytes()
+
+
+def run() -> dict:
+    seconds = float(os.environ.get("ST_BENCH_SECONDS", "60"))
+    base = Path(tempfile.mkdtemp(prefix="st-bench-", dir=os.environ.get("ST_BENCH_FOLDER", ".")))
+    turns: dict[str, list[dict]] = {name: [] for name in TURNS}
+    try:
+        for number, name in enumerate(TURNS):
+            turns[name].append(turn(base / f"bag_{number}", seconds, name == "with"))
+        return {"file_system": _file_system(base)} | {name: _together(results) for name, results in turns.items()}
+    finally:
+        shutil.rmtree(base)
+
+
+def _together(results: list[dict]) -> dict:
+    busy = np.concatenate([result.pop("busy_ms") for result in results])
+    means = {key: float(np.mean([result[key] for result in results])) for key in results[0]}
+    if "slowest_sync_ms" in means:
+        means["slowest_sync_ms"] = max(result["slowest_sync_ms"] for result in results)
+    return means | {"writer_busy_ms": {f"p{q}": float(np.percentile(busy, q)) for q in (50, 99)}
+                    | {"max": float(busy.max())}}
+
+
+def _file_system(folder: Path) -> str:
+    """Its kind and device, of the longest mount point above the folder."""
+    mounts = [line.split() for line in Path("/proc/mounts").read_text().splitlines()]
+    above = [m for m in mounts if folder.resolve().is_relative_to(m[1])]
+    device, _, kind, *_ = max(above, key=lambda m: len(m[1]))
+    return f"{kind} on {device}"
+
+
+if __name__ == "__main__":
+    print(run())

@@ -1,0 +1,107 @@
+"""Bags of another make: the steering angle is a number in a topic the user names; what is not known is named."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from st_core.vehicle import VehicleParameters
+from st_offline.checking.gate import passed_bag
+from st_offline.paths import config
+from st_offline.runs import ReadSettings, find_runs, read
+from st_offline.runs.bag import definitions, read_bag
+from st_offline.runs.cdr import typestore
+from st_offline.runs.errors import RunError
+from st_offline.runs.foreign import SteeringField
+from st_offline.runs.messages import ODOMETRY
+
+STORE = typestore(definitions())
+START_NS = 1_700_000_000_000_000_000
+N, STEP_NS = 400, 10_000_000
+FLOAT, STAMPED, TEXT = "std_msgs/msg/Float64", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
+
+
+def make(name: str, **values: Any) -> Any:
+    return STORE.types[name](**values)
+
+
+def header(time_ns: int, frame: str) -> Any:
+    sec, nanosec = divmod(time_ns, 10**9)
+    return make("std_msgs/msg/Header", stamp=make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec),
+                frame_id=frame)
+
+
+def odometry(time_ns: int, x: float) -> Any:
+    point, turn = make("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0), make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0,
+                                                                        z=0.0, w=1.0)
+    linear, still = (make("geometry_msgs/msg/Vector3", x=v, y=0.0, z=0.0) for v in (10.0, 0.0))
+    pose = make("geometry_msgs/msg/Pose", position=point, orientation=turn)
+    twist = make("geometry_msgs/msg/Twist", linear=linear, angular=still)
+    return make(ODOMETRY, header=header(time_ns, "odom"), child_frame_id="base_link",
+                pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+                twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)))
+
+
+def angle(k: int) -> float:
+    return 0.001 * np.sin(0.05 * k)
+
+
+def bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+    """Odometry in a frame odom, the angle without a stamp and with one 30 ms before it was recorded, a text."""
+    with Writer(folder, version=9, storage_plugin=storage) as writer:
+        names = {"/odom": ODOMETRY, "/steering_angle": FLOAT, "/rack": STAMPED, "/notes": TEXT}
+        made = {topic: writer.add_connection(topic, name, typestore=STORE) for topic, name in names.items()}
+        for k in range(N):
+            now = START_NS + k * STEP_NS
+            stamped = make(STAMPED, header=header(now - 30_000_000, ""),
+                           vector=make("geometry_msgs/msg/Vector3", x=7.0, y=angle(k), z=0.0))
+            for topic, message in (("/odom", odometry(now, 0.1 * k)), ("/rack", stamped),
+                                   ("/steering_angle", make(FLOAT, data=angle(k))), ("/notes", make(TEXT, data="x"))):
+                writer.write(made[topic], now, bytes(STORE.serialize_cdr(message, names[topic])))
+    return folder
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_number_of_any_topic_is_the_steering(tmp_path, storage):
+    folder = bag(tmp_path / "drive", storage)
+    expected = np.array([angle(k) for k in range(N)])
+    drive = read_bag(folder, steering=SteeringField("steering_angle"))
+    np.testing.assert_array_equal(drive.log.road_wheel_angle, expected)
+    np.testing.assert_array_equal(drive.log.steering_time_ns, START_NS + np.arange(N) * STEP_NS)  # when it was recorded
+    assert drive.frame == "odom" and drive.topics["st_msgs/msg/Steering"] == "/steering_angle"
+    assert sorted(drive.unknown) == [f"/notes ({TEXT})", f"/rack ({STAMPED})"]
+    drive = read_bag(folder, steering=SteeringField("/rack", "vector.y"))
+    np.testing.assert_array_equal(drive.log.road_wheel_angle, expected)
+    np.testing.assert_array_equal(drive.log.steering_time_ns, START_NS + np.arange(N) * STEP_NS - 30_000_000)  # stamp
+
+
+def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
+    folder = bag(tmp_path / "drive")
+    vehicle = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text())
+    vehicle = replace(vehicle, steering_wheel_offset=0.02)
+    (source,) = find_runs([folder])
+    settings = ReadSettings(steering=SteeringField("/steering_angle", quantity="wheel"))
+    wheel = np.array([angle(k) for k in range(N)])
+    np.testing.assert_allclose(read(source, vehicle, settings).log.road_wheel_angle,
+                               (wheel - 0.02) / vehicle.steering_ratio, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("topic", "field", "said"), [
+    ("/angle", "data", "no message of /angle is in it; it has /notes, /odom, /rack, /steering_angle"),
+    ("/rack", "data", "no 'data'; it has header, vector"),
+    ("/rack", "vector.y.z", "no 'z'; nothing is below it"),
+    ("/rack", "vector", "is not a number"),
+    ("/notes", "data", "is not a number"),
+])
+def test_what_is_no_angle_is_refused_by_name(tmp_path, topic, field, said):
+    folder = bag(tmp_path / "drive")
+    with pytest.raises(RunError) as error:
+        passed_bag(folder, None, True, SteeringField(topic, field))
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_without_a_name_the_option_is_proposed(tmp_path):
+    with pytest.raises(RunError, match=r"/steering_angle \(std_msgs/msg/Float64\).*--steering-topic"):
+        read_bag(bag(tmp_path / "drive"))

@@ -1,0 +1,154 @@
+"""Loss of power: what was not synced is forgotten, and at most the last second of the recording goes with it."""
+
+import errno
+import os
+import threading
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from bags import DEFINITION, TYPE, TYPE_HASH, numbered, read_numbers
+from st_predictor import syncing
+from st_predictor.mcap import BagWriter, recover
+
+START_NS = 1_790_000_000_000_000_000
+RATE = 500  # messages/s
+
+
+class Disk:
+    """What survives: of each file its length when the last fdatasync of it that has returned was called.
+
+    delay [s] of each; error: number to fail with.
+    """
+
+    def __init__(self, delay: float = 0.0, error: int = 0):
+        self.safe: dict[int, int] = {}  # by inode, bytes
+        self.delay, self.error, self.threads = delay, error, set()
+        self._real = os.fdatasync
+
+    def fdatasync(self, descriptor: int) -> None:
+        self.threads.add(threading.current_thread())
+        if self.error:
+            raise OSError(self.error, os.strerror(self.error))
+        status = os.fstat(descriptor)
+        self._real(descriptor)
+        time.sleep(self.delay)
+        self.safe[status.st_ino] = status.st_size
+
+    def lose_power(self, file: Path, target: Path, tail: bytes = b"") -> Path:
+        """The bag as it is found afterwards; the rest of the file is gone, or holds what was on the disk before."""
+        length, whole = self.safe.get(file.stat().st_ino, 0), file.stat().st_size
+        target.mkdir()
+        (target / file.name).write_bytes(file.read_bytes()[:length] + (tail * whole)[:whole - length])
+        return target
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    made = Disk()
+    monkeypatch.setattr(syncing.os, "fdatasync", made.fdatasync)
+    return made
+
+
+def record(directory: Path, seconds: float, synced: bool = True, padding: str = "") -> tuple[BagWriter, list[float]]:
+    """A bag still being written, as the recorder does, and when each of its messages was handed over [s, monotonic]."""
+    bag = BagWriter(directory, {"configuration": {"hash": "0123"}}, synced=synced)
+    topic = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
+    written: list[float] = []
+    began = time.monotonic()
+    while (now := time.monotonic()) < began + seconds:
+        while len(written) < (now - began) * RATE:
+            bag.write(topic, numbered(len(written), padding), START_NS + len(written))
+            written.append(now)
+        bag.flush_when_due()
+        time.sleep(0.02)
+    return bag, written
+
+
+@pytest.mark.parametrize("tail", [b"", b"\0", b"\xa5"], ids=["cut", "zeros", "old bytes"])
+@pytest.mark.parametrize("seconds", [1.6, 2.3])
+def test_a_loss_of_power_costs_at_most_the_last_second(disk: Disk, tmp_path: Path, seconds: float, tail: bytes) -> None:
+    disk.delay = 0.1  # a slow card
+    bag, written = record(tmp_path / "bag", seconds)
+    now = time.monotonic()
+    found = disk.lose_power(bag.path, tmp_path / "found", tail)
+    bag.close()
+    recover(found)
+    kept = read_numbers(found)["/a"]
+    assert kept == list(range(len(kept)))
+    assert len(kept) >= sum(one < now - 1.0 for one in written) > 0
+    assert len(kept) < len(written)  # else nothing was lost and nothing tested
+    assert threading.current_thread() not in disk.threads
+
+
+def test_without_it_everything_may_be_lost(disk: Disk, tmp_path: Path) -> None:
+    bag, _ = record(tmp_path / "bag", 1.2, synced=False)
+    assert not disk.safe and bag.syncer is None
+    bag.close()
+
+
+def test_many_chunks_a_second_do_not_keep_the_disk_busy(disk: Disk, tmp_path: Path) -> None:
+    bag, written = record(tmp_path / "bag", 1.2, padding="x" * 50_000)  # a chunk of 1 MiB every 40 ms
+    assert bag.syncer is not None
+    assert 3 <= bag.syncer.count <= 1.2 / syncing.SHORTEST_PERIOD + 3
+    bag.close()
+    assert read_numbers(tmp_path / "bag")["/a"] == list(range(len(written)))
+
+
+def test_a_disk_that_does_not_follow_does_not_hold_up_the_writer(disk: Disk, tmp_path: Path) -> None:
+    disk.delay = 1.5
+    bag, written = record(tmp_path / "bag", 2.2)
+    assert bag.syncer is not None
+    gaps = [b - a for a, b in pairwise(written)]
+    assert max(gaps) < 1.0
+    assert bag.syncer.behind > 0.5
+    bag.close()
+    assert bag.error == "" and read_numbers(tmp_path / "bag")["/a"] == list(range(len(written)))
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
+def test_a_disk_that_refuses_is_told_and_recording_goes_on(disk: Disk, tmp_path: Path, number: int) -> None:
+    disk.error = number
+    bag, before = record(tmp_path / "bag", 0.8)
+    assert bag.syncer is not None and bag.syncer.error == os.strerror(number)
+    disk.error = 0
+    time.sleep(0.3)
+    assert bag.syncer.error == os.strerror(number)  # it was refused once: that does not become good
+    bag.close()
+    assert bag.error == "" and read_numbers(tmp_path / "bag")["/a"] == list(range(len(before)))
+
+
+def test_no_thread_and_no_file_is_left(tmp_path: Path) -> None:
+    threads, files = threading.active_count(), len(os.listdir("/proc/self/fd"))
+    bag, _ = record(tmp_path / "closed", 0.6)
+    bag.close()
+    bag, _ = record(tmp_path / "renamed", 0.6)
+    bag.directory.rename(tmp_path / "elsewhere")
+    time.sleep(0.6)
+    bag.flush_when_due()
+    assert bag.moved
+    bag.close()
+    assert threading.active_count() == threads and len(os.listdir("/proc/self/fd")) == files
+
+
+def test_the_nodes_say_what_the_disk_does(disk: Disk, tmp_path: Path) -> None:
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    from st_predictor.nodes._bag import is_whole, recording_check
+    from st_ros import diagnostics
+
+    bag, _ = record(tmp_path / "bag", 0.7)
+    assert recording_check(bag).level == diagnostics.OK and is_whole(bag)
+    disk.error = errno.EIO
+    bag.write(1, numbered(0), START_NS)
+    bag.flush()
+    time.sleep(0.4)
+    check = recording_check(bag)
+    assert check.level == diagnostics.ERROR and "Input/output error" in check.message and not is_whole(bag)
+    bag.close()
+    assert not is_whole(bag)
+    disk.error, disk.delay = 0, 1.6
+    slow, _ = record(tmp_path / "slow", 1.3)
+    check = recording_check(slow)
+    assert check.level == diagnostics.WARN and "the disk is slow" in check.message, check
+    slow.close()
