@@ -32,18 +32,18 @@ def run(folder: Path | None = None) -> dict:
     effects = [part for name, value in HIDDEN.items() for part in ("--effect", f"{name}={value}")]
     runs = [folder / name for name in DRIVES]
     for number, drive in enumerate(runs):
-        _st("demo", "--scenario", drive.name, "--duration", SECONDS, "--vehicle", vehicle, *plant, *effects, "--seed",
+        st("demo", "--scenario", drive.name, "--duration", SECONDS, "--vehicle", vehicle, *plant, *effects, "--seed",
             number, "--output", drive)
-    _st("discover", *(drive / "bag" for drive in runs), "--vehicle", vehicle, "--output", folder / "found")
+    st("discover", *(drive / "bag" for drive in runs), "--vehicle", vehicle, "--output", folder / "found")
     mended, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
     unseen = ("demo", "--scenario", UNSEEN, "--duration", UNSEEN_SECONDS, *plant, *effects, "--seed", 100)
-    _st(*unseen, "--vehicle", vehicle, "--output", folder / "before")
-    _st(*unseen, "--vehicle", mended if mended.exists() else vehicle, "--model", model, "--output", folder / "after")
+    st(*unseen, "--vehicle", vehicle, "--output", folder / "before")
+    st(*unseen, "--vehicle", mended if mended.exists() else vehicle, "--model", model, "--output", folder / "after")
     found = json.loads((folder / "found" / "discovery.json").read_text())
     result = {"found": [_statement(e) for e in found["effects"]], "kept": [_statement(e) for e in found["minor"]],
               "mended": mended.exists(), "position_5s": [found["gap"]["position_5s"][k] for k in ("base", "augmented")],
-              **{when: _errors(folder / when) for when in ("before", "after")}}
-    _draw(result["before"], result["after"])
+              **{when: live_errors(folder / when) for when in ("before", "after")}}
+    draw(result["before"], result["after"], FIGURE, ("file and model as they were", "mended by st discover"))
     PAGE.write_text(_page(result))
     return result
 
@@ -57,7 +57,8 @@ def _wrong_file(folder: Path) -> Path:
     return file
 
 
-def _st(*arguments: object) -> None:
+def st(*arguments: object) -> None:
+    """A command of the suite."""
     # A shell of its own: a suite started within another would take its domain.
     clean = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
     subprocess.run([str(project_root() / "st"), *map(str, arguments)], check=True, env=clean)
@@ -68,13 +69,15 @@ def _statement(effect: dict) -> dict:
             "values": {name: [p["value"], *p["interval"], p["unit"]] for name, p in effect["parameters"].items()}}
 
 
-def _errors(folder: Path) -> dict:
+def live_errors(folder: Path) -> dict:
+    """Lateral RMSE [m] over 5 s in hindsight by model, of the folder of a demo."""
     summary = json.loads((folder / "summary.json").read_text())
     return {"starts": summary["models"]["nonlinear"]["hindsight"]["n_starts"],
             "lateral": {model: said["hindsight"]["lateral"]["rmse"] for model, said in summary["models"].items()}}
 
 
-def _draw(before: dict, after: dict) -> None:
+def draw(before: dict, after: dict, file: Path, called: tuple[str, str]) -> None:
+    """Errors of the models of two live drives, as `live_errors` reads them."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -92,12 +95,12 @@ def _draw(before: dict, after: dict) -> None:
                 axis.plot(start, row, "o", markerfacecolor="white", color=colour)
             axis.plot(now, row, "o", color=colour)
             axis.annotate(f"{now:.2f} m", (now, row), (0, 6), textcoords="offset points", ha="center")
-        axis.plot([], [], "o", color="0.3", markerfacecolor="white", label="file and model as they were")
-        axis.plot([], [], "o", color="0.3", label="mended by st discover")
+        axis.plot([], [], "o", color="0.3", markerfacecolor="white", label=called[0])
+        axis.plot([], [], "o", color="0.3", label=called[1])
         axis.set(xlabel="lateral error over 5 s, RMSE, live, hindsight [m]", xlim=(0.0, None), yticks=range(len(names)),
                  yticklabels=names, ylim=(len(names) - 0.3, -0.7))
         axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-        figure.savefig(FIGURE)
+        figure.savefig(file)
         plt.close(figure)
 
 

@@ -75,12 +75,13 @@ def _oracle(case: LawCase, healthy: list[DriveLog], twin: list[DriveLog], vehicl
 
 def _told(found: Discovery, said: Proposals) -> Record:
     one = said.proposal
-    law = None
+    law, needless = None, ()
     if one is not None:
+        needless = tuple(one.needless)
         law = {"place": one.candidate.place, "quantity": one.candidate.quantity, "by": one.candidate.by,
                "others": dict(one.others), "chance": one.chance, "gain": one.gain,
                "shape": one.readings[0].shape if one.readings else "",
                "reads": one.readings[0].text if one.readings else "", "promised": list(one.position_5s)}
     return {"outcome": found.outcome, "wanted": wanted(found), "why": said.why, "law": law,
-            "alone": [e.name for e in found.effects if not e.alternatives],
+            "alone": [e.name for e in found.effects if not e.alternatives], "needless": list(needless),
             "kept": [e.name for e in (*found.effects, *found.minor)]}

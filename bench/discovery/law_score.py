@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from st_core.effects import get_effect
+from st_core.proposals.places import WHERE
 
 from .effects import SCATTER
 from .hidden_laws import BY_NAME, Hidden
@@ -44,8 +45,7 @@ def place_right(r: Record) -> bool:
 
 def slot_right(r: Record) -> bool:
     """The place of the law, or of one that is named beside it."""
-    places = {r["law"]["place"], *(name.partition(" over ")[0] for name in r["law"]["others"])}
-    return bool(places & set(hidden_of(r).places))
+    return bool(set(places(r)) & set(hidden_of(r).places))
 
 
 def closed(r: Record, after: float | None = None) -> float:
@@ -57,10 +57,20 @@ def is_worse(r: Record) -> bool:
     return r["position"]["proposed"] > WORSE * r["position"]["found"]
 
 
-def misnamed(r: Record) -> list[str]:
+def places(r: Record) -> list[str]:
+    """Of the law that is proposed, and of those that are named beside it."""
+    return list(dict.fromkeys([r["law"]["place"], *(name.partition(" over ")[0] for name in r["law"]["others"])]))
+
+
+def misnamed_by_library(r: Record) -> list[str]:
     """Effects of the library stated alone that are not there, and not where the law is."""
     fine = {*different(r["plant"]), *SCATTER}
     return [n for n in r["alone"] if n not in fine and get_effect(n).slot not in hidden_of(r).slots]
+
+
+def misnamed(r: Record) -> list[str]:
+    """Those of them of which the proposal does not say that the name may stand for the law."""
+    return [n for n in misnamed_by_library(r) if n not in r.get("needless", ())]
 
 
 def shape_right(r: Record) -> bool:
@@ -84,6 +94,11 @@ def share(hits: Iterable[bool]) -> str:
     return f"{sum(values)} of {len(values)}, {sum(values) / len(values):.0%} [{low:.0%}, {high:.0%}]"
 
 
+def counts(numbers: Iterable[int]) -> str:
+    values = list(numbers)
+    return f"{np.median(values):g} / {max(values)}" if values else "no cases"
+
+
 def spread(values: Sequence[float]) -> str:
     """Median and 10th percentile, as shares."""
     if not len(values):
@@ -104,11 +119,14 @@ def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
         row("... where the library leaves something", share(map(noticed, matter))),
         row("right slot, or a set that holds it, of proposals", share(map(slot_right, proposed)), "80 %", "90 %"),
         row("... the proposal's own place", share(map(place_right, proposed))),
+        row("... where the library leaves something", share(slot_right(r) for r in matter if r["law"])),
+        row(f"... places named, of {len(WHERE)}: median / most", counts(len(places(r)) for r in proposed)),
         row("held-out gap closed relative to the oracle, median / 10th percentile", spread([closed(r) for r in matter]),
             "70 / 40 %", "90 / 60 %"),
         row("held-out made worse, of proposals", share(map(is_worse, proposed)), "1 %", "0"),
         row("proposal where nothing is left", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
         row("a library name stated alone and wrong", share(bool(misnamed(r)) for r in hidden), "5 %", "2 %"),
+        row("... without what the proposal takes back", share(bool(misnamed_by_library(r)) for r in hidden)),
         row("first reading of the shape right, where the place is", share(map(shape_right, shaped)), "60 %", "80 %"),
         row("time, 5 minutes of driving, one core, median / largest", f"{np.median(times):.0f} / {max(times):.0f} s"
             if times else "no cases", "90 s", "30 s"),

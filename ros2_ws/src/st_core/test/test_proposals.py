@@ -9,12 +9,14 @@ from discovery_drives import recorded
 from driven import drive
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, discover
+from st_core.discovery.limits import Limits
 from st_core.effects import EFFECTS, Measured
 from st_core.effects._law import COUNT, Law, curve
 from st_core.errors import ConfigurationError
 from st_core.integrate import rk4
 from st_core.models import MODELS
 from st_core.proposals import Candidate, propose, readings
+from st_core.proposals.choice import harmful, least, not_told_apart
 from st_core.proposals.curve_fit import Laws, RunWindows
 from st_core.proposals.places import ASKED, FACTORS, PAIRS, QUANTITIES, USUAL, WHERE, candidates, run_time
 from st_core.proposals.scrutiny import Shares, refused
@@ -109,33 +111,69 @@ def test_sensor_shows_the_law_and_is_corrected_by_it():
     assert model.correct(shown).yaw_rate == pytest.approx(truth.yaw_rate, rel=0.005)
 
 
+def read(candidate: Candidate, formula, may_lose=0.0):
+    """A curve in words, where all its range was driven alike."""
+    at = np.linspace(candidate.low, candidate.high, 200)
+    splines = candidate.splines(at)
+    heights = np.linalg.lstsq(splines.T, formula(at), rcond=1e-6)[0]
+    return readings(candidate, heights, splines @ splines.T, lambda count: may_lose)
+
+
 @pytest.mark.parametrize(("shape", "formula"), [
-    ("constant", lambda u: 0.3 + 0.0 * u), ("linear", lambda u: 2.0 * u), ("cubic", lambda u: 5.0 * u**3),
-    ("saturating", lambda u: 0.2 * np.tanh(u / 0.1)),
+    ("linear", lambda u: 2.0 * u), ("cubic", lambda u: 5.0 * u**3),
+    ("saturating", lambda u: 0.2 * np.tanh(u / 0.3)),
     ("dead zone", lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.6, 0.0))])
 def test_shapes_are_read(shape, formula):
-    at = np.linspace(-1.0, 1.0, 41)
-    first, *more = readings("front_force", "slip_front", at, formula(at), np.ones(41) / 41)
-    assert first.shape == shape and first.explained > 0.99
-    assert shape == "constant" or first.causes
+    law = Candidate("front_force", "slip_front", -1.0, -1.0, 1.0)
+    first, *more = read(law, formula)
+    assert first.shape == shape and first.explained > 0.99 and first.causes
     assert len(more) <= 2
-    assert not readings("front_force", "slip_front", at, 0.0 * at, np.ones(41))
+    assert not read(law, lambda u: 0.0 * u)
 
 
 @pytest.mark.parametrize(("shape", "formula"), [
     ("constant", lambda u: 0.3 + 0.0 * u), ("straight line", lambda u: 2.0 - 0.1 * u),
     ("square", lambda u: 0.4 - 0.002 * u**2), ("inverse", lambda u: 3.0 / u - 0.1), ("linear", lambda u: 0.3 * u)])
-def test_shapes_without_a_mirror_image_are_read_but_for_a_constant(shape, formula):
-    at = np.linspace(4.0, 20.0, 41)
-    first = readings("front_grip", "speed", at, formula(at), np.ones(41) / 41, mirrored=False)[0]
+def test_shapes_without_a_mirror_image_are_read(shape, formula):
+    law = Candidate("front_grip", "speed", 0.0, 4.0, 20.0)
+    loss = 1e-3 * sum(formula(np.linspace(4.0, 20.0, 200)) ** 2)
+    first = read(law, formula, loss)[0]
     assert first.shape == shape and first.explained > 0.999
 
 
-def test_what_the_band_of_a_curve_holds_is_read_as_the_simpler_shape():
-    at = np.linspace(-1.0, 1.0, 41)
-    value = at - 0.5 * at**3
-    names = [readings("yaw_moment", "yaw_rate", at, value, np.ones(41) / 41, deviation=d)[0].shape for d in (0.0, 0.1)]
+def test_a_constant_that_a_parameter_of_the_car_can_do_is_no_part_of_the_shape():
+    law = Candidate("front_grip", "speed", 0.0, 4.0, 20.0)
+    at = np.linspace(4.0, 20.0, 200)
+    splines = law.splines(at) - law.splines(at).mean(axis=1, keepdims=True)
+    heights = np.linalg.lstsq(law.splines(at).T, 2.0 - 0.1 * at, rcond=1e-6)[0]
+    first = readings(law, heights, splines @ splines.T, lambda count: 1e-3)[0]
+    assert first.shape == "linear" and float(first.text.split()[2]) == pytest.approx(-0.1, rel=1e-3)
+
+
+def test_what_the_drives_do_not_tell_from_the_curve_is_read_as_the_simplest_shape():
+    law = Candidate("yaw_moment", "yaw_rate", -1.0, -1.0, 1.0)
+    names = [read(law, lambda u: u - 0.5 * u**3, loss)[0].shape for loss in (0.01, 2.0)]
     assert names == ["linear and cubic", "linear"]
+
+
+def test_rivals_are_told_apart_by_all_their_blocks_and_harm_by_one_run():
+    draw = np.random.default_rng(4).normal(size=(3, 20))
+    near = not_told_apart(np.stack([draw[0] + 3.0, draw[1] + 0.1, 5.0 * draw[2]]), 0.05, 0)
+    assert near.tolist() == [False, True, True]
+    assert not_told_apart(np.zeros((0, 20)), 0.05, 0).size == 0
+    assert least(np.full(9, 2.0), 0.05) == pytest.approx(18.0) and least(draw[0], 0.05) < 0.0
+
+
+def test_a_law_that_makes_one_run_surely_worse_is_no_proposal(laws):
+    laws, _ = laws
+    before = np.full(len(laws.windows), 0.5)
+    noise = 0.01 * np.random.default_rng(5).normal(size=len(before))
+    second = laws.windows.run == 1
+    assert harmful(laws, "law", before, before - 0.1 + noise, Limits()) == ""
+    mixed = before + np.where(second, 0.05, -0.2) + noise
+    said = [harmful(laws, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
+    assert f"makes {laws.windows.names[1]} worse when it is not fitted to it" in said[0]
+    assert "raises the position error after 5 s from 0.500 to 0.6" in said[1]
 
 
 @pytest.mark.slow
@@ -206,7 +244,7 @@ def test_few_blocks_and_one_run_are_said(leaf):
 @pytest.fixture(scope="module")
 def laws():
     car = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").read_text())
-    settings = DiscoverySettings(where=False)
+    settings = DiscoverySettings(where=False, block=4.0)
     windows = RunWindows(recorded(car, {}, 3, ("lane_change", "slalom")), car, settings)
     return Laws(windows, augment("nonlinear", {}), 0.0, (), settings), car
 

@@ -32,9 +32,10 @@ def proposal(place: str, quantity: str, parity: float, by: str = "") -> Proposal
     c = Candidate(place, quantity, parity, 2.0 if quantity == "speed" else -high, high, by)
     heights = np.linspace(-1.0, 2.0, 8)
     at = np.linspace(c.low, c.high, 41)
-    return Proposal(c, heights, at, heights @ c.splines(at), 0.01 + 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001, (0.8, 0.5),
-                    {"lap": (0.8, 0.5)}, augment("nonlinear", {"mass": {"factor": 1.1}}), {"another": 0.9},
-                    (Reading("linear", "y = 2 u", 0.97, "a cause"),))
+    return Proposal(c, heights, at, heights @ c.splines(at), 0.01 + 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001,
+                    (0.8, 0.5), {"lap": (0.8, 0.5)}, augment("nonlinear", {"mass": {"factor": 1.1}}),
+                    {"side_force over speed": 0.9},
+                    (Reading("linear", "y = 2 u", 0.97, "a cause"),), needless={"mass": 0.004})
 
 
 registry = pytest.fixture(restored)
@@ -92,9 +93,11 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     file = ModelFile.from_yaml(files["proposed.yaml"].read_text())
     assert set(file.effects) == {"mass", "proposed_rear_steer"} and "PROPOSAL" in file.provenance.note
     lines = "\n".join(proposed.told(said))
-    assert "PROPOSAL" in lines and "as good on held-out driving: another (cosine 0.90)" in lines
+    assert "PROPOSAL" in lines and "do not tell it from: side force on the body over the speed (0.90)" in lines
+    assert "mass is stated above, but with this law it has little left to do (without it 0.4% of" in lines
     assert "1 of 1 runs" in lines
-    assert "least sure at acceleration y -6 m/s^2: " in lines and "± 0.02 rad; driving there would pin it down" in lines
+    assert "least sure at lateral acceleration -6 m/s^2: " in lines
+    assert "± 0.02 rad; driving there would pin it down" in lines
     content = proposed.document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
 

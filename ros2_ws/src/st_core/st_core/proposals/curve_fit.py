@@ -28,10 +28,12 @@ def roughness() -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """vector: of the space of its law. rows: (n, m) errors. slopes: (a, n, m) of what moved. penalty: (a, a). q: by
-    block. held_out: (b,) loss of each block under values fitted to the other runs, or blocks. steps: by fold."""
+    """smooth: of SMOOTH. vector: of the space of its law. rows: (n, m) errors. slopes: (a, n, m) of what moved.
+    penalty: (a, a). q: by block. held_out: (b,) loss of each block under values fitted to the other runs, or blocks.
+    steps: by fold."""
 
     candidate: Candidate | None
+    smooth: float
     vector: np.ndarray
     rows: np.ndarray
     which: np.ndarray
@@ -162,6 +164,16 @@ class Laws:
         slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
         return self._fit(candidate, loss, which, smooth, slopes, without.vector)
 
+    def less(self, fit: Fitted, name: str) -> Fitted:
+        """A law with an effect of the answer taken out, and everything else fitted anew."""
+        own = self.space.indices(name)
+        vector, which = fit.vector.copy(), np.setdiff1d(fit.which[:-COUNT], own)
+        nothing = {p.name: p.null for p in get_effect(name).parameters}
+        vector[own] = [nothing[self.space.free[i].parameter] for i in own]
+        loss, moving = self.of(fit.candidate), np.concatenate([which, self.law])
+        slopes = np.nan_to_num(loss.slopes(vector, moving), posinf=0.0, neginf=0.0)
+        return self._fit(fit.candidate, loss, moving, fit.smooth, slopes, vector)
+
     def _fit(self, candidate, loss: Loss, which: np.ndarray, smooth: float, slopes: np.ndarray,
              vector: np.ndarray | None = None) -> Fitted:
         vector = self.start.copy() if vector is None else vector.copy()
@@ -195,4 +207,4 @@ class Laws:
         rows = loss.errors.at(vector)
         q = self.quadratic(loss, rows, slopes)
         steps, held_out = self.leave_out(q, penalty, ((vector - self.start) / scale)[which])
-        return Fitted(candidate, vector, rows, which, slopes, penalty, q, held_out, steps)
+        return Fitted(candidate, smooth, vector, rows, which, slopes, penalty, q, held_out, steps)

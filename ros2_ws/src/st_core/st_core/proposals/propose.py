@@ -10,17 +10,17 @@ from ..augmented import AugmentedModel
 from ..discovery.limits import Limits
 from ..discovery.result import Discovery
 from ..discovery.settings import DiscoverySettings
-from ..effects._law import COUNT
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
+from .choice import best_of, harmful, least, not_told_apart, to_fit
 from .curve_fit import Fitted, Laws, RunWindows
-from .places import NEITHER, driven
+from .exchange import exchanged
+from .places import driven
 from .readings import readings
 from .result import Proposal, Proposals
 from .screening import POINTS, Screened, chances_of, screen
-from .scrutiny import refused, shares
+from .scrutiny import cosine, held_out_positions, refused, shares
 
-REFITTED = 6  # laws fitted through the simulator
 FEWEST = 10  # blocks: with fewer a curve of eight numbers cannot be held out
 
 
@@ -66,15 +66,22 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
         name, (gain, chance) = next(iter(tried.items()))
         return Proposals(None, f"no law is sure: the best, {name}, gains {gain:.3f} held out, and something gains as "
                          f"much by chance with probability {chance:.2g}", tried, visible)
-    fits = {}
-    for one in sure[:REFITTED]:
+    fits, against = {}, {}
+    before = held_out_positions(laws, without)
+    for one in to_fit(sure):
         tick()
-        fits[one] = laws.fit(one.candidate, without, one.smooth)
-    against = {one: refused(laws, fit, vehicle) for one, fit in fits.items()}
-    kept = {one: fit for one, fit in fits.items() if not against[one]}
-    if not kept:
+        fit = laws.fit(one.candidate, without, one.smooth)
+        problem = refused(laws, fit, vehicle) or harmful(laws, one.candidate.name, before,
+                                                         held_out_positions(laws, fit), limits)
+        if problem:
+            against[one] = problem
+        else:
+            fits[one] = fit
+    if not fits:
         return Proposals(None, next(iter(against.values())), tried, visible)
-    said = _judged(_best(kept, limits.worth * number), kept, without, laws, chances, limits, tried, vehicle)
+    best = best_of(fits, limits.worth * number)
+    said = _judged(best, fits, without, laws, chances, settings, tried, vehicle,
+                   [e.name for e in found.effects])
     return replace(said, visible=visible)
 
 
@@ -88,26 +95,22 @@ def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
     return ""
 
 
-def _best(fits: dict[Screened, Fitted], worth: float) -> Screened:
-    """The law that holds out best; one of two quantities has to be worth it beside the best of one."""
-    return min(fits, key=lambda s: float(fits[s].held_out.sum()) + (worth if s.candidate.by else 0.0))
-
-
-def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws: Laws, chances, limits: Limits, tried,
-            vehicle: VehicleParameters) -> Proposals:
-    fit, number = fits[best], laws.loss.number
-    gain = float((without.held_out - fit.held_out).sum()) / number
-    before, after = (_held_out_positions(laws, f) for f in (without, fit))
+def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws: Laws, chances,
+            settings: DiscoverySettings, tried, vehicle: VehicleParameters, stated: Sequence[str]) -> Proposals:
+    fit, number, limits = fits[best], laws.loss.number, settings.limits
+    name, chance = best.candidate.name, chances[best.candidate.name]
+    falls = without.held_out - fit.held_out
+    gain, low = float(falls.sum()) / number, least(falls, limits.doubt) / number
+    before, after = (held_out_positions(laws, f) for f in (without, fit))
     fall = float(np.nanmean(before - after)) if np.isfinite(before).any() else 0.0
-    chance = chances[best.candidate.name]
-    if gain < limits.worth and not (gain > 0.0 and fall >= limits.worth_position):
-        return Proposals(None, f"{best.candidate.name} is sure, but takes away {-np.expm1(-gain):.1%} of the size of "
-                         f"the errors and {100 * fall:.1f} cm after 5 s on runs it was not fitted to", tried)
-    others = {}
-    for one, other in fits.items():
-        worse = other.held_out - fit.held_out
-        if one is not best and _no_worse(worse) > limits.doubt:
-            others[one.candidate.name] = _cosine(laws, fit, other)
+    said = (f"takes away {-np.expm1(-gain):.1%} of the size of the errors (at least {-np.expm1(-low):.1%}) and "
+            f"{100 * fall:.1f} cm after 5 s on runs it was not fitted to")
+    if low <= 0.0 or (gain < limits.worth and fall < limits.worth_position):
+        return Proposals(None, f"{name} is sure, but {said}", tried)
+    rivals = [one for one in fits if one is not best]
+    apart = not_told_apart(np.array([fits[one].held_out - fit.held_out for one in rivals]), limits.doubt, settings.seed)
+    others = {one.candidate.name: cosine(laws, fit, fits[one]) for one, near in zip(rivals, apart, strict=True) if near}
+    needless = exchanged(laws, fit, without, stated, limits)
     c = best.candidate
     u = driven(laws.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, POINTS)
@@ -121,10 +124,19 @@ def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws:
             and np.isfinite(before[mine]).any() and np.isfinite(after[mine]).any()}
     proposal = Proposal(c, fit.coefficients, at, value, deviation, density, gain, chance,
                         (float(np.nanmean(before)), float(np.nanmean(after))), runs, _beside(laws, fit), others,
-                        readings(c.place, c.quantity, at, value, density, c.by, c.parity != NEITHER, deviation),
-                        shares(laws, fit))
-    return Proposals(proposal, f"{c.name} takes away {-np.expm1(-gain):.1%} of the size of the errors and "
-                     f"{100 * fall:.1f} cm after 5 s on runs it was not fitted to", tried)
+                        readings(c, fit.coefficients, best.information, _may_lose(best, laws, limits)),
+                        shares(laws, fit), needless)
+    return Proposals(proposal, f"it {said}", tried)
+
+
+def _may_lose(law: Screened, laws: Laws, limits: Limits) -> Callable[[float], float]:
+    """Loss a shape with so many numbers may lose against the curve: too little to be looked at, or no more than chance
+    makes of the numbers it does not have."""
+    def loss(count: float) -> float:
+        more = max(law.freedom - count, 1.0)
+        by_chance = 0.5 * law.design * more * float(stats.f.isf(limits.doubt, more, laws.blocks - 1))
+        return max(limits.negligible * laws.loss.number, by_chance)
+    return loss
 
 
 def _beside(laws: Laws, fit: Fitted) -> AugmentedModel:
@@ -136,32 +148,3 @@ def _beside(laws: Laws, fit: Fitted) -> AugmentedModel:
 def _channels(found: Discovery, settings: DiscoverySettings) -> DiscoverySettings:
     used = tuple(c for c in settings.channels if c in found.noise)
     return replace(settings, channels=used or settings.channels)
-
-
-def _held_out_positions(laws: Laws, fit: Fitted) -> np.ndarray:
-    """(n,) position error at the end of the horizon under values fitted to other driving [m]."""
-    rows = fit.rows.copy()
-    for k, d in fit.steps.items():
-        mine = laws.fold[laws.block] == k
-        rows[mine] -= np.einsum("p,pnm->nm", d, fit.slopes[:, mine])
-    if "position_lateral" not in laws.windows.columns:
-        return np.full(len(rows), np.nan)
-    return laws.problem.position(rows)
-
-
-def _no_worse(worse: np.ndarray) -> float:
-    """Chance of blocks that differ so much, if the other law were as good."""
-    spread = float(worse.std(ddof=1)) * np.sqrt(len(worse))
-    return float(stats.norm.sf(worse.sum() / max(spread, 1e-12)))
-
-
-def _cosine(laws: Laws, one: Fitted, other: Fitted) -> float:
-    """Of what two laws change in the predictions, what the parameters of the car can do taken out."""
-    effects = []
-    for fit in (one, other):
-        change = np.einsum("p,pnm->nm", fit.coefficients, fit.slopes[-COUNT:]) / laws.loss.scale
-        beside = (fit.slopes[:-COUNT] / laws.loss.scale).reshape(len(fit.slopes) - COUNT, -1)
-        change = np.where(laws.loss.known, change, 0.0).ravel()
-        beside = np.nan_to_num(beside * laws.loss.known.ravel())
-        effects.append(change - np.linalg.lstsq(beside.T, change, rcond=None)[0] @ beside)
-    return float(effects[0] @ effects[1] / max(np.linalg.norm(effects[0]) * np.linalg.norm(effects[1]), 1e-30))

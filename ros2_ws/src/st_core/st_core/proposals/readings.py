@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-MOST = 3
-SIMPLER, COARSEST = 0.01, 0.1  # of the explained part: a shape with one number more must explain so much more
-LEAST = 0.5  # of the curve: a shape that explains less is none
+from .places import NEITHER, Candidate
+
+MOST, POINTS = 3, 61
+ROUNDING = 1e-6
+LEAST = 0.5  # of what the curve explains: a shape that explains less is none
 
 Formula = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -16,7 +18,7 @@ Formula = Callable[[np.ndarray, np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class Reading:
     """shape: its name. text: the formula with its numbers, y the law and u the quantity, SI. explained [1]: share of
-    the curve's square, weighted with how often each value was driven. causes: from textbooks."""
+    what the curve takes off the loss. causes: from textbooks."""
 
     shape: str
     text: str
@@ -103,44 +105,52 @@ CONSTANT = {
 }
 
 
-def readings(place: str, quantity: str, at: np.ndarray, value: np.ndarray, weight: np.ndarray, by: str = "",
-             mirrored: bool = True, deviation: np.ndarray | float = 0.0) -> Sequence[Reading]:
-    """Up to three shapes, best first. at, value: (k,) the curve; weight: (k,) how often each value was driven. by: what
-    the curve is multiplied with. mirrored: whether it is odd by nature. deviation: of the curve; a shape with one
-    number more has to explain more than that."""
-    weight = weight / max(float(weight.sum()), 1e-30)
-    total = float(weight @ np.square(value))
-    if total <= 0.0:
+def readings(law: Candidate, coefficients: np.ndarray, information: np.ndarray,
+             may_lose: Callable[[float], float]) -> Sequence[Reading]:
+    """Up to three shapes, best first: of those that may stand for the curve the simplest, then what explains most.
+
+    A shape with coefficients s loses (c - s)' information (c - s) of the loss against the curve with coefficients c,
+    and its numbers are those that lose least. What a parameter of the vehicle file can do as well is no information:
+    a curve without a mirror image is known but for a constant. may_lose: loss by numbers of the curve that a shape
+    does not have, within which the drives do not tell the shape from the curve.
+    """
+    root = np.linalg.cholesky(information + 1e-9 * np.trace(information) / len(information) * np.eye(len(information)))
+    total = float(np.sum((coefficients @ root) ** 2))
+    if total <= 1e-20:
         return ()
-    simpler = min(max(SIMPLER, float(weight @ np.square(deviation + 0.0 * value)) / total), COARSEST)
-    found = []
+    at = np.linspace(law.low, law.high, POINTS)
+    into = root.T @ np.linalg.pinv(law.splines(at).T, rcond=1e-6)
+    mirrored, found = law.parity != NEITHER, []
     for shape, (text, count, formula) in (SHAPES if mirrored else ONE_SIDED).items():
         if shape == "inverse" and np.abs(at).min() < 0.05 * np.abs(at).max():
             continue
-        numbers = _fitted(formula, count, at, value, weight)
+        numbers = _fitted(lambda p, f=formula: into @ f(at, p) - coefficients @ root, count, at,
+                          coefficients @ law.splines(at))
         if shape == "dead zone":
             numbers[1] = abs(numbers[1])
-        explained = 1.0 - float(weight @ np.square(value - formula(at, numbers))) / total
-        if explained >= LEAST:
-            causes = (PAIRED.get((place, quantity, by), "") if by else CONSTANT.get(place, "") if shape == "constant"
-                      else CAUSES.get((place, quantity), ""))
-            found.append((explained - simpler * (count - 1), Reading(shape, text.format(*numbers), explained, causes)))
-    return tuple(reading for _, reading in sorted(found, key=lambda f: -f[0])[:MOST])
+        lost = float(np.sum((into @ formula(at, numbers) - coefficients @ root) ** 2))
+        if 1.0 - lost / total >= LEAST:
+            stands = lost <= max(may_lose(count), ROUNDING * total)
+            causes = (PAIRED.get((law.place, law.quantity, law.by), "") if law.by else
+                      CONSTANT.get(law.place, "") if shape == "constant" else
+                      CAUSES.get((law.place, law.quantity), ""))
+            found.append(((not stands, count if stands else 0, lost),
+                          Reading(shape, text.format(*numbers), 1.0 - lost / total, causes)))
+    return tuple(reading for _, reading in sorted(found, key=lambda f: f[0])[:MOST])
 
 
 def _apart(number: float) -> float:
     return number if abs(number) > 1e-9 else 1e-9
 
 
-def _fitted(formula: Formula, count: int, at: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Weighted least squares, from several starts where the shape is not linear in its numbers."""
+def _fitted(missed: Callable[[np.ndarray], np.ndarray], count: int, at: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Least squares of what a shape misses, from several starts where the shape is not linear in its numbers."""
     size, reach = float(np.abs(value).max()), float(np.abs(at).max())
-    root = np.sqrt(weight)
-    sign = float(np.sign(weight @ (value * np.sign(at)))) or 1.0
+    sign = float(np.sign(np.sum(value * np.sign(at)))) or 1.0
     best = None
     for share in (0.15, 0.4, 0.8):
         start = np.array([sign * size / max(reach, 1e-9), share * reach, share * reach][:count])
-        done = least_squares(lambda p: root * (formula(at, p) - value) / size, start, x_scale=np.abs(start) + 1e-9)
+        done = least_squares(missed, start, x_scale=np.abs(start) + 1e-9)
         if best is None or done.cost < best.cost:
             best = done
     return best.x

@@ -22,7 +22,8 @@ class Proposal:
     of the driving near each. gain [1]: held-out fall of the loss for each scored error. chance [1]: that any law gains
     as much where nothing is. position_5s [m]: (before, after) held out; runs: the same by run. model: everything else,
     at the values fitted beside the law. others: laws that do no worse, with the cosine of what both change [1].
-    readings: the curve in words, best first. shares: how much of it each run shows.
+    readings: the curve in words, best first. shares: how much of it each run shows. needless: effects of the answer
+    that the law leaves too little to do, with the share of the size of the errors [1] that comes back without each.
     """
 
     candidate: Candidate
@@ -39,13 +40,14 @@ class Proposal:
     others: Mapping[str, float] = field(default_factory=dict)
     readings: Sequence[Reading] = ()
     shares: Shares = field(default_factory=lambda: Shares({}, 1.0))
+    needless: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Proposals:
-    """proposal: None where no law is sure and worth it; why: the reason, with its figures. tried: held-out gain [1] and
-    chance [1] of every law, best first. visible: size at the end of the range [unit of the curve] from which on a
-    straight line would have been sure, by law."""
+    """proposal: None where no law is sure and worth it; why: the reason, or what it takes away, with figures. tried:
+    held-out gain [1] and chance [1] of every law, best first. visible: size at the end of the range [unit of the curve]
+    from which on a straight line would have been sure, by law."""
 
     proposal: Proposal | None
     why: str

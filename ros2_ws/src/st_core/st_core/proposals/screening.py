@@ -29,6 +29,7 @@ class Screened:
     drawn: np.ndarray
     freedom: float
     design: float
+    held_out: np.ndarray
     gain: float
     information: np.ndarray
 
@@ -87,10 +88,10 @@ def _screen(laws: Laws, without: Fitted, base: np.ndarray, car: np.ndarray, cand
     best = None
     for smooth in SMOOTH:
         penalty = laws.penalty(candidate, h, smooth)
-        gain = float((base - laws.promised(q, penalty, away)).sum())
-        if best is None or gain > best[0]:
-            best = gain, smooth, penalty
-    gain, smooth, penalty = best
+        held_out = laws.promised(q, penalty, away)
+        if best is None or held_out.sum() < best[0].sum():
+            best = held_out, smooth, penalty
+    held_out, smooth, penalty = best
     whole = q_all.hessian.sum(axis=0)
     rest = whole[:-COUNT, :-COUNT]
     cross = np.linalg.solve(rest + (1e-6 * np.trace(rest) / max(len(rest), 1) + 1e-9) * np.eye(len(rest)),
@@ -106,5 +107,5 @@ def _screen(laws: Laws, without: Fitted, base: np.ndarray, car: np.ndarray, cand
     rest_of = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
     after = rest_of[:, -COUNT:] - rest_of[:, :-COUNT] @ cross
     design = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / freedom, 1.0)
-    return Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design, gain,
-                     left - penalty[-COUNT:, -COUNT:])
+    return Screened(candidate, smooth, float(total @ inverse @ total) / mean, drawn / mean, freedom, design,
+                    held_out, float((base - held_out).sum()), left - penalty[-COUNT:, -COUNT:])

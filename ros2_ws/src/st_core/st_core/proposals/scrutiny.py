@@ -63,3 +63,26 @@ def shares(laws: Laws, fit: Fitted) -> Shares:
     square = sum(w * (more[k] - mean) ** 2 for k, w in weight.items())
     return Shares({laws.windows.names[k]: (1.0 + float(more[k]), float(weight[k] ** -0.5)) for k in seen},
                   float(stats.chi2.sf(square, len(seen) - 1)))
+
+
+def held_out_positions(laws: Laws, fit: Fitted) -> np.ndarray:
+    """(n,) position error at the end of the horizon under values fitted to other driving [m]."""
+    rows = fit.rows.copy()
+    for k, d in fit.steps.items():
+        mine = laws.fold[laws.block] == k
+        rows[mine] -= np.einsum("p,pnm->nm", d, fit.slopes[:, mine])
+    if "position_lateral" not in laws.windows.columns:
+        return np.full(len(rows), np.nan)
+    return laws.problem.position(rows)
+
+
+def cosine(laws: Laws, one: Fitted, other: Fitted) -> float:
+    """Of what two laws change in the predictions, what the parameters of the car can do taken out."""
+    effects = []
+    for fit in (one, other):
+        change = np.einsum("p,pnm->nm", fit.coefficients, fit.slopes[-COUNT:]) / laws.loss.scale
+        beside = (fit.slopes[:-COUNT] / laws.loss.scale).reshape(len(fit.slopes) - COUNT, -1)
+        change = np.where(laws.loss.known, change, 0.0).ravel()
+        beside = np.nan_to_num(beside * laws.loss.known.ravel())
+        effects.append(change - np.linalg.lstsq(beside.T, change, rcond=None)[0] @ beside)
+    return float(effects[0] @ effects[1] / max(np.linalg.norm(effects[0]) * np.linalg.norm(effects[1]), 1e-30))

@@ -1,12 +1,14 @@
 """The curve of a proposed law, with its band and how often each value was driven."""
 
+import textwrap
+
 import matplotlib.pyplot as plt
 from st_core.proposals import Proposal
 from st_core.proposals.places import QUANTITIES, WHERE
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..style import MEASURED_COLOUR
-from . import words
+from . import law_words, words
 from .figures import AFTER
 from .law_file import law_in_words
 
@@ -20,15 +22,15 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
         curve.fill_between(one.at, one.value - band, one.value + band, color=AFTER, alpha=0.25, lw=0, label="95 %")
         curve.plot(one.at, one.value, color=AFTER, label="proposed law")
-        curve.set_ylabel(f"{c.place.replace('_', ' ')}, {c.unit}")
+        curve.set_ylabel(textwrap.fill(f"{law_words.place(c)}, {c.unit}", 28))
         curve.legend(loc="best")
         driven.bar(one.at, 100.0 * one.density, width=one.at[1] - one.at[0], color=MEASURED_COLOUR)
         driven.set_ylabel("driven, %")
-        driven.set_xlabel(f"{c.quantity.replace('_', ' ')}, {QUANTITIES[c.quantity]}")
+        driven.set_xlabel(f"{law_words.quantity(c)}, {QUANTITIES[c.quantity]}")
         before, after = one.position_5s
         title = (f"PROPOSAL: {law_in_words(one)}; 5 s position error "
-                 f" {before:.2f} m → {after:.2f} m on held-out driving")
+                 f"{before:.2f} m → {after:.2f} m on held-out driving")
         first = f"First reading: {one.readings[0].text}. " if one.readings else ""
-        caption = (f"{first}{WHERE[c.place][1]}. Fitted through the simulator beside everything that was found and "
+        caption = (f"{first}y: {WHERE[c.place][1]}. Fitted through the simulator beside everything that was found and "
                    "every parameter of the vehicle file; constant beyond the range driven. Bars: share of the driving.")
         return finish(figure, place, "law", title, caption[0].upper() + caption[1:])

@@ -6,6 +6,8 @@ import numpy as np
 from st_core.proposals import Candidate, Proposal
 from st_core.proposals.places import MEMORY, QUANTITIES, WHERE
 
+from . import law_words
+
 KNOTS = 21  # straight lines between; the curve has eight numbers, so that nothing is lost
 SLOT = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
@@ -85,11 +87,7 @@ def name_of(one: Proposal) -> str:
 
 
 def law_in_words(one: Proposal) -> str:
-    c = one.candidate
-    by = f" times {c.by}" if c.by else ""
-    if one.readings and one.readings[0].shape == "constant":
-        return f"{c.place}{by}, the same over {c.quantity}".replace("_", " ")
-    return f"{c.place} as a function of {c.quantity}{by}".replace("_", " ")
+    return law_words.law(one.candidate, bool(one.readings) and one.readings[0].shape == "constant")
 
 
 def title(one: Proposal) -> str:

@@ -9,7 +9,7 @@ from st_core.proposals import Proposals
 from st_core.proposals.places import QUANTITIES, WHERE
 from st_core.vehicle import VehicleParameters
 
-from . import words
+from . import law_words, words
 from .law_file import effect_file, name_of, title
 
 DIFFER = 0.01  # chance below which runs do not show the same law
@@ -55,6 +55,7 @@ def document(found: Proposals | None) -> dict:
                                             "deviation": one.deviation.tolist(), "density": one.density.tolist()},
         "gain": one.gain, "chance": one.chance, "position_5s": list(one.position_5s),
         "runs": {name: list(pair) for name, pair in one.runs.items()}, "others": dict(one.others),
+        "needless": dict(one.needless),
         "shares": {name: list(pair) for name, pair in one.shares.by_run.items()}, "differ": one.shares.differ,
         "readings": [{"shape": r.shape, "text": r.text, "explained": r.explained, "causes": r.causes}
                      for r in one.readings]}}
@@ -69,17 +70,22 @@ def told(found: Proposals) -> list[str]:
     if one is None:
         return [f"nothing is proposed: {found.why}", *less]
     c = one.candidate
+    quantity, unit = law_words.quantity(c), QUANTITIES[c.quantity]
     lines = [f"PROPOSAL, for you to keep or delete: {title(one)}; {found.why}"]
-    lines += [f"reads as {r.text} ({r.shape}; {r.explained:.0%} of the curve)" for r in one.readings]
-    lines.append(f"y in {c.unit}, {WHERE[c.place][1]}; u is {c.quantity.replace('_', ' ')} in "
-                 f"{QUANTITIES[c.quantity]}, {c.low:.3g} to {c.high:.3g}")
+    lines += [f"{'or' if k else 'it reads'} as {r.text} ({r.shape}; {r.explained:.0%} of what the curve explains)"
+              for k, r in enumerate(one.readings)]
+    lines.append(f"y: {WHERE[c.place][1]} [{c.unit}]; u: {quantity} [{unit}], driven from {c.low:.3g} to {c.high:.3g}, "
+                 "the curve is constant beyond")
     least = int(one.deviation.argmax())
-    there = f"{c.quantity.replace('_', ' ')} {one.at[least]:.3g} {QUANTITIES[c.quantity]}"
-    lines.append(f"least sure at {there}: {one.value[least]:.2g} ± {words.SURE * one.deviation[least]:.2g} {c.unit}; "
-                 "driving there would pin it down")
+    lines.append(f"least sure at {quantity} {one.at[least]:.3g} {unit}: {one.value[least]:.2g} ± "
+                 f"{words.SURE * one.deviation[least]:.2g} {c.unit}; driving there would pin it down")
     if one.others:
-        names = ", ".join(f"{name} (cosine {cosine:.2f})" for name, cosine in one.others.items())
-        lines.append(f"as good on held-out driving: {names}")
+        names = "; ".join(f"{law_words.named(name)} ({cosine:.2f})" for name, cosine in one.others.items())
+        lines.append(f"these drives do not tell it from: {names}. In brackets how alike what they change is: 1 the "
+                     "same, 0 nothing in common")
+    for name, share in one.needless.items():
+        lines.append(f"{name} is stated above, but with this law it has little left to do (without it {share:.1%} of "
+                     "the size of the errors comes back): it may have stood in for this law")
     absent = one.shares.absent() if one.shares.differ < DIFFER else []
     if absent:
         told_of = ", ".join(f"{name} {share:.1f} ± {deviation:.1f}" for name, (share, deviation) in

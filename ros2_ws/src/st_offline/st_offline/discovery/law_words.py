@@ -1,0 +1,46 @@
+"""A law in the words of a vehicle engineer."""
+
+from st_core.proposals import Candidate
+
+PLACES = {
+    "front_steer": "steering of the front wheels", "rear_steer": "steering of the rear wheels",
+    "front_force": "lateral force of the front axle", "rear_force": "lateral force of the rear axle",
+    "front_grip": "grip of the front axle", "rear_grip": "grip of the rear axle", "both_grip": "grip of both axles",
+    "yaw_moment": "yaw moment on the body", "side_force": "side force on the body",
+    "sensor_yaw_rate": "error of the yaw rate sensor", "sensor_acceleration_y": "error of the lateral accelerometer",
+    "sensor_velocity_y": "error of the lateral velocity of the INS",
+    "sensor_heading": "error of the heading of the INS",
+}
+QUANTITIES = {
+    "slip_front": "slip angle of the front axle", "slip_rear": "slip angle of the rear axle",
+    "steering": "road-wheel angle", "acceleration_y": "lateral acceleration", "acceleration_x": "forward acceleration",
+    "speed": "speed", "yaw_rate": "yaw rate", "steering_rate": "rate of the road-wheel angle",
+    "lagging_steering": "road-wheel angle, lagging by 0.2 s",
+    "lean": "lateral acceleration, lagging by 0.15 s as the body rolls", "north": "sine of the course",
+    "east": "cosine of the course", "position_x": "position to the east", "position_y": "position to the north",
+    "run_time": "time in the run",
+}
+
+
+def place(c: Candidate) -> str:
+    return PLACES[c.place]
+
+
+def quantity(c: Candidate) -> str:
+    return QUANTITIES[c.quantity]
+
+
+def law(c: Candidate, constant: bool = False) -> str:
+    by = f", for each {QUANTITIES[c.by]}" if c.by else ""
+    if constant:
+        return f"{place(c)}{by}, the same at every {quantity(c)}"
+    return f"{place(c)}{by}, over the {quantity(c)}"
+
+
+def named(name: str) -> str:
+    """A law by its name, as `Candidate.name` makes it, in the same words."""
+    where, _, rest = name.partition(" over ")
+    what, _, by = rest.partition(" times ")
+    if where not in PLACES or what not in QUANTITIES:
+        return name
+    return f"{PLACES[where]} over the {QUANTITIES[what]}" + (f" times {QUANTITIES[by]}" if by else "")
