@@ -105,7 +105,8 @@ def test_the_evaluator_counts_what_lay_inside(folder: Path) -> None:
 
 def told(run: Path) -> set[str]:
     """What the check on bands of predictor and evaluator warned of."""
-    return {status.message for array in read_messages(run / "bag", ["/diagnostics"])["/diagnostics"] for status in array.status
+    arrays = read_messages(run / "bag", ["/diagnostics"])["/diagnostics"]
+    return {status.message for array in arrays for status in array.status
             if status.name.endswith("bands") and status.level == WARN}
 
 
