@@ -29,7 +29,7 @@ def page(st: TyperGroup) -> str:
     """The whole page; st: the command."""
     parts = [
         "# Reference\n\nMade by `./st docs` from the code; a test fails when it differs. Units are SI, axes ISO 8855: "
-        "[conventions.md](conventions.md).\n",
+        "[conventions.md](method/conventions.md).\n",
         "## Commands\n", *commands(st),
         "## Topics\n", topics(),
         "## Messages\n", *messages(project_root() / "ros2_ws" / "src" / "st_msgs" / "msg"),
