@@ -15,7 +15,10 @@ from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
 
 from ..runs.bag import is_bag, read_bag, was_cut
+from ..runs.errors import RunError
 from ..runs.foreign import SteeringField
+from ..runs.made_again import WHERE
+from ..runs.messages import ODOMETRY, STEERING
 from .recorded import (
     Predictions,
     Progress,
@@ -85,6 +88,10 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     from ..replaying import node_parameters, replay
 
     drive = read_bag(bag, steering=steering)
+    made = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(WHERE)]
+    if made:
+        raise RunError(bag, f"it holds no {' and no '.join(made)} to play",
+                       "st evaluate and st verify make them again from raw packets and frames")
     for line in not_played(bag, drive.unknown):
         console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
     car, recorded, _ = configuration_of(drive.records, vehicle)
