@@ -6,7 +6,7 @@ import pytest
 from support import ROOT
 
 COMPLETE = ("README.md", "docs/gallery.md")  # the other pages name drives of the reader's own
-PAGES = ("README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")))
+PAGES = ("README.md", *sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md")))
 MADE = ("runs/", "install/")  # by ./st and by colcon
 INSTALLED = ("/opt/",)
 SUFFIX = re.compile(r"\.(csv|ncom|mf4|mcap|yaml|dbc|py|sh|rviz|xml|log)$")
