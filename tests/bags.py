@@ -71,6 +71,9 @@ def health(messages: dict[str, list[Any]]) -> dict[str, list[tuple[int, int, str
 
 def keep_topics(bag: Path, wanted: tuple[str, ...], file: Path) -> None:
     """A copy of a recording with the topics that begin with one of `wanted`, and with what it says about itself."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
     (source,) = bag.glob("*.mcap")
     with source.open("rb") as stream, file.open("wb") as copy:
         reader, writer = make_reader(stream), Writer(copy)

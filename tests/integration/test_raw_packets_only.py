@@ -12,20 +12,23 @@ from support import ROOT
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from st_offline.evaluation.verification import verify  # noqa: E402
-from st_offline.runs.bag import read_bag  # noqa: E402
+from st_offline.evaluation.verification import verify
+from st_offline.runs.bag import read_bag
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 RAW = ("/ins/ncom", "/ins/origin", "/can/frames")
 SAID = ("/predictor/", "/evaluator/")
 
 
+def st(*words: str | Path) -> subprocess.CompletedProcess:
+    return subprocess.run([ROOT / "st", *words], cwd=ROOT, capture_output=True, text=True, timeout=250, check=False)
+
+
 @pytest.fixture(scope="module")
 def everything(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with all topics recorded."""
     folder = tmp_path_factory.mktemp("demo") / "run"
-    command = [ROOT / "st", "demo", "--duration", "16", "--record", "all", "--output", folder]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
+    done = st("demo", "--duration", "16", "--record", "all", "--output", folder)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
 
@@ -60,8 +63,7 @@ def test_verify_says_the_same(everything: Path, raw: Path) -> None:
 def test_the_report_is_the_same(everything: Path, raw: Path, tmp_path: Path) -> None:
     found = []
     for name, bag in (("all", everything / "bag"), ("raw", raw)):
-        command = [ROOT / "st", "evaluate", bag, "--figures", "", "--output", tmp_path / name]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
+        done = st("evaluate", bag, "--output", tmp_path / name)
         assert done.returncode == 0, done.stdout + done.stderr
         found.append(json.loads((tmp_path / name / "evaluation.json").read_text()))
     for key in ("all_runs", "bins_all_runs", "manoeuvres_all_runs"):
@@ -74,7 +76,6 @@ def test_the_report_is_the_same(everything: Path, raw: Path, tmp_path: Path) -> 
 
 def test_what_was_made_again_is_not_played(everything: Path, tmp_path: Path) -> None:
     keep_topics(everything / "bag", ("/can/frames", "/ins/odometry"), tmp_path / "frames.mcap")
-    command = [ROOT / "st", "replay", tmp_path / "frames.mcap", "--output", tmp_path / "run"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100)
+    done = st("replay", tmp_path / "frames.mcap", "--output", tmp_path / "run")
     assert done.returncode == 2
     assert "it holds no st_msgs/msg/Steering to play" in done.stderr
