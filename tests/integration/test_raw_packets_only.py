@@ -12,8 +12,8 @@ from support import ROOT
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from st_offline.evaluation.verification import verify
-from st_offline.runs.bag import read_bag
+from st_live.verification import verify
+from st_recordings.runs.bag import read_bag
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 RAW = ("/ins/ncom", "/ins/origin", "/can/frames")
