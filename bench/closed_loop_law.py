@@ -13,13 +13,13 @@ import tempfile
 from pathlib import Path
 
 from closed_loop import draw, live_errors, st
-from st_offline.paths import config, project_root
+from st_recordings.paths import config, project_root
 from st_sim.run import main as virtual_leaf
 
 LAW = {"rear_roll_steer": 0.4}  # rad of the rear wheels for each rad of roll; the library holds that of the front only
 DRIVES = ("sweep", "slalom", "lane_change", "brake_in_turn", "there_and_back", "weave")
 SECONDS, UNSEEN, UNSEEN_SECONDS = 30.0, "S6", 60.0
-PAGE = project_root() / "docs" / "closed_loop_law.md"
+PAGE = project_root() / "docs" / "measurements" / "closed_loop_law.md"
 IMAGES = project_root() / "docs" / "images"
 
 

@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from PIL import Image
+from st_offline.documentation import structure
 from support import ROOT
 
 SOURCES = ROOT / "ros2_ws" / "src"
@@ -19,15 +21,18 @@ ALLOWED = {
     "st_ros": set(),
     "oxts_bridge": {"st_core", "st_ros"},
     "canedge_bridge": {"st_core", "st_ros"},
-    "st_predictor": {"st_core", "st_ros"},
-    "st_sim": {"st_core", "oxts_bridge", "canedge_bridge", "st_predictor"},
-    "st_offline": {"st_core", "st_ros", "oxts_bridge", "canedge_bridge", "st_predictor", "st_sim"},
+    "st_recordings": {"st_core", "oxts_bridge", "canedge_bridge"},
+    "st_predictor": {"st_core", "st_ros", "st_recordings"},
+    "st_sim": {"st_core", "oxts_bridge", "canedge_bridge"},
+    "st_live": {"st_core", "st_ros", "st_recordings", "st_predictor", "st_sim"},
+    "st_offline": {"st_core", "st_ros", "st_recordings", "st_predictor"},
+    "st_cli": {"st_core", "oxts_bridge", "st_recordings", "st_predictor", "st_sim", "st_live", "st_offline"},
 }
 CORE_LIBRARIES = {"numpy", "scipy", "yaml"}
 ROS = ("rclpy", "launch", "launch_ros", "builtin_interfaces", "tf2_ros", "rosidl_runtime_py", "rosidl_parser",
        "ament_index_python", "rcl_interfaces")
 # These run without ROS, so nothing they import may need it either; st_ros, for one, does.
-ROS_FREE = ("st_core", "st_sim")
+ROS_FREE = ("st_core", "st_recordings", "st_sim")
 
 
 WITHOUT_ROS = """
@@ -94,6 +99,25 @@ def test_every_package_is_looked_at():
     assert any(is_ros(m) for _, m in imports(Path("st_ros/st_ros/spin.py")))
 
 
+def test_the_figure_of_the_structure_shows_these_imports():
+    """What `st docs` draws, what the picture in the repository holds, and what this walk sees are the same arrows."""
+    known = set(structure.packages(SOURCES))
+    seen = {(path.parts[0], top) for path in python_files() for _, module in imports(path)
+            if (top := module.partition(".")[0]) in known - {path.parts[0]}}
+    assert known == {*PACKAGES, "st_msgs"}
+    assert structure.edges(SOURCES) == seen
+    assert structure.drawn(Image.open(ROOT / "docs" / structure.FIGURE).text) == seen, "run ./st docs"
+    assert f"]({structure.FIGURE})" in (ROOT / "docs" / "architecture.md").read_text()
+
+
+def test_layers_and_implied_arrows_of_a_structure():
+    arrows = {("a", "b"), ("b", "c"), ("a", "c")}
+    assert structure.layers(["a", "b", "c", "d"], arrows) == [["c", "d"], ["b"], ["a"]]
+    assert structure.implied(arrows) == {("a", "c")}
+    with pytest.raises(ValueError, match="import each other: a, b"):
+        structure.layers(["a", "b"], {("a", "b"), ("b", "a")})
+
+
 def test_packages_import_in_one_direction():
     def allowed(path, module):
         top = module.partition(".")[0]
@@ -119,14 +143,14 @@ def test_nothing_imports_a_node():
     def allowed(path, module):
         imports_node = module in nodes or module.rpartition(".")[0] in nodes
         # The command runs its own monitor node inside its own process.
-        return not imports_node or (path.parts[0] == "st_offline" and module.startswith("st_offline.node."))
+        return not imports_node or (path.parts[0] == "st_live" and module.startswith("st_live.node."))
 
     assert len(nodes) >= 5
     assert offences(allowed) == []
 
 
 @pytest.mark.parametrize("package", ROS_FREE)
-def test_core_and_simulated_car_run_where_there_is_no_ros(package):
+def test_core_recordings_and_simulated_car_run_where_there_is_no_ros(package):
     modules = [".".join(p.with_suffix("").parts[1:]) for p in python_files() if p.parts[0] == package]
     modules = [m.removesuffix(".__init__") for m in modules if not m.endswith("__main__")]
     run = subprocess.run([sys.executable, "-c", WITHOUT_ROS, *modules], capture_output=True, text=True, check=False,
