@@ -18,7 +18,7 @@ from st_sim.run import main as virtual_leaf
 
 LAW = {"rear_roll_steer": 0.4}  # rad of the rear wheels for each rad of roll; the library holds that of the front only
 DRIVES = ("sweep", "slalom", "lane_change", "brake_in_turn", "there_and_back", "weave")
-SECONDS, UNSEEN, UNSEEN_SECONDS = 30.0, "S6", 60.0
+SECONDS, UNSEEN, UNSEEN_SECONDS = 30.0, "S6", 40.0
 PAGE = project_root() / "docs" / "measurements" / "closed_loop_law.md"
 IMAGES = project_root() / "docs" / "images"
 
@@ -85,8 +85,8 @@ def _page(result: dict) -> str:
         f"Live, lateral error over 5 s in hindsight, RMSE of {result['before']['starts']} and "
         f"{result['after']['starts']} starts:", "",
         "| model | with the library's answer, m | with the proposal, m |", "|---|---|---|", *rows, "",
-        "![Errors of the models with the library's answer and with the proposal, live](images/closed_loop_law.png)", "",
-        "![The proposed law](images/closed_loop_law_curve.png)", ""))
+        "![Errors with the library's answer and with the proposal, live](../images/closed_loop_law.png)", "",
+        "![The proposed law](../images/closed_loop_law_curve.png)", ""))
 
 
 if __name__ == "__main__":

@@ -25,12 +25,19 @@ def as_markdown(records: Sequence[Record]) -> str:
     return "\n\n".join([
         _origin(records),
         table(("score", "measured", "required", "goal"), score.scores(records)),
-        "Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
-        table(("method", "gap closed, median / 10th percentile", "made worse", "names"), score.methods(records)),
+        *_methods(records),
         "Law by law; position after 5 s on held-out drives, mean over the cases, m:",
         table(("hidden", "cases", "noticed", "slot right", "vehicle file", "library", "with the proposal", "oracle"),
               _laws(records)),
         "What failed, case by case:", table(("case", "hidden", "said", "wrong"), _failures(records) or [("-",) * 4])])
+
+
+def _methods(records: Sequence[Record]) -> list[str]:
+    """Nothing where no case was given to the other methods."""
+    if not any(r.get("baselines") for r in records):
+        return []
+    return ["Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
+            table(("method", "gap closed, median / 10th percentile", "made worse", "names"), score.methods(records))]
 
 
 def _origin(records: Sequence[Record]) -> str:
