@@ -12,7 +12,7 @@ from ..discovery.result import Discovery
 from ..discovery.settings import DiscoverySettings
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
-from .choice import best_of, harmful, least, not_told_apart, to_fit
+from .choice import best_of, harmful, not_told_apart, taken_away, to_fit, worthless
 from .curve_fit import Fitted, Laws, RunWindows
 from .exchange import exchanged
 from .places import driven
@@ -66,21 +66,23 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
         name, (gain, chance) = next(iter(tried.items()))
         return Proposals(None, f"no law is sure: the best, {name}, gains {gain:.3f} held out, and something gains as "
                          f"much by chance with probability {chance:.2g}", tried, visible)
-    fits, against = {}, {}
+    fits, worthy, against = {}, {}, {}
     before = held_out_positions(laws, without)
     for one in to_fit(sure):
         tick()
         fit = laws.fit(one.candidate, without, one.smooth)
-        problem = refused(laws, fit, vehicle) or harmful(laws, one.candidate.name, before,
-                                                         held_out_positions(laws, fit), limits)
-        if problem:
-            against[one] = problem
+        name, after = one.candidate.name, held_out_positions(laws, fit)
+        wrong = refused(laws, fit, vehicle) or harmful(laws, name, before, after, limits)
+        little = worthless(laws, name, without.held_out - fit.held_out, before - after, limits)
+        if wrong or little:
+            against[one] = wrong or little
         else:
-            fits[one] = fit
-    if not fits:
+            worthy[one] = fit
+        if not wrong:
+            fits[one] = fit  # may be what it is, though it is not sure to be worth it by itself
+    if not worthy:
         return Proposals(None, next(iter(against.values())), tried, visible)
-    best = best_of(fits, limits.worth * number)
-    said = _judged(best, fits, without, laws, chances, settings, tried, vehicle,
+    said = _judged(best_of(worthy, limits.worth * number), fits, without, laws, chances, settings, tried, vehicle,
                    [e.name for e in found.effects])
     return replace(said, visible=visible)
 
@@ -97,16 +99,11 @@ def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
 
 def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws: Laws, chances,
             settings: DiscoverySettings, tried, vehicle: VehicleParameters, stated: Sequence[str]) -> Proposals:
-    fit, number, limits = fits[best], laws.loss.number, settings.limits
-    name, chance = best.candidate.name, chances[best.candidate.name]
+    fit, limits = fits[best], settings.limits
+    chance = chances[best.candidate.name]
     falls = without.held_out - fit.held_out
-    gain, low = float(falls.sum()) / number, least(falls, limits.doubt) / number
+    gain = float(falls.sum()) / laws.loss.number
     before, after = (held_out_positions(laws, f) for f in (without, fit))
-    fall = float(np.nanmean(before - after)) if np.isfinite(before).any() else 0.0
-    said = (f"takes away {-np.expm1(-gain):.1%} of the size of the errors (at least {-np.expm1(-low):.1%}) and "
-            f"{100 * fall:.1f} cm after 5 s on runs it was not fitted to")
-    if low <= 0.0 or (gain < limits.worth and fall < limits.worth_position):
-        return Proposals(None, f"{name} is sure, but {said}", tried)
     rivals = [one for one in fits if one is not best]
     apart = not_told_apart(np.array([fits[one].held_out - fit.held_out for one in rivals]), limits.doubt, settings.seed)
     others = {one.candidate.name: cosine(laws, fit, fits[one]) for one, near in zip(rivals, apart, strict=True) if near}
@@ -126,7 +123,7 @@ def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws:
                         (float(np.nanmean(before)), float(np.nanmean(after))), runs, _beside(laws, fit), others,
                         readings(c, fit.coefficients, best.information, _may_lose(best, laws, limits)),
                         shares(laws, fit), needless)
-    return Proposals(proposal, f"it {said}", tried)
+    return Proposals(proposal, f"it {taken_away(laws, falls, before - after, limits)}", tried)
 
 
 def _may_lose(law: Screened, laws: Laws, limits: Limits) -> Callable[[float], float]:
