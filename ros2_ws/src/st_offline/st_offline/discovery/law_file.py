@@ -91,7 +91,7 @@ def law_in_words(one: Proposal) -> str:
 
 
 def title(one: Proposal) -> str:
-    causes = f" ({one.readings[0].causes})" if one.readings and one.readings[0].causes else ""
+    causes = f" (in textbooks: {one.readings[0].causes})" if one.readings and one.readings[0].causes else ""
     return f"{law_in_words(one)}{causes}"
 
 

@@ -65,7 +65,7 @@ def told(found: Proposals) -> list[str]:
     """Lines for terminal and page."""
     one = found.proposal
     unseen = found.unseen()
-    places = ", ".join(unseen).replace("_", " ")
+    places = ", ".join(law_words.PLACES[name] for name in unseen)
     less = [f"these drives hardly show {places}: nothing is said of laws there"] if unseen else []
     if one is None:
         return [f"nothing is proposed: {found.why}", *less]
