@@ -102,7 +102,7 @@ def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven
         for first, second in pairs:
             rest = tuple(n for n in fit.names if n != first)
             strengths[first, second] = apart(h + more, problem, fit, rest, first, second, values, design)[1]
-        pair = min(strengths, key=strengths.get)
+        pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
     name = max(weakest, key=lambda n: weakest[n][0], default="")
     if not name or weakest[name][0] < TOLD:
@@ -123,7 +123,7 @@ def shows(problem: Problem, effect: str, driven: Catalogue) -> str:
         if len(others):
             left = left - h[np.ix_(own, others)] @ inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, own)]
         strength[name] = float(np.diag(left).max())
-    return max(strength, key=strength.get, default="")
+    return max(strength, key=strength.__getitem__, default="")
 
 
 def _curvature(problem: Problem, fit: Fit) -> np.ndarray:

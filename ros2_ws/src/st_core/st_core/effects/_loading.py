@@ -20,7 +20,8 @@ def load_folder(path: str) -> tuple[str, ...]:
     """
     finder, package = _package(path)
     if package not in sys.modules:
-        names = sorted(name for name, _ in pkgutil.iter_importer_modules(finder) if not name.startswith("_"))
+        found = pkgutil.iter_importer_modules(finder)  # type: ignore[attr-defined]  # public, but not in the stubs
+        names = sorted(name for name, _ in found if not name.startswith("_"))
         if not names:
             raise ConfigurationError(f"{finder.path}: holds no effect, that is no *.py")
         _load(finder, package, names)
