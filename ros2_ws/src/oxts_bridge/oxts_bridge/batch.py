@@ -188,7 +188,7 @@ def _times(
         milliseconds[timed],
         minutes[timed],
         timed,
-        [(i, minutes[i]) for i in hints],
+        [(i, int(minutes[i])) for i in hints.tolist()],
         lambda a, b: bool((raw[timed[a]] == raw[timed[b]]).all()),
     )
     gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
