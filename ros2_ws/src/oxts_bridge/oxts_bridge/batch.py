@@ -145,7 +145,7 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     minutes = _channel_0_minutes(buffer, n, channel, has_status)
     gps_ns, order, jumps = _times(raw, status, milliseconds, minutes)
     kind = _KIND[status]
-    _trigger_times(raw, status, channel, kind, gps_ns, order)
+    _trigger_times(raw, kind, gps_ns, order)
     _count(counters, raw, status, channel, has_status, order)
     heading, pitch, roll = _i24(buffer, n, 52, ANGLE_UNIT)
 
@@ -229,9 +229,7 @@ def _channel_0_minutes(buffer: memoryview, n: int, channel: np.ndarray, has_stat
     return minutes
 
 
-def _trigger_times(
-    raw: np.ndarray, status: np.ndarray, channel: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order: np.ndarray
-) -> None:
+def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order: np.ndarray) -> None:
     before = b""
     for i in np.flatnonzero(kind == TRIGGER):
         packet = raw[i].tobytes()

@@ -7,7 +7,6 @@ import numpy as np
 from ..augmented import AugmentedModel
 from ..log import DriveLog
 from ..models import Model, get_model
-from ..vehicle import VehicleParameters
 from .coverage import ACCELERATION_EDGES, SPEED_EDGES, coverage
 from .free_parameters import FREE
 from .prediction_error import Fit, PredictionError
@@ -94,7 +93,7 @@ def described(base: str | Model) -> str:
     return f"{get_model(base).name} tyres"
 
 
-def driving_coverage(logs: Sequence[DriveLog], vehicle: VehicleParameters, needs: Mapping[str, tuple[float, int]],
+def driving_coverage(logs: Sequence[DriveLog], needs: Mapping[str, tuple[float, int]],
                      minimum_speed: float) -> tuple[Coverage, ...]:
     """Speed and lateral acceleration v_x r of all driving above a speed [m/s].
 
