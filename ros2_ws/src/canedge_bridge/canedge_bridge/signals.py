@@ -54,10 +54,6 @@ class SignalSpec:
     maximum: float
     max_rate: float
 
-    def to_si(self, physical: float) -> float:
-        value = self.gain * physical + self.bias
-        return wrap(value) if self.name in ANGLES else value
-
     def to_physical(self, si: float) -> float:
         return (si - self.bias) / self.gain
 
@@ -235,11 +231,6 @@ def _signal(entry: Entry, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
     return spec
 
 
-def physical(dbc: DbcMessage, data: bytes) -> dict[str, float]:
-    """The values of a plain message in the units of the DBC, by name."""
-    return cast("dict[str, float]", dbc.decode(data, decode_choices=False))
-
-
 def _number(value: object) -> float:
     """What cantools scales without choices."""
     assert isinstance(value, int | float)
@@ -298,7 +289,8 @@ def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_
     shown = f"the recorded frame {data.hex(' ').upper()} of {dbc.name}"
     if len(data) != dbc.length:
         raise TableError(f"{entry.origin}: {entry.path}.data: {shown} has {len(data)} bytes, the DBC says {dbc.length}")
-    value = (spec.gain * physical(dbc, data)[spec.dbc.name] + spec.bias) / spec.factor
+    physical = cast("dict[str, float]", dbc.decode(data, decode_choices=False))  # of a plain message
+    value = (spec.gain * physical[spec.dbc.name] + spec.bias) / spec.factor
     # The sign is left to steering_sign: which way the sensor counts is a property of the car, byte order is not.
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
         raise TableError(f"{dbc_path}: {spec.dbc.name} makes nonsense of {shown}: {value:g} {spec.unit} instead of "
