@@ -10,7 +10,7 @@ from answers import discovery, fitted
 from drives import weave, write_drive
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.result import BoundEffect, Change, Step, Value
+from st_core.discovery.result import BoundEffect, Change, NotTestable, Step, Value
 from st_core.discovery.where import survey
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import answers, quantities, words
@@ -61,6 +61,19 @@ def test_names_not_told_apart_stand_together(logs):
     found = discovery(logs, STEPS[:1], 1.72, alternatives={"steering_ratio": ("front_stiffness",)}, outcome="ambiguous")
     assert "steering ratio or front stiffness × 0.894 (1.00 m)" in words.title(found)
     assert any("drive what is suggested" in text for text in words.to_do(found, None))
+
+
+def test_what_cannot_be_seen_is_told_with_its_size_parameters_of_the_car_first(logs):
+    blind = tuple(NotTestable(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
+    (text,) = [t for t in words.blind(replace(discovery(logs, (), 1.0), not_testable=blind)) if "cannot" in t]
+    assert text == "cannot be seen: friction of 40 %, steering ratio of 6 %, heading misalignment of 0.458°, drag"
+
+
+def test_what_is_kept_is_told_by_all_its_names(logs):
+    found = discovery(logs, (("tyre_stiffness", {"factor": 1.2}, 0.5),), 1.7,
+                      alternatives={"tyre_stiffness": ("mass",)})
+    found = replace(discovery(logs, STEPS, 1.72), minor=found.effects)
+    assert any("also holds tyre stiffness or mass × 1.2" in text for text in words.to_do(found, None))
 
 
 @pytest.mark.parametrize(("outcome", "said"), [

@@ -249,19 +249,22 @@ class _Work:
 
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[Candidate, ...]:
         problem, space, rows = self.problem, self.space, []
-        rivals = {r.name: (alternative(r, self.limits), r.evidence.gain)
-                  for others in found.rivals.values() for r in others}
+        # Of a name that was tried in several places, where it explains most.
+        rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
+                                            key=lambda r: (alternative(r, self.limits).rule == "alternative", r.share))}
         for name in space.hypotheses:
-            vector = found.fit.vector
+            values = space.values(name, found.fit.vector)
             if name in found.evidence:
                 verdict, gain = named[name], found.evidence[name].gain
             elif name in found.refused:
                 evidence, verdict, fit = found.refused[name]
-                gain, vector = evidence.gain, fit.vector
+                gain, values = evidence.gain, space.values(name, fit.vector)
             elif name in rivals:
-                verdict, gain = rivals[name]
+                rival = rivals[name]
+                verdict, gain, values = alternative(rival, self.limits), rival.evidence.gain, rival.values
             elif name in found.scores.own:
                 each, vector = found.scores.gains[name]
+                values = space.values(name, vector)
                 gain = float(each.sum()) / problem.number
                 verdict = judge(Evidence(name, gain, chance(found.scores.own[name], each, found.scores,
                                                             len(space.hypotheses))), self.limits)
@@ -271,7 +274,6 @@ class _Work:
                                      "more, and were asked first")
             else:
                 verdict, gain = Reason("part of the answer", name, {}, "a part of what is stated, or made of it"), 0.0
-            values = {space.free[i].parameter: float(vector[i]) for i in space.indices(name)}
             rows.append(Candidate(name, get_effect(name).kind, values, share_of(gain), verdict.rule, verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 

@@ -204,7 +204,10 @@ def blind(found: Discovery) -> list[str]:
     """What these drives cannot show, and what they do."""
     told = [visible(found)] if visible(found) else []
     if found.not_testable:
-        names = ", ".join(plain(n.name) for n in found.not_testable[:MOST_BLIND])
+        largest = {p.effect: p for p in sorted(found.certificate.powers, key=lambda p: abs(p.size))}
+        ranked = sorted(found.not_testable, key=lambda n: _rank(n.name))
+        names = ", ".join(plain(n.name) + (f" of {change(largest[n.name].size, largest[n.name].unit)}"
+                                           if n.name in largest else "") for n in ranked[:MOST_BLIND])
         more = len(found.not_testable) - MOST_BLIND
         told.append(f"cannot be seen: {names}{f' and {more} more, listed below' if more > 0 else ''}")
     return told
@@ -216,11 +219,15 @@ def visible(found: Discovery) -> str:
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
         if power.found >= SHOWN:
             best.setdefault(power.effect, power)
-    kinds = {c.name: PARTS.index(c.kind) for c in found.candidates}
-    ranked = sorted(best.values(), key=lambda p: (kinds.get(p.effect) != PARTS.index("vehicle parameters"),
-                                                  kinds.get(p.effect, len(PARTS))))
+    ranked = sorted(best.values(), key=lambda p: _rank(p.effect))
     told = [f"{plain(p.effect)} of {change(p.size, p.unit)}" for p in ranked[:MOST_BLIND]]
     return f"would show {', '.join(told)}{', …' if len(ranked) > MOST_BLIND else ''}" if told else ""
+
+
+def _rank(name: str) -> tuple[bool, int]:
+    """Vehicle parameters first, then by part."""
+    kind = EFFECTS[name].kind if name in EFFECTS else ""
+    return kind != "vehicle parameters", PARTS.index(kind) if kind in PARTS else len(PARTS)
 
 
 def following(found: Discovery) -> str:
@@ -252,7 +259,7 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
     if others:
         told.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.minor and found.effects:
-        kept = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.minor)
+        kept = ", ".join(f"{by_any_name(e)} {short_values(e.parameters)}" for e in found.minor)
         told.append(f"model.yaml also holds {kept}: part of the fit, too small beside what is left to be believed; do "
                     "not read it as a property of the car")
     if found.outcome == "unknown":
