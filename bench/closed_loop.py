@@ -18,7 +18,7 @@ WRONG = 1.08  # of the steering ratio in the file
 HIDDEN = {"steering_lag": 0.14, "ins_misalignment": 0.012}  # s, rad
 DRIVES = ("sweep", "slalom", "lane_change", "brake_in_turn", "there_and_back", "weave")
 SECONDS, UNSEEN, UNSEEN_SECONDS = 30.0, "S6", 60.0
-PAGE = project_root() / "docs" / "closed_loop.md"
+PAGE = project_root() / "docs" / "measurements" / "closed_loop.md"
 FIGURE = project_root() / "docs" / "images" / "closed_loop.png"
 
 
@@ -126,7 +126,7 @@ def _page(result: dict) -> str:
         f"Kept, not named: {', '.join(e['name'] for e in result['kept']) or 'nothing'}.", "",
         f"Live, lateral error over 5 s in hindsight, RMSE of {result['after']['starts']} starts:", "",
         "| model | before, m | after, m |", "|---|---|---|", *rows, "",
-        "![Errors of the models before and after, live](images/closed_loop.png)", ""))
+        "![Errors of the models before and after, live](../images/closed_loop.png)", ""))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ A straight road at 10 m/s with three gates; the controller is to stay as near to
 along their posts. Every seed is a car of its own: mass, tyres, friction and steering are drawn around the vehicle file
 (SPREAD). Bands of the controller's model are learnt from drives of other such cars through other gates; the tightened
 controller keeps the half-width across of each point of its horizon away from every post. Writes corridor.json.
-docs/mpc.md explains the result.
+docs/manual/mpc.md explains the result.
 """
 
 import argparse

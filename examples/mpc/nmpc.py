@@ -4,7 +4,7 @@
     ./st shell -- python examples/mpc/nmpc.py --quick             one road, two horizons, seconds
     ./st shell -- python examples/mpc/nmpc.py --model model.yaml  a fitted model beside the three
 
-Writes drives.json, trade_off.png and paths.png. docs/mpc.md explains the result.
+Writes drives.json, trade_off.png and paths.png. docs/manual/mpc.md explains the result.
 """
 
 import argparse

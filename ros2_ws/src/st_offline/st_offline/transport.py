@@ -12,7 +12,7 @@ def loopback(environment: Mapping[str, str]) -> dict[str, str]:
 
     For Fast DDS that is a profile (config/dds/loopback.xml). The range LOCALHOST, which does the same for any
     middleware, would bring back the shared memory over which a node started again after `kill -9` may stay deaf
-    (docs/reliability.md, Transport). Another middleware gets it, and so does who has a profile of his own.
+    (docs/manual/reliability.md, Transport). Another middleware gets it, and so does who has a profile of his own.
     """
     own = str(config("dds/loopback.xml"))
     if environment.get(PROFILES, own) != own or not environment.get(RMW, "rmw_fastrtps_cpp").startswith("rmw_fastrtps"):

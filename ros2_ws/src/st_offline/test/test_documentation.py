@@ -45,7 +45,7 @@ def test_a_cell_keeps_its_bars_and_a_line_that_is_no_field_is_refused(tmp_path) 
 
 
 def test_every_picture_and_page_that_is_linked_is_there() -> None:
-    for page in (ROOT / "README.md", *DOCS.glob("*.md")):
+    for page in (ROOT / "README.md", *DOCS.rglob("*.md")):
         for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
 
@@ -61,7 +61,7 @@ def test_commands_that_are_shown_have_the_options_they_are_shown_with() -> None:
     """Every `./st VERB --option` in README and docs/ exists."""
     verbs = get_command(app).commands
     seen = 0
-    for page in (ROOT / "README.md", *DOCS.glob("*.md")):
+    for page in (ROOT / "README.md", *DOCS.rglob("*.md")):
         for verb, rest in re.findall(r"\./st (\w+)([^`|\n]*)", page.read_text()):
             if page.name == "reference.md" or verb in ("shell", "test", "bench"):  # these hand options on
                 continue

@@ -112,7 +112,7 @@ def write(runs: Sequence[CheckedRun], job: Job, folder: Path, console: Console) 
         write_page(page, runs, content)
         numbers.parent.mkdir(parents=True, exist_ok=True)
         numbers.write_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
-    files = {page: "one page, with all comparisons", numbers: "every number, docs/checks.md"}
+    files = {page: "one page, with all comparisons", numbers: "every number, docs/manual/checks.md"}
     if job.cure is not None:
         text = proposal(runs[0].source, runs[0].checked.findings, job.cure, job.read)
         job.cure.parent.mkdir(parents=True, exist_ok=True)

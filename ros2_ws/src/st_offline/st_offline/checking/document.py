@@ -1,4 +1,4 @@
-"""check.json, and findings as plain values. The schema: docs/checks.md."""
+"""check.json, and findings as plain values. The schema: docs/manual/checks.md."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

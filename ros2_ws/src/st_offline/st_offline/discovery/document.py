@@ -1,4 +1,4 @@
-"""The files of a discovery: discovery.json (schema in docs/discovery.md) and model.yaml."""
+"""The files of a discovery: discovery.json (schema in docs/manual/discovery.md) and model.yaml."""
 
 import json
 from collections.abc import Mapping

@@ -30,7 +30,7 @@ def page(app: typer.Typer) -> str:
     """The whole page; app: the st command."""
     parts = [
         "# Reference\n\nMade by `./st docs` from the code; a test fails when it differs. Units are SI, axes ISO 8855: "
-        "[conventions.md](conventions.md).\n",
+        "[conventions.md](method/conventions.md).\n",
         "## Commands\n", *commands(app),
         "## Topics\n", topics(),
         "## Messages\n", *messages(project_root() / "ros2_ws" / "src" / "st_msgs" / "msg"),

@@ -22,7 +22,7 @@ from .work import RunReport, Task
 
 FORMATS = ("png", "pdf", "svg")
 WHAT_IS_WHAT = {
-    "page": "the whole report, one file", "json": "every number, docs/evaluation.md", "table": "the table above",
+    "page": "the whole report, one file", "json": "every number, docs/manual/evaluation.md", "table": "the table above",
     "latex": "the same in the paper's form", "seconds": "by second of the horizon", "bins": "by condition",
     "manoeuvres": "by part of the drive",
 }

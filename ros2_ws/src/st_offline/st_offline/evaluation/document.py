@@ -1,4 +1,4 @@
-"""evaluation.json, and the folder of results around it. The schema: docs/evaluation.md."""
+"""evaluation.json, and the folder of results around it. The schema: docs/manual/evaluation.md."""
 
 import json
 from collections.abc import Sequence

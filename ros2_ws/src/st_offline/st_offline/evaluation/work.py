@@ -194,7 +194,7 @@ def slug(name: str) -> str:
 
 
 def write_starts(file: Path, evaluation: LogEvaluation) -> None:
-    """One row per prediction: when, under what conditions, and the horizon means of all models; docs/evaluation.md."""
+    """One row per prediction: when, its conditions, the horizon means of all models (docs/manual/evaluation.md)."""
     columns = {"start_ns": evaluation.starts_ns.astype(str), "t0_s": _text(evaluation.time, 3),
                **{name: _text(values, 5) for name, values in evaluation.conditions.items()}}
     for (model, mode), errors in evaluation.errors.items():

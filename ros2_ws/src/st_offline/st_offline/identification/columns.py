@@ -45,7 +45,7 @@ def read_columns(file: Path, wanted: Mapping[str, Sequence[str]], optional: Mapp
     if missing:
         names = ", ".join(" or ".join(f"{name}_{unit}" for unit in wanted[name]) for name in missing)
         raise RunError(file, f"has no column {names}; its columns are {', '.join(header)[:200]}",
-                       "name each column with its unit, as in docs/identification.md")
+                       "name each column with its unit, as in docs/manual/identification.md")
     if not rows:
         raise RunError(file, "has a header and no rows", "fill it in")
     for number, row in enumerate(rows, 1):

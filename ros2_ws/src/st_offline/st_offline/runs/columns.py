@@ -76,7 +76,7 @@ COLUMNS: Mapping[str, Channel] = {
     "vehicle_speed": Channel("speed", "the car's own speed signal, or of all wheels; for checks", _words(
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
 }
-"""The one table of columns; docs/recordings.md is made from it (test_csv_columns.py)."""
+"""The one table of columns; docs/manual/recordings.md is made from it (test_csv_columns.py)."""
 
 AMBIGUOUS = {plain(name) for name in _words("steering_angle steering steer steer_angle steering_position steering_pos")}
 """Of the hand wheel in one file, of the road wheels in the next: not guessed."""

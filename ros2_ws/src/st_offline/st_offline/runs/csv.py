@@ -18,7 +18,7 @@ from .ncom import Motion
 
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
-ADVICE = "name the columns as in docs/recordings.md, or say in a run.yaml which they are, as columns: {%s: NAME}"
+ADVICE = "name the columns as in docs/manual/recordings.md, or say in a run.yaml which they are, as columns: {%s: NAME}"
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from .page import LOOPBACK
 READY_TIMEOUT = 20.0  # s
 STOP_TIMEOUT = 3.0  # s; what does not end by then, stopped perhaps, is killed
 WITHOUT_RERUN = ("rerun-sdk is not installed here (beside a sourced ROS its numpy 2 does not fit): "
-                 "RViz, Foxglove and PlotJuggler show the same, see docs/viewing.md")
+                 "RViz, Foxglove and PlotJuggler show the same, see docs/manual/viewing.md")
 
 
 def window(page: bool, save: Path | None) -> "Window | None":
