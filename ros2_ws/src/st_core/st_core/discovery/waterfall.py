@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import TWO_SIDED, agreement, covariance, inverse
+from .evidence import TWO_SIDED, agreement, covariance, inverse, random_effects
 from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
@@ -93,9 +93,7 @@ def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
     if len(said) < 3:
         return 0.0
     shares, deviations = np.array(list(said.values())).T
-    w = 1.0 / np.square(deviations)
-    q = float(w @ np.square(shares - w @ shares / w.sum()))
-    between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
+    _, between = random_effects(shares, np.square(deviations))
     error = 1.0 / (1.0 / (np.square(deviations) + between)).sum()
     return TWO_SIDED * float(np.sqrt(between + error))
 

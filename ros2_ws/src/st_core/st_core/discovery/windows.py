@@ -151,8 +151,7 @@ class Windows:
     """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) whole numbers; seconds: (n,) into
     the run."""
 
-    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings,
-                 starts_ns: np.ndarray | None = None, backend: str | None = None):
+    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
         self.names = tuple(run.name for run in runs)
         self.columns, self._points = columns_of(settings), score_points(settings)
@@ -160,18 +159,15 @@ class Windows:
         joined, offsets = _join(runs)
         self.joined = joined
         horizon = int(self._points[-1]) + 1
-        if starts_ns is None:
-            starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
-        else:
-            starts, run, seconds = np.asarray(starts_ns, np.int64), np.zeros(len(starts_ns), int), np.zeros(0)
+        starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
         around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
         signals = Signals(prepared(joined, vehicle, settings), 0.1)
-        self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6), backend=backend)
+        self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._readings(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds
-        self.block = _blocks(run, seconds, settings.block) if len(seconds) else np.zeros(len(starts), int)
+        self.block = _blocks(run, seconds, settings.block)
         self._length = horizon * STEP
 
     def __len__(self) -> int:
@@ -325,15 +321,3 @@ def _blocks(run: np.ndarray, seconds: np.ndarray, length: float) -> np.ndarray:
     """Number of the block of each window: stretches of `length` seconds of one run."""
     keys = np.stack([run, (seconds // length).astype(int)], axis=1)
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
-
-
-def channel_errors(model: AugmentedModel, vehicle: VehicleParameters, log: DriveLog, starts_ns: np.ndarray,
-                   settings: DiscoverySettings, gain: float = 0.0) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(time after the start [s] (k,), {channel: (n, k)}) of one drive: measured minus predicted, SI, NaN where unknown.
-
-    starts_ns: on the clock of the log. position: to the left of the measured heading [m]. gain: see `Windows.errors`.
-    """
-    windows = Windows([log], vehicle, settings, np.asarray(starts_ns, np.int64) - log.start_ns)
-    errors = windows.errors(model, gain)
-    return errors.time, {CHANNEL_OF.get(c, c): errors.values[..., i] for i, c in enumerate(errors.columns)
-                         if c != "position_longitudinal"}
