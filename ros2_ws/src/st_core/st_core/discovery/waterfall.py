@@ -154,6 +154,9 @@ def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: End
     def line(part: str, last: tuple[float, float], first: tuple[float, float]) -> BudgetLine:
         return BudgetLine(part, last[0], first[0], last[0] / max(start[0], 1e-9), first[0] / max(start[0], 1e-9),
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
+    def fitted(names: tuple[str, ...]) -> Fit:
+        return problem.renewed(problem.fit(names, final.slopes, iterations=3))  # far from the answer slopes are others
+
     base = problem.about(base.names, base.vector, base.which, base.slopes)
     start, end = size(base), size(final)
     lines = []
@@ -162,8 +165,8 @@ def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: End
         if not mine:
             continue
         rest = tuple(n for n in final.names if n not in mine)
-        without = size(problem.fit(rest, final.slopes, iterations=3)) if rest else start
-        alone = size(problem.fit(mine, final.slopes, iterations=3)) if rest else end
+        without = size(fitted(rest)) if rest else start
+        alone = size(fitted(mine)) if rest else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
     if bound is not None:
         more = size(bound)

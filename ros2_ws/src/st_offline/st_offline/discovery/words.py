@@ -18,7 +18,7 @@ from st_core.discovery.result import (
 from st_core.effects import EFFECTS
 
 from .mending import Mended
-from .quantities import change, channel, metres, plain, short_values, size, values
+from .quantities import change, channel, fitted_shortly, metres, plain, short_values, size, values
 
 RANKED = ("position_5s", "velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
 MOST_PARTS = 6
@@ -29,8 +29,11 @@ SURE = 1.96
 SHOWN = Limits().shown
 
 
-def by_any_name(effect: FoundEffect) -> str:
-    return " or ".join(plain(name) for name in (effect.name, *effect.alternatives))
+def by_any_name(found: Discovery, effect: FoundEffect) -> str:
+    """Name and value, and those of its alternatives, each with the value it has in that place."""
+    values = {c.name: c.parameters for c in found.candidates}
+    others = (f"{plain(name)} {fitted_shortly(name, values.get(name, {}))}".strip() for name in effect.alternatives)
+    return " or ".join((f"{plain(effect.name)} {short_values(effect.parameters)}", *others))
 
 
 def taken(steps: Sequence[Step]) -> dict[str, float]:
@@ -57,10 +60,10 @@ def step_name(step: Step) -> str:
 
 
 def share_of(name: str, steps: Sequence[Step]) -> str:
-    """What an effect takes away: metres, or of another channel where it hardly moves the position."""
+    """What an effect takes away: metres, or of another channel where it takes away none."""
     away = taken(steps).get(name, 0.0)
     mine = [step for step in steps if step.effect == name and step.action != "removed"]
-    return (metres(away) if abs(away) >= LEAST or not mine else other_channel(mine[-1])) or metres(away)
+    return (metres(away) if away >= LEAST or not mine else other_channel(mine[-1])) or metres(away)
 
 
 def other_channel(step: Step) -> str:
@@ -85,8 +88,7 @@ def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
         return "These drives show too little to say what may be missing"
-    told = ", ".join(f"{by_any_name(e)} {short_values(e.parameters)} ({share_of(e.name, found.steps)})"
-                     for e in found.effects)
+    told = ", ".join(f"{by_any_name(found, e)} ({share_of(e.name, found.steps)})" for e in found.effects)
     if found.outcome == "unknown":
         known = f"; beside {told}" if told else ""
         return f"{changes(found)}: something is missing that no known effect explains{known}"
@@ -246,6 +248,8 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
     told = []
     if mended is not None and mended.folded:
         told.append(f"take vehicle.yaml: {keys(mended.changes)}")
+        told += [f"vehicle.yaml holds the first of {by_any_name(found, e)}; these drives do not tell them apart: "
+                 "measure one of them on the car" for e in found.effects if e.name in mended.folded and e.alternatives]
     for name, change_of in (mended.kept if mended is not None else {}).items():
         told.append(f"{plain(name)} is in model.yaml: these recordings hold the angle of the road wheels, or play in "
                     "the steering acts before it, and no entry of a vehicle file corrects that; where the steering "
@@ -259,7 +263,7 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
     if others:
         told.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.minor and found.effects:
-        kept = ", ".join(f"{by_any_name(e)} {short_values(e.parameters)}" for e in found.minor)
+        kept = ", ".join(by_any_name(found, e) for e in found.minor)
         told.append(f"model.yaml also holds {kept}: part of the fit, too small beside what is left to be believed; do "
                     "not read it as a property of the car")
     if found.outcome == "unknown":
