@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import read_messages
 from support import EXAMPLES, ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -51,6 +52,14 @@ def circle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_leaves_the_promised_files(circle: Path) -> None:
     for name in ("bag/metadata.yaml", "errors/metadata.yaml", "summary.json", "paths.png", "parameters.yaml"):
         assert (circle / name).stat().st_size > 100, name
+
+
+def test_the_bag_holds_what_cannot_be_made_again(circle: Path) -> None:
+    topics = set(read_messages(circle / "bag"))
+    assert {"/ins/ncom", "/ins/origin", "/can/frames", "/ins/odometry", "/ins/status", "/vehicle/steering", "/tf",
+            "/predictor/linear/prediction", "/evaluator/errors", "/diagnostics"} <= topics
+    assert not {"/ins/imu", "/ins/velocity", "/ins/nav_sat_fix", "/ins/time_reference", "/vehicle/wheel_speeds",
+                "/vehicle/ins_on_can"} & topics
 
 
 def test_nearly_every_tick_carries_three_predictions(circle: Path) -> None:
@@ -100,7 +109,7 @@ def test_bag_opens_in_both_independent_readers(circle: Path) -> None:
 def test_path_is_at_the_ins_point_in_the_map_frame(circle: Path) -> None:
     """Path, prediction and odometry are three descriptions of one instant: the first pose is where the INS was."""
     from rosbags.highlevel import AnyReader
-    from st_offline.results import read_results
+    from st_recordings.results import read_results
 
     track = read_results(circle).track
     with AnyReader([circle / "bag"]) as reader:
@@ -180,7 +189,7 @@ def test_full_folder_is_refused(tmp_path: Path) -> None:
 
 
 def test_second_suite_in_one_domain_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from st_offline.suite import claimed_domain
+    from st_live.suite import claimed_domain
 
     with claimed_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))

@@ -1,0 +1,248 @@
+"""rosbag2 recordings (directories, bare .mcap and .db3 files): odometry and steering of any recorder, as a drive."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from rosbags.typesys.store import Typestore
+from st_core.checks import Extras
+from st_core.errors import StCoreError
+from st_core.log import DriveLog
+
+from ..paths import project_root
+from .bag_extras import bag_extras, extra_fields
+from .bag_storage import Storage, Topic, open_storage
+from .cdr import typestore
+from .errors import RunError, check_readable
+from .foreign import SteeringField, steering_columns, steering_topic, unknown
+from .made_again import WHERE, MadeAgain
+from .mcap_columns import DAMAGE, summary_of
+from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING
+
+EXTENSIONS = (".mcap", ".db3")
+OURS = {"recording", "configuration"}  # records that recorder and evaluator begin with
+CLOSING = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
+# Where several topics have the type: the one whose name ends like this.
+PREFERRED = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
+_ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
+                    "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
+                    "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
+_STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", "valid")
+
+
+@dataclass(frozen=True)
+class BagDrive:
+    """topics: type -> topic that was read. records: what the recording says about itself, name -> {key: text}.
+
+    extras: what else is in it, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of what is
+    neither read nor of the suite.
+    """
+
+    log: DriveLog
+    topics: Mapping[str, str]
+    records: Mapping[str, Mapping[str, str]]
+    warnings: tuple[str, ...]
+    extras: Extras = field(default_factory=Extras)
+    frame: str = ""
+    unknown: tuple[str, ...] = ()
+
+
+def definitions() -> Path:
+    """The .msg files of the suite's own messages."""
+    return project_root() / "ros2_ws" / "src" / "st_msgs" / "msg"
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a rosbag2 directory or a storage file of one."""
+    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in EXTENSIONS
+
+
+def holds_odometry(path: Path) -> bool:
+    """A look at the list of topics, for folders with all kinds of recordings; True where it cannot be told."""
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        try:
+            about = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+            return _is_a_drive({t["topic_metadata"]["type"] for t in about["topics_with_message_count"]})
+        except (OSError, yaml.YAMLError, KeyError, TypeError):
+            return True
+    if path.is_file() and path.suffix.lower() == ".mcap":
+        summary = summary_of(path)
+        return summary is None or _is_a_drive({s.name for s in summary.schemas.values()})
+    return True
+
+
+def _is_a_drive(types: set[str]) -> bool:
+    return ODOMETRY in types or {NCOM, CAN_FRAMES} <= types
+
+
+def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None) -> BagDrive:
+    """Odometry and steering of a recording, or what its raw packets and frames make of them; topics of other types,
+    known or not, are passed over.
+
+    steering: where the steering angle is in a recording of another make; default st_msgs/Steering. Raises RunError for
+    what is no bag, was not closed, or lacks one of the two.
+    """
+    storage, store, records = open_bag(path), typestore(definitions()), records_of(path)
+    there = storage.topics()
+    again = MadeAgain(path, storage, records, store)
+    needed: dict[Topic, tuple[str, ...]] = {}
+    if has_odometry := _is_there(there, ODOMETRY) or again.topic(NCOM) is None:
+        needed[_topic(path, there, ODOMETRY)] = _ODOMETRY_FIELDS
+    if steering is None and (_is_there(there, STEERING) or again.topic(CAN_FRAMES) is None):
+        needed[_topic(path, there, STEERING)] = _STEERING_FIELDS
+    others = extra_fields(there)
+    quick = storage.columns({**needed, **others}, store)
+    columns = {topic.type_name: quick.get(topic.name) or _one_by_one(path, storage, topic, fields, store)
+               for topic, fields in needed.items()}
+    topics = {topic.type_name: topic.name for topic in needed}
+    if not has_odometry:
+        columns[ODOMETRY], topics[ODOMETRY] = again.odometry(_ODOMETRY_FIELDS), again.topic(NCOM).name + WHERE
+    if steering is not None:
+        named = steering_topic(path, there, steering, store)
+        columns[STEERING], topics[STEERING] = steering_columns(path, storage, named, steering, store), named.name
+    elif STEERING not in columns:
+        columns[STEERING], topics[STEERING] = again.steering(), again.topic(CAN_FRAMES).name + WHERE
+    log, missing, notes = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
+    stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
+    extras = bag_extras(storage, there, {topic: quick[topic.name] for topic in others if topic.name in quick},
+                        stamps, missing, store, again)
+    passed_over = tuple(f"{t.name} ({t.type_name})" for t in unknown(there, tuple(topics.values())))
+    frame = again.map_frame()
+    if has_odometry:
+        frame = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY).header.frame_id
+    return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in notes), extras, frame, passed_over)
+
+
+def _is_there(topics: Sequence[Topic], type_name: str) -> bool:
+    return any(t.type_name == type_name and t.count for t in topics)
+
+
+def open_bag(path: Path) -> Storage:
+    """The storage of a directory or a bare file. Raises RunError."""
+    files = [path] if path.is_file() else storage_files(path)
+    for file in files:
+        check_readable(file)
+    return open_storage(path, files, typestore(definitions()))
+
+
+def numbers(path: Path, storage: Storage, topic: str, fields: Sequence[str]) -> dict[str, np.ndarray] | None:
+    """Numbers of all messages of a topic (cdr.Layout), None where there are none. Raises RunError."""
+    found = next((t for t in storage.topics() if t.name == topic and t.count), None)
+    return _numbers(path, storage, found, fields) if found else None
+
+
+def _numbers(path: Path, storage: Storage, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
+    store = typestore(definitions())
+    return storage.columns({topic: fields}, store).get(topic.name) or _one_by_one(path, storage, topic, fields, store)
+
+
+def records_of(path: Path) -> dict[str, dict[str, str]]:
+    """Metadata records of an MCAP recording, as the recorder and `st import` leave them; empty for other storage."""
+    records = _records(path)
+    records.pop(CLOSING, None)
+    return records
+
+
+def was_cut(path: Path) -> bool:
+    """Whether a recorder of the suite did not end this recording itself: full disk, kill, `st recover` afterwards."""
+    records = _records(path)
+    return bool(OURS & records.keys()) and CLOSING not in records
+
+
+def _records(path: Path) -> dict[str, dict[str, str]]:
+    records: dict[str, dict[str, str]] = {}
+    for file in [path] if path.is_file() else storage_files(path):
+        if file.suffix.lower() == ".mcap" and summary_of(file) is not None:
+            try:
+                with file.open("rb") as stream:
+                    records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
+            except (McapError, *DAMAGE) as error:
+                what = f"what it says about itself is damaged ({type(error).__name__})"
+                raise RunError(file, what, "mend the bag with `st recover`") from None
+    return records
+
+
+def storage_files(directory: Path) -> list[Path]:
+    return sorted(f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS)
+
+
+def _topic(path: Path, topics: Sequence[Topic], type_name: str) -> Topic:
+    found = [t for t in topics if t.type_name == type_name and t.count]
+    if not found:
+        what = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "no messages"
+        other = ", or name the topic that holds the angle with --steering-topic" if type_name == STEERING else ""
+        raise RunError(path, f"no message of type {type_name} is in it; it has {what}",
+                       f"record the topic {PREFERRED[type_name]} too{other}")
+    preferred = [t for t in found if t.name.endswith(PREFERRED[type_name])] or found
+    if len(preferred) > 1:
+        names = ", ".join(sorted(t.name for t in preferred))
+        raise RunError(path, f"several topics are of type {type_name}: {names}",
+                       f"leave one of them, or name one .../{PREFERRED[type_name]}")
+    return preferred[0]
+
+
+def _one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
+                store: Typestore) -> dict[str, np.ndarray]:
+    rows = []
+    for raw in storage.messages(topic.name):
+        try:
+            message = store.deserialize_cdr(raw, topic.type_name)
+        except Exception as error:  # rosbags lets through what struct and numpy run into
+            raise RunError(path, f"a message of {topic.name} is damaged ({type(error).__name__})",
+                           "record it again, or mend the bag with `st recover`") from None
+        rows.append([_value(message, field) for field in fields])
+    return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
+
+
+def _value(message: Any, path: str) -> Any:
+    for part in path.split("."):
+        message = getattr(message, part)
+    return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
+
+
+def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
+           ) -> tuple[DriveLog, dict[str, int], list[str]]:
+    """The log, rows without a usable value by channel, and what is to be said."""
+    notes: list[str] = []
+    qx, qy, qz, qw = (odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")
+    values = {
+        "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],
+        "yaw": np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)),
+        "velocity_x": odometry["twist.twist.linear.x"], "velocity_y": odometry["twist.twist.linear.y"],
+        "yaw_rate": odometry["twist.twist.angular.z"],
+    }
+    missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
+    good = np.isfinite(np.stack(list(values.values()))).all(axis=0)
+    ins_ns, rows = _rising(odometry["header.stamp"], good, "odometry", notes)
+    good = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
+    missing["road_wheel_angle"] = int((~good).sum())
+    steering_ns, steering_rows = _rising(steering["header.stamp"], good, "steering", notes)
+    wheel = steering["steering_wheel_angle"][steering_rows]
+    try:
+        log = DriveLog(
+            name, ins_time_ns=ins_ns, **{k: np.unwrap(v[rows]) if k == "yaw" else v[rows] for k, v in values.items()},
+            steering_time_ns=steering_ns, road_wheel_angle=steering["road_wheel_angle"][steering_rows],
+            steering_wheel_angle=wheel if np.isfinite(wheel).all() else None,
+        )
+    except StCoreError as error:
+        raise RunError(path, str(error)) from None
+    return log, missing, notes
+
+
+def _rising(time_ns: np.ndarray, good: np.ndarray, what: str, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """(times that rise strictly, their rows); as live, what is not newer than the newest before is refused."""
+    rows = np.nonzero(good)[0]
+    time = np.asarray(time_ns, np.int64)[rows]
+    keep = np.ones(len(time), dtype=bool)
+    if len(time) > 1:
+        keep[1:] = time[1:] > np.maximum.accumulate(time)[:-1]
+    if not good.all():
+        notes.append(f"{int((~good).sum())} {what} messages hold no usable value; they were left out")
+    if not keep.all():
+        notes.append(f"{int((~keep).sum())} {what} messages are not newer than the one before; they were left out")
+    return time[keep], rows[keep]

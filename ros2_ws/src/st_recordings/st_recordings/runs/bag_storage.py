@@ -1,0 +1,246 @@
+"""The storages of rosbag2 behind one small interface: which topics there are, and the bytes of one of them.
+
+MCAP and sqlite3 are read here, because a library that looks at every definition in a bag stops at the first foreign
+one it does not understand; what else rosbag2 can write (compressed files and messages) goes through rosbags.
+"""
+
+import sqlite3
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import yaml
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+from mcap.summary import Summary
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.rosbag2 import ReaderError
+from rosbags.typesys.store import Typestore
+
+from .cdr import Layout
+from .errors import RunError
+from .mcap_columns import DAMAGE, Block, blocks, summary_of
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+NOT_CLOSED = "if it was cut off while recording, repair it with `st recover`"
+
+
+@dataclass(frozen=True)
+class Topic:
+    name: str
+    type_name: str
+    count: int
+
+
+class Storage(Protocol):
+    """One recording, of one or several files."""
+
+    def topics(self) -> list[Topic]: ...
+
+    def messages(self, topic: str) -> Iterator[bytes]:
+        """Serialised messages, in the order of the file."""
+
+    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        """(log time [ns], message), in the order of the file."""
+
+    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        """The quick way to some numbers of all messages (cdr.Layout), by topic; without those it cannot be gone for."""
+
+
+def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
+    """Raises RunError for what is none, or was not closed."""
+    if path.is_dir() and _is_compressed(path):
+        return Rosbags(path, store)
+    suffixes = {f.suffix.lower() for f in files}
+    if suffixes == {".mcap"}:
+        return Mcap(files)
+    if suffixes == {".db3"}:
+        return Sqlite(files)
+    raise RunError(path, "no storage file (.mcap, .db3) is in this bag, or several kinds are",
+                   "give the folder that ros2 bag or the recorder made")
+
+
+def _is_compressed(path: Path) -> bool:
+    try:
+        about = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        return bool(about.get("compression_mode"))
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+        return False
+
+
+class Mcap:
+    def __init__(self, files: Sequence[Path]):
+        self._files: list[tuple[Path, Summary | None]] = []
+        for file in files:
+            with file.open("rb") as stream:
+                head = stream.read(8)
+                stream.seek(-min(8, file.stat().st_size), 2)
+                tail = stream.read(8)
+            if head != MCAP_MAGIC:
+                raise RunError(file, "cannot be read as a bag (not MCAP)", "give it the extension of what it is")
+            summary = summary_of(file)
+            if summary is None and tail != MCAP_MAGIC:
+                raise RunError(file, "cannot be read as a bag (it was not closed)", NOT_CLOSED)
+            self._files.append((file, summary))
+
+    def topics(self) -> list[Topic]:
+        counts: dict[tuple[str, str], int] = {}
+        for file, summary in self._files:
+            if summary is not None and summary.statistics is not None:
+                for channel in summary.channels.values():
+                    schema = summary.schemas.get(channel.schema_id)
+                    key = channel.topic, schema.name if schema else ""
+                    counts[key] = counts.get(key, 0) + summary.statistics.channel_message_counts.get(channel.id, 0)
+            else:
+                for schema, channel, _ in self._stream(file):
+                    key = channel.topic, schema.name if schema else ""
+                    counts[key] = counts.get(key, 0) + 1
+        return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
+
+    def messages(self, topic: str) -> Iterator[bytes]:
+        for file, summary in self._files:
+            if summary is None or summary.statistics is None:
+                yield from (message.data for _, channel, message in self._stream(file) if channel.topic == topic)
+                continue
+            channels = [number for number, channel in summary.channels.items() if channel.topic == topic]
+            for _, block in chain.from_iterable(self._blocks(file, summary, [number]) for number in channels):
+                for start, size in zip(block.starts.tolist(), block.sizes.tolist(), strict=True):
+                    yield block.buffer[start : start + size].tobytes()
+
+    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        for file, _ in self._files:
+            yield from ((message.log_time, message.data) for _, channel, message in self._stream(file)
+                        if channel.topic == topic)
+
+    @staticmethod
+    def _blocks(file: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
+        try:
+            yield from blocks(file, summary, channels)
+        except DAMAGE as error:
+            raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
+
+    @staticmethod
+    def _stream(file: Path) -> Iterator[Any]:
+        try:
+            with file.open("rb") as stream:
+                yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
+        except (McapError, *DAMAGE) as error:
+            raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
+
+    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        gathered = {topic.name: _Gathered(topic.type_name, fields, store) for topic, fields in wanted.items()}
+        for file, summary in self._files:
+            if summary is None or summary.statistics is None:
+                return {}
+            channels = {number: gathered[channel.topic] for number, channel in summary.channels.items()
+                        if channel.topic in gathered and channel.message_encoding == "cdr"}
+            left = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
+            for number, block in self._blocks(file, summary, channels):
+                left[number] -= len(block.starts)
+                channels[number].add(block.buffer, block.starts, block.sizes)
+            for number, count in left.items():
+                channels[number].alike &= count == 0
+        return {name: one.columns() for name, one in gathered.items() if one.alike and one.parts}
+
+
+class Sqlite:
+    def __init__(self, files: Sequence[Path]):
+        self._files = list(files)
+        self.topics()
+
+    def _query(self, file: Path, text: str, *values: Any) -> Iterator[tuple[Any, ...]]:
+        try:
+            with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
+                yield from database.execute(text, values)
+        except sqlite3.Error as error:
+            raise RunError(file, f"cannot be read as a bag ({_short(error)})", "copy it again") from None
+
+    def topics(self) -> list[Topic]:
+        counts: dict[tuple[str, str], int] = {}
+        for file in self._files:
+            text = ("SELECT topics.name, topics.type, COUNT(messages.id) FROM topics "
+                    "LEFT JOIN messages ON messages.topic_id = topics.id GROUP BY topics.id")
+            for name, type_name, count in self._query(file, text):
+                counts[name, type_name] = counts.get((name, type_name), 0) + count
+        return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
+
+    def messages(self, topic: str) -> Iterator[bytes]:
+        return (data for _, data in self.timed(topic))
+
+    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        text = ("SELECT messages.timestamp, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
+                "WHERE topics.name = ? ORDER BY messages.timestamp")
+        for file in self._files:
+            yield from self._query(file, text, topic)
+
+    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        found = {}
+        for topic, fields in wanted.items():
+            rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
+            one = _Gathered(topic.type_name, fields, store)
+            if rows:
+                sizes = np.array([len(row) for row in rows])
+                one.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
+            if one.alike and one.parts:
+                found[topic.name] = one.columns()
+        return found
+
+
+class Rosbags:
+    def __init__(self, path: Path, store: Typestore):
+        self._path = path
+        try:
+            self._reader = AnyReader([path], default_typestore=store)
+            self._reader.open()
+        except (AnyReaderError, ReaderError, OSError, KeyError) as error:
+            raise RunError(path, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
+
+    def topics(self) -> list[Topic]:
+        return [Topic(c.topic, c.msgtype, c.msgcount) for c in self._reader.connections]
+
+    def messages(self, topic: str) -> Iterator[bytes]:
+        return (data for _, data in self.timed(topic))
+
+    def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        chosen = [c for c in self._reader.connections if c.topic == topic]
+        return ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=chosen))
+
+    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        return {}
+
+
+class _Gathered:
+    """Fields of the messages of one topic, part by part. alike: whether all have the layout of the first."""
+
+    def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
+        self._type_name, self._fields, self._store = type_name, fields, store
+        self._layout: Layout | None = None
+        self.alike, self.parts = True, list[dict[str, np.ndarray]]()
+
+    def add(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> None:
+        """Messages that begin at `starts` and are `sizes` bytes long."""
+        if not self.alike or not len(starts):
+            return
+        if self._layout is None:
+            self._layout = self._layout_of(buffer[starts[0] : starts[0] + sizes[0]].tobytes())
+        layout = self._layout
+        self.alike = layout is not None and bool(layout.fits_in(sizes).all()) and layout.fits(buffer, starts)
+        if layout is not None and self.alike:
+            self.parts.append({field: layout.column(buffer, starts, field) for field in self._fields})
+
+    def _layout_of(self, first: bytes) -> Layout | None:
+        try:
+            return Layout(self._store, self._type_name, self._store.deserialize_cdr(first, self._type_name))
+        except Exception:  # rosbags lets through what struct and numpy run into; read one by one, it is said
+            return None
+
+    def columns(self) -> dict[str, np.ndarray]:
+        return {field: np.concatenate([part[field] for part in self.parts]) for field in self._fields}
+
+
+def _short(error: Exception) -> str:
+    return (" ".join(str(error).split()) or type(error).__name__)[:120]

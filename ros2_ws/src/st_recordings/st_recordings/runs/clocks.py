@@ -1,0 +1,140 @@
+"""One time for the INS recording and the CAN log: which signals both hold, and what follows for the clocks."""
+
+from dataclasses import replace
+
+import numpy as np
+from st_core.clock_alignment import align, by_hand, standstill_masked
+from st_core.clock_time_frames import align_by_time_frame
+from st_core.clock_types import Alignment, SharedSignal, Verdict, refused
+
+from .can_signals import CanSignals, Signal
+from .ncom import Motion
+
+# What lies between the instant an INS value is true and its CAN frame reaching the logger (calculation, then the queue)
+# and its standard deviation, where nobody has measured it [s].
+INS_ON_CAN = (0.002, 0.002)
+# Wheel speeds are counted over a period before they are sent; yaw follows the steering wheel by a car's response time.
+WHEEL_SPEED = (0.015, 0.015)
+STEERING_LEAD = (-0.06, 0.06)
+
+# Standard deviation that tells something [m/s, rad/s, rad, 1/m].
+SMALLEST = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
+CURVATURE_FROM = 3.0  # m/s; slower, yaw rate over speed is noise
+TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
+METHODS_DIFFER = 0.01  # s
+NEAR = 60.0  # s; what a logger's clock is trusted with where the signals leave a choice
+CHECKED_WITHIN = 2.0  # s
+ALIKE = 0.97  # of the best correlation
+
+
+def shared_signals(ins: Motion, can: CanSignals, latency: tuple[float, float] = INS_ON_CAN) -> list[SharedSignal]:
+    """What both recordings hold of the INS's own signals: forward velocity, yaw rate, yaw.
+
+    latency: of INS values on CAN, and its standard deviation [s].
+    """
+    reference = _masked(ins, ins.time_ns, ins.velocity_x), _masked(ins, ins.time_ns, ins.yaw_rate)
+    speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
+    pairs = [_pair(f"forward velocity ({s.message})", "speed", ins.time_ns, reference[0], s, speed, latency)
+             for s in can.all_of("ins_velocity_x")]
+    pairs += [_pair(f"yaw rate ({s.message})", "rate", ins.time_ns, reference[1], s, speed, latency)
+              for s in can.all_of("ins_yaw_rate")]
+    for signal in can.all_of("ins_yaw"):
+        if ins.yaw is None:
+            continue
+        yaw = _masked(ins, ins.time_ns, ins.yaw)
+        pair = _pair(f"yaw ({signal.message})", "angle", ins.time_ns, yaw, signal, speed, latency)
+        pairs.append(replace(pair, angle=True))
+    return pairs
+
+
+def substitute_signals(ins: Motion, can: CanSignals) -> tuple[list[SharedSignal], str]:
+    """For a log without INS frames: wheel speed, else steering against curvature; and the warning that goes with it."""
+    speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
+    if speed is not None:
+        values = _masked(ins, ins.time_ns, np.abs(ins.velocity_x))
+        return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, WHEEL_SPEED)],
+                "the log holds no INS frames: aligned by the wheel speed, whose own delay is not known")
+    steering = can.first_of("steering_wheel_angle")
+    if steering is None:
+        return [], ""
+    fast = np.abs(ins.velocity_x) > CURVATURE_FROM
+    curvature = np.where(fast, ins.yaw_rate / np.where(fast, ins.velocity_x, 1.0), np.nan)
+    pair = SharedSignal("curvature against steering", ins.time_ns, curvature, steering.time_ns, steering.values,
+                        *STEERING_LEAD, SMALLEST["curvature"])
+    return [pair], ("the log holds no INS frames and no wheel speed: aligned by steering against yaw rate, which lags "
+                    "by the response time of the car")
+
+
+def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
+                 latency: tuple[float, float] = INS_ON_CAN) -> tuple[Alignment, list[SharedSignal]]:
+    """The alignment of a run (reference: INS), and the signals it rests on or can be looked at with.
+
+    By hand, if `offset` [s] (INS minus CAN clock) is given; else by the INS's own time frame on CAN, checked against
+    the shared signals; else by these; else by a substitute, never better than doubtful.
+    search: bounds of the offset [s]. latency: of INS values on CAN, and its standard deviation [s].
+    """
+    pairs = shared_signals(ins, can, latency)
+    warning = ""
+    if not pairs:
+        pairs, warning = substitute_signals(ins, can)
+    if offset is not None:
+        at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
+        return by_hand(round(offset * 1e9), at_ns, pairs), pairs
+    if ins.absolute and (frames := _time_frames(can)) is not None:
+        return _checked_time_frame(frames, pairs if not warning else [], latency), pairs
+    if not pairs:
+        return refused("the CAN log holds no signal that the INS recording has too; give the offset by hand"), pairs
+    result = align(pairs, search=search)
+    if result.ambiguous and search is None and ins.absolute:
+        result = _nearest(pairs, result)
+    return (result.doubted(warning) if warning else result), pairs
+
+
+def _nearest(pairs: list[SharedSignal], result: Alignment) -> Alignment:
+    """Where several offsets fit alike: the one near the logger's own clock, if that is one of them."""
+    near = align(pairs, search=(-NEAR, NEAR))
+    if near.verdict is Verdict.REFUSED or near.peak[1] < ALIKE * result.peak[1]:
+        return result
+    return near.doubted("several offsets fit alike (repeated laps or manoeuvres); taken is the one that agrees with "
+                        f"the logger's own clock to {NEAR:.0f} s")
+
+
+def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:
+    known = np.isfinite(frames.values)
+    result = align_by_time_frame(frames.time_ns[known], np.round(frames.values[known] * 1e6).astype(np.int64) * 1000,
+                                 TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
+    if not pairs:
+        return result
+    # Near the time frame's own answer: on a proving ground the same lap fits many times.
+    offset = result.offset_at_ns(result.at_ns) * 1e-9
+    check = align(_one_of_each(pairs), search=(offset - CHECKED_WITHIN, offset + CHECKED_WITHIN))
+    if check.verdict is Verdict.REFUSED:
+        return result.doubted(f"the shared signals do not confirm it: {check.reasons[-1]}")
+    difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9
+    result = replace(result, signals=check.signals, peak=check.peak, second_peak=check.second_peak)
+    if abs(difference) > METHODS_DIFFER:
+        return result.doubted(f"the shared signals put the offset {difference * 1e3:+.0f} ms away")
+    return result
+
+
+def _one_of_each(pairs: list[SharedSignal]) -> list[SharedSignal]:
+    """The first message of velocity, yaw rate and yaw; what a second one of the same says again confirms nothing."""
+    return list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
+
+
+def _time_frames(can: CanSignals) -> Signal | None:
+    """The finer of the time frames in the log, if the unit had its time when it sent it."""
+    found = [s for s in can.all_of("ins_unix_time") if np.isfinite(s.values).sum() > 1]
+    return min(found, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0), default=None)
+
+
+def _pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,
+          latency: tuple[float, float]) -> SharedSignal:
+    other = signal.values
+    if speed is not None:
+        other = standstill_masked(signal.time_ns, other, speed.time_ns, speed.values)
+    return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, SMALLEST[kind])
+
+
+def _masked(ins: Motion, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return standstill_masked(time_ns, values, ins.time_ns, ins.velocity_x)
