@@ -309,15 +309,3 @@ def _blocks(run: np.ndarray, seconds: np.ndarray, length: float) -> np.ndarray:
     """Number of the block of each window: stretches of `length` seconds of one run."""
     keys = np.stack([run, (seconds // length).astype(int)], axis=1)
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
-
-
-def channel_errors(model: AugmentedModel, vehicle: VehicleParameters, log: DriveLog, starts_ns: np.ndarray,
-                   settings: DiscoverySettings, gain: float = 0.0) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(time after the start [s] (k,), {channel: (n, k)}) of one drive: measured minus predicted, SI, NaN where unknown.
-
-    starts_ns: on the clock of the log. position: to the left of the measured heading [m]. gain: see `Windows.errors`.
-    """
-    windows = Windows([log], vehicle, settings, np.asarray(starts_ns, np.int64) - log.start_ns)
-    errors = windows.errors(model, gain)
-    return errors.time, {CHANNEL_OF.get(c, c): errors.values[..., i] for i, c in enumerate(errors.columns)
-                         if c != "position_longitudinal"}
