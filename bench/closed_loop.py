@@ -11,14 +11,14 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from st_offline.paths import config, project_root
+from st_recordings.paths import config, project_root
 
 RATIO = "steering_ratio: {value: 17.3"
 WRONG = 1.08  # of the steering ratio in the file
 HIDDEN = {"steering_lag": 0.14, "ins_misalignment": 0.012}  # s, rad
 DRIVES = ("sweep", "slalom", "lane_change", "brake_in_turn", "there_and_back", "weave")
 SECONDS, UNSEEN, UNSEEN_SECONDS = 30.0, "S6", 60.0
-PAGE = project_root() / "docs" / "closed_loop.md"
+PAGE = project_root() / "docs" / "measurements" / "closed_loop.md"
 FIGURE = project_root() / "docs" / "images" / "closed_loop.png"
 
 
@@ -79,7 +79,7 @@ def _draw(before: dict, after: dict) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from st_offline.style import MODEL_COLOUR, RC
+    from st_predictor.style import MODEL_COLOUR, RC
 
     with plt.rc_context(RC):
         figure, axis = plt.subplots(figsize=(6.5, 2.4))
@@ -126,7 +126,7 @@ def _page(result: dict) -> str:
         f"Kept, not named: {', '.join(e['name'] for e in result['kept']) or 'nothing'}.", "",
         f"Live, lateral error over 5 s in hindsight, RMSE of {result['after']['starts']} starts:", "",
         "| model | before, m | after, m |", "|---|---|---|", *rows, "",
-        "![Errors of the models before and after, live](images/closed_loop.png)", ""))
+        "![Errors of the models before and after, live](../images/closed_loop.png)", ""))
 
 
 if __name__ == "__main__":

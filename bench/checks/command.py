@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from st_offline.paths import project_root, source_version
+from st_recordings.paths import project_root, source_version
 
 from . import ablation, drives, healthy, real, speed, tables
 from .corruptions import KINDS
@@ -14,7 +14,7 @@ from .run import matrix
 from .score import Drive, Record, as_recorded, checked, short
 
 RESULTS = Path(__file__).with_name("results.json")
-PAGE = Path("docs") / "checks.md"
+PAGE = Path("docs") / "manual" / "checks.md"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         "every finding in full")
     parser.add_argument("--list", action="store_true", help="print kinds, sizes, findings and drives")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--write", action="store_true", help="write the table of it into docs/checks.md")
+    parser.add_argument("--write", action="store_true", help="write the table of it into docs/manual/checks.md")
     parser.add_argument("--healthy", type=int, metavar="SEEDS", help="drives of all scenarios without a fault instead")
     parser.add_argument("--seconds", type=float, default=35.0, help="of a healthy drive")
     parser.add_argument("--speed", action="store_true", help="time of 1, 10 and 30 minutes instead")

@@ -1,4 +1,4 @@
-"""Records of the matrix as tables: for the console, for results.json, for docs/checks.md."""
+"""Records of the matrix as tables: for the console, for results.json, for docs/manual/checks.md."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -29,8 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--ablation", action="store_true",
                         help="the same cases with half and twice each limit of the decision")
     parser.add_argument("--tables", type=Path, nargs="+", metavar="FILE",
-                        help="run nothing: write docs/discovery_scores.md from these files; a case in several is "
-                             "taken from the last")
+                        help="run nothing: write docs/measurements/discovery_scores.md from these files; a case in "
+                             "several is taken from the last")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
         records = read_all(chosen.tables)

@@ -1,4 +1,4 @@
-"""Records of blocks L, M and N as a part of docs/proposals.md: scores, other methods, every law, all that failed."""
+"""Blocks L, M and N as a part of docs/manual/proposals.md: scores, other methods, every law, all that failed."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from .paths import ROOT
 from .tables import table
 
 Record = dict[str, Any]
-PAGE = ROOT / "docs" / "proposals.md"
+PAGE = ROOT / "docs" / "manual" / "proposals.md"
 BEGIN, END = "<!-- scores: written by ./st bench discovery --laws --tables FILE ... -->", "<!-- end of scores -->"
 
 
@@ -24,7 +24,7 @@ def write(records: Sequence[Record]) -> None:
 def as_markdown(records: Sequence[Record]) -> str:
     return "\n\n".join([
         _origin(records),
-        table(("score", "measured", "floor", "goal"), score.scores(records)),
+        table(("score", "measured", "required", "goal"), score.scores(records)),
         "Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
         table(("method", "gap closed, median / 10th percentile", "made worse", "names"), score.methods(records)),
         "Law by law; position after 5 s on held-out drives, mean over the cases, m:",

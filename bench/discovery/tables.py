@@ -1,4 +1,5 @@
-"""Records as docs/discovery_scores.md: scores, both plants, effects, other methods, limits, and all that failed."""
+"""The page docs/measurements/discovery_scores.md of records: scores, both plants, effects, other
+methods, limits, and all that failed."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
@@ -16,12 +17,13 @@ from .paths import ROOT
 from .score import groups, matters, share, share_of, shown, value_of
 
 Record = dict[str, Any]
-PAGE = ROOT / "docs" / "discovery_scores.md"
+PAGE = ROOT / "docs" / "measurements" / "discovery_scores.md"
 FIGURE = ROOT / "docs" / "images" / "discovery_confusion.png"
 NOT_RUN = "Not run with these records."
 INTRODUCTION = """# Scores of `st discover`
 
-Written by `./st bench discovery --tables FILE ...`; do not edit. How it is measured: [discovery.md](discovery.md).
+Written by `./st bench discovery --tables FILE ...`; do not edit. How it is measured:
+[discovery.md](../manual/discovery.md).
 
 Blocks: **A** one effect is hidden, the vehicle file is otherwise the car's own; **B** three to five parameters of the
 file are wrong, with none to two errors of sensors and of physics besides; **C** nothing is wrong: the base model itself
@@ -41,11 +43,11 @@ def write(records: Sequence[Record]) -> None:
 def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
     parts = [
         INTRODUCTION, _origin(records),
-        "## Scores", table(("score", "measured", "floor", "goal"), [
+        "## Scores", table(("score", "measured", "required", "goal"), [
             (r["name"].strip(), shown(r), r["floor"], r["goal"]) for r in score.scores(records)]),
         "## The two plants", _plants(records),
         "## By hidden effect", "Blocks A and B: hidden effects that matter, how often they are stated, and how often "
-        "the value stated is right.", _by_effect(records), f"![confusion](images/{FIGURE.name})",
+        "the value stated is right.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",
         "## Other methods", "Share of the oracle's gain in held-out 5 s position, on the cases of A and B that were "
         "given to all of them.", _methods(records),
         "## Limits of the decision", _ablation(ablated),

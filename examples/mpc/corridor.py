@@ -7,7 +7,7 @@ A straight road at 10 m/s with three gates; the controller is to stay as near to
 along their posts. Every seed is a car of its own: mass, tyres, friction and steering are drawn around the vehicle file
 (SPREAD). Bands of the controller's model are learnt from drives of other such cars through other gates; the tightened
 controller keeps the half-width across of each point of its horizon away from every post. Writes corridor.json.
-docs/mpc.md explains the result.
+docs/manual/mpc.md explains the result.
 """
 
 import argparse
@@ -24,8 +24,8 @@ from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.output import new_folder
-from st_offline.paths import config
+from st_recordings.output import new_folder
+from st_recordings.paths import config
 from st_sim.car import Car, read_car
 from st_sim.controlled import ControlledCar
 from st_sim.path import straight

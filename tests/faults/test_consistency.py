@@ -5,14 +5,17 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from st_offline import live_view
+from st_live import live_view
 
 from faults.car import WindingRoad
 from faults.catalogue import CONSISTENCY, DRIVING
 from faults.measure import Recorded, Row, put, row
 from faults.rig import running
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.ros, pytest.mark.slow,
+    pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
+]
 NAMES = [fault.name for fault in DRIVING]
 ROAD = 900.0  # s
 FIRST = 60.0  # s in which a right car is judged

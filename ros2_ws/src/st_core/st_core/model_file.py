@@ -204,7 +204,7 @@ def _provenance(section: Any) -> Provenance:
 
 def _mapping(where: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ConfigurationError(f"{where}: not a section of `key: value`; see docs/effects.md")
+        raise ConfigurationError(f"{where}: not a section of `key: value`; see docs/manual/effects.md")
     return value
 
 

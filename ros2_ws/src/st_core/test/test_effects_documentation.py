@@ -1,4 +1,4 @@
-"""docs/effects.md against the registry, and its example as it stands there."""
+"""docs/manual/effects.md against the registry, and its example as it stands there."""
 
 import re
 
@@ -7,7 +7,7 @@ from st_core.augmented import augment
 from st_core.effects import ANY, EFFECTS, load_folder
 from support import ROOT
 
-TEXT = (ROOT / "docs" / "effects.md").read_text()
+TEXT = (ROOT / "docs" / "manual" / "effects.md").read_text()
 OWN = sorted(name for name in EFFECTS if EFFECTS[name].__module__.startswith("st_core."))
 
 

@@ -2,7 +2,7 @@
 
 Every function a model reaches is inlined into one loop over lanes that holds a whole Runge-Kutta step; LLVM turns it
 into vector instructions. Three vectors are worked on at a time, because the chain of operations within one is long.
-Measured: docs/performance.md.
+Measured: docs/measurements/performance.md.
 """
 
 import logging

@@ -3,7 +3,7 @@
 For every model and two questions kept apart - hindsight: the model alone; forecast: model and driver - half-widths
 along, across and in yaw at every point of the horizon, so that the whole measured path lies inside with a stated
 probability. Learnt from errors of scored starts (`run_samples`, `calibrate`), kept in a file (`Bands`).
-docs/bands.md.
+docs/manual/bands.md.
 """
 
 from .band import LEVELS, RELIABILITY, Band, calibrate

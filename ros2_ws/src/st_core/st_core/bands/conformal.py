@@ -13,7 +13,7 @@ covers as much as draws do on average, every run weighing the same:
 
 For a k that is not whole, E[...] is mixed of the whole ones beside it in proportion. With one window a run and a whole
 k, c is the split-conformal quantile, exactly. The statement holds for one draw; that it does for the average over draws
-is measured, not proven (docs/bands.md).
+is measured, not proven (docs/manual/bands.md).
 Source: Dunn, Wasserman and Ramdas, Distribution-free prediction sets for two-layer hierarchical models, JASA 2023,
 subsampling once and repeatedly. Checked by: test_bands.py, against crepes and by drawing runs.
 """

@@ -11,7 +11,7 @@ one before. That is the mean of log l over all ways to pick windows a whole hori
 the mean of their likelihood ratios (Jensen): an e-detector. While each window is kept with probability p or more
 whatever the ones before it did, HORIZONS horizons pass on average before the first warning, or more.
 Source: Shin, Ramdas and Rinaldo, E-detectors, New England Journal of Statistics in Data Science 2023 (CUSUM kind).
-Checked by: test_bands_live.py; false warnings and delays measured in docs/bands.md.
+Checked by: test_bands_live.py; false warnings and delays measured in docs/manual/bands.md.
 """
 
 import math

@@ -35,7 +35,7 @@ class Cure:
 class Finding:
     """One thing that is wrong with a recording, or worth knowing of it.
 
-    name: stable, a key of docs/checks.md. channels: fields of DriveLog (or time, wheel_speed, ins) it is about.
+    name: stable, a key of docs/manual/checks.md. channels: fields of DriveLog (or time, wheel_speed, ins) it is about.
     value, interval: estimate and its 95 % interval in `unit`; None where there is nothing to estimate. text: one
     sentence. where: stretches in s after the first INS measurement; empty for the whole run. effect: by about how much
     it moves the predicted or measured position after 5 s [m]; None where that means nothing.

@@ -1,6 +1,6 @@
 """The limits of the decision: every number that decides what is stated, with meaning and unit. There are no others.
 
-What the benchmark's scores become at half and twice each of them: docs/discovery_scores.md.
+What the benchmark's scores become at half and twice each of them: docs/measurements/discovery_scores.md.
 """
 
 from dataclasses import dataclass, fields

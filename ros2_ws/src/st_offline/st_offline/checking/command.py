@@ -11,11 +11,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from st_core.checks import Severity
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
+from st_recordings.output import new_folder
+from st_recordings.recorded import configuration_of
+from st_recordings.runs import ReadSettings, RunError, RunSource, find_runs, read
+from st_recordings.runs.bag import records_of
 
-from ..evaluation.recorded import configuration_of
-from ..output import new_folder
-from ..runs import ReadSettings, RunError, RunSource, find_runs, read
-from ..runs.bag import records_of
 from .document import CheckedRun, document
 from .gate import checked_log
 from .page import write_page
@@ -112,7 +112,7 @@ def write(runs: Sequence[CheckedRun], job: Job, folder: Path, console: Console) 
         write_page(page, runs, content)
         numbers.parent.mkdir(parents=True, exist_ok=True)
         numbers.write_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
-    files = {page: "one page, with all comparisons", numbers: "every number, docs/checks.md"}
+    files = {page: "one page, with all comparisons", numbers: "every number, docs/manual/checks.md"}
     if job.cure is not None:
         text = proposal(runs[0].source, runs[0].checked.findings, job.cure, job.read)
         job.cure.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from . import quantities, words
 from .drives import Drive
 from .mending import Mended
 
-WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/discovery.md",
+WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
         "vehicle.yaml": "the vehicle file, mended: --vehicle of every verb",
         "effects": "the law proposed, as an effect: --effects of st discover, st demo, st live",
         "proposed.yaml": "a model with it: --model, beside --effects",

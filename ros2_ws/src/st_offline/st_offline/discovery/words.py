@@ -256,7 +256,7 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
         told.append(f"model.yaml also holds {kept}: part of the fit, too small beside what is left to be believed; do "
                     "not read it as a property of the car")
     if found.outcome == "unknown":
-        told.append("look where and when it misses; an effect of one's own can be added (docs/effects.md)")
+        told.append("look where and when it misses; an effect of one's own can be added (docs/manual/effects.md)")
     shows = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
     if found.outcome == "not_testable":
         told.append(f"drive more{': ' + ', '.join(shows) if shows else ''}, and add it to the runs")

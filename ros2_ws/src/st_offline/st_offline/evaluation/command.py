@@ -8,12 +8,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from st_recordings.output import new_folder
+from st_recordings.runs import RunError, RunSource, find_runs
 
 from ..bands.shown import HOW_TO_GET, bands_table
 from ..checking.document import findings_in
 from ..checking.shown import say
-from ..output import new_folder
-from ..runs import RunError, RunSource, find_runs
 from . import batch
 from .document import Choices, settings_in_words, write_results
 from .overview import finding
@@ -22,7 +22,7 @@ from .work import RunReport, Task
 
 FORMATS = ("png", "pdf", "svg")
 WHAT_IS_WHAT = {
-    "page": "the whole report, one file", "json": "every number, docs/evaluation.md", "table": "the table above",
+    "page": "the whole report, one file", "json": "every number, docs/manual/evaluation.md", "table": "the table above",
     "latex": "the same in the paper's form", "seconds": "by second of the horizon", "bins": "by condition",
     "manoeuvres": "by part of the drive",
 }

@@ -1,4 +1,4 @@
-"""evaluation.json, and the folder of results around it. The schema: docs/evaluation.md."""
+"""evaluation.json, and the folder of results around it. The schema: docs/manual/evaluation.md."""
 
 import json
 from collections.abc import Sequence
@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from st_core.vehicle import VehicleParameters
+from st_recordings.results import versions
 
 from ..bands.figures import band_figures
 from ..bands.sums import finished, pooled_sums
-from ..results import versions
 from . import tables
 from .drawing import Place
 from .overview import overview

@@ -20,10 +20,10 @@ from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
+from st_recordings.runs import ReadSettings, RunError, RunSource, read
 
 from ..checking.document import documents
 from ..checking.gate import Refused, passed
-from ..runs import ReadSettings, RunError, RunSource, read
 from . import statistics
 from .drawing import Drawn, Place
 from .manoeuvres import manoeuvres
@@ -194,7 +194,7 @@ def slug(name: str) -> str:
 
 
 def write_starts(file: Path, evaluation: LogEvaluation) -> None:
-    """One row per prediction: when, under what conditions, and the horizon means of all models; docs/evaluation.md."""
+    """One row per prediction: when, its conditions, the horizon means of all models (docs/manual/evaluation.md)."""
     columns = {"start_ns": evaluation.starts_ns.astype(str), "t0_s": _text(evaluation.time, 3),
                **{name: _text(values, 5) for name, values in evaluation.conditions.items()}}
     for (model, mode), errors in evaluation.errors.items():

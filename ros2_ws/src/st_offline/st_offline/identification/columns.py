@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-
-from ..runs.errors import RunError, check_readable
+from st_recordings.runs.errors import RunError, check_readable
 
 TO_SI = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1.0, "deg": math.pi / 180.0}
 
@@ -45,7 +44,7 @@ def read_columns(file: Path, wanted: Mapping[str, Sequence[str]], optional: Mapp
     if missing:
         names = ", ".join(" or ".join(f"{name}_{unit}" for unit in wanted[name]) for name in missing)
         raise RunError(file, f"has no column {names}; its columns are {', '.join(header)[:200]}",
-                       "name each column with its unit, as in docs/identification.md")
+                       "name each column with its unit, as in docs/manual/identification.md")
     if not rows:
         raise RunError(file, "has a header and no rows", "fill it in")
     for number, row in enumerate(rows, 1):

@@ -1,0 +1,183 @@
+"""Which columns of a CSV file are which channels: the names people give them, and the units in those names."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from .errors import RunError
+from .units import UNITS, factor, plain, unit_named
+
+
+@dataclass(frozen=True)
+class Channel:
+    """kind: of quantity, a key of UNITS. names: of columns, the first that is there is taken. meaning: for the user.
+
+    Of names, case and anything but letters and digits do not count.
+    """
+
+    kind: str
+    meaning: str
+    names: tuple[str, ...]
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(text.split())
+
+
+COLUMNS: Mapping[str, Channel] = {
+    "t": Channel("time", "time", _words(
+        "t time t_rt timestamp stamp elapsed elapsed_time unix_time utc_time gps_time")),
+    "x": Channel("length", "position of the INS point, east or along the map's x", _words(
+        "x pos_x position_x x_pos x_position px east easting e_pos x_east x_enu x_map local_x utm_x utm_e utm_easting "
+        "pose_x pose_position_x pose_pose_position_x")),
+    "y": Channel("length", "position of the INS point, north or along the map's y", _words(
+        "y pos_y position_y y_pos y_position py north northing n_pos y_north y_enu y_map local_y utm_y utm_n "
+        "utm_northing pose_y pose_position_y pose_pose_position_y")),
+    "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
+        "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta")),
+    "compass_heading": Channel("angle", "clockwise from north; read where there is no yaw: yaw = 90° - heading", _words(
+        "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
+        "compass azimuth yaw_ned")),
+    "velocity_x": Channel("speed", "forward, body axes, at the INS point", _words(
+        "velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity forward_vel vel_fwd v_fwd "
+        "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
+        "speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x linear_velocity_x "
+        "speed velocity vel v ground_speed speed_over_ground")),
+    "velocity_y": Channel("speed", "to the left, body axes, at the INS point", _words(
+        "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
+        "lat_vel velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y linear_velocity_y")),
+    "yaw_rate": Channel("angular rate", "left turn +", _words(
+        "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r wz omega_z omega "
+        "angular_velocity_z angular_rate_z angular_z rate_z gyro_z gyr_z twist_angular_z twist_twist_angular_z")),
+    "acceleration_x": Channel("acceleration", "forward, body axes", _words(
+        "acceleration_x ax acc_x accel_x x_acc x_accel acceleration_forward acc_forward accel_forward "
+        "acceleration_longitudinal longitudinal_acceleration longitudinal_accel acc_longitudinal a_longitudinal "
+        "a_long acc_long accel_long long_acc long_accel linear_acceleration_x")),
+    "acceleration_y": Channel("acceleration", "to the left, body axes", _words(
+        "acceleration_y ay acc_y accel_y y_acc y_accel acceleration_left "
+        "acceleration_lateral lateral_acceleration lateral_accel acc_lateral accel_lateral a_lateral "
+        "a_lat acc_lat accel_lat lat_acc lat_accel linear_acceleration_y")),
+    "road_wheel_angle": Channel("angle", "mean of the front wheels, left +", _words(
+        "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
+        "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
+        "tyre_angle ackermann_angle")),
+    "steering_wheel_angle": Channel("angle", "of the hand wheel, left +, offset not removed", _words(
+        "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
+        "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw")),
+    "wheel_speed_front_left": Channel("speed", "rolling speed of a wheel; for checks", _words(
+        "wheel_speed_front_left wheel_speed_fl ws_fl v_fl front_left_wheel_speed")),
+    "wheel_speed_front_right": Channel("speed", "as before", _words(
+        "wheel_speed_front_right wheel_speed_fr ws_fr v_fr front_right_wheel_speed")),
+    "wheel_speed_rear_left": Channel("speed", "as before", _words(
+        "wheel_speed_rear_left wheel_speed_rl ws_rl v_rl rear_left_wheel_speed")),
+    "wheel_speed_rear_right": Channel("speed", "as before", _words(
+        "wheel_speed_rear_right wheel_speed_rr ws_rr v_rr rear_right_wheel_speed")),
+    "vehicle_speed": Channel("speed", "the car's own speed signal, or of all wheels; for checks", _words(
+        "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
+}
+"""The one table of columns; docs/manual/recordings.md is made from it (test_csv_columns.py)."""
+
+AMBIGUOUS = {plain(name) for name in _words("steering_angle steering steer steer_angle steering_position steering_pos")}
+"""Of the hand wheel in one file, of the road wheels in the next: not guessed."""
+
+_CHANNEL_OF = {plain(name): (channel, rank) for channel, about in COLUMNS.items()
+               for rank, name in enumerate(about.names)}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a run.yaml says of the columns. columns: channel -> name of the column. units: channel -> unit.
+
+    said_by: the file to name where the columns are not there.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    said_by: Path | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a channel is: number and name of the column, its unit, and whether anything says that unit."""
+
+    column: int
+    name: str
+    kind: str
+    unit: str
+    said: bool
+
+    @property
+    def factor(self) -> float:
+        return factor(self.kind, self.unit)
+
+
+def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, Place]:
+    """The channels a header names. Raises RunError for a column of the layout that is not there, and for a unit of
+    what is not there."""
+    found: dict[str, tuple[int, Place]] = {}
+    for number, name in enumerate(names):
+        for channel, rank, unit in _meanings(name):
+            if channel not in found or rank < found[channel][0]:
+                found[channel] = rank, _place(number, name, channel, unit)
+    places = {channel: place for channel, (_, place) in found.items()}
+    for channel, wanted in layout.columns.items():
+        # What is no name of a column may be a channel: the cure of exchanged axes says {x: y, y: x}.
+        taken = found.get(wanted) if wanted not in names else None
+        number = taken[1].column if taken else _number_of(file, names, wanted, channel, layout)
+        places[channel] = _place(number, names[number], channel, _unit_in(names[number], COLUMNS[channel].kind))
+    if "compass_heading" in layout.columns and "yaw" not in layout.columns:
+        places.pop("yaw", None)
+    for channel, unit in layout.units.items():
+        if channel not in places:
+            raise RunError(layout.said_by or file, f"units: {channel}: {file.name} has no column for it",
+                           f"it has one for {', '.join(places)}")
+        places[channel] = replace(places[channel], unit=unit, said=True)
+    return places
+
+
+def doubtful_steering(names: Sequence[str]) -> str | None:
+    """A column that may be either steering angle."""
+    return next((name for name in names for base, _ in _splits(name) if plain(base) in AMBIGUOUS), None)
+
+
+def _place(number: int, name: str, channel: str, unit: str | None) -> Place:
+    kind = COLUMNS[channel].kind
+    return Place(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
+
+
+def _number_of(file: Path, names: Sequence[str], wanted: str, channel: str, layout: Layout) -> int:
+    for same in (str, str.lower, plain):
+        alike = [number for number, name in enumerate(names) if same(name) == same(wanted)]
+        if alike:
+            return alike[0]
+    raise RunError(layout.said_by or file, f"columns: {channel}: {file.name} has no column {wanted[:60]!r}",
+                   f"it has {', '.join(names)[:300]}")
+
+
+def _meanings(name: str) -> list[tuple[str, int, str | None]]:
+    """(channel, rank among its names, unit said) of every channel a column may be."""
+    meanings = []
+    for base, unit in _splits(name):
+        if plain(base) in _CHANNEL_OF:
+            channel, rank = _CHANNEL_OF[plain(base)]
+            if not unit:
+                meanings.append((channel, rank, None))
+            elif known := unit_named(COLUMNS[channel].kind, unit):
+                meanings.append((channel, rank, known))
+    return meanings[:1]
+
+
+def _unit_in(name: str, kind: str) -> str | None:
+    return next((known for base, unit in _splits(name) if unit and base and (known := unit_named(kind, unit))), None)
+
+
+def _splits(name: str) -> list[tuple[str, str]]:
+    """Ways to part a column's name into name and unit, the whole name first: yaw_rate_deg_s -> yaw_rate, deg_s."""
+    bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
+    if bracketed:
+        base, unit = bracketed.groups()
+        return [(base, "" if unit.strip() in ("", "-") else unit)]
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
+    marks = [m.start() for m in re.finditer(r"[\s_,/.-]+", words)]
+    return [(name, ""), *((words[:at], words[at:]) for at in marks if at)]
