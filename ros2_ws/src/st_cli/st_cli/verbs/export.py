@@ -44,12 +44,12 @@ def export(
         if effects is not None:
             load_folder(str(effects.absolute()))
         chosen, its = load_model(model, parameters, str(file))
-        if named is None and its is parameters:
-            say_whose("export", file)
         folder = new_folder(output, "export")
         written = write(chosen, its, folder, kind, substeps, free)
     except (OSError, RunError, StCoreError, UnicodeDecodeError) as error:
         typer.echo(f"st export: {error}", err=True)
         raise typer.Exit(2) from None
+    if named is None and its is parameters:
+        say_whose("export", file)
     for path in written:
         typer.echo(path)
