@@ -2,6 +2,7 @@
 
 import struct
 from collections import defaultdict
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -40,13 +41,14 @@ def read_numbers_with_mcap(path: Path) -> dict[str, list[int]]:
     return found
 
 
-def read_messages(directory: Path) -> dict[str, list[Any]]:
-    """All messages of a bag by topic, in the order of their receipt."""
+def read_messages(directory: Path, topics: Collection[str] = ()) -> dict[str, list[Any]]:
+    """The messages of a bag by topic, in the order of their receipt; of all topics where none are named."""
     from rosbags.highlevel import AnyReader
 
     messages = defaultdict(list)
     with AnyReader([directory]) as reader:
-        for connection, _, raw in reader.messages():
+        wanted = [c for c in reader.connections if not topics or c.topic in topics]
+        for connection, _, raw in reader.messages(wanted):
             messages[connection.topic].append(reader.deserialize(raw, connection.msgtype))
     return messages
 

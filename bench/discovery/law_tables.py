@@ -24,7 +24,7 @@ def write(records: Sequence[Record]) -> None:
 def as_markdown(records: Sequence[Record]) -> str:
     return "\n\n".join([
         _origin(records),
-        table(("score", "measured", "floor", "goal"), score.scores(records)),
+        table(("score", "measured", "required", "goal"), score.scores(records)),
         "Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
         table(("method", "gap closed, median / 10th percentile", "made worse", "names"), score.methods(records)),
         "Law by law; position after 5 s on held-out drives, mean over the cases, m:",

@@ -12,7 +12,10 @@ from faults.catalogue import CONSISTENCY, DRIVING
 from faults.measure import Recorded, Row, put, row
 from faults.rig import running
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.ros, pytest.mark.slow,
+    pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
+]
 NAMES = [fault.name for fault in DRIVING]
 ROAD = 900.0  # s
 FIRST = 60.0  # s in which a right car is judged

@@ -16,7 +16,10 @@ from faults.catalogue import FAULTS
 from faults.measure import Recorded, Row, row, run
 from faults.rig import running
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.ros, pytest.mark.slow,
+    pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
+]
 SHORT = tuple(fault for fault in FAULTS if fault.short)
 
 

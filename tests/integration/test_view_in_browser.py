@@ -21,7 +21,10 @@ from PIL import Image
 from st_predictor.palette import MODEL_COLOUR, rgb
 from support import ROOT
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(400)]
+pytestmark = [
+    pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(400),
+    pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
+]
 MODELS = ("kinematic", "linear", "nonlinear")
 SIZE = (1100, 700)
 DRIVING = 200  # s; the test ends it before

@@ -22,7 +22,10 @@ from circle_feeder import pose_at
 from ros_processes import Processes, wait_for
 from support import ROOT
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.ros, pytest.mark.slow,
+    pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
+]
 MODELS = ("kinematic", "linear", "nonlinear")
 VEHICLE = ROOT / "config" / "vehicle" / "leaf.yaml"
 RADIUS, SPEED, ANGLE, DURATION = 30.0, 8.0, 0.09, 9.0

@@ -21,7 +21,10 @@ from st_offline.documentation.topics import MODELS, TOPICS
 from st_predictor.palette import MODEL_COLOUR, rgb
 from support import ROOT
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.ros, pytest.mark.slow,
+    pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
+]
 NODES_YAML = ROOT / "config" / "nodes.yaml"
 DRAWN = {"rviz_default_plugins/Path": "nav_msgs/msg/Path", "rviz_default_plugins/MarkerArray":
          "visualization_msgs/msg/MarkerArray", "rviz_default_plugins/Odometry": "nav_msgs/msg/Odometry"}

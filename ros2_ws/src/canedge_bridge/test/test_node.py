@@ -20,7 +20,10 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from st_msgs.msg import CanFrames, InsOnCan, Steering, WheelSpeeds  # noqa: E402
 
-pytestmark = pytest.mark.ros
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.timing("packets and frames are sent in real time; a node that waits for its turn reads them late"),
+]
 
 DOMAIN = 60 + os.getpid() % 40
 OK, WARN, ERROR = 0, 1, 2

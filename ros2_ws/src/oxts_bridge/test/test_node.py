@@ -15,7 +15,10 @@ from lifecycle_msgs.srv import ChangeState
 from oxts_bridge.channels import encode_trigger
 from st_msgs.msg import Trigger
 
-pytestmark = pytest.mark.ros
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.timing("packets and frames are sent in real time; a node that waits for its turn reads them late"),
+]
 
 OK, WARN, ERROR = 0, 1, 2
 START = 24_015_600 * 60_000 + 1_000

@@ -24,7 +24,7 @@ from st_core.model_file import ModelFile, Provenance
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks")]
 VEHICLE = ROOT / "config" / "vehicle" / "leaf.yaml"
 RADIUS, SPEED, ANGLE, DURATION = 30.0, 8.0, 0.09, 9.0
 MODELS = ("kinematic", "linear", "nonlinear", "augmented")

@@ -13,7 +13,10 @@ from ros_processes import Processes, wait_for
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.ros, pytest.mark.slow,
+    pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
+]
 LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 TRUTH = {"steering_wheel_offset": math.radians(-4.0), "steering_ratio": 16.6, "stiffness_scale": 0.85}
 UNESTIMATED, ESTIMATED = 0, 1

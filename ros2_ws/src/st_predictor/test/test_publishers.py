@@ -19,7 +19,10 @@ from ros_processes import Processes, wait_for
 from st_msgs.msg import Prediction
 from support import ROOT
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.ros, pytest.mark.slow,
+    pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
+]
 LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 
 

@@ -11,7 +11,7 @@ from ros_processes import free_domain, wait_for
 from st_ros.polling import PolledSubscription, wait_for_any
 from std_msgs.msg import Float64
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.timing("timers of real time")]
 
 
 @pytest.fixture
