@@ -6,7 +6,7 @@ What `st evaluate --advise` says of them, written into docs/manual/mpc.md.
 import os
 from pathlib import Path
 
-from _markers import renew
+from _markers import renew, table
 from st_core.log_evaluation import EvaluationSettings
 from st_core.vehicle import VehicleParameters
 from st_offline.advice import shown
@@ -40,12 +40,7 @@ def run() -> dict:
     choice = shown.choice_rows(cheapest(advice.costs, advice.worths, TOLERANCE))
     title, caption = shown.choice_title(TOLERANCE), shown.caption(advice.worths)
     renew(PAGE, "advice", "\n".join([
-        f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", *_table(rows), "",
-        f"{title}:", "", *_table(choice), "", "![Error and band against cost](../images/advice.png)"]) + "\n")
+        f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", *table(rows), "",
+        f"{title}:", "", *table(choice), "", "![Error and band against cost](../images/advice.png)"]) + "\n")
     return {"Genesis": {f"{row['model']}, {row['step, s']} s": row for row in rows},
             title: {row["speed"]: row for row in choice}}
-
-
-def _table(rows: list[dict[str, str]]) -> list[str]:
-    return [f"| {' | '.join(rows[0])} |", "|" + "---|" * len(rows[0]),
-            *(f"| {' | '.join(row.values())} |" for row in rows)]

@@ -48,7 +48,7 @@ def test_the_error_that_most_starts_stay_below_is_by_speed_and_never_falls_with_
     assert found.width[4] > 1.645 * 0.5 * 2.5
 
 
-@pytest.mark.parametrize(("count", "level"), [(1, None), (2, 0.5), (8, 0.5), (9, 0.9)])
+@pytest.mark.parametrize(("count", "level"), [(1, None), (2, None), (3, 0.5), (8, 0.5), (9, 0.9)])
 def test_the_band_is_the_one_that_so_many_runs_can_promise(count, level):
     found = worth(runs(count, 0.5), "linear", SETTINGS)
     assert found.level == level and (found.width is None) == (level is None)

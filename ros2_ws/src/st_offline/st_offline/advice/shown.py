@@ -51,7 +51,7 @@ def table(found: Sequence[Mapping[str, str]], title: str, caption: str) -> Table
 def caption(worths: Mapping[Key, Worth]) -> str:
     levels = {one.level for one in worths.values()}
     level = next(iter(levels), None)
-    bands = "band: none, from fewer than 2 runs" if level is None else (
+    bands = "band: none, from fewer than 3 runs" if level is None else (
         f"band: mean half-width across of the {level:.0%} band, whole path, calibrated on these runs")
     return ("processor time of one prediction, in brackets over the least; error: across, rms, inputs as driven; "
             f"{bands}")

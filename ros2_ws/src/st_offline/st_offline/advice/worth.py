@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from st_core.bands import CONDITIONS, RunSamples, calibrate, most_promised
+from st_core.bands.band import FEWEST_RUNS
 from st_core.bands.file import times
 from st_core.binning import SPEED
 from st_core.log_evaluation import EvaluationSettings
@@ -41,9 +42,10 @@ def worth(runs: Sequence[RunSamples], model: str, settings: EvaluationSettings) 
     at = [int(np.abs(time - second).argmin()) for second in seconds]
     across = [np.abs(run.errors[question][:, :, ACROSS].astype(float)) for run in runs]
     rms = np.sqrt(np.mean([np.square(one[:, at]).mean(axis=0) for one in across], axis=0))
-    level = next((one for one in LEVELS if len(runs) > 1 and one <= most_promised(len(runs)) + 1e-9), None)
+    level = next((one for one in LEVELS if len(runs) >= FEWEST_RUNS and one <= most_promised(len(runs)) + 1e-9), None)
     width = None
     if level is not None:
+        # Mean over all starts, also those under conditions that fewer runs had than a band is given for.
         band = calibrate(runs, question, time, (level,))
         width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, ACROSS].mean(axis=0) for run in runs],
                               axis=0).tolist())

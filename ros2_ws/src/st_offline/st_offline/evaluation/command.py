@@ -10,7 +10,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from ..advice.command import advise
+from ..bands.shares import finished_shares, shares_table
 from ..bands.shown import HOW_TO_GET, bands_table
+from ..bands.sums import pooled_sums
 from ..checking.document import findings_in
 from ..checking.shown import say
 from ..output import new_folder
@@ -57,6 +59,8 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         console.print(f"[dim]{key}: {escape(value)}[/dim]", highlight=False, soft_wrap=True)
     tested = bands_table(good, console.width)
     console.print(HOW_TO_GET if tested is None else tested, highlight=False, soft_wrap=tested is None)
+    if shares := shares_table(finished_shares(pooled_sums([report.bands for report in good])), console.width):
+        console.print(shares)
     if tolerance is not None:
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in found:
