@@ -13,7 +13,7 @@ from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
 from st_core.models import get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import project_root
+from st_recordings.paths import project_root
 
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)

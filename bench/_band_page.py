@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from _markers import line, part, renew
-from st_offline.paths import project_root
+from st_recordings.paths import project_root
 
 PAGE, NAME = project_root() / "docs" / "manual" / "bands.md", "table of held-out runs"
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import config
+from st_recordings.paths import config
 
 MODELS = ("kinematic", "linear", "nonlinear")
 T0 = 1_700_000_000_000_000_000

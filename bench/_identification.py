@@ -9,7 +9,7 @@ from discovery.manoeuvres import DT, Builder
 from discovery.sensing import log_of
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import config
+from st_recordings.paths import config
 from st_sim.car import read_car
 from st_sim.settings import resolve
 

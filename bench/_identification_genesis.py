@@ -19,8 +19,8 @@ from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import config, project_root
-from st_offline.runs import find_runs, read
+from st_recordings.paths import config, project_root
+from st_recordings.runs import find_runs, read
 
 LEARNT = ("cpg_lap_slow", "cpg_lap_fast", "cpg_lap_medium", "cpg_low_speed_a")
 STEERING = ("steering_ratio", "steering_wheel_offset")

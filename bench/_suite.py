@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from st_offline.node import Monitor
-from st_offline.paths import config
-from st_offline.session import NODES, node_parameters
-from st_offline.suite import Suite, claimed_domain
-from st_offline.wires import VirtualCar
+from st_live.node import Monitor
+from st_live.session import NODES, node_parameters
+from st_live.suite import Suite, claimed_domain
+from st_live.wires import VirtualCar
+from st_recordings.paths import config
 
 
 @contextmanager

@@ -5,8 +5,8 @@ import io
 from pathlib import Path
 
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import config
-from st_offline.runs import find_runs, read
+from st_recordings.paths import config
+from st_recordings.runs import find_runs, read
 from st_sim.run import main as virtual_leaf
 
 SCENARIOS = ("S1", "S2", "S3", "S4", "S5", "S6", "S7")

@@ -14,8 +14,8 @@ from st_offline.advice.choice import cheapest
 from st_offline.advice.command import measure
 from st_offline.evaluation.drawing import Place
 from st_offline.evaluation.work import Task
-from st_offline.paths import config, project_root
-from st_offline.runs import find_runs
+from st_recordings.paths import config, project_root
+from st_recordings.runs import find_runs
 
 TOLERANCE = 0.3
 """m across."""

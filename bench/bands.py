@@ -25,8 +25,8 @@ from st_core.vehicle import VehicleParameters
 from st_offline.bands.scoring import question_sums
 from st_offline.bands.shares import finished_shares, share_rows, share_sums
 from st_offline.bands.sums import finished, pooled_sums
-from st_offline.paths import config, project_root
-from st_offline.runs import find_runs, read
+from st_recordings.paths import config, project_root
+from st_recordings.runs import find_runs, read
 
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)

@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from st_offline.paths import config, project_root
+from st_recordings.paths import config, project_root
 
 RATIO = "steering_ratio: {value: 17.3"
 WRONG = 1.08  # of the steering ratio in the file
@@ -79,7 +79,7 @@ def _draw(before: dict, after: dict) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from st_offline.style import MODEL_COLOUR, RC
+    from st_predictor.style import MODEL_COLOUR, RC
 
     with plt.rc_context(RC):
         figure, axis = plt.subplots(figsize=(6.5, 2.4))

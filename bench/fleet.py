@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 from _virtual import LEAF
-from st_offline.paths import project_root
+from st_recordings.paths import project_root
 from st_sim.run import main as virtual_leaf
 
 LOGS, SECONDS, DRIVES = 40, 600.0, ("S1", "S6", "S7", "step")
@@ -48,7 +48,7 @@ def _write_logs(folder: Path) -> Path:
 
 
 def _evaluate(logs: Path, output: Path, workers: int) -> dict:
-    command = [sys.executable, "-m", "st_offline.cli", "evaluate", str(logs), "--figures", "", "--workers",
+    command = [sys.executable, "-m", "st_cli.cli", "evaluate", str(logs), "--figures", "", "--workers",
                str(workers), "--output", str(output)]
     began, largest = time.perf_counter(), 0.0
     pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from _drive import MODELS, POINTS, drive, in_turns, leaf, pinned, starts
 from st_core.batch import LogBatch
-from st_offline.paths import project_root
+from st_recordings.paths import project_root
 
 MINUTES = (1.0, 3.0, 10.0, 30.0)
 HORIZONS = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0)
@@ -37,7 +37,7 @@ def _plot(by_length: dict, by_horizon: dict, path: Path) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from st_offline.style import MODEL_COLOUR, RC
+    from st_predictor.style import MODEL_COLOUR, RC
 
     with plt.rc_context(RC):
         figure, axes = plt.subplots(1, 2, figsize=(7.5, 3.0))

@@ -12,8 +12,8 @@ from nav_msgs.msg import Odometry
 from oxts_bridge.batch import decode_file
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from st_live.nodes.player import stamp_of
 from st_msgs.msg import Ncom, Prediction, Steering
-from st_offline.nodes.player import stamp_of
 from st_ros.polling import PolledSubscription
 from st_ros.stamps import to_nanoseconds
 

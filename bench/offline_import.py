@@ -16,7 +16,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from st_offline.paths import config
+from st_recordings.paths import config
 
 
 def run() -> dict:
@@ -70,7 +70,7 @@ def _timed(parts: dict[str, tuple[Any, str]]) -> dict[str, float]:
 
 
 def _reading() -> dict[str, tuple[Any, str]]:
-    from st_offline.runs import raw
+    from st_recordings.runs import raw
 
     return {"read_ncom": (raw, "read_ncom"), "read_mf4": (raw, "read_can_logs"),
             "decode_can": (raw, "decode_signals"), "align": (raw, "align_clocks")}
@@ -85,13 +85,14 @@ def _spent(seconds: dict[str, float], wall: float) -> dict[str, float]:
 
 def measure_import(logs: Path, output: Path) -> dict:
     from st_core.vehicle import VehicleParameters
-    from st_offline.runs import find_runs, load, write
+    from st_offline.checking.gate import checked_run
+    from st_recordings.runs import find_runs, load, write
 
     leaf = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text(), "leaf.yaml")
     (source,) = find_runs([logs])
     seconds = _timed(_reading())
     start = time.perf_counter()
-    done = write.import_run(source, leaf, output, load.ReadSettings())
+    done = write.import_run(source, leaf, output, load.ReadSettings(), checked_run(source.where, leaf, force=False))
     total = time.perf_counter() - start
     return {"minutes": done.span / 60, "ncom_packets": done.counts["/ins/ncom"], "can_frames": len(done.run.can.frames),
             "verdict": str(done.run.alignment.verdict), "times_real_time": done.span / total, **_spent(seconds, total),
@@ -101,9 +102,9 @@ def measure_import(logs: Path, output: Path) -> dict:
 def measure_evaluate(source: Path, output: Path) -> dict:
     """The command as it is called, from the start of this process."""
     import psutil
-    from st_offline import cli
+    from st_cli import cli
     from st_offline.evaluation import command, work
-    from st_offline.runs import load
+    from st_recordings.runs import load
 
     reading = {"read_bag": (load.bag, "read_bag")} if (source / "metadata.yaml").exists() else _reading()
     parts = {**reading, "hash": (load, "hashes"), "predict": (work, "evaluate_log"),

@@ -10,7 +10,7 @@ from _virtual import leaf, read_runs, write_scenarios
 from st_core.log_evaluation import EvaluationSettings, LogEvaluation, evaluate_log
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import config, project_root
+from st_recordings.paths import config, project_root
 
 MODELS = ("kinematic", "linear", "nonlinear")
 REFERENCE = EvaluationSettings()

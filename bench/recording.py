@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from st_predictor.mcap import BagWriter
+from st_recordings.mcap import BagWriter
 
 # (rate [Hz], size [byte]): packets, odometry, imu, steering, wheel speeds, raw frames, predictions, paths.
 TOPICS = ((250, 100), (250, 740), (250, 340), (100, 60), (50, 80), (10, 12_000), (30, 7_500), (30, 9_000))

@@ -22,9 +22,9 @@ import numpy as np
 import psutil
 from faults.catalogue import CAN, HANGING, INS, KILLED, Fault
 from faults.rig import Rig, running
-from st_offline.runs.bag import open_bag
-from st_offline.style import RC
-from st_predictor.mcap import recover
+from st_predictor.style import RC
+from st_recordings.mcap import recover
+from st_recordings.runs.bag import open_bag
 
 FIGURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "soak.png"
 MOST_FAULT = 12.0  # s; longer ones have their own rows in the fault table

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import tempfile
 
-from st_offline.paths import config
+from st_recordings.paths import config
 
 LIVE = """
 from pathlib import Path

@@ -6,7 +6,7 @@ import numpy as np
 from st_core.prediction import PredictionSettings, Predictor, Skip
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import config
+from st_recordings.paths import config
 
 TICKS = 500
 MODELS = ("kinematic", "linear", "nonlinear")

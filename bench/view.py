@@ -12,9 +12,9 @@ import rclpy
 from _suite import running_suite
 from latency import PERIOD, Listener, latencies
 from rich.console import Console
-from st_offline.paths import config
-from st_offline.suite import Suite
-from st_offline.view.window import Window
+from st_live.suite import Suite
+from st_live.view.window import Window
+from st_recordings.paths import config
 
 PHASES = ("no view", "view", "view that hangs")
 ROUNDS = 3

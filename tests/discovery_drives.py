@@ -1,6 +1,6 @@
 """Drives of a car that is the model with some effects, as sensors with noise record them; and problems made of numbers.
 
-A plant of its own, the sealed cases and raw files are in bench/discovery and st_offline/test.
+A plant of its own, the sealed cases and raw files are in bench/discovery and st_cli/test.
 """
 
 from collections.abc import Mapping, Sequence

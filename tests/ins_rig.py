@@ -17,8 +17,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_processes import executable, free_domain
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix, TimeReference
+from st_live import transport
 from st_msgs.msg import InsStatus, Ncom, Trigger
-from st_offline import transport
 from tf2_msgs.msg import TFMessage
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)

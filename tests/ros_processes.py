@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from st_offline import transport
+from st_live import transport
 from support import ROOT
 
 

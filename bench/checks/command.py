@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from st_offline.paths import project_root, source_version
+from st_recordings.paths import project_root, source_version
 
 from . import ablation, drives, healthy, real, speed, tables
 from .corruptions import KINDS

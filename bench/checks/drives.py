@@ -8,8 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import config, project_root
-from st_offline.runs.csv import read_drive
+from st_recordings.paths import config, project_root
+from st_recordings.runs.csv import read_drive
 
 from .recording import Recording
 from .virtual import drive_name, virtual_drive

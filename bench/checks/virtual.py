@@ -9,8 +9,8 @@ import numpy as np
 from st_core.checks import Extras, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import config
-from st_offline.runs.ncom import to_body
+from st_recordings.paths import config
+from st_recordings.runs.ncom import to_body
 from st_sim.car import GRAVITY, Car, read_car
 from st_sim.scenarios import load
 from st_sim.sensors import Ins, InsReading, SteeringSensor, read_wheel_speeds

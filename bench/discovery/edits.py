@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_offline.runs.csv import read_drive
+from st_recordings.runs.csv import read_drive
 
 from .._mounting import moved, turned
 from .cases import seed_of

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from st_offline.paths import source_version
+from st_recordings.paths import source_version
 
 from . import law_score, law_tables
 from .compiled import Stopped

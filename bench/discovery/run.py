@@ -13,7 +13,7 @@ from st_core.checks import check, pooled
 from st_core.discovery import Discovery, DiscoverySettings, discover
 from st_core.discovery.limits import Limits
 from st_core.discovery.result import FoundEffect
-from st_offline.paths import source_version
+from st_recordings.paths import source_version
 
 from . import baselines, edits
 from .cases import PER_CAR, Case, cases_of

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_offline.runs.ncom import to_body
+from st_recordings.runs.ncom import to_body
 from st_sim.car import GRAVITY, Car
 from st_sim.dynamics import LEAN, LEAN_RATE, SQUAT, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z
 from st_sim.sensors import NOISE, ROUGH_SPEED

@@ -24,8 +24,8 @@ from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.output import new_folder
-from st_offline.paths import config
+from st_recordings.output import new_folder
+from st_recordings.paths import config
 from st_sim.car import Car, read_car
 from st_sim.controlled import ControlledCar
 from st_sim.path import straight

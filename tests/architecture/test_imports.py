@@ -19,15 +19,18 @@ ALLOWED = {
     "st_ros": set(),
     "oxts_bridge": {"st_core", "st_ros"},
     "canedge_bridge": {"st_core", "st_ros"},
-    "st_predictor": {"st_core", "st_ros"},
-    "st_sim": {"st_core", "oxts_bridge", "canedge_bridge", "st_predictor"},
-    "st_offline": {"st_core", "st_ros", "oxts_bridge", "canedge_bridge", "st_predictor", "st_sim"},
+    "st_recordings": {"st_core", "oxts_bridge", "canedge_bridge"},
+    "st_predictor": {"st_core", "st_ros", "st_recordings"},
+    "st_sim": {"st_core", "oxts_bridge", "canedge_bridge"},
+    "st_live": {"st_core", "st_ros", "st_recordings", "st_predictor", "st_sim"},
+    "st_offline": {"st_core", "st_ros", "st_recordings", "st_predictor"},
+    "st_cli": {"st_core", "oxts_bridge", "st_recordings", "st_predictor", "st_sim", "st_live", "st_offline"},
 }
 CORE_LIBRARIES = {"numpy", "scipy", "yaml"}
 ROS = ("rclpy", "launch", "launch_ros", "builtin_interfaces", "tf2_ros", "rosidl_runtime_py", "rosidl_parser",
        "ament_index_python", "rcl_interfaces")
 # These run without ROS, so nothing they import may need it either; st_ros, for one, does.
-ROS_FREE = ("st_core", "st_sim")
+ROS_FREE = ("st_core", "st_recordings", "st_sim")
 
 
 WITHOUT_ROS = """
@@ -119,14 +122,14 @@ def test_nothing_imports_a_node():
     def allowed(path, module):
         imports_node = module in nodes or module.rpartition(".")[0] in nodes
         # The command runs its own monitor node inside its own process.
-        return not imports_node or (path.parts[0] == "st_offline" and module.startswith("st_offline.node."))
+        return not imports_node or (path.parts[0] == "st_live" and module.startswith("st_live.node."))
 
     assert len(nodes) >= 5
     assert offences(allowed) == []
 
 
 @pytest.mark.parametrize("package", ROS_FREE)
-def test_core_and_simulated_car_run_where_there_is_no_ros(package):
+def test_core_recordings_and_simulated_car_run_where_there_is_no_ros(package):
     modules = [".".join(p.with_suffix("").parts[1:]) for p in python_files() if p.parts[0] == package]
     modules = [m.removesuffix(".__init__") for m in modules if not m.endswith("__main__")]
     run = subprocess.run([sys.executable, "-c", WITHOUT_ROS, *modules], capture_output=True, text=True, check=False,

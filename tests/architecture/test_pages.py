@@ -10,7 +10,8 @@ from support import ROOT
 LONGEST = 35  # words of a sentence
 GLOSSARY = "docs/method/glossary.md"
 # Words that meant something here only. The glossary says which term of the field stands for each.
-HOUSE_WORDS = re.compile(r"\b((?<!steering )gains?|gained|floors?|restless|acts? in moments|(is|are) lost)\b", re.IGNORECASE)
+HOUSE_WORDS = re.compile(r"\b((?<!steering )gains?|gained|floors?|restless|acts? in moments|(is|are) lost)\b",
+                         re.IGNORECASE)
 
 ALL = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 MADE = {"reference.md"}  # help texts and comments of the code

@@ -6,14 +6,14 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from st_offline.runs import find_runs
+from st_recordings.runs import find_runs
 from support import ROOT
 
 FOLDERS = ("ros2_ws/src", "bench", "examples")
 MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "jsonpickle"}
 CALLS = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml.load", "yaml.unsafe_load",
          "yaml.full_load", "tempfile.mktemp", "subprocess.getoutput", "subprocess.getstatusoutput"}
-ALL_ADDRESSES = {"ros2_ws/src/st_offline/st_offline/verbs/live.py", "ros2_ws/src/st_predictor/launch/car.launch.py",
+ALL_ADDRESSES = {"ros2_ws/src/st_cli/st_cli/verbs/live.py", "ros2_ws/src/st_predictor/launch/car.launch.py",
                  "ros2_ws/src/oxts_bridge/oxts_bridge/settings.py"}  # the last one in a description
 
 

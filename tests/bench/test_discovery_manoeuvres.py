@@ -5,10 +5,10 @@ The same speed, duration and lateral acceleration, each by its own hands and its
 
 import numpy as np
 import pytest
+from st_cli.verbs.demo import SCENARIOS as OFFERED
 from st_core.augmented import augment
 from st_core.discovery.manoeuvres import CATALOGUE, drive
 from st_core.vehicle import VehicleParameters
-from st_offline.verbs.demo import SCENARIOS as OFFERED
 from st_sim.car import read_car
 from st_sim.dynamics import VX, YAW_RATE
 from st_sim.run import check

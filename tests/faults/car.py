@@ -11,7 +11,7 @@ from typing import Protocol
 
 from canedge_bridge.decode import Decoder
 from st_core.vehicle import VehicleParameters
-from st_offline.paths import config
+from st_recordings.paths import config
 from st_sim.can_wire import Background, CanWire, Frame
 from st_sim.geodesy import Origin
 from st_sim.ncom_wire import NcomWire

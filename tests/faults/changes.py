@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import cache
 
 from canedge_bridge.decode import Decoder
-from st_offline.paths import config
+from st_recordings.paths import config
 
 from .wires import Change, datagram, frame_data, identifier
 

@@ -7,12 +7,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from st_offline.node import Monitor
-from st_offline.paths import config
-from st_offline.session import NODES, STOP_ORDER, node_parameters
-from st_offline.suite import Suite, claimed_domain, free_udp_port
-from st_offline.supervision import Supervisor
-from st_offline.wires import bridge_parameters
+from st_live.node import Monitor
+from st_live.session import NODES, STOP_ORDER, node_parameters
+from st_live.suite import Suite, claimed_domain, free_udp_port
+from st_live.supervision import Supervisor
+from st_live.wires import bridge_parameters
+from st_recordings.paths import config
 
 from .car import Car, Circle, Drive
 from .wires import LOOPBACK, Wire, can_wire

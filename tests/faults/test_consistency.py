@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from st_offline import live_view
+from st_live import live_view
 
 from faults.car import WindingRoad
 from faults.catalogue import CONSISTENCY, DRIVING

@@ -14,14 +14,14 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from mdf_files import LogFrame, write_layout_2
 from rosbags.rosbag2 import ReaderError
-from st_offline.runs import csv
-from st_offline.runs.bag import ODOMETRY, STEERING, definitions, read_bag
-from st_offline.runs.can_logs import read_can_logs
-from st_offline.runs.can_signals import decode_signals, load_signal_table
-from st_offline.runs.cdr import typestore
-from st_offline.runs.errors import RunError
-from st_predictor.mcap import BagWriter, RecoveryError, recover
-from st_predictor.mcap_contents import read_records
+from st_recordings.mcap import BagWriter, RecoveryError, recover
+from st_recordings.mcap_contents import read_records
+from st_recordings.runs import csv
+from st_recordings.runs.bag import ODOMETRY, STEERING, definitions, read_bag
+from st_recordings.runs.can_logs import read_can_logs
+from st_recordings.runs.can_signals import decode_signals, load_signal_table
+from st_recordings.runs.cdr import typestore
+from st_recordings.runs.errors import RunError
 from support import ROOT
 
 from .harness import Target, one_line

@@ -10,7 +10,7 @@ from drives import weave, write_drive
 from st_core.errors import StCoreError
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
-from st_offline.runs import RunError, RunSource, find_runs, read
+from st_recordings.runs import RunError, RunSource, find_runs, read
 from st_sim import scenarios
 from st_sim.car import read_car
 from st_sim.errors import SimulationError

@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from st_cli.cli import app
 from st_core.clock_alignment import align, by_hand
 from st_core.clock_types import Alignment, Verdict
-from st_offline.cli import app
-from st_offline.runs.can_logs import read_can_logs
-from st_offline.runs.can_signals import CanSignals, decode_signals, load_signal_table
-from st_offline.runs.clocks import INS_ON_CAN, align_clocks, shared_signals
-from st_offline.runs.csv import read_motion
+from st_recordings.runs.can_logs import read_can_logs
+from st_recordings.runs.can_signals import CanSignals, decode_signals, load_signal_table
+from st_recordings.runs.clocks import INS_ON_CAN, align_clocks, shared_signals
+from st_recordings.runs.csv import read_motion
 from support import ROOT, SETS, vectors
 from typer.testing import CliRunner
 

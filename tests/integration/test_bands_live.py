@@ -15,7 +15,7 @@ from drives import write_drive
 from st_core.bands import Bands, conditions_at
 from st_core.log_evaluation import EvaluationSettings
 from st_core.vehicle import VehicleParameters
-from st_offline.runs.bag import read_bag
+from st_recordings.runs.bag import read_bag
 from support import ROOT
 from winding_road import Truth, winding_road
 

@@ -100,7 +100,7 @@ def test_bag_opens_in_both_independent_readers(circle: Path) -> None:
 def test_path_is_at_the_ins_point_in_the_map_frame(circle: Path) -> None:
     """Path, prediction and odometry are three descriptions of one instant: the first pose is where the INS was."""
     from rosbags.highlevel import AnyReader
-    from st_offline.results import read_results
+    from st_recordings.results import read_results
 
     track = read_results(circle).track
     with AnyReader([circle / "bag"]) as reader:
@@ -180,7 +180,7 @@ def test_full_folder_is_refused(tmp_path: Path) -> None:
 
 
 def test_second_suite_in_one_domain_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from st_offline.suite import claimed_domain
+    from st_live.suite import claimed_domain
 
     with claimed_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))

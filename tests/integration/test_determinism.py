@@ -47,7 +47,7 @@ from pathlib import Path
 import tempfile
 from st_core.log_evaluation import evaluate_log
 from st_core.vehicle import VehicleParameters
-from st_offline.runs import csv
+from st_recordings.runs import csv
 from support import ROOT
 
 file = ROOT / "config" / "vehicle" / "leaf.yaml"

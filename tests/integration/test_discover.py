@@ -13,16 +13,16 @@ from typing import Any
 
 import pytest
 from raw_drives import LEAF, write_drives
+from st_cli.cli import app
 from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
-from st_offline.cli import app
 from st_offline.discovery.command import measured, write_results
 from st_offline.discovery.drives import Drive, read_drives
 from st_offline.discovery.mending import mend
 from st_offline.discovery.question import Question
-from st_offline.runs import ReadSettings, find_runs
+from st_recordings.runs import ReadSettings, find_runs
 from typer.testing import CliRunner
 
 pytestmark = pytest.mark.slow

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from discovery_drives import recorded
 from raw_drives import LEAF
+from st_cli.cli import app
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_offline.cli import app
 from support import ROOT, shared
 from typer.testing import CliRunner
 

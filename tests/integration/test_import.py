@@ -10,14 +10,14 @@ import pytest
 import yaml
 from oxts_bridge import batch
 from rosbags.highlevel import AnyReader
+from st_cli.cli import app
 from st_core.vehicle import VehicleParameters
-from st_offline.cli import app
-from st_offline.runs import RunError, find_runs, read
-from st_offline.runs.bag import definitions
-from st_offline.runs.can_logs import read_can_logs
-from st_offline.runs.cdr import typestore
-from st_offline.runs.frames import ERROR, EXTENDED, REMOTE
-from st_predictor.definitions import type_hash
+from st_recordings.definitions import type_hash
+from st_recordings.runs import RunError, find_runs, read
+from st_recordings.runs.bag import definitions
+from st_recordings.runs.can_logs import read_can_logs
+from st_recordings.runs.cdr import typestore
+from st_recordings.runs.frames import ERROR, EXTENDED, REMOTE
 from st_sim.run import main as virtual_leaf
 from support import ROOT
 from typer.testing import CliRunner

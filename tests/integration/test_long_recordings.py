@@ -10,7 +10,7 @@ from oxts_bridge.ncom import Packet, encode
 from scipy.signal import butter, lfilter
 from st_core.leap_seconds import GPS_EPOCH_UNIX, at_gps
 from st_core.vehicle import VehicleParameters
-from st_offline.runs import find_runs, read
+from st_recordings.runs import find_runs, read
 from support import ROOT
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]

@@ -79,7 +79,7 @@ def test_replay_scores_anew_what_evaluate_finds_in_the_file(recording, tmp_path)
 
 def in_process(*arguments: object) -> subprocess.CompletedProcess:
     """As `st`, with the Python of the tests."""
-    command = [sys.executable, "-m", "st_offline.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "st_cli.cli", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=240, check=False)
 
 
@@ -88,8 +88,8 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same drive as another recorder has it: odometry in a frame `odom`, the angle as a bare Float64, a text."""
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin, Writer
-    from st_offline.runs.bag import definitions
-    from st_offline.runs.cdr import typestore
+    from st_recordings.runs.bag import definitions
+    from st_recordings.runs.cdr import typestore
     from st_sim.run import main
 
     base, store = tmp_path_factory.mktemp("foreign"), typestore(definitions())

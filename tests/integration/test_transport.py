@@ -5,7 +5,7 @@ import signal
 import psutil
 import pytest
 from ros_processes import Processes, wait_for
-from st_offline import transport
+from st_live import transport
 from support import ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2")

@@ -50,8 +50,8 @@ def test_a_view_that_hangs_and_one_that_is_killed_disturb_no_prediction(tmp_path
                             start_new_session=True)
     try:
         wait_for((run / "truth").exists, 90, "data flow")
-        (viewer,), servers = below(demo, "st_offline.nodes.viewer"), below(demo, "--serve-web")
-        pages = below(demo, "st_offline.view.page")
+        (viewer,), servers = below(demo, "st_live.nodes.viewer"), below(demo, "--serve-web")
+        pages = below(demo, "st_live.view.page")
         assert servers and pages
         # Nothing of the view is open to another machine.
         assert set().union(*map(listening, [*servers, *pages])) == {"127.0.0.1"}
@@ -175,13 +175,13 @@ def test_errors_to_plot_are_the_evaluator_s(drawn) -> None:
 
 
 def test_the_relay_hands_messages_on_byte_for_byte_on_this_machine_only(tmp_path: Path) -> None:
-    from st_offline.runs.bag import definitions
-    from st_offline.runs.cdr import typestore
+    from st_recordings.runs.bag import definitions
+    from st_recordings.runs.cdr import typestore
 
     processes = Processes(tmp_path)
     try:
         processes.node("st_predictor", "predictor", f"vehicle_file:={VEHICLE}")
-        relay = processes.start([sys.executable, "-m", "st_offline.nodes.relay", "--port", "0"], "relay")
+        relay = processes.start([sys.executable, "-m", "st_live.nodes.relay", "--port", "0"], "relay")
         wait_for(lambda: "/predictor/status (" in processes.log("relay"), 60, "topic found")
         port = int(re.search(r"serving on 127.0.0.1:(\d+)", processes.log("relay")).group(1))
         assert listening(psutil.Process(relay.pid)) == {"127.0.0.1"}

@@ -16,11 +16,6 @@ setup(
     zip_safe=False,
     maintainer="The single-track authors",
     maintainer_email="single-track@example.org",
-    description="The st command: demo, live, logs, benchmarks.",
+    description="At the desk: checks, evaluation, identification, discovery, bands, reports.",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "st = st_offline.cli:main",
-        ],
-    },
 )

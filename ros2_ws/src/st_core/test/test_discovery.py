@@ -1,6 +1,6 @@
 """Discovery on drives that the models drive themselves, noise added: the arithmetic, not the difficulty of real cars.
 
-A plant of its own, the sealed cases and raw files are in bench/discovery and st_offline/test.
+A plant of its own, the sealed cases and raw files are in bench/discovery and st_cli/test.
 """
 
 import json

@@ -1,1 +1,1 @@
-"""The st command: demo, live, logs, benchmarks."""
+"""At the desk: checks, evaluation, identification, discovery, bands, reports."""

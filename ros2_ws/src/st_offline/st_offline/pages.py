@@ -5,10 +5,10 @@ from pathlib import Path
 
 import jinja2
 from markupsafe import Markup
+from st_predictor.style import MODEL_COLOUR
 
 from .checking import words as checking_words
 from .checking.document import findings_in
-from .style import MODEL_COLOUR
 
 # The house colours are made for white paper; these are lighter twins for a dark page.
 DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}

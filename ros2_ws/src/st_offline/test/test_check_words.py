@@ -14,8 +14,8 @@ from st_offline.checking.document import CheckedRun, document, documents, findin
 from st_offline.checking.page import title, write_page
 from st_offline.checking.proposal import proposal, with_cures
 from st_offline.checking.shown import say, show
-from st_offline.output import OutputError
-from st_offline.runs import ReadSettings, RunSource
+from st_recordings.output import OutputError
+from st_recordings.runs import ReadSettings, RunSource
 from support import ROOT
 
 HOSTILE = "<script>alert(1)</script> & [bold]x"

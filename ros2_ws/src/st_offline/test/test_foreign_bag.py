@@ -9,13 +9,13 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from st_core.vehicle import VehicleParameters
 from st_offline.checking.gate import passed_bag
-from st_offline.paths import config
-from st_offline.runs import ReadSettings, find_runs, read
-from st_offline.runs.bag import definitions, read_bag
-from st_offline.runs.cdr import typestore
-from st_offline.runs.errors import RunError
-from st_offline.runs.foreign import SteeringField
-from st_offline.runs.messages import ODOMETRY
+from st_recordings.paths import config
+from st_recordings.runs import ReadSettings, find_runs, read
+from st_recordings.runs.bag import definitions, read_bag
+from st_recordings.runs.cdr import typestore
+from st_recordings.runs.errors import RunError
+from st_recordings.runs.foreign import SteeringField
+from st_recordings.runs.messages import ODOMETRY
 
 STORE = typestore(definitions())
 START_NS = 1_700_000_000_000_000_000

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from st_core.log import DriveLog
 from st_offline.evaluation.manoeuvres import assign, manoeuvres
-from st_offline.runs import Label
+from st_recordings.runs import Label
 
 
 def drive(*parts: tuple[float, float, float]) -> DriveLog:

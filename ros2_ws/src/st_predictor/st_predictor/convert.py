@@ -17,9 +17,9 @@ from st_core.prediction import Start
 from st_core.types import ControlInput, InsSample, Trajectory, VehicleState
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import ErrorStatistics, Prediction, PredictionError
+from st_recordings.bag_metadata import INFINITE_NS, Qos
 from st_ros.stamps import from_nanoseconds, to_nanoseconds
 
-from .bag_metadata import INFINITE_NS, Qos
 from .history import Path
 from .ribbon import MODE, ribbon
 

@@ -17,7 +17,7 @@ from st_core.types import STATE_NAMES, ControlInput, InsSample, Trajectory, Vehi
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Prediction
 from st_predictor import convert
-from st_predictor.bag_metadata import INFINITE_NS
+from st_recordings.bag_metadata import INFINITE_NS
 from st_ros.stamps import from_nanoseconds
 from support import ROOT
 

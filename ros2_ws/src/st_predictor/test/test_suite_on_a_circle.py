@@ -68,7 +68,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def test_all_end_with_status_zero_and_closed_files(run: Run) -> None:
-    from st_predictor.mcap import recover
+    from st_recordings.mcap import recover
 
     assert run.statuses == {"predictor": 0, "evaluator": 0, "recorder": 0}
     assert not recover(run.folder / "bag").changed

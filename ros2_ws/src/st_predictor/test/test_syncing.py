@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from bags import DEFINITION, TYPE, TYPE_HASH, numbered, read_numbers
-from st_predictor import syncing
-from st_predictor.mcap import BagWriter, recover
+from st_recordings import syncing
+from st_recordings.mcap import BagWriter, recover
 
 START_NS = 1_790_000_000_000_000_000
 RATE = 500  # messages/s

@@ -207,7 +207,7 @@ def test_recorder_on_a_full_disk_says_so_and_lives_on(processes: Processes) -> N
 
 @pytest.mark.slow
 def test_killed_recorder_loses_at_most_a_second(processes: Processes) -> None:
-    from st_predictor.mcap import recover
+    from st_recordings.mcap import recover
 
     node, bag = recorder(processes)
     feeder = processes.start([sys.executable, str(ROOT / "tests" / "circle_feeder.py"), "--duration", "20"], "feeder")

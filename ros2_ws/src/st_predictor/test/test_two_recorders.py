@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 from bags import DEFINITION, TYPE, TYPE_HASH, numbered, read_numbers
-from st_predictor.mcap import BagWriter
+from st_recordings.mcap import BagWriter
 
 RECORDERS = 8
 

@@ -14,10 +14,10 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.log_signals import LogSignals
 from st_core.models import Model
 from st_core.stability import StepTooLongWarning
+from st_recordings.runs import RunError, RunSource, read
 
 from ..evaluation.drawing import Place
 from ..evaluation.work import Task, load_models
-from ..runs import RunError, RunSource, read
 from . import shown
 from .choice import Key, cheapest
 from .cost import Cost, costs

@@ -4,9 +4,9 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
+from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from ..style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 
 QUESTIONS = {"hindsight": "model (inputs as they were)", "forecast": "forecast (inputs held)"}
 

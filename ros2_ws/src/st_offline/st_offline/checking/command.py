@@ -11,11 +11,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from st_core.checks import Severity
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
+from st_recordings.output import new_folder
+from st_recordings.recorded import configuration_of
+from st_recordings.runs import ReadSettings, RunError, RunSource, find_runs, read
+from st_recordings.runs.bag import records_of
 
-from ..evaluation.recorded import configuration_of
-from ..output import new_folder
-from ..runs import ReadSettings, RunError, RunSource, find_runs, read
-from ..runs.bag import records_of
 from .document import CheckedRun, document
 from .gate import checked_log
 from .page import write_page

@@ -1,6 +1,6 @@
 """The one place where recordings are checked: what was found, and whether an evaluation may go on."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,10 @@ from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
+from st_recordings.recorded import configuration_of
+from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
+from st_recordings.runs.foreign import SteeringField
 
-from ..evaluation.recorded import configuration_of
-from ..runs import ReadSettings, RunError, RunSource, read
-from ..runs.foreign import SteeringField
 from . import words
 from .document import documents
 
@@ -48,6 +48,17 @@ def refuse(where: Path | str, findings: Sequence[Finding], force: bool) -> None:
     """Raises Refused where an error is among the findings, unless it is forced."""
     if not force and any(one.severity is Severity.ERROR for one in findings):
         raise Refused(where, findings)
+
+
+def checked_run(where: Path | str, vehicle: VehicleParameters,
+                force: bool) -> Callable[[LoadedRun], tuple[Finding, ...]]:
+    """What `import_run` asks before it writes: findings of a drive; raises Refused for one that may not be used."""
+    def findings_of(run: LoadedRun) -> tuple[Finding, ...]:
+        findings = checked_log(run.log, vehicle, run.extras).findings
+        refuse(where, findings, force)
+        return findings
+
+    return findings_of
 
 
 def passed_bag(bag: Path, vehicle: Path | None, force: bool,

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 from st_core.checks import Checked, Finding, Identity, Severity
+from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, Place, broken, finish, style, thinned
-from ..style import MEASURED_COLOUR, MODEL_COLOUR
 from . import words
 from .document import residual_rms
 

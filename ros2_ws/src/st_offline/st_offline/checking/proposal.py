@@ -9,11 +9,11 @@ from typing import Any
 import yaml
 from st_core.checks import Finding, Severity
 from st_core.corrections import Correction
+from st_recordings.output import OutputError
+from st_recordings.runs import ReadSettings, RunSource
+from st_recordings.runs.errors import printable
+from st_recordings.runs.sources import RUN_FILE, RUN_SUFFIX
 
-from ..output import OutputError
-from ..runs import ReadSettings, RunSource
-from ..runs.errors import printable
-from ..runs.sources import RUN_FILE, RUN_SUFFIX
 from . import words
 
 OF_A_CSV = {"columns", "units"}

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.gridspec import GridSpec
 from st_core.discovery.result import BoundEffect, FoundEffect, Value
+from st_predictor.style import MEASURED_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, finish, style
-from ..style import MEASURED_COLOUR
 from . import quantities, words
 from .figures import AFTER, Scene
 

@@ -4,9 +4,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from st_predictor.style import MEASURED_COLOUR
 
 from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, finish, style
-from ..style import MEASURED_COLOUR
 from . import quantities, words
 from .figures import AFTER, Scene
 

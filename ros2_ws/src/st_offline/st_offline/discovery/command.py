@@ -18,14 +18,14 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.proposals import Proposals, propose, wanted
 from st_core.vehicle import VehicleParameters
+from st_recordings.output import new_folder
+from st_recordings.runs import ReadSettings, find_runs
 
 from ..checking.document import findings_in
 from ..checking.shown import say
 from ..evaluation.command import FORMATS
 from ..evaluation.drawing import Drawn, Place
-from ..output import new_folder
 from ..plain_json import finite
-from ..runs import ReadSettings, find_runs
 from . import answers, proposed
 from .agreement_figures import agreement, bound
 from .answer_figures import budget, certificate, runs, waterfall

@@ -9,9 +9,9 @@ from typing import Any
 
 from st_core.discovery import Discovery
 from st_core.model_file import Interval, ModelFile, Provenance
+from st_recordings.results import versions
 
 from ..plain_json import finite
-from ..results import versions
 from .mending import Mended
 from .question import Question
 

@@ -16,13 +16,13 @@ from st_core import checks
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
+from st_recordings.recorded import recorded_configuration
+from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
+from st_recordings.runs.load import hashes, signal_files
 
 from ..checking.document import documents, findings_in
 from ..checking.gate import Refused, checked_log, refuse
-from ..evaluation.recorded import recorded_configuration
 from ..plain_json import finite
-from ..runs import LoadedRun, ReadSettings, RunError, RunSource, read
-from ..runs.load import hashes, signal_files
 
 FORMAT = 3  # of what is kept; another number makes older files useless
 

@@ -12,9 +12,9 @@ from st_core.discovery.where import Survey
 from st_core.discovery.where_bins import EVERYWHERE, BinExcess
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
+from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from ..style import MEASURED_COLOUR, MODEL_COLOUR
 from . import quantities, words
 
 AFTER = MODEL_COLOUR["augmented"]

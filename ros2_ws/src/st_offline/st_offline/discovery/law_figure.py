@@ -3,9 +3,9 @@
 import matplotlib.pyplot as plt
 from st_core.proposals import Proposal
 from st_core.proposals.places import QUANTITIES, WHERE
+from st_predictor.style import MEASURED_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from ..style import MEASURED_COLOUR
 from . import words
 from .figures import AFTER
 from .law_file import law_in_words

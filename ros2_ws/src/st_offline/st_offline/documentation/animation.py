@@ -11,10 +11,9 @@ from PIL import Image
 from st_core.frames import cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor.outline import car_outline
-
-from ..evaluation.recorded import Predictions, read_predictions
-from ..results import Results, read_results
-from ..style import MEASURED_COLOUR, MODEL_COLOUR, RC
+from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR, RC
+from st_recordings.recorded import Predictions, read_predictions
+from st_recordings.results import Results, read_results
 
 FRAMES_PER_SECOND = 5
 SIZE, DPI = (8.0, 4.2), 80

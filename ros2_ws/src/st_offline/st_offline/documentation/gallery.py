@@ -4,16 +4,16 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from st_core.vehicle import VehicleParameters
+from st_recordings.paths import config
 
-from ..paths import config
 from .animation import animate
 
-ST = (sys.executable, "-m", "st_offline.cli")
 LEAF = (sys.executable, "-m", "st_sim.run")
 ANIMATED = (24.0, 38.0)  # s of the drive
 
@@ -75,13 +75,16 @@ def page() -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw(folder: Path, console: Console) -> None:
-    """Drive, run the commands, and write their pictures and the animation into `folder`. Raises GalleryError."""
+def draw(folder: Path, st: Sequence[str], console: Console) -> None:
+    """Drive, run the commands, and write their pictures and the animation into `folder`.
+
+    st: how the command is called. Raises GalleryError.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="st-gallery-") as name:
         for number, exhibit in enumerate(EXHIBITS, 1):
             for command in (*exhibit.before, exhibit.command):
-                _run(command, name, console)
+                _run(command, name, st, console)
             found = sorted(Path(name).glob(exhibit.picture))
             if not found:
                 raise GalleryError(f"{exhibit.command} left no {exhibit.picture}")
@@ -95,10 +98,10 @@ def _shown(command: str) -> str:
     return command.replace("{}", "runs/gallery")
 
 
-def _run(command: str, folder: str, console: Console) -> None:
+def _run(command: str, folder: str, st: Sequence[str], console: Console) -> None:
     console.print(f"$ {_shown(command)}", highlight=False, soft_wrap=True)
     words = command.replace("{}", folder).split()
-    program = LEAF if words[1] == "shell" else ST
+    program = LEAF if words[1] == "shell" else st
     rest = words[6:] if words[1] == "shell" else words[1:]
     done = subprocess.run([*program, *rest], capture_output=True, text=True, check=False)
     if done.returncode:

@@ -6,11 +6,10 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-import typer
+from st_recordings.paths import project_root
 from st_ros.parameters import Parameter
-from typer.main import get_command
+from typer.core import TyperGroup
 
-from ..paths import project_root
 from .topics import TOPICS
 
 NODES = {  # node: module and name of its parameter table
@@ -26,12 +25,12 @@ _FIELD = re.compile(
     r"^(?P<type>[\w/]+(?:\[[^\]]*\])?)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<text>.*))?$")
 
 
-def page(app: typer.Typer) -> str:
-    """The whole page; app: the st command."""
+def page(st: TyperGroup) -> str:
+    """The whole page; st: the command."""
     parts = [
         "# Reference\n\nMade by `./st docs` from the code; a test fails when it differs. Units are SI, axes ISO 8855: "
         "[conventions.md](method/conventions.md).\n",
-        "## Commands\n", *commands(app),
+        "## Commands\n", *commands(st),
         "## Topics\n", topics(),
         "## Messages\n", *messages(project_root() / "ros2_ws" / "src" / "st_msgs" / "msg"),
         "## Node parameters\n\nDefaults with comments: [config/nodes.yaml](../config/nodes.yaml).\n", *nodes(),
@@ -39,8 +38,8 @@ def page(app: typer.Typer) -> str:
     return "\n".join(parts).rstrip() + "\n"
 
 
-def commands(app: typer.Typer) -> Iterable[str]:
-    for name, command in sorted(get_command(app).commands.items()):
+def commands(st: TyperGroup) -> Iterable[str]:
+    for name, command in sorted(st.commands.items()):
         arguments = [p for p in command.params if p.param_type_name == "argument"]
         options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
         usage = " ".join([f"./st {name}", *(f"{a.name.upper()}{'…' if a.nargs == -1 else ''}" for a in arguments)])

@@ -3,7 +3,8 @@
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 
-from ..runs import RunSource
+from st_recordings.runs import RunSource
+
 from .work import Progress, RunReport, Task, evaluate_run
 
 MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is started anew, and its run is a failed one

@@ -8,6 +8,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from st_recordings.output import new_folder
+from st_recordings.runs import RunError, RunSource, find_runs
 
 from ..advice.command import advise
 from ..bands.shares import finished_shares, shares_table
@@ -15,8 +17,6 @@ from ..bands.shown import HOW_TO_GET, bands_table
 from ..bands.sums import pooled_sums
 from ..checking.document import findings_in
 from ..checking.shown import say
-from ..output import new_folder
-from ..runs import RunError, RunSource, find_runs
 from . import batch
 from .document import Choices, settings_in_words, write_results
 from .overview import finding

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from st_core.vehicle import VehicleParameters
+from st_recordings.results import versions
 
 from ..bands.figures import band_figures
 from ..bands.shares import finished_shares, share_figures
 from ..bands.sums import finished, pooled_sums
-from ..results import versions
 from . import tables
 from .drawing import Place
 from .overview import overview

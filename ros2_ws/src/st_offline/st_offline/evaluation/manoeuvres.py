@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from st_core.log import DriveLog
-
-from ..runs import Label
+from st_recordings.runs import Label
 
 GRID = 0.1  # s
 SMOOTHING = 1.0  # s, moving average; a double lane change keeps its two sides

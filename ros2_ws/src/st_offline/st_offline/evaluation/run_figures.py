@@ -13,8 +13,8 @@ from st_core.log_signals import LogSignals
 from st_core.models import Model
 from st_core.readings import readings
 from st_core.vehicle import VehicleParameters
+from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 
-from ..style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from .drawing import TEXT, WIDTH, Drawn, Place, broken, finish, style, thinned
 
 SIDE = {"longitudinal": "ahead", "lateral": "left"}

@@ -20,10 +20,10 @@ from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
+from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
 from ..checking.document import documents
 from ..checking.gate import Refused, passed
-from ..runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from . import statistics
 from .drawing import Drawn, Place
 from .manoeuvres import manoeuvres

@@ -7,10 +7,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification.cg_height import Lift, LiftedCar, cg_height, pitch_from_lift
 from st_core.identification.result import Identification
+from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR
+from st_recordings.runs.errors import RunError
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from ..runs.errors import RunError
-from ..style import MEASURED_COLOUR, MODEL_COLOUR
 from .columns import Table, read_columns
 from .experiment import Experiment, Setup
 

@@ -14,14 +14,14 @@ from st_core.checks import Finding
 from st_core.identification.apply import against_file, apply, stale_scales
 from st_core.identification.result import Identification, IdentificationError
 from st_core.vehicle import VehicleParameters
+from st_recordings.output import new_folder
+from st_recordings.results import versions
+from st_recordings.runs.load import file_hashes
 
 from ..checking.document import documents
 from ..checking.shown import say
 from ..evaluation.drawing import Drawn, Place
-from ..output import new_folder
 from ..pages import template
-from ..results import versions
-from ..runs.load import file_hashes
 from .experiment import Experiment, Setup
 from .experiments import EXPERIMENTS
 from .shown import HEADS, rows

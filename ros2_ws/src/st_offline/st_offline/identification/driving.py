@@ -15,9 +15,9 @@ from st_core.identification.stiffness_prediction import predict_stiffness
 from st_core.identification.yaw_inertia import identify_yaw_inertia
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
+from st_recordings.runs import RunError, find_runs, read
 
 from ..checking.gate import checked_log, refuse
-from ..runs import RunError, find_runs, read
 from . import driving_figures as figures
 from .experiment import Experiment, Setup
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from st_core.identification.result import Identification
 from st_core.models import MODELS, Model
 from st_core.vehicle import VehicleParameters
+from st_recordings.runs import ReadSettings
 
 from ..evaluation.drawing import Drawn, Place
-from ..runs import ReadSettings
 
 
 @dataclass(frozen=True)

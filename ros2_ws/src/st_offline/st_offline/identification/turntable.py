@@ -7,9 +7,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification.result import Identification
 from st_core.identification.steering_ratio import Turntable, steering_ratio
+from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from ..style import MEASURED_COLOUR, MODEL_COLOUR
 from .columns import read_columns
 from .experiment import Experiment, Setup
 

@@ -5,11 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 
+from st_recordings.mcap import BagWriter
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
 from st_ros.parameters import ConfigurationError
-
-from ..mcap import BagWriter
 
 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:

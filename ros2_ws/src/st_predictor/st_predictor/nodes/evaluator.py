@@ -14,13 +14,13 @@ from st_core.evaluation import ErrorStatistics, Evaluator, Score
 from st_core.models import get_model
 from st_core.prediction import predict
 from st_msgs.msg import ErrorSummary, Prediction, PredictionError
+from st_recordings.mcap import BagWriter, Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.polling import PolledSubscription
 
 from .. import convert, params
 from ..consistency import Consistency
-from ..mcap import BagWriter, Qos
 from ._bag import is_whole, open_bag, recording_check
 from ._bands import add_coverage, coverage_check, read_bands
 from ._inputs import Inputs

@@ -15,14 +15,14 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from st_recordings.definitions import UnknownTypeError
+from st_recordings.mcap import Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
 from st_ros.polling import PolledSubscription
 
 from .. import convert, params
-from ..definitions import UnknownTypeError
-from ..mcap import Qos
 from ._bag import is_whole, open_bag, recording_check
 from ._heard import DIAGNOSTICS, Heard
 

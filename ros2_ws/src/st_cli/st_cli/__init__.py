@@ -1,0 +1,1 @@
+"""The st command: it only hands over."""

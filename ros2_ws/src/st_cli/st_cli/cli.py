@@ -1,0 +1,96 @@
+"""The `st` command: one function per verb, each in a file of its own under verbs/."""
+
+import errno
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import typer
+from st_live import transport
+
+from .verbs import (
+    align,
+    bench,
+    calibrate,
+    car,
+    check,
+    demo,
+    develop,
+    discover,
+    docs,
+    effects,
+    evaluate,
+    export,
+    foxglove,
+    identify,
+    import_,
+    live,
+    ncom,
+    recover,
+    replay,
+    verify,
+    view,
+)
+
+app = typer.Typer(
+    name="st",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_show_locals=False,
+    help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that?",
+)
+app.command()(demo.demo)
+app.command()(live.live)
+app.command()(ncom.ncom)
+app.command()(car.car)
+app.command()(check.check)
+app.command()(evaluate.evaluate)
+app.command()(calibrate.calibrate)
+app.command(cls=discover.WithReferences)(discover.discover)
+app.command()(effects.effects)
+app.command()(identify.identify)
+app.command()(replay.replay)
+app.command()(verify.verify)
+app.command()(view.view)
+app.command()(foxglove.foxglove)
+app.command()(align.align)
+app.command("import")(import_.import_)
+app.command()(recover.recover)
+app.command()(export.export)
+app.command()(docs.docs)
+app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(bench.bench)
+app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.test)
+app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.shell)
+
+
+# What is no fault of the program: a disk that is full or may not be written to.
+NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+
+
+def main() -> None:
+    if os.environ.get(transport.RANGE, "LOCALHOST") == "LOCALHOST":  # who sets another chooses who hears the car
+        os.environ.update(transport.loopback(os.environ))
+    _place_for_logs()
+    try:
+        app(prog_name="st")
+    except OSError as error:
+        if error.errno not in NO_PLACE:
+            raise
+        print(f"st: {error.filename or 'output'}: {error.strerror}; free some room, or name another --output",
+              file=sys.stderr)
+        sys.exit(1)
+
+
+def _place_for_logs() -> None:
+    """ROS writes a log of its own below the home directory, and does not start without one that can be written."""
+    if not {"ROS_LOG_DIR", "ROS_HOME"} & os.environ.keys():
+        try:
+            Path(os.environ["HOME"], ".ros", "log").mkdir(parents=True, exist_ok=True)
+        except (KeyError, OSError):
+            os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir(), f"st-ros-log-{os.getuid()}"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""Options that several verbs have, in one place: whose recordings these are, and how raw logs become runs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from st_recordings.paths import config
+
+if TYPE_CHECKING:
+    from st_recordings.runs import ReadSettings
+    from st_recordings.runs.foreign import SteeringField
+
+
+def _sign(value: int | None) -> int | None:
+    if value not in (None, 1, -1):
+        raise typer.BadParameter(f"{value} is neither 1 nor -1")
+    return value
+
+
+CarName = Annotated[str | None, typer.Option(
+    "--car", help="The car that drives or was recorded: a name in config/car, or a folder with vehicle.yaml, can.dbc, "
+    "signals.yaml and car.yaml. --vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
+VehicleFile = Annotated[Path | None, typer.Option(
+    "--vehicle", help="Vehicle file; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+Offset = Annotated[float | None, typer.Option(
+    help="INS minus CAN clock, s, by hand; default: found in the signals.")]
+InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
+    help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002.")]
+Dbc = Annotated[Path | None, typer.Option(
+    help="DBC of the CAN logs; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+Signals = Annotated[Path | None, typer.Option(
+    help="Table from DBC signals to ours; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+SteeringSign = Annotated[int | None, typer.Option(
+    callback=_sign, help="1 where the sensor, as DBC and table decode it, is left positive; -1: right. Default that of "
+    "--car, else 1; live: else that of config/nodes.yaml.")]
+SteeringTopic = Annotated[str | None, typer.Option(
+    "--steering-topic", help="Bags of another make: the topic with the steering angle, rad, left +; of any type of "
+    "ROS 2 Jazzy. Default: the one of type st_msgs/Steering.")]
+SteeringPath = Annotated[str, typer.Option(
+    "--steering-field", help="The number in its messages: data, drive.steering_angle, ...")]
+SteeringIs = Annotated[str, typer.Option(
+    "--steering-is", help="road: angle of the front wheels; wheel: of the hand wheel, ratio and offset of the vehicle "
+    "file make the other.")]
+SteeringLatency = Annotated[float | None, typer.Option(
+    help="s, from the turn of the wheel to the frame; default that of --car, else 0; live: else that of "
+    "config/nodes.yaml.", min=0.0, max=1.0)]
+
+
+def foreign_steering(topic: str | None, path: str, quantity: str) -> "SteeringField | None":
+    """Where the angle is in a bag of another make; None where no topic was named."""
+    from st_recordings.runs.foreign import SteeringField
+
+    if quantity not in ("road", "wheel"):
+        raise typer.BadParameter(f"--steering-is {quantity}: road or wheel is wanted")
+    return None if topic is None else SteeringField(topic, path, quantity)  # type: ignore[arg-type]
+
+
+def whose(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
+          steering_sign: int | None = None, steering_latency: float | None = None,
+          **others) -> "tuple[Path | None, ReadSettings]":
+    """(vehicle file, None where none was named; how raw logs are read). others: of ReadSettings.
+
+    Raises RunError for a car that cannot be read.
+    """
+    from st_recordings.car import STEERING, car_named
+    from st_recordings.runs import ReadSettings
+
+    steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
+    given = {name: value for name, value in steering.items() if value is not None}
+    if car is None:
+        return vehicle, ReadSettings(dbc=dbc, signals=signals, **STEERING | given, **others)
+    named = car_named(car)
+    its = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+    return vehicle or named.vehicle, ReadSettings(dbc=dbc or named.dbc, signals=signals or named.signals, **its | given,
+                                                  **others)
+
+
+@dataclass(frozen=True)
+class Wires:
+    """A car for the live nodes. vehicle, dbc, signals: None where nobody named one. steering: of canedge_bridge, only
+    what was said; config/nodes.yaml holds for the rest."""
+
+    vehicle: Path | None
+    dbc: Path | None
+    signals: Path | None
+    steering: dict[str, Any]
+
+
+def on_the_wires(car: str | None, vehicle: Path | None, dbc: Path | None, signals: Path | None,
+                 steering_sign: int | None, steering_latency: float | None) -> Wires:
+    """As `whose`, for a bus that is listened to. Raises RunError, also for a car whose bus nobody has described."""
+    from st_recordings.car import car_named
+    from st_recordings.runs.errors import RunError
+
+    steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
+    given = {name: value for name, value in steering.items() if value is not None}
+    if car is None:
+        return Wires(vehicle, dbc, signals, given)
+    named = car_named(car)
+    for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
+        if not file.is_file():
+            raise RunError(file, "there is no such file: nobody has described the bus of this car",
+                           f"write it, or name another with {option}")
+    its = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+    return Wires(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, its | given)
+
+
+LEAF = config("car/leaf/vehicle.yaml")
+
+
+def say_whose(verb: str, file: Path | str) -> None:
+    """One line where nobody named a car and the Leaf was taken."""
+    from st_recordings.car import names
+
+    if Path(file).resolve() == LEAF.resolve():
+        typer.echo(f"st {verb}: no car was named: the Leaf's file {LEAF} is used; --car names another "
+                   f"({', '.join(names())}, or a folder)", err=True)
+
+
+def say_whose_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
+    """The same line for a recording that carries no vehicle file. Raises RunError for one that cannot be read."""
+    from st_live.verification import recordings_of
+    from st_recordings.recorded import recorded_configuration
+    from st_recordings.runs.bag import records_of
+
+    if vehicle is None and recorded_configuration(records_of(recordings_of(bag)[0])).vehicle is None:
+        say_whose(verb, LEAF)

@@ -1,0 +1,110 @@
+"""`st bench`: list and run the measurements under bench/."""
+
+import ast
+import importlib
+import importlib.util
+import json
+import platform
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from st_recordings.paths import project_root, source_version
+
+
+def bench(
+    context: typer.Context,
+    name: str | None = typer.Argument(None, help="One of the listed names; without it they are listed."),
+    json_file: Path | None = typer.Option(None, "--json", help="Also write the result here."),
+) -> None:
+    """List the benchmarks, or run one and print its figures."""
+    folder = project_root() / "bench"
+    files = {path.stem: path for path in sorted(folder.glob("*.py")) if not path.stem.startswith("_")}
+    # A package has options of its own and prints for itself.
+    packages = {path.parent.name: path for path in sorted(folder.glob("*/__init__.py"))}
+    console = Console()
+    if name is None:
+        table = Table("name", "what it measures", box=None)
+        for stem, path in sorted({**files, **packages}.items()):
+            table.add_row(stem, _first_line(path))
+        console.print(table)
+        return
+    if name in packages:
+        sys.path.insert(0, str(project_root()))
+        raise typer.Exit(importlib.import_module(f"bench.{name}").main(context.args))
+    if name not in files:
+        there = ", ".join(sorted({**files, **packages}))
+        typer.echo(f"st bench: no benchmark {name!r}; there are {there}", err=True)
+        raise typer.Exit(2)
+    if context.args:
+        typer.echo(f"st bench {name}: takes no {context.args[0]}", err=True)
+        raise typer.Exit(2)
+    result = _load(files[name]).run()
+    _show(console, name, result)
+    if json_file:
+        machine = {
+            "python": platform.python_version(),
+            "machine": platform.machine(),
+            "cpu": _cpu(),
+            "version": source_version(),
+        }
+        json_file.write_text(json.dumps({"bench": name, "machine": machine, "result": result}, indent=2) + "\n")
+
+
+def _first_line(path: Path) -> str:
+    return (ast.get_docstring(ast.parse(path.read_text())) or "").strip().splitlines()[0]
+
+
+def _load(path: Path) -> ModuleType:
+    sys.path.insert(0, str(path.parent))
+    specification = importlib.util.spec_from_file_location(f"bench_{path.stem}", path)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def _show(console: Console, name: str, result: dict) -> None:
+    table = Table("measure", "value", title=name, box=None, title_justify="left")
+    plain = {key: value for key, value in result.items() if not _is_table(value)}
+    for key, value in _flatten(plain):
+        table.add_row(key, _text(value))
+    console.print(table)
+    for key, rows in result.items():
+        if key not in plain:
+            columns = list(next(iter(rows.values())))
+            of_rows = Table(key, box=None)
+            for column in columns:
+                of_rows.add_column(column, justify="right")
+            for row, values in rows.items():
+                of_rows.add_row(row, *(_text(values[column]) for column in columns))
+            console.print()
+            console.print(of_rows)
+
+
+def _is_table(value: object) -> bool:
+    """Whether these are rows with the same columns, all numbers or words."""
+    rows = list(value.values()) if isinstance(value, dict) else []
+    if len(rows) < 2 or not all(isinstance(row, dict) and row.keys() == rows[0].keys() for row in rows):
+        return False
+    return bool(rows[0]) and not any(isinstance(cell, dict) for row in rows for cell in row.values())
+
+
+def _text(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _flatten(result: dict, prefix: str = "") -> list[tuple[str, object]]:
+    rows: list[tuple[str, object]] = []
+    for key, value in result.items():
+        rows += _flatten(value, f"{prefix}{key}.") if isinstance(value, dict) else [(prefix + key, value)]
+    return rows
+
+
+def _cpu() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.processor()

@@ -1,0 +1,35 @@
+"""`st car`: the folder of a car of one's own."""
+
+from pathlib import Path
+from typing import Literal
+
+import typer
+
+
+def car(
+    what: Literal["new", "check"] = typer.Argument(..., help="new, or check.", show_default=False),
+    folder: str = typer.Argument(..., help="Folder of the car; check: also a name in config/car.", show_default=False),
+) -> None:
+    """Write the folder of a new car with its places to fill in, or say what is wrong with the folder of a car.
+
+    new: vehicle.yaml, signals.yaml, can.dbc, rt.dbc (of an OxTS RT on the same bus, to append to can.dbc) and car.yaml.
+    check: one line for each fault; a new folder fails for what is to be filled in and for nothing else. Exit status: 0
+    written, or good; 1 faults were found; 2 there is nothing to check, or nothing may be written.
+    """
+    from st_recordings.car_skeleton import problems, write_skeleton
+    from st_recordings.runs.errors import RunError
+
+    try:
+        if what == "new":
+            for file in write_skeleton(Path(folder)):
+                typer.echo(file)
+            return
+        found = problems(folder)
+    except RunError as error:
+        typer.echo(f"st car: {error}", err=True)
+        raise typer.Exit(2) from None
+    for line in found:
+        typer.echo(f"st car: {line}", err=True)
+    if not found:
+        typer.echo(f"{folder}: nothing is wrong with it")
+    raise typer.Exit(int(bool(found)))

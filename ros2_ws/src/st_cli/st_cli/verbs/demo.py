@@ -1,0 +1,81 @@
+"""`st demo`: the whole live suite on this machine, with the virtual Leaf, or a recorded drive, on the wires."""
+
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+AFTERWARDS = 2.0  # s
+SCENARIOS = (
+    "S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
+    "there_and_back, or a .yaml file"
+)
+
+
+def demo(
+    scenario: str | None = typer.Option(None, help=f"Manoeuvre of the virtual Leaf: {SCENARIOS}; default S6."),
+    drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", exists=True, dir_okay=False),
+    # No --car: DBC, table and steering on these wires are the virtual Leaf's, those of another car could not be heeded.
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file; default the Leaf's. Its bus is always the Leaf's: hence no --car here.", exists=True,
+        dir_okay=False
+    ),
+    plant_vehicle: Path | None = typer.Option(
+        None, help="Vehicle file of the virtual Leaf itself; default the same. --vehicle is what the nodes believe.",
+        exists=True, dir_okay=False
+    ),
+    duration: float | None = typer.Option(None, help="Seconds of driving; default 60, or the whole drive.", min=6.0),
+    plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
+    effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),
+    ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
+    seed: int = typer.Option(0, help="Of the simulated noise."),
+    model: Path | None = typer.Option(
+        None, help="Model file (model.yaml of `st discover`): a fourth model beside the three.", exists=True,
+        dir_okay=False,
+    ),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
+    ),
+    bands: Path | None = typer.Option(
+        None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False
+    ),
+    view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
+    view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
+    output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
+) -> None:
+    """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
+    # Imported when it runs: the drawing and ROS libraries take a second that `st --help` need not wait.
+    from st_live.bands import with_bands
+    from st_live.fourth_model import fourth_model
+    from st_live.report import conclude
+    from st_live.session import node_parameters, run
+    from st_live.suite import SuiteError
+    from st_live.view.window import finish, window
+    from st_live.wires import VirtualCar, name_of, vehicle_file
+    from st_recordings.output import OutputError, new_folder
+
+    console = Console()
+    what = drive.stem if drive else Path(scenario or "S6").stem
+    if duration is None and drive is None:
+        duration = 60.0
+    options = ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
+    for name, value in (("--drive", drive and drive.absolute()), ("--scenario", scenario), ("--plant", plant)):
+        options += [name, str(value)] if value else []
+    # The car drives on while the predictor stops, so that no tick at the end goes without inputs.
+    options += ["--duration", str(duration + AFTERWARDS)] if duration else []
+    options += [word for e in effect for word in ("--effect", e)]
+    try:
+        car = VirtualCar(vehicle_file(vehicle), options, plant_vehicle and plant_vehicle.absolute())
+        fourth = fourth_model(model, effects, car.vehicle)
+        shown = window(view, view_save)
+        folder = new_folder(output, f"demo-{what}")
+        parameters = with_bands(node_parameters(folder, car.vehicle, car.bridge_parameters(), fourth), bands)
+        outcome = run(folder, parameters, what, duration, car.start, console, shown)
+    except (SuiteError, OutputError) as error:
+        typer.echo(f"st demo: {error}", err=True)
+        raise typer.Exit(2) from None
+    source = "recorded drive" if drive else "virtual Leaf"
+    about = {"what": what, "source": source, "vehicle": name_of(car.vehicle), "seed": seed}
+    status = conclude(folder, outcome, about, console)
+    finish(shown, console)
+    raise typer.Exit(status)

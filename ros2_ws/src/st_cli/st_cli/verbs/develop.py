@@ -1,0 +1,42 @@
+"""`st test` and `st shell`: the tools of somebody who works on the suite, or with ROS commands beside it."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NoReturn
+
+import typer
+from st_live import transport
+from st_recordings.paths import project_root
+
+
+def test(
+    context: typer.Context,
+    fast: bool = typer.Option(False, "--fast", help="Leave out tests marked slow."),
+) -> None:
+    """Run every test. Further arguments go to pytest: ./st test -k ncom."""
+    root = project_root()
+    # Failed, broken and skipped tests are listed with their reasons; cores are few, so tests run one after another.
+    command = [sys.executable, "-m", "pytest", "-rfEs", "-q", *(["-m", "not slow"] if fast else []), *context.args]
+    with tempfile.TemporaryDirectory(prefix="st-test-") as logs:
+        environment = {**os.environ, **transport.loopback(os.environ), "ROS_LOG_DIR": logs}
+        raise typer.Exit(subprocess.run(command, cwd=root, env=environment, check=False).returncode)
+
+
+def shell(context: typer.Context) -> None:
+    """Open a shell with everything sourced (or run one command in it: ./st shell -- python)."""
+    if context.args:
+        _become(context.args)
+    shell = os.environ.get("SHELL", "/bin/bash")
+    os.environ["PS1"] = "(st) \\w \\$ "
+    _become([shell, "--norc"] if Path(shell).name == "bash" else [shell])
+
+
+def _become(command: list[str]) -> NoReturn:
+    try:
+        os.execvp(command[0], command)
+    except OSError as error:
+        typer.echo(f"st shell: {command[0]}: {error.strerror}", err=True)
+        raise typer.Exit(127) from None

@@ -1,0 +1,123 @@
+"""`st discover`: name what vehicle file, sensors and model lack."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import typer
+from typer.core import TyperCommand
+
+from ._options import (
+    LEAF,
+    CarName,
+    Dbc,
+    Offset,
+    Signals,
+    SteeringLatency,
+    SteeringSign,
+    VehicleFile,
+    say_whose,
+    whose,
+)
+
+REFERENCE = "--reference"
+
+
+class WithReferences(TyperCommand):
+    """`--reference a b c` takes all three, as `--reference a --reference b` does; the next option or -- ends the list.
+    """
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+        given = spread(args)
+        try:
+            return super().parse_args(ctx, list(given))
+        except typer.BadParameter as error:
+            if REFERENCE not in given or error.param is None or error.param.name != "runs":
+                raise
+            raise typer.BadParameter(f"no runs are left: {REFERENCE} takes every path that follows it; name the runs "
+                                     "before it, or put -- between", ctx) from None
+
+
+def spread(words: Sequence[str]) -> list[str]:
+    """Every path after --reference as one of it, up to the next option."""
+    found: list[str] = []
+    taken = -1  # paths of the list that is open; -1: none is
+    for word in words:
+        if word.startswith("-"):
+            taken = 0 if word == REFERENCE else -1
+        elif taken >= 0:
+            found += [REFERENCE] if taken else []
+            taken += 1
+        found.append(word)
+    return found
+
+
+def discover(
+    runs: list[Path] = typer.Argument(
+        ..., help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False
+    ),
+    reference: list[Path] = typer.Option(
+        [], REFERENCE, help="Drives known to be healthy, all paths up to the next option; the search starts from them "
+        "instead of the vehicle file."
+    ),
+    base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
+    output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
+    channels: str = typer.Option(
+        "velocity_y,yaw_rate,acceleration_y,yaw,position", help="Measurements to use, with commas between."
+    ),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that take part.", exists=True, file_okay=False
+    ),
+    certify: bool = typer.Option(
+        False, "--certify", help="Search also these drives with known effects put in, and without any: what would be "
+        "found, and what is a false alarm. Takes minutes."
+    ),
+    propose: bool | None = typer.Option(
+        None, "--propose/--no-propose", help="Look for a law beyond the library, and write it as an effect file to "
+        "keep or delete; default: where much is left unexplained. Takes a minute."
+    ),
+    seed: int = typer.Option(0, help="Of every drawing of numbers."),
+    jobs: int = typer.Option(1, help="Processes side by side.", min=1),
+    figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
+    report: bool = typer.Option(True, help="Draw the figures and the page; without, numbers, model and vehicle only."),
+    offset: Offset = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    steering_sign: SteeringSign = None,
+    steering_latency: SteeringLatency = None,
+    force: bool = typer.Option(False, "--force", help="Use also runs in which `st check` finds an error."),
+    fresh: bool = typer.Option(False, "--fresh", help="Read and search anew; take nothing from an earlier start."),
+) -> None:
+    """Find where model and measurement disagree, name what is missing, mend it, show the gap shrink.
+
+    Exit status: 0 answered from all runs, 1 some could not be used, 2 nothing could be started.
+    """
+    # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
+    from rich.console import Console
+    from st_core.discovery import DiscoverySettings
+    from st_core.errors import StCoreError
+    from st_core.vehicle import VehicleParameters
+    from st_offline.discovery.command import CommandError, Job, run_command
+    from st_recordings.output import OutputError
+    from st_recordings.runs import RunError
+
+    try:
+        vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
+        file = vehicle or LEAF
+        text = file.read_text(encoding="utf-8")
+        job = Job(
+            runs, reference, base, VehicleParameters.from_yaml(text, str(file)), str(file), text,
+            DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify),
+            read, effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose)
+        status = run_command(job, Console())
+    except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
+        typer.echo(f"st discover: {error}", err=True)
+        raise typer.Exit(2) from None
+    if vehicle is None:
+        say_whose("discover", file)
+    raise typer.Exit(status)
+
+
+def _parts(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]

@@ -1,0 +1,90 @@
+"""`st effects`: the library of physical effects, and the contract tests of a user's own."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+from st_recordings.paths import config
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from st_core.vehicle import VehicleParameters
+
+HOOK_WORDS = {
+    "vehicle": "car", "steering": "recorded steering", "inputs": "steering angle, forward acceleration",
+    "slip_angles": "slip angles", "axle_forces": "axle forces", "acceleration": "motion", "rates": "memory",
+    "felt": "motion", "observe": "readings"}
+
+
+def effects(
+    what: str = typer.Argument("list", help="list, or check."),
+    files: list[Path] = typer.Argument(None, help="check: effect files (.py); all of the library without one."),
+    vehicle: Path | None = typer.Option(
+        None, help="check: vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
+    ),
+    own: Path | None = typer.Option(
+        None, "--effects", help="list: folder of own effects to list too.", exists=True, file_okay=False
+    ),
+) -> None:
+    """List the effects: kind, place, what each looks at, twins, channels it needs; or check effect files of your own.
+
+    check: null exactly the base model, finite in its bounds, the same on floats, batches, compiled and in CasADi,
+    mirror images, stable. Exit status: 0 all promises kept, 1 some not, 2 a file cannot be loaded.
+    """
+    from rich.console import Console
+    from st_core.effects import load_folder
+    from st_core.errors import StCoreError
+    from st_core.vehicle import VehicleParameters
+
+    if what not in ("list", "check"):
+        typer.echo(f"st effects: {what!r} is neither list nor check", err=True)
+        raise typer.Exit(2)
+    try:
+        if own is not None:
+            load_folder(str(own.absolute()))
+        if what == "list":
+            _listed(Console())
+            return
+        file = vehicle or config("vehicle/leaf.yaml")
+        car = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        kept = _checked(files or (), car, Console())
+    except (StCoreError, OSError, UnicodeDecodeError) as error:
+        typer.echo(f"st effects: {error}", err=True)
+        raise typer.Exit(2) from None
+    raise typer.Exit(0 if kept else 1)
+
+
+def _listed(console: "Console") -> None:
+    from rich.table import Column, Table
+    from st_core.effects import EFFECTS
+
+    table = Table(Column("effect", no_wrap=True), "kind", "where", "acts on", "hard to tell from", "needs", box=None)
+    for name, effect in sorted(EFFECTS.items(), key=lambda item: (item[1].kind, item[0])):
+        hooks = dict.fromkeys(word for hook, word in HOOK_WORDS.items() if getattr(effect, hook))
+        inputs = ", ".join((*hooks, *(f"signal {s}" for s in effect.signals)))
+        table.add_row(name, effect.kind, effect.slot, inputs, ", ".join(effect.twins) or "-",
+                      ", ".join(effect.needs) or "-")
+    console.print(table)
+
+
+def _checked(files: Sequence[Path], car: "VehicleParameters", console: "Console") -> bool:
+    from st_core.contract import check_effect
+    from st_core.effects import EFFECTS, load_file
+    from st_core.errors import ConfigurationError
+
+    for file in files:
+        if not file.is_file() or file.suffix != ".py":
+            raise ConfigurationError(f"{file}: no effect file (.py)")
+    chosen = [e for f in files for e in load_file(str(f.absolute().parent), f.stem)] if files else EFFECTS.values()
+    kept = True
+    for effect in chosen:
+        found = check_effect(effect, car)
+        broken = [one for one in found if one.problem]
+        kept &= not broken
+        verdict = f"{len(broken)} of {len(found)} promises broken" if broken else "all promises kept"
+        lines = [f"{effect.name}: {verdict}"]
+        lines += [f"  no   {one.what}: {one.problem}" for one in broken]
+        lines += [f"  yes  {one.what}" for one in found if files and not one.problem]
+        console.print("\n".join(lines), markup=False, highlight=False)
+    return kept

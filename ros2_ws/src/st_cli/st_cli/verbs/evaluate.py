@@ -1,0 +1,163 @@
+"""`st evaluate`: the paper's table and figures from recordings."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import typer
+
+from ._options import (
+    LEAF,
+    CarName,
+    Dbc,
+    InsCanLatency,
+    Offset,
+    Signals,
+    SteeringIs,
+    SteeringLatency,
+    SteeringPath,
+    SteeringSign,
+    SteeringTopic,
+    VehicleFile,
+    foreign_steering,
+    say_whose,
+    whose,
+)
+
+if TYPE_CHECKING:
+    from st_core.vehicle import VehicleParameters
+
+MODELS = ["kinematic", "linear", "nonlinear"]
+
+
+def evaluate(
+    runs: list[Path] = typer.Argument(
+        ..., help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False
+    ),
+    model: list[str] = typer.Option(
+        MODELS, "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable."
+    ),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
+    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
+    output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
+    at: str = typer.Option("", help="Starts to look at closely, s: 1,10,19,28. Default: four spread over the run."),
+    acceleration: Literal["causal", "zero-phase"] = typer.Option(
+        "causal", help="Filter of the forward speed before its derivative; causal is what the car can do."
+    ),
+    inputs: Literal["interpolate", "hold"] = typer.Option(
+        "interpolate", help="Measured inputs within an integration step: interpolated, or held over it."
+    ),
+    table: Literal["means", "samples"] = typer.Option(
+        "means", help="Statistics shown: over the horizon means, as the paper, or over all samples."
+    ),
+    horizon: float = typer.Option(5.0, help="s, a whole number of steps."),
+    step: float = typer.Option(0.05, help="s, of the integration."),
+    interval: float = typer.Option(0.1, help="s, between starts."),
+    minimum_speed: float = typer.Option(0.5, help="m/s; no prediction starts below."),
+    figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
+    offset: Offset = None,
+    ins_can_latency: InsCanLatency = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    steering_sign: SteeringSign = None,
+    steering_latency: SteeringLatency = None,
+    steering_topic: SteeringTopic = None,
+    steering_field: SteeringPath = "data",
+    steering_is: SteeringIs = "road",
+    bands: Path | None = typer.Option(
+        None, help="Bands of `st calibrate`, to be tested on these runs: coverage, scores, reliability.", exists=True,
+        dir_okay=False
+    ),
+    advise: float | None = typer.Option(
+        None, help="m across: also say which model and step is the cheapest that stays within, by speed and second; "
+        "cost, error and band width of each.", min=0.001
+    ),
+    force: bool = typer.Option(False, "--force", help="Evaluate also runs in which `st check` finds an error."),
+    workers: int = typer.Option(1, help="Runs evaluated side by side (Dask).", min=1),
+    scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
+) -> None:
+    """Predict every 100 ms of each run with each model, score it against the measurement, write tables and figures.
+
+    A run that cannot be used is named and the others go on. Exit status: 0 all runs evaluated, 1 some not, 2 none
+    could be.
+    """
+    # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
+    from rich.console import Console
+    from st_core.errors import StCoreError
+    from st_core.log_evaluation import EvaluationSettings
+    from st_core.prediction import PredictionSettings
+    from st_offline.evaluation.command import CommandError, run_command
+    from st_offline.evaluation.work import Task, load_bands, load_models
+    from st_recordings.output import OutputError
+    from st_recordings.runs import RunError
+
+    try:
+        prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
+        filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
+        settings = EvaluationSettings(prediction, interval, filtering, inputs)
+        models = tuple(model_named(name) for name in dict.fromkeys(model))
+        vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
+                              ins_can_latency=ins_can_latency,
+                              steering=foreign_steering(steering_topic, steering_field, steering_is))
+        parameters, car_from = car_of(vehicle, models, effects)
+        task = Task(
+            vehicle=parameters,
+            models=models,
+            settings=settings,
+            read=read,
+            starts=_numbers(at),
+            formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
+            force=force,
+            bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")),
+            effects=effects,
+        )
+        load_bands(task, load_models(task))
+        status = run_command(runs, task, output, table, car_from, workers, scheduler, Console(),
+                             advise)
+    except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
+        typer.echo(f"st evaluate: {error}", err=True)
+        raise typer.Exit(2) from None
+    if vehicle is None:
+        say_whose("evaluate", car_from)
+    raise typer.Exit(status)
+
+
+def model_named(name: str) -> str | tuple[str, str]:
+    """A model's name, or its file with the content: workers elsewhere may not see the file."""
+    if not name.endswith((".yaml", ".yml")):
+        return name
+    try:
+        return name, Path(name).read_text()
+    except OSError as error:
+        raise typer.BadParameter(f"--model {name}: {error.strerror}") from None
+
+
+def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
+           effects: Path | None = None) -> tuple["VehicleParameters", str]:
+    """The car and where it comes from: the file given, else the model file that holds one, else the Leaf.
+
+    effects: folder of own effects the model files use; they are loaded.
+    """
+    from st_core.effects import load_folder
+    from st_core.model_file import ModelFile
+    from st_core.vehicle import VehicleParameters
+
+    if effects is not None:
+        load_folder(str(effects.absolute()))
+    if vehicle is None:
+        for origin, text in (one for one in models if not isinstance(one, str)):
+            held = ModelFile.from_yaml(text, origin).vehicle
+            if held is not None:
+                return held, origin
+    file = vehicle or LEAF
+    return VehicleParameters.from_yaml(file.read_text(), str(file)), str(file)
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        raise typer.BadParameter(f"--at {text!r}: numbers of seconds with commas between are wanted") from None

@@ -1,0 +1,53 @@
+"""`st export`: a model for somebody's controller."""
+
+import importlib.util
+from pathlib import Path
+from typing import Literal
+
+import typer
+from st_recordings.paths import config
+
+from ._options import CarName, VehicleFile, whose
+
+
+def export(
+    model: str = typer.Argument(..., help="kinematic, linear, nonlinear, or a model file (.yaml).", show_default=False),
+    kind: Literal["casadi", "c"] = typer.Option("casadi", "--format", help="CasADi functions, or C with a header."),
+    effects: Path | None = typer.Option(
+        None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
+    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
+    output: Path | None = typer.Option(None, help="Folder of the files; default runs/export-<time>."),
+    substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
+    free: list[str] = typer.Option([], help="Parameter left as an argument: road_bank.angle; repeatable."),
+) -> None:
+    """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; names, units and bounds beside them.
+
+    acados and other CasADi users load the .casadi files as they are; see examples/mpc.
+    """
+    from st_core.effects import load_folder
+    from st_core.errors import StCoreError
+    from st_core.vehicle import VehicleParameters
+    from st_recordings.output import new_folder
+    from st_recordings.runs.errors import RunError
+
+    if importlib.util.find_spec("casadi") is None:
+        typer.echo("st export: casadi is not installed: pip install casadi", err=True)
+        raise typer.Exit(2)
+    from st_offline.model_export import export as write
+    from st_offline.model_export import load_model
+
+    try:
+        file = whose(car, vehicle)[0] or config("car/leaf/vehicle.yaml")
+        parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        if effects is not None:
+            load_folder(str(effects.absolute()))
+        chosen, parameters = load_model(model, parameters, str(file))
+        folder = new_folder(output, "export")
+        written = write(chosen, parameters, folder, kind, substeps, free)
+    except (OSError, RunError, StCoreError, UnicodeDecodeError) as error:
+        typer.echo(f"st export: {error}", err=True)
+        raise typer.Exit(2) from None
+    for path in written:
+        typer.echo(path)

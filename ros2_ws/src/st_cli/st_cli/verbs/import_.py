@@ -1,0 +1,110 @@
+"""`st import`: raw logs into one bag on one clock."""
+
+from pathlib import Path
+
+import typer
+
+from ._options import (
+    LEAF,
+    CarName,
+    Dbc,
+    InsCanLatency,
+    Offset,
+    Signals,
+    SteeringLatency,
+    SteeringSign,
+    VehicleFile,
+    say_whose,
+    whose,
+)
+
+
+def import_(
+    paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
+    output: Path | None = typer.Option(
+        None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."
+    ),
+    offset: Offset = None,
+    search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
+    steering_sign: SteeringSign = None,
+    steering_latency: SteeringLatency = None,
+    ins_can_latency: InsCanLatency = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
+    strict: bool = typer.Option(False, "--strict", help="Refuse runs whose alignment is doubtful."),
+) -> None:
+    """Write INS recording and CAN logs as one rosbag2 MCAP: aligned, in one time base, raw packets and frames kept.
+
+    `ros2 bag play` of it drives the live nodes, and every st verb reads it. Exit status 0: all runs written; 1: some
+    were not (each says why); 2: nothing could be done.
+    """
+    from rich.console import Console
+    from st_core.errors import StCoreError
+    from st_core.vehicle import VehicleParameters
+    from st_recordings.output import OutputError, new_folder
+    from st_recordings.runs.errors import RunError
+    from st_recordings.runs.sources import find_runs
+
+    console = Console()
+    try:
+        vehicle, settings = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
+                                  search=search, ins_can_latency=ins_can_latency, doubtful=not strict)
+        file = vehicle or LEAF
+        parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+    except (OSError, UnicodeDecodeError, RunError, StCoreError) as error:
+        typer.echo(f"st import: {error}", err=True)
+        raise typer.Exit(2) from None
+    found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
+    if not found:
+        typer.echo(f"st import: {', '.join(map(str, paths))}: no raw logs (.ncom with CAN logs) are in there", err=True)
+        raise typer.Exit(2)
+    written = 0
+    for run in found:
+        try:
+            several = output is not None and len(found) > 1
+            folder = new_folder(output / run.name if several else output, f"import-{run.name}", create=False)
+            _import_one(run, parameters, folder, settings, force, console)
+            written += 1
+        except (RunError, OutputError) as error:
+            typer.echo(f"st import: {error}", err=True)
+    if vehicle is None:
+        say_whose("import", file)
+    if written < len(found):
+        raise typer.Exit(1 if written else 2)
+
+
+def _import_one(source, parameters, folder: Path, settings, force: bool, console) -> None:
+    import time
+
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from st_offline.alignment_figure import alignment_figure
+    from st_offline.checking.gate import checked_run
+    from st_offline.checking.shown import say
+    from st_recordings.runs.write import import_run
+
+    from .align import VERDICT_STYLE, sentence
+
+    began = time.perf_counter()
+    with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
+                  transient=True) as progress:
+        task = progress.add_task(f"{source.name}: reading and aligning", total=None)
+        done = import_run(source, parameters, folder, settings, checked_run(source.where, parameters, force),
+                          lambda share: progress.update(task, description=f"{source.name}: writing", total=1.0,
+                                                        completed=share))
+    seconds = time.perf_counter() - began
+    for warning in done.warnings:
+        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+    say(source.name, done.findings, console)
+    alignment = done.run.alignment
+    text = sentence(alignment, done.run.can.start_ns, absolute=True)
+    if done.run.shared:
+        alignment_figure(done.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
+    style = VERDICT_STYLE[alignment.verdict]
+    console.print(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", highlight=False, soft_wrap=True)
+    console.print("  " + ", ".join(f"{topic} {count}" for topic, count in done.counts.items()), highlight=False,
+                  soft_wrap=True)
+    console.print(f"  {folder}  [dim]{done.span:.0f} s of driving in {seconds:.1f} s, {done.span / seconds:.0f} times "
+                  "real time[/dim]", highlight=False, soft_wrap=True)

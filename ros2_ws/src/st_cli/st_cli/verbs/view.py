@@ -1,0 +1,50 @@
+"""`st view`: a run that is over, in the browser."""
+
+from pathlib import Path
+
+import typer
+
+from ._options import say_whose_bag
+
+
+def view(
+    recording: Path = typer.Argument(..., help="Folder of a run, a bag, or a saved view (.rrd).", exists=True),
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file, for the outline; default the one in the recording.", exists=True, dir_okay=False
+    ),
+    save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
+) -> None:
+    """Look at a run in the browser as it was seen live, forwards and backwards in time, until Ctrl-C."""
+    # Imported when it runs, see demo.py.
+    import tempfile
+
+    from rich.console import Console
+    from st_core.errors import StCoreError
+    from st_live.suite import SuiteError
+    from st_live.view.window import Window
+    from st_recordings.runs import RunError
+
+    console = Console()
+    try:
+        window = Window(page=not save, save=save)
+        with tempfile.TemporaryDirectory(prefix="st-view-") as name:
+            file = recording
+            if recording.suffix != ".rrd":
+                from st_live.view.recorded import draw
+
+                say_whose_bag("view", recording, vehicle)
+                file = save or Path(name, "view.rrd")
+                with console.status("drawing"):
+                    pictures = draw(recording, file, vehicle)
+                console.print(f"{pictures} pictures of {recording.name}", highlight=False)
+            elif save:
+                raise SuiteError(f"--save {save}: {recording} is a saved view already")
+            if not save:
+                window.show(Path(name), [file], console)
+                try:
+                    window.linger(console)
+                finally:
+                    window.close()
+    except (RunError, StCoreError, SuiteError) as error:
+        typer.echo(f"st view: {error}", err=True)
+        raise typer.Exit(2) from None

@@ -1,0 +1,95 @@
+"""st calibrate and st evaluate --bands as a user starts them, on drives whose answer is known."""
+
+import json
+import shutil
+
+import pytest
+from drives import weave, write_drive, write_vehicle
+from st_cli.cli import app
+from support import ROOT
+from typer.testing import CliRunner
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+
+
+def st(*arguments):
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Ten drives of one car to calibrate with, two more to test with; bands of the linear model."""
+    base = tmp_path_factory.mktemp("bands")
+    for k in range(12):
+        write_drive(base / ("known" if k < 10 else "new") / f"weave_{k}.csv", weave(16.0, 7.0 + 0.15 * k, 0.02))
+    write_vehicle(base / "car.yaml", LEAF)
+    shutil.copy(base / "known" / "weave_0.csv", base / "known" / "copy.csv")
+    write_drive(base / "known" / "short.csv", weave(3.0))
+    result = st("calibrate", base / "known", "--vehicle", base / "car.yaml", "--model", "linear", "--output",
+                base / "bands.yaml")
+    return base, result
+
+
+def test_calibrate_names_what_it_leaves_out_and_says_what_is_promised(folder):
+    base, result = folder
+    assert result.exit_code == 1, result.output
+    text = " ".join(result.output.split())
+    assert "one horizon is 5 s" in text and "holds the same as" in text
+    assert "bands of linear from 10 runs" in text and "10 runs can promise 90.9% at most" in text
+    assert "recordings:" in (base / "bands.yaml").read_text()
+
+
+def test_evaluate_tests_the_bands_on_other_drives(folder, tmp_path):
+    base, _ = folder
+    result = st("evaluate", base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--bands",
+                base / "bands.yaml", "--figures", "png", "--output", tmp_path / "o")
+    assert result.exit_code == 0, result.output
+    content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
+    whole = content["bands_all_runs"]
+    assert whole["known_recordings"] == [] and set(content["bands"]) == {"weave_10", "weave_11"}
+    for one in whole["models"]["linear"].values():
+        assert one["starts"] > 50 and 0.0 <= one["coverage"]["0.5"] <= one["coverage"]["0.9"] <= 1.0
+        assert one["coverage"]["0.9"] > 0.5  # the same car on the same road, a little faster
+        assert 0.0 < one["crps"]["lateral"] < one["interval_score"]["0.9"]["lateral"]
+        assert one["half_width"]["0.5"]["5"]["lateral"] < one["half_width"]["0.9"]["5"]["lateral"]
+    assert (tmp_path / "o" / "bands_reliability.png").stat().st_size > 5000
+    shares = whole["shares"]["linear"]
+    assert shares["starts"] > 50 and set(shares["share"]) == {"parameters", "sensors and start", "what remains"}
+    assert sum(one["5"]["lateral"] for one in shares["share"].values()) == pytest.approx(1.0)
+    assert shares["share"]["sensors and start"]["5"]["lateral"] > 0.0
+    assert "What the error is made of" in result.output and (tmp_path / "o" / "bands_shares.png").exists()
+    page = (tmp_path / "o" / "report.html").read_text()
+    assert "<h2>Bands</h2>" in page and "Reliability of the bands" in page
+
+
+def test_recordings_that_were_calibrated_with_are_no_test(folder, tmp_path):
+    base, _ = folder
+    result = st("evaluate", base / "known" / "weave_1.csv", "--vehicle", base / "car.yaml", "--model", "linear",
+                "--bands", base / "bands.yaml", "--figures", "", "--output", tmp_path / "o")
+    assert "calibrated with: that is no test" in " ".join(result.output.split())
+
+
+def test_bands_of_another_car_or_model_are_refused_in_one_line(folder, tmp_path):
+    base, _ = folder
+    for arguments, words in ((("--vehicle", LEAF, "--model", "linear"), "the bands hold for"),
+                             (("--vehicle", base / "car.yaml", "--model", "kinematic"), "bands.kinematic: there is")):
+        result = st("evaluate", base / "new", *arguments, "--bands", base / "bands.yaml", "--output", tmp_path / "o")
+        assert result.exit_code == 2 and words in result.output, result.output
+        assert len(result.output.strip().splitlines()) == 1 and not (tmp_path / "o").exists()
+
+
+def test_too_few_runs_make_no_file_and_nothing_is_overwritten(folder, tmp_path):
+    base, _ = folder
+    few = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--output",
+             tmp_path / "b.yaml")
+    assert few.exit_code == 2 and "2 runs can promise 66.7% at most" in few.output
+    assert not (tmp_path / "b.yaml").exists()
+    again = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--output", base / "bands.yaml")
+    assert again.exit_code == 2 and "is there already" in again.output
+
+
+def test_without_bands_evaluate_says_how_to_get_them(folder, tmp_path):
+    base, _ = folder
+    result = st("evaluate", base / "new" / "weave_10.csv", "--vehicle", base / "car.yaml", "--model", "linear",
+                "--figures", "", "--output", tmp_path / "o")
+    assert "st calibrate RUN… --vehicle FILE --output bands.yaml" in result.output

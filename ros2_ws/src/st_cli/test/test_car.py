@@ -1,0 +1,183 @@
+"""A car in one folder, and the options that replace a part of it."""
+
+import shutil
+
+import pytest
+from canedge_bridge.signals import load_table
+from st_cli.cli import app
+from st_cli.verbs._options import LEAF, say_whose, whose
+from st_core.vehicle import VehicleParameters
+from st_recordings.car import car_named, names
+from st_recordings.car_skeleton import HINTS, problems, write_skeleton
+from st_recordings.paths import config
+from st_recordings.runs.errors import RunError
+from typer.main import get_command
+from typer.testing import CliRunner
+
+
+@pytest.fixture
+def folder(tmp_path):
+    car = tmp_path / "mycar"
+    car.mkdir()
+    for name in ("vehicle.yaml", "can.dbc", "signals.yaml"):
+        (car / name).write_bytes((config("car/leaf") / name).read_bytes())
+    (car / "car.yaml").write_text("steering_sign: -1\nsteering_latency: 0.03\n")
+    return car
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_car_of_the_configuration_can_be_read(name):
+    car = car_named(name)
+    assert VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle)).mass > 0
+    if car.dbc.exists():
+        assert load_table(car.dbc, car.signals).messages
+
+
+def test_a_car_says_how_its_recordings_are_read(folder):
+    vehicle, read = whose(str(folder), None)
+    assert vehicle == folder / "vehicle.yaml"
+    assert (read.dbc, read.signals) == (folder / "can.dbc", folder / "signals.yaml")
+    assert (read.steering_sign, read.steering_latency) == (-1, 0.03)
+
+
+def test_options_replace_a_part_of_the_car(folder, tmp_path):
+    other = tmp_path / "other.yaml"
+    vehicle, read = whose(str(folder), other, None, other, 1, 0.0, offset=1.5)
+    assert vehicle == other and read.signals == other and read.dbc == folder / "can.dbc"
+    assert (read.steering_sign, read.steering_latency, read.offset) == (1, 0.0, 1.5)
+
+
+def test_without_a_car_options_stand_alone():
+    vehicle, read = whose(None, None, steering_sign=-1)
+    assert vehicle is None and read.dbc is None
+    assert (read.steering_sign, read.steering_latency) == (-1, 0.0)
+
+
+def test_the_leaf_is_not_taken_without_a_word(capsys):
+    say_whose("discover", LEAF)
+    said = capsys.readouterr().err
+    assert "no car was named" in said and "hyundai_genesis" in said and said.count("\n") == 1
+    say_whose("discover", config("car/hyundai_genesis/vehicle.yaml"))
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("steering_sign: 2\n", "neither 1 nor -1"), ("steering_latency: 3\n", "not 0 to 1 s"),
+    ("steering_latency: true\n", "not 0 to 1 s"), ("mass: 1500\n", "mass: unknown"), ("- 1\n", "not a table"),
+    ("steering_sign: [\n", "not YAML")])
+def test_a_car_that_says_nonsense_is_refused(folder, text, said):
+    (folder / "car.yaml").write_text(text)
+    with pytest.raises(RunError, match=said) as error:
+        car_named(str(folder))
+    assert str(folder / "car.yaml") in str(error.value)
+
+
+def test_a_car_nobody_knows_is_refused_with_those_that_are_known():
+    with pytest.raises(RunError, match=r"no vehicle\.yaml.*hyundai_genesis, leaf"):
+        car_named("unknown_car")
+
+
+@pytest.mark.parametrize("name", ["calibrate", "check", "discover", "evaluate", "identify", "import", "live"])
+def test_every_verb_that_decodes_steering_means_the_same_by_the_same_options(name):
+    commands = get_command(app).commands
+    options, reference = ({p.opts[0]: p for p in commands[verb].params} for verb in (name, "evaluate"))
+    for option in ("--car", "--vehicle", "--dbc", "--signals", "--steering-sign", "--steering-latency"):
+        ours, theirs = options[option], reference[option]
+        assert (ours.help, ours.default) == (theirs.help, None), option
+    refused = CliRunner().invoke(app, [name, *([] if name == "live" else [str(LEAF)]), "--steering-sign", "2"])
+    assert refused.exit_code == 2 and "2 is neither 1 nor -1" in refused.output
+
+
+def st_car(*words):
+    return CliRunner().invoke(app, ["car", *map(str, words)])
+
+
+@pytest.fixture
+def new(tmp_path):
+    assert st_car("new", tmp_path / "new").exit_code == 0
+    return tmp_path / "new"
+
+
+def fill_in(folder):
+    """What an owner would write: values of the Leaf, and its steering message."""
+    file = folder / "vehicle.yaml"
+    lines = {line.split(":")[0]: line for line in (config("car/leaf") / "vehicle.yaml").read_text().splitlines()}
+    file.write_text("\n".join(lines[key] if "FILL_IN" in line and (key := line.split(":")[0]) in lines else line
+                              for line in file.read_text().splitlines()))
+    signals = folder / "signals.yaml"
+    signals.write_text(signals.read_text().replace("FILL_IN_message", "MyCar_Steering").replace(
+        "FILL_IN_signal", "SteerAngle"))
+    dbc = folder / "can.dbc"
+    # The example of the skeleton itself, without its comment signs.
+    dbc.write_text(dbc.read_text().replace("// BO_", "BO_").replace("//  SG_", " SG_")
+                   + (folder / "rt.dbc").read_text())
+
+
+def test_a_new_car_fails_for_what_is_to_be_filled_in_and_nothing_else(new):
+    done = st_car("check", new)
+    said = done.stderr.splitlines()
+    assert done.exit_code == 1 and len(said) == len(HINTS) + 2
+    assert all("filled in" in line and str(new) in line for line in said)
+    for key in ("name", *HINTS):
+        assert sum(f"vehicle.yaml: {key}:" in line for line in said) == 1
+    assert any("signals.yaml: messages: FILL_IN_message" in line for line in said)
+
+
+def test_a_new_car_that_is_filled_in_can_be_used(new):
+    fill_in(new)
+    done = st_car("check", new)
+    assert done.exit_code == 0 and not done.stderr, done.stderr
+    car = car_named(str(new))
+    table = load_table(car.dbc, car.signals)
+    assert not table.absent and len(table.messages) == 9
+    assert VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle)).mass == 1590.0
+
+
+@pytest.mark.parametrize(("name", "before", "after", "words"), [
+    ("vehicle.yaml", "value: 1590.0", "value: 15.9", ["vehicle.yaml: mass: 15.9 is outside 50 to 60000 kg"]),
+    ("vehicle.yaml", "mass:", "masss:", ["vehicle.yaml: masss: unknown key"]),
+    ("signals.yaml", "unit: deg, sign: 1, range", "unit: rad, sign: 1, range", ["signals.yaml", "SteerAngle.unit"]),
+    ("signals.yaml", "sign: 1, range", "sign: 2, range", ["signals.yaml", "SteerAngle.sign"]),
+    ("can.dbc", "MyCar_Steering", "OtherName", ["can.dbc: has no message MyCar_Steering"]),
+    ("can.dbc", " SG_ SteerAngle : 0", ' SG_ Page M : 56|8@1+ (1,0) [0|255] "" CAR\n SG_ SteerAngle m0 : 0',
+     ["can.dbc: MyCar_Steering is multiplexed"]),
+    ("car.yaml", "steering_sign: 1", "steering_sign: 0", ["car.yaml: steering_sign: 0 is neither 1 nor -1"]),
+    ("car.yaml", "steering_latency: 0.0", "steering_latency: 30", ["car.yaml: steering_latency: 30 is not 0 to 1 s"]),
+])
+def test_each_fault_of_a_car_is_one_line_with_file_and_key(new, name, before, after, words):
+    fill_in(new)
+    text = (new / name).read_text()
+    assert before in text
+    (new / name).write_text(text.replace(before, after, 1))
+    (said,) = problems(str(new))
+    assert "\n" not in said and all(word in said for word in words), said
+
+
+def test_faults_of_several_files_are_said_together(new):
+    fill_in(new)
+    (new / "car.yaml").write_text("steering_sign: 0\n")
+    (new / "can.dbc").unlink()
+    said = problems(str(new))
+    assert len(said) == 2 and "car.yaml" in said[0] and "can.dbc: there is no such file" in said[1]
+
+
+def test_a_table_without_steering_is_refused(new):
+    fill_in(new)
+    text = (new / "signals.yaml").read_text()
+    (new / "signals.yaml").write_text(text[:text.index("  MyCar")] + text[text.index("  # The INS on CAN"):])
+    assert "steering_wheel_angle" in problems(str(new))[0]
+
+
+@pytest.mark.parametrize("name", names())
+def test_the_cars_of_the_configuration_are_good(name):
+    assert problems(name) == []
+
+
+def test_nothing_is_overwritten(new):
+    done = st_car("new", new)
+    assert done.exit_code == 2 and done.stderr.count("\n") == 1 and "nothing is overwritten" in done.stderr
+    shutil.rmtree(new)
+    assert st_car("check", new).exit_code == 2
+    new.write_text("a file")
+    with pytest.raises(RunError, match="is there already"):
+        write_skeleton(new)

@@ -1,0 +1,192 @@
+"""What st discover says of an answer, in words, on the page and in its figures; answers kept; lists of references."""
+
+import json
+import math
+import re
+from dataclasses import replace
+
+import pytest
+from answers import discovery, fitted
+from drives import weave, write_drive
+from st_cli.verbs.discover import spread
+from st_core.augmented import augment
+from st_core.discovery import DiscoverySettings
+from st_core.discovery.result import BoundEffect, Change, Step, Value
+from st_core.discovery.where import survey
+from st_core.vehicle import VehicleParameters
+from st_offline.discovery import answers, quantities, words
+from st_offline.discovery.agreement_figures import agreement, bound
+from st_offline.discovery.answer_figures import budget, certificate, runs, waterfall
+from st_offline.discovery.document import document
+from st_offline.discovery.drive_figures import maps, over_time, paths
+from st_offline.discovery.drives import read_drive
+from st_offline.discovery.figures import Scene, candidates, conditions, gap
+from st_offline.discovery.mending import mend
+from st_offline.discovery.page import write_page
+from st_offline.discovery.question import Question
+from st_offline.discovery.shown import show
+from st_offline.evaluation.drawing import Place
+from st_recordings.runs import ReadSettings, find_runs
+from support import ROOT
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+CAR = VehicleParameters.from_yaml(LEAF.read_text())
+STEPS = (("steering_ratio", {"factor": 0.894}, 0.72), ("heading_misalignment", {"angle": 0.0098}, 0.55),
+         ("lateral_acceleration_bias", {"bias": -0.6}, 0.55))
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    file = write_drive(tmp_path_factory.mktemp("drive") / "<b>weave.csv", weave(20.0))
+    return read_drive(find_runs([file])[0], CAR, ReadSettings(), None, force=True)
+
+
+@pytest.fixture(scope="module")
+def logs(drive):
+    return [drive.log, replace(drive.log, name="other")]
+
+
+def tied(logs, to="run"):
+    values = tuple(Value(log.name if to == "run" else to + str(k), (-1.0) ** k, 0.2) for k, log in enumerate(logs))
+    return BoundEffect("crosswind", to, fitted("crosswind", {"wind_x": 9.0, "wind_y": 4.0}), values, 0.09)
+
+
+def test_the_first_line_says_what_takes_how_much(logs):
+    assert words.title(discovery(logs, STEPS, 1.72)) == (
+        "5 s position error 1.72 m → 0.55 m (held-out): steering ratio × 0.894 (1.00 m), heading misalignment 0.56° "
+        "(0.17 m), lateral acceleration bias -0.60 m/s² (lateral acceleration error −50 %)")
+
+
+def test_names_not_told_apart_stand_together(logs):
+    found = discovery(logs, STEPS[:1], 1.72, alternatives={"steering_ratio": ("front_stiffness",)}, outcome="ambiguous")
+    assert "steering ratio or front stiffness × 0.894 (1.00 m)" in words.title(found)
+    assert any("drive what is suggested" in text for text in words.to_do(found, None))
+
+
+@pytest.mark.parametrize(("outcome", "said"), [
+    ("none", "nothing is missing for sure"), ("not_testable", "show too little"),
+    ("unknown", "something is missing that no known effect explains")])
+def test_without_a_name(logs, outcome, said):
+    assert said in words.title(discovery(logs, (), 1.72, outcome=outcome))
+
+
+def test_what_is_bound_is_told_and_not_named(logs):
+    found = discovery(logs, (), 1.72, bound=(tied(logs),), outcome="bound")
+    assert words.title(found).endswith("something like crosswind (0.090 m), tied to run; nothing is named")
+    (text,) = dict(words.verdict(found, None))["not named"]
+    assert "no property of the car" in text and "other: -1.00 ± 0.39" in text
+
+
+def test_first_lines_name_runs_and_references_with_seconds(logs):
+    lines = words.verdict(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
+    assert [question for question, _ in lines[:2]] == ["suspect", "reference"]
+    assert lines[0][1] == ["2 runs, 40 s at 2 sites, told by tracks that overlap: <b>weave 20 s, other 20 s"]
+    assert lines[1][1] == ["1 run, 20 s: healthy 20 s"]
+    assert "starts from the vehicle file" in dict(words.verdict(discovery(logs, STEPS, 1.72), None))["reference"][0]
+
+
+def test_what_replaces_another_inherits_its_metres():
+    def step(effect, before, after, action="added", instead=""):
+        return Step(effect, action, "physics", {}, Change(before, after, (0.0, 1.0), "m"), {}, {}, instead)
+    steps = [step("mass", 2.0, 1.5), step("friction", 1.5, 1.0), step("yaw_inertia", 1.0, 0.8, "exchanged", "mass"),
+             step("friction", 0.8, 0.9, "removed")]
+    found = words.taken(steps)
+    assert found == pytest.approx({"yaw_inertia": 0.7, "": 0.4}) and sum(found.values()) == pytest.approx(2.0 - 0.9)
+    assert [words.step_name(s) for s in steps[2:]] == ["yaw inertia instead of mass", "− friction"]
+
+
+def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):
+    (p,) = fitted("heading_misalignment", {"angle": math.radians(0.5)}).values()
+    assert quantities.value(p) == "0.500° (0.490 to 0.510)" and quantities.short_value(p) == "0.50°"
+    assert quantities.change(0.03, "1") == "3 %" and quantities.change(math.radians(-1.0), "rad") == "1°"
+
+
+def scene(found, logs, folder=None):
+    return Scene(found, logs, CAR, None, None, Place(folder, ("png",) if folder else ()))
+
+
+def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
+    full = discovery(logs, STEPS, 1.72, bound=(tied(logs),))
+    nothing = replace(full.certificate, powers=())
+    empty = replace(discovery(logs, (), 1.72), budget=(), certificate=nothing, candidates=(), gap={})
+    for make in (waterfall, budget, runs, agreement, bound, gap, candidates, certificate):
+        drawn = make(scene(full, logs, tmp_path))
+        assert drawn.svg.startswith("<svg") and (tmp_path / f"{drawn.key}.png").stat().st_size > 5000
+        assert make(scene(empty, logs)) is None
+
+
+def test_figures_of_the_driving_are_drawn_from_surveys(tmp_path):
+    files = [write_drive(tmp_path / f"{speed}.csv", weave(90.0, speed)) for speed in (7.0, 9.0)]
+    long = [read_drive(source, CAR, ReadSettings(), None, force=True).log for source in find_runs(files)]
+    found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
+    before, after = (survey(long, model, CAR, settings, noise={"yaw_rate": 0.002, "position": 0.05})
+                     for model in (found.base, found.model))
+    one = Scene(found, long, CAR, before, after, Place(tmp_path, ("png",)))
+    drawn = [make(one) for make in (conditions, maps, over_time, paths)]
+    assert [d.key for d in drawn] == ["conditions", "map", "time", "paths"]
+    assert "yaw rate error," in drawn[0].svg and "with what was found" in drawn[3].svg
+
+
+@pytest.mark.parametrize("to", ["run", "site", "time", "condition", "place at east 10 m, north 5 m, "])
+def test_bound_to_anything_can_be_drawn(logs, to):
+    drawn = bound(scene(discovery(logs, (), 1.0, bound=(tied(logs, to),)), logs))
+    assert drawn.title.startswith(f"Tied to {to}")
+
+
+def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, tmp_path, capsys):
+    from rich.console import Console
+
+    found = discovery(logs, STEPS, 1.72, bound=(tied(logs),))
+    question = Question([drive], [], "nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), {})
+    mended = mend(found, question)
+    content = document(found, question, mended, {})
+    assert content["schema"] == 2 and content["mended"]["vehicle.yaml"]["kept"]["steering_ratio"]
+    json.dumps(content, allow_nan=False)
+    page = tmp_path / "report.html"
+    write_page(page, found, mended, content, [waterfall(scene(found, logs))])
+    text = page.read_text()
+    assert words.title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
+    assert "2.5 % are asked for" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
+    show(found, mended, [], {"report.html": page}, True, Console(width=300))
+    said = capsys.readouterr().out
+    order = [said.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "+ steering ratio", "what")]
+    assert order == sorted(order)
+    assert "part of the error" in said and "--fresh searches anew" in said
+
+
+def test_an_answer_is_kept_whole(logs, tmp_path):
+    found = discovery(logs, STEPS, 1.72, bound=(tied(logs),), start=augment("nonlinear", {"mass": {"factor": 1.1}}))
+    for one in (found, discovery(logs, (), 1.72)):
+        answers.keep(tmp_path / "a.json", one)
+        back = answers.kept(tmp_path / "a.json")
+        assert back.document() == one.document() and back.steps == one.steps and back.bound == one.bound
+        assert back.base.values == one.base.values
+        assert (back.model and back.model.values) == (one.model and one.model.values)
+    for damaged in ("", "{}", (tmp_path / "a.json").read_text()[:200], '{"base": 1}'):
+        (tmp_path / "a.json").write_text(damaged)
+        assert answers.kept(tmp_path / "a.json") is None
+    assert answers.kept(tmp_path / "none.json") is None
+
+
+def test_another_question_is_another_answer(logs):
+    base, settings = augment("nonlinear", {}), DiscoverySettings()
+    asked = [logs, [], CAR, base, settings, {}, {}]
+    others = [(0, logs[:1]), (0, [replace(logs[0], yaw=logs[0].yaw + 1e-6), logs[1]]), (1, logs[:1]),
+              (2, replace(CAR, mass=1600.0)), (3, augment("nonlinear", {"mass": {"factor": 1.1}})),
+              (3, augment("linear", {})), (4, DiscoverySettings(seed=1)), (5, {"mine.py": "ab"}),
+              (6, {"yaw_rate_bias": (0.1, 0.0, 0.2)})]
+    keys = {answers.key(*asked)}
+    for place, value in others:
+        keys.add(answers.key(*asked[:place], value, *asked[place + 1:]))
+    assert len(keys) == 1 + len(others) and answers.key(*asked) in keys
+
+
+@pytest.mark.parametrize(("given", "meant"), [
+    (["a", "--reference", "b", "c", "--seed", "1"], ["a", "--reference", "b", "--reference", "c", "--seed", "1"]),
+    (["a", "--reference", "b", "--reference", "c", "d"], ["a", *["--reference", "b"], *["--reference", "c"],
+                                                          *["--reference", "d"]]),
+    (["--reference", "b", "--", "a"], ["--reference", "b", "--", "a"]),
+    (["--reference=b", "a"], ["--reference=b", "a"]),
+    (["a", "--seed", "1", "b"], ["a", "--seed", "1", "b"])])
+def test_reference_takes_all_paths_up_to_the_next_option(given, meant):
+    assert spread(given) == meant

@@ -1,0 +1,257 @@
+"""What st discover takes in: drives kept between starts, model files, and what it refuses in one line."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import circle, weave, write_drive, write_vehicle
+from st_cli.cli import app
+from st_core.augmented import augment
+from st_core.log import DriveLog
+from st_core.model_file import ModelFile, Provenance
+from st_core.vehicle import VehicleParameters
+from st_live.fourth_model import fourth_model
+from st_live.suite import SuiteError
+from st_offline.discovery.command import CommandError, _refuse_twice, measured
+from st_offline.discovery.drives import _key, read_drive, read_drives
+from st_recordings.runs import ReadSettings, find_runs
+from st_recordings.runs.load import hashes
+from support import ROOT
+from typer.testing import CliRunner
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+GENESIS = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
+
+
+def car(path) -> VehicleParameters:
+    return VehicleParameters.from_yaml(path.read_text(), str(path))
+
+
+def discover(*arguments):
+    return CliRunner().invoke(app, ["discover", *map(str, arguments)])
+
+
+@pytest.fixture
+def drive(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return write_drive(tmp_path / "drive.csv", weave(8.0))
+
+
+def same(a: DriveLog, b: DriveLog) -> bool:
+    return a.name == b.name and all(np.array_equal(getattr(a, n), getattr(b, n)) for n in (
+        "ins_time_ns", "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering_time_ns", "road_wheel_angle",
+        "acceleration_y"))
+
+
+def test_a_drive_is_read_once(drive, tmp_path):
+    kept, (source,) = tmp_path / "kept", find_runs([drive])
+    first = read_drive(source, car(LEAF), ReadSettings(), kept)
+    (file,) = kept.iterdir()
+    stamp = file.stat().st_mtime_ns
+    again = read_drive(source, car(LEAF), ReadSettings(), kept)
+    assert same(first.log, again.log) and first.about == again.about and file.stat().st_mtime_ns == stamp
+
+
+def test_what_is_kept_is_of_these_bytes_this_car_and_these_settings(drive, tmp_path):
+    kept = tmp_path / "kept"
+    for vehicle, settings in ((LEAF, ReadSettings()), (GENESIS, ReadSettings()), (LEAF, ReadSettings(offset=0.1))):
+        read_drive(find_runs([drive])[0], car(vehicle), settings, kept)
+    assert len(list(kept.iterdir())) == 3
+    write_drive(drive, weave(9.0))
+    assert read_drive(find_runs([drive])[0], car(LEAF), ReadSettings(), kept).log.duration > 8.5
+
+
+def test_a_damaged_file_is_read_anew(drive, tmp_path):
+    kept, (source,) = tmp_path / "kept", find_runs([drive])
+    first = read_drive(source, car(LEAF), ReadSettings(), kept)
+    (file,) = kept.iterdir()
+    for content in (b"", b"PK not a zip", file.read_bytes()[:400]):
+        file.write_bytes(content)
+        assert same(read_drive(source, car(LEAF), ReadSettings(), kept).log, first.log)
+
+
+def test_side_by_side_is_the_same(drive, tmp_path):
+    other = write_drive(tmp_path / "other.csv", weave(7.0))
+    sources, ticks = find_runs([drive, other, tmp_path / "none.csv"]), []
+    alone, parallel = (read_drives(sources, car(LEAF), ReadSettings(), jobs, None, lambda: ticks.append(1))
+                       for jobs in (1, 2))
+    assert [d.problem != "" for d in parallel] == [d.problem != "" for d in alone] and len(ticks) == 5
+    for a, b in zip(alone, parallel, strict=True):
+        assert (a.log is None and b.log is None) or same(a.log, b.log)
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["--base", "wrong"], "--base wrong: there are kinematic, linear, nonlinear, or a model file"),
+    (["--base", "none.yaml"], "--base none.yaml: cannot be read: No such file"),
+    (["--channels", "speed"], "channels: 'speed' is none of velocity_y, yaw_rate"),
+    (["--channels", ""], "at least one of velocity_y, yaw_rate"),
+    (["--figures", "gif"], "--figures: gif is not one of"),
+    (["--reference", "nowhere"], "no --reference run can be used: "),
+])
+def test_wrong_options_are_one_line(drive, tmp_path, arguments, said):
+    result = discover(drive, "--output", tmp_path / "o", *arguments)
+    assert result.exit_code == 2 and said in result.output and "Traceback" not in result.output
+
+
+def test_no_recording_and_a_broken_one(drive, tmp_path):
+    broken = tmp_path / "broken.csv"
+    broken.write_text(drive.read_text().replace("yaw_rate", "something"))
+    for path, said in ((tmp_path / "none.csv", "there is no such file"), (broken, "broken.csv")):
+        result = discover(path, "--output", tmp_path / "o")
+        assert result.exit_code == 2 and "no run can be used: " in result.output and said in result.output
+
+
+def test_rows_without_a_number_are_left_out_and_said(drive, tmp_path):
+    first, *rows = drive.read_text().splitlines()
+    column = first.split(",").index("yaw_rate")
+
+    def with_nan(some: slice) -> None:
+        cells = [row.split(",") for row in rows]
+        for row in cells[some]:
+            row[column] = "nan"
+        drive.write_text("\n".join([first, *(",".join(row) for row in cells)]) + "\n")
+    with_nan(slice(100, 150))
+    read = read_drive(find_runs([drive])[0], car(LEAF), ReadSettings(), None)
+    assert "yaw_rate (column yaw_rate): 50 of 400 rows hold no number; these samples of the INS were left out" in (
+        read.about["warnings"][0])
+    with_nan(slice(None))
+    result = discover(drive, "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "fewer than two usable rows" in result.output
+
+
+def test_a_drive_cannot_be_its_own_reference(drive, tmp_path):
+    copy = tmp_path / "healthy" / "copy.csv"
+    copy.parent.mkdir()
+    copy.write_bytes(drive.read_bytes())
+    result = discover(drive, "--reference", copy, "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "is given as a run and as --reference" in result.output
+
+
+def test_a_reference_of_another_car_is_refused(drive, tmp_path):
+    """Recordings of the suite carry their vehicle file; its name says which car it is."""
+    def of(car_name, file):
+        read = read_drive(find_runs([write_drive(tmp_path / file, weave(9.0))])[0], car(LEAF), ReadSettings(), None)
+        digest = {"files": {file: file}, "vehicle": car_name}
+        return replace(read, name=file, about={**read.about, **digest})
+    leaf, genesis, unknown = of("Leaf", "a.csv"), of("Genesis", "b.csv"), of("", "c.csv")
+    with pytest.raises(CommandError, match=r"--reference b\.csv is of 'Genesis', a\.csv of 'Leaf', as"):
+        _refuse_twice([leaf], [unknown, genesis])
+    _refuse_twice([leaf, unknown], [of("Leaf", "d.csv"), of("", "e.csv")])
+
+
+def test_references_are_listed_and_runs_must_be_left(drive, tmp_path):
+    healthy = [write_drive(tmp_path / "healthy" / f"{name}.csv", weave(seconds)) for name, seconds in
+               (("a", 9.0), ("b", 10.0))]
+    for words in (["--figures", "gif", drive, "--reference", *healthy],
+                  ["--figures", "gif", "--reference", *healthy, "--", drive]):
+        assert "--figures: gif is not one of" in discover(*words).output
+    result = discover("--reference", drive, *healthy)
+    assert result.exit_code == 2 and "no runs are left: --reference takes every path" in " ".join(
+        result.output.replace("│", " ").split())
+
+
+def test_what_the_checks_measured_is_pooled_over_the_runs(tmp_path):
+    files = [write_drive(tmp_path / f"{seconds:.0f}.csv", weave(seconds)) for seconds in (30.0, 40.0)]
+    one, two = read_drives(find_runs(files), car(LEAF), ReadSettings(), 1, None, lambda: None)
+    alone, both = measured([one]), measured([one, two])
+    assert alone["yaw_rate_bias"] == tuple(one.about["estimates"]["yaw_rate_bias"])
+    value, low, high = both["yaw_rate_bias"]
+    assert low <= value <= high and set(both) >= set(alone)
+
+
+def test_effects_that_do_not_load_are_one_line(drive, tmp_path):
+    (tmp_path / "effects").mkdir()
+    (tmp_path / "effects" / "broken.py").write_text("import nothing_of_this_name\n")
+    result = discover(drive, "--effects", tmp_path / "effects", "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "broken.py: cannot be loaded: ModuleNotFoundError" in result.output
+
+
+def test_model_file_of_another_car_is_refused(drive, tmp_path):
+    model = tmp_path / "model.yaml"
+    lag = augment("nonlinear", {"steering_lag": {"time_constant": 0.1}})
+    model.write_text(ModelFile.of(lag, car(GENESIS), Provenance()).to_yaml())
+    result = discover(drive, "--base", model, "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "the values hold for 'Hyundai Genesis'" in result.output
+    with pytest.raises(SuiteError, match="the values hold for 'Hyundai Genesis'"):
+        fourth_model(model, None, LEAF)
+    chosen = fourth_model(model, None, GENESIS)
+    assert chosen["predictor"] == chosen["evaluator"] == {"model_file": str(model), "effects_directory": ""}
+
+
+def test_fourth_model_that_is_none(tmp_path):
+    (tmp_path / "model.yaml").write_text("base: nonlinear\neffects: {no_such: {}}\n")
+    with pytest.raises(SuiteError, match="no_such"):
+        fourth_model(tmp_path / "model.yaml", None, LEAF)
+    with pytest.raises(SuiteError, match="only a --model uses effects"):
+        fourth_model(None, tmp_path, LEAF)
+    assert fourth_model(None, None, LEAF) == {}
+
+
+def test_results_are_never_overwritten(drive, tmp_path):
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "precious.txt").write_text("x")
+    result = discover(drive, "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "is not empty" in result.output
+
+
+def test_a_run_too_short_says_what_is_needed(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    result = discover(write_drive(tmp_path / "short.csv", weave(3.0)), "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "no run is long enough: a run needs 7 s" in result.output
+
+
+def test_what_a_run_file_says_is_part_of_what_is_kept(drive, tmp_path):
+    keys = set()
+    for text in ("", "units: {yaw: deg}\n", "columns: {yaw: x}\n", "correct: {yaw: {scale: 2}}\n",
+                 "correct: {yaw: {scale: 3}}\n", "leave_out: [[1, 2]]\n"):
+        for folder in (tmp_path, tmp_path / "elsewhere"):
+            run_file = write_drive(folder / "drive.csv", weave(8.0)).with_name("run.yaml")
+            run_file.write_text("name: drive\ncsv: drive.csv\n" + text)
+            (source,) = find_runs([run_file])
+            keys.add(_key(source, {"": hashes(source)[str(source.where)]}, car(LEAF), ReadSettings()))
+    assert len(keys) == 6
+
+
+def answer(tmp_path, *rows, change=str):
+    """(discovery.json, what was said) of drives made of rows, with the noise of an INS; no figures."""
+    rng, files = np.random.default_rng(5), []
+    for number, given in enumerate(rows):
+        noisy = given.copy()
+        noisy[:, 1:] += rng.normal(size=noisy[:, 1:].shape) * NOISE
+        files.append(write_drive(tmp_path / "in" / f"{number}.csv", noisy))
+    files[0].write_text(change(files[0].read_text()))
+    words = ["discover", *files, "--vehicle", write_vehicle(tmp_path / "car.yaml", LEAF), "--no-report", "--output",
+             tmp_path / "o"]
+    result = CliRunner().invoke(app, [str(w) for w in words],
+                                env={"XDG_CACHE_HOME": str(tmp_path / "cache"), "COLUMNS": "300"})
+    assert result.exit_code == 0 and "Traceback" not in result.output, result.output
+    return json.loads((tmp_path / "o" / "discovery.json").read_text()), result.output
+
+
+NOISE = np.array([0.01, 0.01, 0.0005, 0.02, 0.02, 0.002, 0.05, 0.05, 0.0005])
+
+
+@pytest.mark.slow
+def test_straight_driving_says_what_it_cannot_show(tmp_path):
+    content, said = answer(tmp_path, weave(30.0, curvature=1e-9), weave(30.0, 10.0, 1e-9))
+    assert content["outcome"] in ("not_testable", "none") and not content["effects"]
+    assert {"friction", "mass", "front_stiffness"} <= {n["name"] for n in content["not_testable"]}
+    assert "straight driving" in said and "two runs: whether runs agree cannot be said" in said
+
+
+@pytest.mark.slow
+def test_one_bend_and_one_run_are_said(tmp_path):
+    _, said = answer(tmp_path, circle(40.0))
+    assert "bends to one side only" in said and "one run: whether runs agree cannot be said" in said
+    assert "suspect: 1 run, 40 s: 0 40 s" in said and "reference: none" in said
+
+
+@pytest.mark.slow
+def test_a_channel_that_one_run_lacks_is_left_out_and_said(tmp_path):
+    def without_acceleration(text):
+        rows = [line.split(",") for line in text.splitlines()]
+        return "\n".join(",".join(row[:8] + row[9:]) for row in rows) + "\n"
+    content, said = answer(tmp_path, weave(20.0), weave(20.0, 10.0), change=without_acceleration)
+    assert "acceleration_y" not in content["gap"] and "velocity_y" in content["gap"]
+    assert "acceleration_y" in said and "0" in said

@@ -1,0 +1,136 @@
+"""The vehicle file that st discover mends: it predicts as the model found does, and all else in it stays."""
+
+from dataclasses import replace
+
+import pytest
+from answers import discovery
+from drives import weave, write_drive
+from effect_values import values_of
+from experiment_tables import write_tables
+from st_cli.cli import app
+from st_core.discovery import DiscoverySettings
+from st_core.effects import EFFECTS
+from st_core.identification.apply import value_of
+from st_core.model_file import ModelFile
+from st_core.vehicle import VehicleParameters
+from st_offline.discovery.document import model_file
+from st_offline.discovery.drives import Drive, read_drive
+from st_offline.discovery.mending import KEYS, edited, mend
+from st_offline.discovery.question import Question
+from st_recordings.runs import ReadSettings, find_runs
+from support import ROOT
+from typer.testing import CliRunner
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+TEXT = LEAF.read_text()
+CAR = VehicleParameters.from_yaml(TEXT)
+FOLDED = sorted(name for name, effect in EFFECTS.items() if effect.fold is not None)
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory) -> Drive:
+    """A drive whose steering wheel was recorded."""
+    file = write_drive(tmp_path_factory.mktemp("drive") / "weave.csv", weave(20.0))
+    drive = read_drive(find_runs([file])[0], CAR, ReadSettings(), None, force=True)
+    wheel = CAR.steering_wheel_angle(drive.log.road_wheel_angle)
+    return replace(drive, log=replace(drive.log, steering_wheel_angle=wheel))
+
+
+def question(drive: Drive, text: str = TEXT) -> Question:
+    return Question([drive], [], "nonlinear", VehicleParameters.from_yaml(text), "leaf.yaml", text, DiscoverySettings(),
+                    {})
+
+
+def mended(drive: Drive, *effects: tuple[str, dict], text: str = TEXT):
+    found = discovery([drive.log], [(name, values, 0.5) for name, values in effects], 1.0)
+    return found, mend(found, question(drive, text))
+
+
+@pytest.mark.parametrize("name", FOLDED)
+def test_the_file_holds_what_its_effect_would_do(driven, name):
+    values = values_of(name, 0.8)
+    found, one = mended(driven, (name, values))
+    assert one.folded == (name,) and not one.kept
+    expected = EFFECTS[name].fold(CAR, EFFECTS[name].Theta(**values, car=()))
+    for key in KEYS:
+        assert value_of(one.vehicle, key) == pytest.approx(value_of(expected, key), rel=1e-5, abs=1e-9), key
+    for low, high in ((change[2], change[3]) for change in one.changes.values()):
+        assert low <= high
+    assert model_file(found, question(driven), one) is None
+
+
+def test_only_the_lines_of_its_keys_change(driven):
+    _, one = mended(driven, ("steering_ratio", {"factor": 0.9}), ("mass", {"factor": 1.1}))
+    lines = TEXT.splitlines()
+    gone, new = set(lines) - set(one.text.splitlines()), [n for n in one.text.splitlines() if n not in lines]
+    assert {line.partition(":")[0] for line in gone} == {"mass", "steering_ratio"}
+    # The file leaves lambda_ky to be derived from the load; the effect keeps the tyre, so it is written there.
+    assert [line.partition(":")[0] for line in new] == ["mass", "steering_ratio", "  lambda_ky", "  lambda_ky"]
+    note = one.vehicle.provenance["steering_ratio"]
+    assert note.uncertainty == pytest.approx(0.02 * 0.1 * 17.3 / 1.96, rel=0.02)
+    assert note.method == "st discover" and note.data == "weave" and len(note.date) == 10
+    source = one.vehicle.sources["steering_ratio"]
+    assert source.startswith("st discover, 20") and "95 % interval 15.5" in source and source.endswith("before 17.3")
+
+
+def test_the_unit_of_the_file_stays(driven):
+    _, one = mended(driven, ("steering_offset", {"angle": 0.005}))
+    line = next(line for line in one.text.splitlines() if line.startswith("steering_wheel_offset"))
+    assert 'unit: "deg"' in line
+    assert one.vehicle.steering_wheel_offset == pytest.approx(CAR.steering_wheel_offset - 0.005 * 17.3, abs=1e-6)
+
+
+def test_blocks_and_comments_of_the_user_stay(driven):
+    line = next(line for line in TEXT.splitlines(True) if line.startswith("mass"))
+    block = "mass:  # weighed\n  value: 1590.0  # by me\n  unit: kg\n  source: scales\n# the next one is a guess\n"
+    text = TEXT.replace(line, block)
+    _, one = mended(driven, ("mass", {"factor": 1.1}), text=text)
+    assert one.vehicle.mass == pytest.approx(1749.0) and "# weighed" in one.text
+    assert "# the next one is a guess\nyaw_inertia" in one.text
+
+
+def test_a_key_the_file_leaves_out_is_put_in():
+    text = edited(TEXT, {"tyre_front.lambda_muy": lambda unit, factor: f'{{value: 0.8, unit: "{unit}", source: "x"}}'})
+    found = VehicleParameters.from_yaml(text)
+    assert found.tyre_front.lambda_muy == 0.8 and replace(found, tyre_front=CAR.tyre_front) == CAR
+
+
+def test_what_a_file_cannot_hold_is_the_model_on_the_mended_car(driven, tmp_path):
+    found, one = mended(driven, ("steering_ratio", {"factor": 0.9}), ("yaw_rate_bias", {"bias": 0.004}))
+    file = model_file(found, question(driven), one)
+    assert set(file.effects) == {"yaw_rate_bias"} and file.vehicle_hash == one.vehicle.hash != CAR.hash
+    assert file.effects["yaw_rate_bias"]["bias"].interval == pytest.approx((0.00392, 0.00408))
+    assert ModelFile.from_yaml(file.to_yaml()).model().values["yaw_rate_bias"]["bias"] == 0.004
+    # Whoever evaluates with the model file alone gets the car it is for.
+    (tmp_path / "model.yaml").write_text(file.to_yaml())
+    drive = write_drive(tmp_path / "weave.csv", weave(8.0))
+    result = CliRunner().invoke(app, ["evaluate", str(drive), "--model", str(tmp_path / "model.yaml"), "--figures", "",
+                                      "--output", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+
+
+def test_recordings_of_the_road_wheels_keep_the_ratio_in_the_model(driven):
+    """The ratio of a vehicle file does not touch them, so the model has to."""
+    bare = replace(driven, log=replace(driven.log, steering_wheel_angle=None))
+    found, one = mended(bare, ("steering_ratio", {"factor": 0.9}))
+    assert not one.folded and one.text == "" and one.vehicle.hash == CAR.hash
+    assert one.kept["steering_ratio"]["steering_ratio"] == pytest.approx((17.3, 15.57))
+    assert set(model_file(found, question(bare), one).effects) == {"steering_ratio"}
+
+
+def test_what_does_not_commute_stays_in_the_model(driven):
+    """Play is measured after the ratio of the file: with another ratio the same play is another effect."""
+    _, one = mended(driven, ("steering_backlash", {"play": 0.02}), ("steering_ratio", {"factor": 0.6}))
+    assert set(one.kept) == {"steering_ratio"} and not one.folded
+
+
+def test_identify_starts_from_the_mended_file_and_says_where_it_contradicts(driven, tmp_path):
+    _, one = mended(driven, ("mass", {"factor": 1.1}), ("yaw_inertia", {"factor": 1.2}))
+    (tmp_path / "vehicle.yaml").write_text(one.text)
+    words = ["identify", "scales", write_tables(CAR, tmp_path / "tables", seed=2)["scales"], "--vehicle",
+             tmp_path / "vehicle.yaml", "--output", tmp_path / "out"]
+    result = CliRunner().invoke(app, [*map(str, words)], env={"COLUMNS": "200"})
+    assert result.exit_code == 0 and "(st discover, 20" in result.output, result.output
+    after = VehicleParameters.from_yaml((tmp_path / "out" / "vehicle.yaml").read_text())
+    assert after.mass != one.vehicle.mass and after.yaw_inertia == one.vehicle.yaw_inertia
+    assert after.provenance["yaw_inertia"] == one.vehicle.provenance["yaw_inertia"]

@@ -1,0 +1,108 @@
+"""st effects as a user starts it, and a proposed effect file wherever a model file is taken."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from drives import weave, write_drive
+from effect_registry import restored
+from st_cli.cli import app
+from st_core.augmented import augment
+from st_core.effects import EFFECTS, load_folder
+from st_core.model_file import ModelFile
+from st_core.proposals import Candidate, Proposal, Proposals
+from st_core.vehicle import VehicleParameters
+from st_offline.discovery import proposed
+from support import ROOT
+from typer.testing import CliRunner
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+CAR = VehicleParameters.from_yaml(LEAF.read_text())
+
+
+def st(*arguments):
+    return CliRunner().invoke(app, [*map(str, arguments)], env={"COLUMNS": "200"})
+
+
+registry = pytest.fixture(autouse=True)(restored)
+
+
+@pytest.fixture
+def law(tmp_path):
+    """A folder with a rear axle that steers with the lateral acceleration, as it is proposed."""
+    c = Candidate("rear_steer", "acceleration_y", -1.0, -6.0, 6.0)
+    at = np.linspace(-6.0, 6.0, 41)
+    heights = np.linalg.lstsq(c.splines(at).T, 0.001 * at, rcond=1e-6)[0]
+    one = Proposal(c, heights, at, heights @ c.splines(at), 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001, (0.8, 0.5), {},
+                   augment("nonlinear", {"mass": {"factor": 1.1}}))
+    proposed.write(Proposals(one, "", {}), CAR, ["lap"], "2026-01-01", {}, tmp_path)
+    for name in [name for name in EFFECTS if name.startswith("proposed_")]:  # as in a new process
+        del EFFECTS[name]
+    for name in [m for m in sys.modules if m.startswith("st_effects_")]:
+        del sys.modules[name]
+    return tmp_path
+
+
+def test_the_library_is_listed():
+    shown = st("effects").output
+    assert all(name in shown for name in EFFECTS)
+    assert "slip angles, memory" in next(line for line in shown.splitlines() if "roll_steer" in line)
+
+
+def test_own_effects_are_listed_with_their_folder(law):
+    assert "proposed_rear_steer" in st("effects", "list", "--effects", law / "effects").output
+
+
+def test_a_proposed_file_keeps_all_promises(law):
+    result = st("effects", "check", law / "effects" / "proposed_rear_steer.py")
+    assert result.exit_code == 0 and "proposed_rear_steer: all promises kept" in result.output, result.output
+    assert result.output.count("yes") == 8
+
+
+def test_a_broken_promise_is_said_and_is_an_exit_status(law):
+    file = law / "effects" / "proposed_rear_steer.py"
+    file.write_text(file.read_text().replace("theta.share * law(", "theta.share + law("))
+    result = st("effects", "check", file)
+    assert result.exit_code == 1 and "no   at null it changes nothing, to the last bit: at null" in result.output
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("check", "nothing.py"), "nothing.py: no effect file"), (("describe",), "'describe' is neither list nor check")])
+def test_what_is_no_effect_file_is_one_line(arguments, words):
+    result = st("effects", *arguments)
+    assert result.exit_code == 2 and words in result.output
+
+
+def test_model_file_with_a_proposed_effect_is_evaluated_and_exported(law, tmp_path):
+    drive = write_drive(tmp_path / "weave.csv", weave(20.0))
+    words = ("--model", "nonlinear", "--model", law / "proposed.yaml", "--vehicle", LEAF, "--figures", "", "--output")
+    refused = st("evaluate", drive, *words, tmp_path / "no")
+    assert refused.exit_code == 2 and "proposed_rear_steer" in refused.output
+    result = st("evaluate", drive, *words, tmp_path / "out", "--effects", law / "effects")
+    assert result.exit_code == 0, result.output
+    said = json.loads((tmp_path / "out" / "evaluation.json").read_text())["runs"]["weave"]
+    errors = {m: said[m]["hindsight"]["lateral"]["rmse"] for m in ("nonlinear", "augmented")}
+    assert errors["nonlinear"] != errors["augmented"]
+    result = st("export", law / "proposed.yaml", "--effects", law / "effects", "--output", tmp_path / "exported")
+    assert result.exit_code == 0, result.output
+    described = json.loads((tmp_path / "exported" / "model.json").read_text())
+    assert "proposed_rear_steer" in described["effects"]
+
+
+def test_drives_are_identified_with_a_proposed_effect(law, tmp_path):
+    drive = write_drive(tmp_path / "weave.csv", weave(60.0))
+    words = ("identify", "stiffness", drive, "--model", law / "proposed.yaml", "--vehicle", LEAF, "--output")
+    result = st(*words, tmp_path / "out", "--effects", law / "effects")
+    assert result.exit_code == 0, result.output
+    said = json.loads((tmp_path / "out" / "identification.json").read_text())
+    assert "proposed_rear_steer" in json.dumps(said)
+    refused = st("identify", "steering-offset", drive, "--model", law / "proposed.yaml", "--effects", law / "effects",
+                 "--output", tmp_path / "no")
+    assert refused.exit_code == 2 and "steering-offset predicts nothing" in refused.output
+
+
+def test_the_file_reads_back_as_the_model_that_was_written(law):
+    load_folder(str(law / "effects"))
+    model = ModelFile.from_yaml((law / "proposed.yaml").read_text()).model()
+    assert model.values["proposed_rear_steer"] == {"share": 1.0} and model.values["mass"] == {"factor": 1.1}

@@ -1,0 +1,119 @@
+"""`st export`: what is written can be loaded or compiled elsewhere and gives the numbers of the equations."""
+
+import ctypes
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from st_cli.cli import app
+from st_core.augmented import augment
+from st_core.integrate import rk4_step
+from st_core.model_file import ModelFile, Provenance
+from st_core.models import MODELS
+from st_core.vehicle import VehicleParameters
+from support import ROOT
+from typer.testing import CliRunner
+
+casadi = pytest.importorskip("casadi", reason="casadi is not installed")
+
+STATE, INPUTS, H = (1.0, 2.0, 12.0, 0.2, 0.3, 0.25), (0.06, -0.8), 0.05
+EFFECTS = {"tyre_relaxation": {"length": 0.4}, "road_bank": {"angle": 0.05}, "steering_delay": {"time": 0.05}}
+
+
+def vehicle(name="leaf"):
+    path = ROOT / "config" / "vehicle" / f"{name}.yaml"
+    return VehicleParameters.from_yaml(path.read_text(), str(path))
+
+
+@pytest.fixture
+def augmented(tmp_path):
+    path = tmp_path / "model.yaml"
+    path.write_text(ModelFile.of(augment("nonlinear", EFFECTS), vehicle(), Provenance()).to_yaml())
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["export", *map(str, arguments)])
+
+
+def expected_step(model, car):
+    p = model.parameters(car)
+    w = model.inputs(*INPUTS, p)
+    state = model.start_state(STATE, w, p)
+    return state, rk4_step(model.rhs, state, w, w, w, p, H)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_casadi_files_load_without_the_suite(tmp_path, name):
+    out = tmp_path / "out"
+    assert run(name, "--vehicle", ROOT / "config/vehicle/leaf.yaml", "--output", out).exit_code == 0
+    state, expected = expected_step(MODELS[name], vehicle())
+    code = (f"import casadi, json; f = casadi.Function.load({str(out / f'{name}_step.casadi')!r}); "
+            f"print(json.dumps(f({list(state)}, {list(INPUTS)}, {H}).full().ravel().tolist()))")
+    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    np.testing.assert_allclose(json.loads(there.stdout), expected, rtol=1e-12, atol=1e-12)
+    jacobian = casadi.Function.load(str(out / f"{name}_step_jacobian.casadi"))
+    assert [m.shape for m in jacobian(state, INPUTS, H)] == [(6, 6), (6, 2)]
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
+def test_c_compiles_and_agrees(tmp_path, augmented):
+    out = tmp_path / "out"
+    result = run(augmented, "--format", "c", "--output", out, "--substeps", 2)
+    assert result.exit_code == 0, result.output
+    user = tmp_path / "user.c"
+    user.write_text('#include "augmented.h"\nint main(void) { return augmented_step_n_in() == 3 ? 0 : 1; }\n')
+    flags = ["gcc", "-std=c99", "-O1", "-Wall", "-Werror", f"-I{out}"]
+    subprocess.run([*flags, user, out / "augmented.c", "-lm", "-o", tmp_path / "user"], check=True)
+    subprocess.run([tmp_path / "user"], check=True)
+    library = tmp_path / "augmented.so"
+    subprocess.run([*flags, "-fPIC", "-shared", out / "augmented.c", "-lm", "-o", library], check=True)
+    compiled = casadi.external("augmented_step", str(library))
+
+    model = augment("nonlinear", EFFECTS)
+    p = model.parameters(vehicle())
+    w = model.inputs(*INPUTS, p)
+    state = expected = model.start_state(STATE, w, p)
+    for _ in range(2):
+        expected = rk4_step(model.rhs, expected, w, w, w, p, H / 2)
+    np.testing.assert_allclose(compiled(state, INPUTS, H).full().ravel(), expected, rtol=1e-12, atol=1e-12)
+    assert hasattr(ctypes.CDLL(str(library)), "augmented_dynamics_jacobian")
+
+
+def test_what_the_description_says(tmp_path, augmented):
+    out = tmp_path / "out"
+    assert run(augmented, "--output", out, "--free", "road_bank.angle").exit_code == 0
+    said = json.loads((out / "model.json").read_text())
+    assert (said["model"], said["base"], said["substeps"]) == ("augmented", "nonlinear", 1)
+    assert said["vehicle"]["hash"] == vehicle().hash
+    assert [(s["name"], s["unit"]) for s in said["states"]][-2:] == [
+        ("tyre_relaxation.slip_front", "rad"), ("tyre_relaxation.slip_rear", "rad")]
+    assert [i["name"] for i in said["inputs"]] == ["road_wheel_angle", "velocity_x_dot"]
+    assert said["parameters"] == [{"name": "road_bank.angle", "unit": "rad", "lower": -0.3, "upper": 0.3,
+                                   "value": 0.05}]
+    assert said["effects_not_in_the_equations"] == ["steering_delay"]
+    assert said["functions"]["augmented_step"]["arguments"] == {"x": [8, 1], "u": [2, 1], "h": [1, 1], "p": [1, 1]}
+    assert sorted(said["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
+    readme = (out / "README.md").read_text()
+    assert "augmented_step.casadi" in readme and "Not in the equations: steering_delay" in readme
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["bicycle"], "bicycle: there are kinematic, linear, nonlinear, or a model file (.yaml)"),
+    (["linear", "--free", "road_bank.angle"], "'road_bank.angle' is not a parameter"),
+    (["none.yaml"], "No such file"),
+])
+def test_what_is_refused(tmp_path, arguments, message):
+    result = run(*arguments, "--output", tmp_path / "out")
+    assert result.exit_code == 2 and message in result.output and len(result.output.splitlines()) == 1
+
+
+def test_a_model_file_without_its_car_wants_the_right_one(tmp_path):
+    path = tmp_path / "model.yaml"
+    path.write_text(ModelFile.of(augment("linear", ["mass"]), vehicle(), Provenance(), embed=False).to_yaml())
+    wrong = run(path, "--vehicle", ROOT / "config/vehicle/hyundai_genesis.yaml", "--output", tmp_path / "out")
+    assert wrong.exit_code == 2 and "the values hold for" in wrong.output
+    assert run(path, "--output", tmp_path / "out").exit_code == 0

@@ -1,0 +1,183 @@
+"""st identify as a user starts it: tables of a known car in, values and a vehicle file out, one line for a bad "
+"table."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from drives import weave, write_drive
+from experiment_tables import write_tables
+from st_cli.cli import app
+from st_core.vehicle import VehicleParameters
+from support import ROOT
+from typer.testing import CliRunner
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+KEYS = {"value", "unit", "standard_uncertainty", "interval95", "method", "runs", "verdict"}
+EXPERIMENTS = {"scales": "scales", "cg-height": "cg_height", "steering-ratio": "steering_ratio", "tyre": "flat_plank"}
+
+
+def st(*arguments):
+    return CliRunner().invoke(app, [*map(str, arguments)], env={"COLUMNS": "200"})
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory):
+    """The four tables one after another, each on the vehicle file of the one before."""
+    base = tmp_path_factory.mktemp("identify")
+    car = VehicleParameters.from_yaml(LEAF.read_text())
+    files = write_tables(car, base / "tables", seed=2)
+    vehicle, results = LEAF, {}
+    for what, name in EXPERIMENTS.items():
+        results[what] = st("identify", what, files[name], "--vehicle", vehicle, "--output", base / what)
+        assert results[what].exit_code == 0, results[what].output
+        vehicle = base / what / "vehicle.yaml"
+    return base, car, files, results
+
+
+def read(base, what):
+    return json.loads((base / what / "identification.json").read_text())
+
+
+@pytest.mark.slow
+def test_each_writes_its_parameters_in_the_schema(chain):
+    base = chain[0]
+    assert set(read(base, "scales")) == {"mass", "cg_to_front_axle"}
+    assert set(read(base, "cg-height")) == {"cg_height"} and set(read(base, "steering-ratio")) == {"steering_ratio"}
+    assert len(read(base, "tyre")) == 16
+    for what in EXPERIMENTS:
+        for entry in read(base, what).values():
+            assert set(entry) == KEYS
+            assert entry["interval95"][0] <= entry["value"] <= entry["interval95"][1]
+        details = json.loads((base / what / "details.json").read_text())
+        assert details["vehicle"]["hash"] and next(iter(details["files"].values()))
+        assert all(set(one["parameters"]) <= set(read(base, what)) for one in details["experiments"])
+
+
+@pytest.mark.slow
+def test_the_vehicle_file_gathers_values_with_their_provenance(chain):
+    base, car, _, _ = chain
+    found = VehicleParameters.from_yaml((base / "tyre" / "vehicle.yaml").read_text())
+    assert found.mass == read(base, "scales")["mass"]["value"] != car.mass
+    assert found.steering_ratio == read(base, "steering-ratio")["steering_ratio"]["value"]
+    assert found.tyre_rear.p_dy1 == read(base, "tyre")["tyre_rear.p_dy1"]["value"]
+    assert found.yaw_inertia == car.yaw_inertia and "yaw_inertia" not in found.provenance
+    note = found.provenance["mass"]
+    assert note.uncertainty == read(base, "scales")["mass"]["standard_uncertainty"]
+    assert note.method.startswith("four wheel scales") and note.data == "scales.csv:1, scales.csv:2, scales.csv:3"
+    assert len(note.date) == 10
+    assert LEAF.read_text() == (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
+
+
+@pytest.mark.slow
+def test_st_evaluate_takes_the_identified_vehicle(chain, tmp_path):
+    drive = write_drive(tmp_path / "weave.csv", weave(8.0))
+    result = st("evaluate", drive, "--vehicle", chain[0] / "tyre" / "vehicle.yaml", "--model", "kinematic",
+                "--figures", "", "--output", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    vehicle = json.loads((tmp_path / "out" / "evaluation.json").read_text())["vehicle"]
+    assert vehicle["hash"] == VehicleParameters.from_yaml((chain[0] / "tyre" / "vehicle.yaml").read_text()).hash
+
+
+@pytest.mark.slow
+def test_terminal_figures_and_page(chain):
+    base, _, _, results = chain
+    words = " ".join(results["scales"].output.split())
+    assert "mass: The car weighs 1589.2 kg" in words and "identified" in words
+    for what, names in {"scales": ["scales"], "cg-height": ["cg-height"], "steering-ratio": ["steering-ratio"],
+                        "tyre": ["tyre-front", "tyre-rear"]}.items():
+        page = (base / what / "report.html").read_text()
+        assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "") and "<svg" in page
+        for name in names:
+            assert (base / what / f"{name}.png").stat().st_size > 10_000 and (base / what / f"{name}.pdf").is_file()
+
+
+@pytest.mark.slow
+def test_a_value_that_contradicts_the_file_is_said(chain, tmp_path):
+    base, car, _, _ = chain
+    heavy = write_tables(replace(car, mass=1650.0), tmp_path / "tables", seed=3)
+    result = st("identify", "scales", heavy["scales"], "--vehicle", base / "tyre" / "vehicle.yaml",
+                "--output", tmp_path / "out")
+    assert "contradicts 1589.2 kg" in result.output and "times the combined uncertainty" in result.output
+
+
+@pytest.mark.slow
+def test_lambda_needs_a_stiffness_somebody_identified(chain, tmp_path):
+    base, _, files, _ = chain
+    refused = st("identify", "lambda", files["flat_plank"], "--vehicle", base / "tyre" / "vehicle.yaml",
+                 "--output", tmp_path / "no")
+    assert refused.exit_code == 2
+    assert "cornering_stiffness_front of the vehicle file has no uncertainty" in refused.output
+    text = (base / "tyre" / "vehicle.yaml").read_text()
+    for axle, value in (("front", "70000.0"), ("rear", "106000.0")):
+        text = text.replace(f"cornering_stiffness_{axle}: {{value: {value},",
+                            f"cornering_stiffness_{axle}: {{value: {value}, uncertainty: 500.0,")
+    (tmp_path / "car.yaml").write_text(text)
+    result = st("identify", "lambda", files["flat_plank"], "--vehicle", tmp_path / "car.yaml", "--output",
+                tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    found = read(tmp_path, "out")
+    for tyre, truth in (("tyre_front", 0.423), ("tyre_rear", 0.962)):
+        low, high = found[f"{tyre}.lambda_ky"]["interval95"]
+        assert low < truth < high and high - low < 0.1
+    changed = VehicleParameters.from_yaml((tmp_path / "out" / "vehicle.yaml").read_text())
+    assert changed.tyre_front.lambda_ky == found["tyre_front.lambda_ky"]["value"]
+
+
+def test_without_an_argument_they_are_listed():
+    result = st("identify")
+    assert result.exit_code == 0
+    assert all(name in result.output for name in (*EXPERIMENTS, "lambda"))
+
+
+BAD = {
+    "missing wheel": ("scales", "front_left_kg,front_right_kg,rear_left_kg\n1,2,3\n", "has no column rear_right_kg"),
+    "empty cell": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450,,350\n",
+                   "row 1 has no rear_left"),
+    "no unit": ("scales", "front_left,front_right_kg,rear_left_kg,rear_right_kg\n1,2,3,4\n",
+                "column front_left has no unit that is known; name it front_left_kg"),
+    "a word": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450,heavy,350\n",
+               "row 1: rear_left_kg is 'heavy', not a number"),
+    "infinite": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450,inf,350\n",
+                 "every number must be finite"),
+    "header only": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n", "has a header and no rows"),
+    "short row": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450\n",
+                  "row 1 has 2 cells, the header 4"),
+    "twice": ("scales", "front_left_kg,front_left_kg,rear_left_kg,rear_right_kg\n1,2,3,4\n", "front_left is there "
+                                                                                             "twice"),
+    "degrees as radians": ("cg-height", "pitch_rad,rear_left_kg,rear_right_kg,front_radius_m,rear_radius_m\n"
+                           "0,340,340,0.3,0.3\n5,345,345,0.3,0.3\n10,350,350,0.3,0.3\n", "limit 45 deg"),
+    "no pitch": ("cg-height", "rear_left_kg,rear_right_kg\n340,340\n", "has no column pitch_deg, nor lift_m"),
+    "too few": ("steering-ratio", "steering_wheel_deg,left_wheel_deg,right_wheel_deg\n0,0,0\n90,5,5\n", "2 rows, at "
+                                                                                                        "least 5"),
+    "which tyre": ("tyre", "load_n,slip_angle_deg,lateral_force_n\n3300,1,500\n", "has no column tyre"),
+    "spare tyre": ("tyre", "tyre,load_n,slip_angle_deg,lateral_force_n\nspare,3300,1,500\n", "tyre is 'spare' in a "
+                                                                                             "row"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_tables_that_cannot_be_used_are_refused_in_one_line(tmp_path, name):
+    what, text, said = BAD[name]
+    file = tmp_path / "[bold]table.csv"
+    file.write_text(text)
+    result = st("identify", what, file, "--vehicle", LEAF, "--output", tmp_path / "out")
+    assert result.exit_code == 2
+    assert said in result.output and str(file) in result.output and result.output.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_other_wrong_arguments(tmp_path):
+    result = st("identify", "weight", tmp_path)
+    assert result.exit_code == 2 and "no experiment 'weight'; there are scales" in result.output
+    result = st("identify", "scales", tmp_path / "none.csv", "--output", tmp_path / "out")
+    assert result.exit_code == 2 and "there is no such file" in result.output
+    result = st("identify", "scales", "--output", tmp_path / "out")
+    assert result.exit_code == 2 and "scales: " in result.output
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("x")
+    result = st("identify", "scales", "x.csv", "--output", tmp_path / "full")
+    assert result.exit_code == 2 and "is not empty" in result.output
+    table = ROOT / "docs/examples/identification/scales.csv"
+    result = st("identify", "scales", table, "--output", tmp_path / "full" / "mine.txt" / "out")
+    assert result.exit_code == 2 and "cannot be made" in result.output and result.output.count("\n") == 1

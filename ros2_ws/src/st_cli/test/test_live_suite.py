@@ -1,0 +1,229 @@
+"""What st demo and st live refuse before anything starts, and how their terminal view reads."""
+
+import math
+import os
+import socket
+import time
+from pathlib import Path
+
+import pytest
+import typer
+from support import ROOT
+from typer.testing import CliRunner
+
+pytest.importorskip("st_msgs", reason="needs the built workspace")
+
+from rich.console import Console
+from st_cli.verbs import demo, develop, live, ncom
+from st_live import live_view, session, wires
+from st_live.node import Heard, Status
+from st_live.suite import SuiteError, chosen_domain_id, claimed_domain, merge
+from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
+
+pytestmark = pytest.mark.ros
+LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
+
+
+def run(verb, *arguments: object):
+    app = typer.Typer()
+    app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": verb is develop.shell})(verb)
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--scenario", "S66"], ["--scenario S66", "there are S1, S2"]),
+    (["--effect", "friction=0.8"], ["friction: no such setting", "friction_factor"]),
+    (["--effect", "friction_factor=7"], ["friction_factor: 7.0 is not within 0.05 to 2 1"]),
+    (["--ncom-rate", "200"], ["--ncom-rate", "choose from 100, 250"]),
+    (["--plant", "nowhere.yaml"], ["--plant nowhere.yaml: neither ideal nor realistic"]),
+    (["--drive", ROOT / "README.md"], ["README.md", "column t is missing"]),
+    (["--drive", ROOT / "README.md", "--scenario", "S3"], ["--scenario: not allowed with argument --drive"]),
+])
+def test_demo_refuses_a_wrong_argument_in_one_line_and_makes_no_folder(tmp_path: Path, arguments, words) -> None:
+    result = run(demo.demo, *arguments, "--output", tmp_path / "run")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("st demo: ") and result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("verb", [demo.demo, live.live])
+@pytest.mark.parametrize(("before", "after", "words"), [
+    ("\nmass:", "\nmasss:", "masss: unknown key, did you mean mass?"),
+    ("unit: kg,", "unit: g,", "mass: unit 'g' is not kg"),
+    ("value: 1590.0", "value: 15.9", "mass: 15.9 is outside 50 to 60000 kg"),
+])
+def test_a_wrong_vehicle_file_is_refused_before_anything_starts(tmp_path: Path, verb, before, after, words) -> None:
+    assert before in LEAF
+    vehicle = tmp_path / "car.yaml"
+    vehicle.write_text(LEAF.replace(before, after, 1))
+    result = run(verb, "--vehicle", vehicle, "--output", tmp_path / "run")
+    assert result.exit_code == 2
+    assert f"{vehicle}: {words}" in result.stderr
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("verb", [demo.demo, live.live])
+def test_an_output_that_is_taken_or_impossible_is_refused(tmp_path: Path, verb) -> None:
+    (tmp_path / "precious.txt").write_text("x")
+    for output in (tmp_path, tmp_path / "precious.txt", tmp_path / "precious.txt" / "run"):
+        result = run(verb, "--output", output)
+        assert result.exit_code == 2 and str(output) in result.stderr and result.stderr.count("\n") == 1
+    assert (tmp_path / "precious.txt").read_text() == "x"
+
+
+def test_the_steering_of_the_nodes_file_holds_unless_it_is_given(tmp_path: Path, monkeypatch) -> None:
+    nodes = tmp_path / "nodes.yaml"
+    nodes.write_text((ROOT / "config/nodes.yaml").read_text().replace("steering_latency: 0.0", "steering_latency: 0.05")
+                     .replace("steering_sign: 1", "steering_sign: -1"))
+    monkeypatch.setattr(session, "config", lambda _: nodes)
+    buses = []
+
+    def not_now(_folder, parameters, *_arguments, **_more):
+        buses.append(parameters["canedge_bridge"])
+        raise SuiteError("not now")
+    monkeypatch.setattr(session, "run", not_now)
+    for number, options in enumerate(([], ["--steering-latency", "0", "--steering-sign", "1"])):
+        said = run(live.live, "--output", tmp_path / str(number), *options).stderr.splitlines()
+        assert len(said) == 2 and "no car was named" in said[0] and said[1] == "st live: not now"
+    assert [(bus["steering_sign"], bus["steering_latency"]) for bus in buses] == [(-1, 0.05), (1, 0.0)]
+
+
+def test_live_takes_a_car_by_its_folder(tmp_path: Path, monkeypatch) -> None:
+    car, asked = tmp_path / "mycar", []
+    car.mkdir()
+    for name in ("vehicle.yaml", "can.dbc", "signals.yaml"):
+        (car / name).write_bytes((ROOT / "config/car/leaf" / name).read_bytes())
+    (car / "car.yaml").write_text("steering_sign: -1\nsteering_latency: 0.03\n")
+
+    def not_now(_folder, parameters, *_arguments, **_more):
+        asked.append(parameters)
+        raise SuiteError("not now")
+    monkeypatch.setattr(session, "run", not_now)
+    for number, options in enumerate(([], ["--steering-sign", "1", "--dbc", ROOT / "config/car/leaf/can.dbc"])):
+        result = run(live.live, "--car", car, "--output", tmp_path / str(number), *options)
+        assert result.stderr == "st live: not now\n"
+    buses = [nodes["canedge_bridge"] for nodes in asked]
+    assert [(bus["steering_sign"], bus["steering_latency"]) for bus in buses] == [(-1, 0.03), (1, 0.03)]
+    assert [bus["dbc_file"] for bus in buses] == [str(car / "can.dbc"), str(ROOT / "config/car/leaf/can.dbc")]
+    assert all(bus["signals_file"] == str(car / "signals.yaml") for bus in buses)
+    assert all(nodes["predictor"]["vehicle_file"] == str(car / "vehicle.yaml") for nodes in asked)
+
+
+def test_results_name_a_car_by_its_folder(tmp_path: Path) -> None:
+    assert wires.name_of(ROOT / "config/car/leaf/vehicle.yaml") == "leaf"
+    assert wires.name_of(tmp_path / "winter.yaml") == "winter"
+
+
+def test_live_refuses_a_car_whose_bus_nobody_has_described(tmp_path: Path) -> None:
+    result = run(live.live, "--car", "hyundai_genesis", "--output", tmp_path / "run")
+    assert result.exit_code == 2 and "can.dbc" in result.stderr and "--dbc" in result.stderr
+    assert result.stderr.count("\n") == 1 and not (tmp_path / "run").exists()
+
+
+def test_a_recording_is_not_overwritten_by_its_own_csv(tmp_path: Path) -> None:
+    recording = tmp_path / "drive.ncom"
+    recording.write_bytes(b"\xe7" * 720)
+    (tmp_path / "link.csv").symlink_to(recording)
+    for options in (["--csv", recording], ["--csv", tmp_path / "link.csv"],
+                    ["--csv", tmp_path / "a.csv", "--status", recording]):
+        result = run(ncom.ncom, recording, *options)
+        assert result.exit_code == 2 and "is the recording itself" in result.stderr
+    assert "name two files" in run(ncom.ncom, recording, "--csv", "a.csv", "--status", "a.csv").stderr
+    assert recording.read_bytes() == b"\xe7" * 720
+
+
+def test_a_command_that_is_not_there_is_named() -> None:
+    result = run(develop.shell, "no-such-command")
+    assert result.exit_code == 127 and "st shell: no-such-command: No such file" in result.stderr
+
+
+@pytest.mark.parametrize("text", ["abc", "-1", "233", "1.5"])
+def test_a_domain_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with pytest.raises(SuiteError, match=r"ROS_DOMAIN_ID: .* from 0 to 232"):
+        chosen_domain_id()
+
+
+@pytest.mark.parametrize("home", [None, "/proc"])
+def test_logs_of_ros_find_a_place_without_a_home(monkeypatch: pytest.MonkeyPatch, home: str | None) -> None:
+    from st_cli import cli
+
+    for name in ("ROS_LOG_DIR", "ROS_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    if home:
+        monkeypatch.setenv("HOME", home)
+    cli._place_for_logs()
+    assert Path(os.environ["ROS_LOG_DIR"]).parent.is_dir()
+
+
+def test_a_domain_is_claimed_once_at_a_time() -> None:
+    with claimed_domain() as first, claimed_domain() as second:
+        assert first != second
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, pytest.raises(OSError, match="in use"):
+            probe.bind(("", 7400 + 250 * first + 10))
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("a: {ros__parameters: {x: 1}}\na: {ros__parameters: {x: 2}}\n", "a: given twice"),
+    ("a: {x: 1}\n", "not sections"),
+    ("a: {ros__parameters: {x: 1\n", "not valid YAML"),
+])
+def test_a_parameter_file_that_contradicts_itself_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "nodes.yaml").write_text(text)
+    with pytest.raises(SuiteError, match=words):
+        merge(tmp_path / "nodes.yaml", {})
+
+
+def test_every_node_has_one_section_in_the_parameter_file() -> None:
+    assert merge(ROOT / "config" / "nodes.yaml", {}).keys() == {
+        "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder", "markers", "identifier"}
+
+
+def lines_of(heard: Heard) -> list[str]:
+    console = Console(width=80, force_terminal=True, color_system=None)
+    with console.capture() as captured:
+        console.print(live_view.view(heard, 12.0, 60.0, "S6"))
+    return [line.rstrip() for line in captured.get().splitlines()]
+
+
+def test_the_running_table_takes_one_line_per_model_and_mode_on_eighty_columns() -> None:
+    values = {f"{axis}_{kind}": -23.456 if kind == "mean" else 98.765
+              for axis in ("longitudinal", "lateral") for kind in ("mean", "max", "rmse")}
+    statistics = [ErrorStatistics(model=m, mode=k, n_starts=12345, **values)
+                  for m in ("kinematic", "linear", "nonlinear", "augmented") for k in ("forecast", "hindsight")]
+    ticks = PredictorStatus(due=130, predicted=128, skipped_stale=2)
+    lines = lines_of(Heard(ErrorSummary(statistics=statistics), ticks))
+    rows = [line for line in lines if "forecast" in line or "hindsight" in line]
+    assert len(rows) == 8 and max(map(len, lines)) <= 80
+    for row in rows:
+        assert row.count("-23.46") == 2 and row.count("98.77") == 4 and "12345" in row
+    assert "ticks 130, predicted 128, skipped 2" in lines
+
+
+def test_how_often_bands_held_stands_under_the_table() -> None:
+    rows = [ErrorStatistics(model="linear", mode=mode, n_starts=9, n_bands=count, coverage_50=0.25, coverage_90=0.875)
+            for mode, count in (("forecast", 8), ("hindsight", 0))]
+    lines = lines_of(Heard(ErrorSummary(statistics=rows)))
+    bands = [line for line in lines if "band" in line]
+    assert bands == ["inside the 90 | 50 % band, forecast: linear 88 % | 25 % of 8"]
+
+
+def test_what_is_wrong_stands_under_the_table_worst_first() -> None:
+    now = time.monotonic()
+    health = [Status("a: one", 1, "not so good", now), Status("b: two", 2, "[bad]", now),
+              Status("c: three", 0, "fine", now)]
+    lines = lines_of(Heard(ErrorSummary(statistics=[ErrorStatistics(model="linear", mode="forecast")]), None,
+                           {s.name: s for s in health}))
+    assert lines[1:6] == ["no prediction yet", "waiting for the first complete horizon", "predictor: not heard yet",
+                          "error: b: two: [bad]", "warning: a: one: not so good"]
+
+
+def test_the_motion_line_says_which_way_the_wheels_point() -> None:
+    turning = Prediction(model="linear", velocity_x=[10.0, 9.0], yaw_rate=[0.2, 0.1],
+                         road_wheel_angle=math.radians(3.0), compute_time=0.002)
+    line = "10.0 m/s, wheels 3.0 deg left, v_x r +2.0 m/s², linear took 2.0 ms"
+    assert lines_of(Heard(prediction=turning))[1] == line
+    turning.road_wheel_angle, turning.yaw_rate = -0.1, [-0.2, 0.0]
+    assert "5.7 deg right, v_x r -2.0 m/s²" in lines_of(Heard(prediction=turning))[1]

@@ -1,0 +1,260 @@
+"""Live equals offline, without ROS: the live classes' words in a bag against the library; and when they differ."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from st_cli.cli import app
+from st_core.evaluation import Evaluator
+from st_core.prediction import PredictionSettings, Predictor, Start, configuration_hash
+from st_core.types import InsSample
+from st_core.vehicle import VehicleParameters
+from st_live.verification import not_played, verify
+from st_recordings.mcap import BagWriter, recover
+from st_recordings.runs.bag import ODOMETRY, STEERING, definitions
+from st_recordings.runs.cdr import typestore
+from support import ROOT
+from typer.testing import CliRunner
+
+STORE = typestore(definitions())
+PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
+MODELS = ("kinematic", "linear")
+T0 = 1_756_900_800_000_000_000
+SECONDS = 6.0
+SETTINGS = PredictionSettings(horizon=1.0)
+LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
+NODES = {"predictor": {"horizon": 1.0, "vehicle_file": "config/vehicle/leaf.yaml"}, "evaluator": {}}
+
+
+def header(time_ns: int, frame: str = "map") -> Any:
+    sec, nanosec = divmod(time_ns, 10**9)
+    return STORE.types["std_msgs/msg/Header"](stamp(sec, nanosec), frame)
+
+
+def stamp(sec: int, nanosec: int) -> Any:
+    return STORE.types["builtin_interfaces/msg/Time"](sec, nanosec)
+
+
+def message(name: str, **values: Any) -> bytes:
+    return bytes(STORE.serialize_cdr(STORE.types[name](**values), name))
+
+
+def odometry(s: InsSample) -> bytes:
+    t = {n: STORE.types[f"geometry_msgs/msg/{n}"] for n in (
+        "Point", "Quaternion", "Pose", "PoseWithCovariance", "Vector3", "Twist", "TwistWithCovariance")}
+    pose = t["Pose"](t["Point"](s.x, s.y, 0.0), t["Quaternion"](0.0, 0.0, np.sin(s.yaw / 2), np.cos(s.yaw / 2)))
+    twist = t["Twist"](t["Vector3"](s.velocity_x, s.velocity_y, 0.0), t["Vector3"](0.0, 0.0, s.yaw_rate))
+    return message(ODOMETRY, header=header(s.time_ns), child_frame_id="ins_link",
+                   pose=t["PoseWithCovariance"](pose, np.zeros(36)),
+                   twist=t["TwistWithCovariance"](twist, np.zeros(36)))
+
+
+def path(time: float) -> tuple[float, float]:
+    """x and y [m] after driving for `time` [s] at 8 + sin t and -0.1 cos t m/s, yaw 0.3 sin t."""
+    t = np.linspace(0.0, time, 200)
+    yaw, forward, left = 0.3 * np.sin(t), 8.0 + np.sin(t), -0.1 * np.cos(t)
+    return (float(np.trapezoid(forward * np.cos(yaw) - left * np.sin(yaw), t)),
+            float(np.trapezoid(forward * np.sin(yaw) + left * np.cos(yaw), t)))
+
+
+class LiveBag:
+    """A weaving drive seen by Predictor and Evaluator tick by tick, written as the nodes write it."""
+
+    def __init__(self, folder: Path, car: VehicleParameters):
+        self.folder, self.car = folder, car
+        self.shift_one = 0.0  # m added to one predicted path
+        self.score_shift = 0.0  # m added to one score
+        self.without_predictions = False
+        self.names_its_car = True
+        self.velocity_factor = 1.0
+        self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
+        self._count = 0
+
+    def write(self) -> Path:
+        import yaml
+
+        parameters = yaml.safe_dump({node: {"ros__parameters": values} for node, values in NODES.items()})
+        files = {"leaf.yaml": LEAF} if self.names_its_car else {}
+        writer = BagWriter(self.folder, {"configuration": {**files, "parameters.yaml": parameters}})
+        topics = {name: writer.add_topic(topic, name, definition=STORE.generate_msgdef(name, ros_version=2)[0],
+                                         type_hash=STORE.hash_rihs01(name))
+                  for topic, name in (("/ins/odometry", ODOMETRY), ("/vehicle/steering", STEERING),
+                                      ("/predictor/x/prediction", PREDICTION), ("/evaluator/errors", ERROR))}
+        for k in range(round(SECONDS * 100)):
+            time, time_ns = 0.01 * k, T0 + 10_000_000 * k
+            velocity = self.velocity_factor * np.array([8.0 + np.sin(time), -0.1 * np.cos(time)])
+            sample = InsSample(time_ns, *path(time), 0.3 * np.sin(time), *velocity.tolist(), 0.3 * np.cos(time))
+            angle = 0.1 * np.cos(time - 0.003)
+            steering_ns = time_ns + 3_000_000
+            for core in (self._predictor, self._evaluator):
+                core.add_ins(sample)
+                core.add_steering(steering_ns, angle)
+            writer.write(topics[ODOMETRY], odometry(sample), time_ns)
+            writer.write(topics[STEERING], message(STEERING, header=header(steering_ns, ""), road_wheel_angle=angle,
+                                                   steering_wheel_angle=angle * 17.3, valid=True), steering_ns)
+            if k % 10 == 9 and not self.without_predictions:
+                for prediction in self._tick(steering_ns):
+                    writer.write(topics[PREDICTION], prediction, steering_ns)
+            for score in self._evaluator.poll():
+                writer.write(topics[ERROR], self._score(score), steering_ns)
+        for score in self._evaluator.flush():
+            writer.write(topics[ERROR], self._score(score), T0 + 10**10)
+        writer.close()
+        return self.folder
+
+    def _tick(self, now_ns: int) -> list[bytes]:
+        start = self._predictor.start(now_ns)
+        if not isinstance(start, Start):
+            return []
+        found = []
+        for model in MODELS:
+            path = self._predictor.run(start, model)
+            self._evaluator.add_prediction(model, start.time_ns, start.state, start.inputs, path)
+            self._count += 1
+            names = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
+            columns = {name: path.states[:, k].copy() for k, name in enumerate(names)}
+            columns["x"][-1] += self.shift_one if self._count == 41 else 0.0
+            found.append(message(
+                PREDICTION, header=header(start.time_ns), issued_at=stamp(0, 0), model=model, step=path.step,
+                road_wheel_angle=start.inputs.road_wheel_angle, velocity_x_dot=start.inputs.velocity_x_dot, **columns,
+                cg_to_ins_x=self.car.cg_to_ins_x, cg_to_ins_y=0.0, compute_time=0.0,
+                configuration_hash=configuration_hash(self.car, SETTINGS), bands=[]))
+        return found
+
+    def _score(self, score) -> bytes:
+        shift = self.score_shift if (score.model, score.mode) == ("linear", "hindsight") else 0.0
+        return message(
+            ERROR, header=header(score.start_ns), model=score.model, mode=score.mode, complete=score.complete,
+            incomplete_reason=score.incomplete_reason, horizon=score.horizon, longitudinal=score.longitudinal,
+            lateral=score.lateral + shift, yaw=score.yaw, longitudinal_mean=score.longitudinal_mean,
+            lateral_mean=score.lateral_mean, yaw_mean=score.yaw_mean, configuration_hash="")
+
+
+@pytest.fixture
+def live(tmp_path):
+    return LiveBag(tmp_path / "bag", VehicleParameters.from_yaml(LEAF, "leaf"))
+
+
+def st_verify(*arguments):
+    return CliRunner().invoke(app, ["verify", *map(str, arguments)])
+
+
+def test_the_same_numbers_start_by_start(live):
+    found = verify(live.write())
+    assert [c.model for c in found.comparisons] == list(MODELS) and found.same_configuration
+    for comparison in found.comparisons:
+        assert comparison.n_starts == 60 and comparison.n_disagree == comparison.n_cut == 0
+        # One second of horizon at the end is incomplete on both sides.
+        assert comparison.n_scores == {"hindsight": 50, "forecast": 50}
+        assert comparison.largest < 1e-9 and comparison.yaw < 1e-9
+    result = st_verify(live.folder)
+    assert result.exit_code == 0 and "120 predictions and 200 scores compared" in result.output.replace("\n", " ")
+
+
+def test_two_millimetres_are_found_and_where(live):
+    live.shift_one = 0.002
+    found = verify(live.write())
+    kinematic, linear = found.comparisons
+    assert kinematic.position == pytest.approx(0.002, abs=1e-9) and kinematic.start < 1e-9
+    assert kinematic.at_ns == T0 + 10_000_000 * (20 * 10 + 9) and linear.position < 1e-9
+    result = st_verify(live.folder)
+    assert result.exit_code == 1 and "live differs from offline" in result.output
+    assert st_verify(live.folder, "--tolerance", "0.003").exit_code == 0
+
+
+def test_a_score_of_its_own_is_found(live):
+    live.score_shift = -0.005
+    found = verify(live.write())
+    assert found.comparisons[1].error["hindsight"] == pytest.approx(0.005, abs=1e-9)
+    assert found.comparisons[1].error["forecast"] < 1e-9 and found.largest == pytest.approx(0.005, abs=1e-9)
+
+
+def test_a_recording_that_was_cut_says_so(live):
+    assert "was cut" not in st_verify(live.write()).output and not_played(live.folder, ()) == []
+    file = live.folder / f"{live.folder.name}_0.mcap"
+    with file.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    os.truncate(file, chunks[-1].chunk_start_offset + chunks[-1].chunk_length)
+    unread = st_verify(live.folder)
+    assert unread.exit_code == 2 and "was not closed" in unread.output and "st recover" in unread.output
+    recover(live.folder)
+    done = st_verify(live.folder)
+    assert f"{live.folder} was cut" in done.output.replace("\n", "")
+    (said,) = not_played(live.folder, ())
+    assert said.startswith(f"{live.folder} was cut") and said.endswith("is not played")
+    assert not_played(live.folder, ["/a (b)"])[0] == "not known and not played: /a (b)"
+
+
+def test_a_meaningless_recording_is_compared_when_forced(live):
+    """The nodes got km/h too, so live is offline all the same; neither says anything of the car."""
+    live.velocity_factor = 3.6
+    folder = live.write()
+    refused = st_verify(folder)
+    assert refused.exit_code == 2 and "velocity_scale" in refused.output and "--force" in refused.output
+    forced = st_verify(folder, "--force")
+    assert forced.exit_code == 0 and "live equals offline" in forced.output
+    assert "error: " in forced.output and "km/h" in forced.output
+
+
+def test_the_vehicle_in_the_recording_is_that_of_the_check(live, tmp_path):
+    folder = live.write()
+
+    def vehicle(output, *more):
+        result = CliRunner().invoke(app, ["check", str(folder), "--output", str(tmp_path / output), *map(str, more)])
+        assert result.exit_code == 0, result.output
+        content = json.loads((tmp_path / output / "check.json").read_text())
+        (run,), (source,) = content["runs"].values(), content["vehicle"]
+        assert run["vehicle"] == source and source in result.output
+        return source
+
+    assert vehicle("a") == "the recording"
+    given = tmp_path / "given.yaml"
+    given.write_text(LEAF)
+    assert vehicle("b", "--vehicle", given) == str(given)
+
+
+def test_another_vehicle_is_another_prediction(live, tmp_path):
+    other = tmp_path / "other.yaml"
+    stiffness = "cornering_stiffness_front: {value: "
+    other.write_text(LEAF.replace(f"{stiffness}70000.0", f"{stiffness}60000.0"))
+    found = verify(live.write(), other)
+    kinematic, linear = found.comparisons
+    assert not found.same_configuration and kinematic.position < 1e-9 and linear.position > 0.01
+    assert linear.start < 1e-9
+    assert "another vehicle" in st_verify(live.folder, "--vehicle", other).output
+
+
+def test_a_recording_without_predictions_has_nothing_to_compare(live):
+    live.without_predictions = True
+    assert verify(live.write()) is None
+
+
+def test_a_file_that_is_no_recording_says_so(tmp_path):
+    file = tmp_path / "x.mcap"
+    file.write_bytes(b"nothing of the kind")
+    result = st_verify(file)
+    assert result.exit_code == 2 and "x.mcap" in result.output
+
+
+def test_the_leaf_is_not_taken_silently_for_a_recording_without_a_car(live, tmp_path):
+    live.names_its_car = False
+    bag = live.write()
+    drive = ROOT / "examples" / "data" / "rfs_turn_a.csv"
+    for number, (verb, recording) in enumerate((("verify", bag), ("check", bag), ("check", drive))):
+        output = [] if verb == "verify" else ["--output", str(tmp_path / str(number))]
+        silent = CliRunner().invoke(app, [verb, str(recording), "--car", "leaf", *(f"{o}-named" if "/" in o else o
+                                                                                 for o in output)])
+        assert "no car was named" not in silent.stderr and silent.exit_code in (0, 1), silent.output
+        said = CliRunner().invoke(app, [verb, str(recording), *output]).stderr
+        assert said.count("no car was named") == 1 and "car/leaf/vehicle.yaml" in said and "--car" in said
+
+
+def test_nothing_is_said_of_the_leaf_where_the_recording_carries_its_car(live, tmp_path):
+    bag = live.write()
+    assert "no car was named" not in st_verify(bag).stderr
+    checked = CliRunner().invoke(app, ["check", str(bag), "--output", str(tmp_path / "checked")])
+    assert checked.exit_code in (0, 1) and "no car was named" not in checked.stderr

@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+package_name = "st_live"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/st_live"]),
+        ("share/st_live", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="The single-track authors",
+    maintainer_email="single-track@example.org",
+    description="The running suite: session, supervision, wires, player, relay and viewer, the live view.",
+    license="Apache-2.0",
+)

@@ -1,0 +1,1 @@
+"""The running suite: session, supervision, wires, player, relay and viewer, the live view."""

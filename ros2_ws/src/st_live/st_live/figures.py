@@ -1,0 +1,83 @@
+"""Figures of a run, in the one house style."""
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.lines import Line2D
+from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
+from st_recordings.results import Results
+
+MEANING = {"hindsight": "measured inputs", "forecast": "inputs held"}
+
+
+def paths_figure(results: Results, title: str, file: Path) -> None:
+    """Map of measured and predicted paths beside the horizon-mean errors over the start time.
+
+    The predictions on the map are the hindsight ones (measured inputs over the horizon, as in the paper). Hindsight and
+    forecast have error plots of their own, for their scales differ by an order of magnitude where the driver acts.
+    Longitudinal + = predicted ahead, lateral + = predicted to the left.
+    """
+    with plt.rc_context(RC):
+        figure = plt.figure(figsize=(13, 5.4))
+        grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 1, 1))
+        _draw_map(figure.add_subplot(grid[:, 0]), results)
+        for column, (mode, meaning) in enumerate(MEANING.items(), start=1):
+            upper = figure.add_subplot(grid[0, column])
+            lower = figure.add_subplot(grid[1, column], sharex=upper)
+            _draw_errors(upper, results, mode, "longitudinal")
+            _draw_errors(lower, results, mode, "lateral")
+            upper.set_title(f"{mode.capitalize()}: {meaning}", fontsize=9)
+            upper.tick_params(labelbottom=False)
+            lower.set_xlabel("start of the prediction, s")
+            if column == 1:
+                upper.set_ylabel("mean longitudinal error, m\n(+ = predicted ahead)")
+                lower.set_ylabel("mean lateral error, m\n(+ = predicted left)")
+        figure.align_ylabels()
+        figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+        figure.savefig(file)
+        plt.close(figure)
+
+
+def _draw_map(axes: plt.Axes, results: Results) -> None:
+    track = results.track
+    axes.plot(track.x, track.y, color=MEASURED_COLOUR, lw=3, alpha=0.45, solid_capstyle="round", zorder=1)
+    for (model, _), segment in results.segments.items():
+        x, y, yaw = (np.interp(segment.time_ns, track.time_ns, v) for v in (track.x, track.y, track.yaw))
+        # The measured position plus the recorded error, turned back from the measured heading into the map.
+        along, across = segment.longitudinal, segment.lateral
+        axes.plot(x + along * np.cos(yaw) - across * np.sin(yaw), y + along * np.sin(yaw) + across * np.cos(yaw),
+                  color=MODEL_COLOUR[model], ls=MODEL_LINE[model], zorder=3)
+    starts = results.starts_drawn()
+    for start_ns in starts:
+        x, y = (np.interp(start_ns, track.time_ns, v) for v in (track.x, track.y))
+        axes.plot(x, y, "o", ms=4, color="k", zorder=4)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+    axes.set_title(f"Measured track and 5 s predictions from {len(starts)} starts", fontsize=9)
+    handles = [Line2D([], [], color=MEASURED_COLOUR, lw=3, alpha=0.45, label="measured")]
+    handles += [Line2D([], [], color=MODEL_COLOUR[m], ls=MODEL_LINE[m], label=m) for m in results.models()]
+    handles += [Line2D([], [], color="k", marker="o", ms=4, ls="", label="start")]
+    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=len(handles))
+
+
+def _draw_errors(axes: plt.Axes, results: Results, mode: str, quantity: str) -> None:
+    origin = results.track.time_ns[0] if len(results.track.time_ns) else 0
+    axes.axhline(0, color="k", lw=0.6)
+    for model in results.models():
+        scores = results.scores.get((model, mode))
+        if scores is None:
+            continue
+        time = (scores.start_ns[scores.complete] - origin) * 1e-9
+        value = getattr(scores, quantity)[scores.complete]
+        breaks = np.nonzero(np.diff(time) > 1.0)[0] + 1  # no line across starts that were not scored
+        axes.plot(
+            np.insert(time, breaks, np.nan),
+            np.insert(value, breaks, np.nan),
+            color=MODEL_COLOUR[model],
+            ls=MODEL_LINE[model],
+        )

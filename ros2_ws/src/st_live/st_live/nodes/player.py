@@ -1,0 +1,220 @@
+"""Plays odometry and steering of a recording, with /clock: a process that `st replay` starts beside the nodes.
+
+Messages go out as they were recorded, byte for byte, in the order of their log times (steering of another make: one
+number of a message becomes a Steering); /clock advances in steps behind them. At a rate of 0 it goes as fast as
+predictor and evaluator follow: their newest stamps are heard, and the clock waits for them.
+"""
+
+import argparse
+import json
+import math
+import signal
+import struct
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from rosbags.highlevel import AnyReader
+from rosgraph_msgs.msg import Clock
+from st_msgs.msg import Prediction, PredictionError, Steering
+from st_recordings.runs.bag import definitions
+from st_recordings.runs.cdr import typestore
+from st_recordings.runs.foreign import SteeringField, steering_value
+from st_recordings.runs.foreign import stamp_of as instant_of
+from st_ros.polling import PolledSubscription
+from st_ros.stamps import from_nanoseconds
+
+from ._messages import message_class
+
+INPUTS = ("/ins/odometry", "/vehicle/steering")  # whatever they are called in the recording
+CLOCK_STEP_NS = 10_000_000
+DEPTH = 1000
+DISCOVERY_TIMEOUT = 15.0  # s
+SAY_EVERY = 0.5  # s
+LISTENERS = 2  # predictor and evaluator, beside the recorder
+# As fast as it goes: how long the clock waits for predictor and evaluator [s]; shorter while neither has anything to
+# say (standstill, no inputs).
+PATIENCE, SHORT_PATIENCE = 2.0, 0.005
+SCORE_DELAY = 1.0  # s; the clock may be a horizon and this ahead of the newest start scored
+
+
+class Follower:
+    """How far another node has come: the newest of an instant that each of its messages holds."""
+
+    def __init__(self, node: Node, message_type: type, topic: str, instant: Callable[[bytes], int], ahead: float):
+        self._subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True)
+        self._instant, self._ahead_ns = instant, round(ahead * 1e9)
+        self._newest_ns = 0
+        self._answers = True
+
+    def wait(self, clock_ns: int) -> None:
+        """Until the clock is no more than `ahead` before the newest instant, or patience is over."""
+        end = time.monotonic() + (PATIENCE if self._answers else SHORT_PATIENCE)
+        while True:
+            before = self._newest_ns
+            for data, _, _ in self._subscription.take(DEPTH):
+                self._newest_ns = max(self._newest_ns, self._instant(data))
+            self._answers = self._answers or self._newest_ns > before
+            if self._newest_ns >= clock_ns - self._ahead_ns:
+                return
+            if time.monotonic() > end:
+                self._answers = False
+                return
+            time.sleep(0.0005)
+
+
+def stamp_of(data: bytes) -> int:
+    """header.stamp [ns] of a serialised message that begins with a header."""
+    seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+    return seconds * 1_000_000_000 + nanoseconds
+
+
+def issued_at_of(data: bytes) -> int:
+    """issued_at [ns] of a serialised st_msgs/Prediction: what follows the header."""
+    (length,) = struct.unpack_from("<I", data, 12)
+    seconds, nanoseconds = struct.unpack_from("<iI", data, 16 + -(-length // 4) * 4)
+    return seconds * 1_000_000_000 + nanoseconds
+
+
+class Translator:
+    """Messages with a steering angle somewhere in them, as Steering."""
+
+    def __init__(self, bag: Path, steering: SteeringField, ratio: float, offset: float):
+        """ratio [1], offset [rad] of the hand wheel; 1 and 0 where the angle is the road wheels'."""
+        self._bag, self._steering, self._ratio, self._offset = bag, steering, ratio, offset
+
+    def steering(self, message: Any, log_ns: int) -> Steering:
+        value = steering_value(self._bag, message, self._steering)
+        wheel = value if self._steering.quantity == "wheel" else math.nan
+        translated = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
+                              valid=math.isfinite(value))
+        translated.header.stamp = from_nanoseconds(instant_of(message, log_ns))
+        return translated
+
+
+class Player:
+    def __init__(self, options: argparse.Namespace):
+        self.stop = False
+        self._bag, self._rate = options.bag, options.rate
+        self._played = dict(zip((options.odometry, options.steering), INPUTS, strict=True))
+        self._steering = options.steering
+        self._translator = None
+        if options.steering_field:
+            field = SteeringField(options.steering, options.steering_field,
+                                  "wheel" if options.steering_wheel else "road")
+            self._translator = Translator(options.bag, field, *(options.steering_wheel or (1.0, 0.0)))
+        self._node = Node("player")
+        self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
+        self._followers = [] if self._rate > 0 else [
+            # From a tick to the next: one is due then, never two.
+            Follower(self._node, Prediction, f"predictor/{options.models[-1]}/prediction", issued_at_of,
+                     1.0 / options.tick_rate),
+            Follower(self._node, PredictionError, "evaluator/errors", stamp_of, options.horizon + SCORE_DELAY),
+        ]
+        self._said = 0.0
+
+    def play(self) -> int:
+        """Exit status: 0 when everything was played, or somebody asked to stop."""
+        with AnyReader([self._bag], default_typestore=typestore(definitions())) as reader:
+            publishers = self._publishers(reader.connections)
+            if not self._wait_for_listeners(list(publishers.values())):
+                print("predictor and evaluator do not listen", file=sys.stderr)
+                return 1
+            wanted = [c for c in reader.connections if c.topic in publishers]
+            first = clock_ns = self._advance(reader.start_time, reader.start_time, time.monotonic())
+            began, total = time.monotonic(), (reader.end_time - reader.start_time) * 1e-9
+            for connection, log_ns, data in reader.messages(connections=wanted):
+                while clock_ns + CLOCK_STEP_NS <= log_ns and not self.stop:
+                    clock_ns = self._advance(clock_ns + CLOCK_STEP_NS, first, began)
+                    self._say((clock_ns - first) * 1e-9, total)
+                if self.stop:
+                    break
+                if self._translator and connection.topic == self._steering:
+                    message = reader.deserialize(data, connection.msgtype)
+                    publishers[connection.topic].publish(self._translator.steering(message, log_ns))
+                else:
+                    publishers[connection.topic].publish(bytes(data))
+            self._advance(clock_ns + CLOCK_STEP_NS, first, began)
+        self._say(total, total, "done", time.monotonic() - began)
+        return 0
+
+    def close(self) -> None:
+        self._node.destroy_node()
+
+    def _publishers(self, connections: Sequence[Any]) -> dict[str, Publisher]:
+        publishers: dict[str, Publisher] = {}
+        for connection in connections:
+            if connection.topic in self._played and connection.topic not in publishers:
+                translated = self._translator and connection.topic == self._steering
+                message_type = Steering if translated else message_class(connection.msgtype)
+                publishers[connection.topic] = self._node.create_publisher(
+                    message_type, self._played[connection.topic], QoSProfile(depth=DEPTH))
+        return publishers
+
+    def _wait_for_listeners(self, publishers: Sequence[Publisher]) -> bool:
+        """Whether odometry, steering and the clock have found the recorder and the other nodes."""
+        wanted = dict.fromkeys((*publishers, self._clock), LISTENERS + 1)
+        end = time.monotonic() + DISCOVERY_TIMEOUT
+        while any(p.get_subscription_count() < count for p, count in wanted.items()):
+            if time.monotonic() > end or self.stop:
+                return False
+            time.sleep(0.05)
+        return True
+
+    def _advance(self, clock_ns: int, first_ns: int, began: float) -> int:
+        if self._rate > 0:
+            wait = began + (clock_ns - first_ns) * 1e-9 / self._rate - time.monotonic()
+            if wait > 0:
+                time.sleep(wait)
+        seconds, nanoseconds = divmod(clock_ns, 1_000_000_000)
+        self._clock.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
+        for follower in self._followers:
+            follower.wait(clock_ns)
+        return clock_ns
+
+    def _say(self, done: float, total: float, state: str = "playing", wall: float = 0.0) -> None:
+        now = time.monotonic()
+        if state != "playing" or now - self._said > SAY_EVERY:
+            self._said = now
+            word = {"state": state, "done": round(done, 2), "duration": round(total, 2)}
+            print(json.dumps(word | ({"wall": round(wall, 2)} if wall else {})), flush=True)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bag", type=Path)
+    parser.add_argument("--rate", type=float, default=1.0, help="times as fast as recorded; 0: as fast as it goes")
+    parser.add_argument("--models", nargs="+", required=True, help="models of the predictor, in its order")
+    parser.add_argument("--tick-rate", type=float, required=True, help="of the predictor [Hz]")
+    parser.add_argument("--horizon", type=float, required=True, help="of the predictor [s]")
+    parser.add_argument("--odometry", required=True, help="its topic in the recording")
+    parser.add_argument("--steering", required=True, help="its topic in the recording")
+    parser.add_argument("--steering-field", default="", help="where the angle is, if it is no st_msgs/Steering")
+    parser.add_argument("--steering-wheel", type=float, nargs=2, help="it is the hand wheel's: ratio, offset [rad]")
+    options = parser.parse_args()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    player = Player(options)
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        player.stop = True
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    try:
+        return player.play()
+    finally:
+        player.close()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

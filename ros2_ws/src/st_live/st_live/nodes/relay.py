@@ -1,0 +1,105 @@
+"""Relay to Foxglove: topics of the suite over a WebSocket, byte for byte, for machines without foxglove_bridge."""
+
+import argparse
+import signal
+import sys
+import time
+from fnmatch import fnmatchcase
+from types import FrameType
+
+import foxglove
+import rclpy
+from foxglove import Channel, Schema
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from st_recordings.definitions import UnknownTypeError, definition
+from st_ros.polling import PolledSubscription
+
+from ._messages import message_class
+
+# What a viewer draws. Raw packets and frames stay on this machine.
+TOPICS = ("/ins/odometry", "/ins/status", "/vehicle/*", "/predictor/*", "/evaluator/*", "/view/*", "/tf",
+          "/tf_static", "/diagnostics", "/diagnostics_agg")
+DEPTH = 100
+PERIOD = 0.02  # s between emptying the queues
+LOOK_PERIOD = 0.5  # s between looking for new topics
+
+
+class Relay:
+    def __init__(self) -> None:
+        self.stop = False
+        self._node = Node("foxglove_relay")
+        self._open: dict[str, tuple[PolledSubscription, Channel] | None] = {}
+
+    def spin(self) -> None:
+        executor = SingleThreadedExecutor()
+        executor.add_node(self._node)
+        look_due = 0.0
+        while not self.stop:
+            executor.spin_once(timeout_sec=0.0)
+            if time.monotonic() >= look_due:
+                look_due = time.monotonic() + LOOK_PERIOD
+                self._look()
+            for subscription, channel in filter(None, self._open.values()):
+                for data, received_ns, _ in subscription.take(DEPTH):
+                    channel.log(bytes(data), log_time=received_ns)
+            time.sleep(PERIOD)
+        executor.shutdown()
+        self._node.destroy_node()
+
+    def _look(self) -> None:
+        for topic, types in self._node.get_topic_names_and_types():
+            if topic not in self._open and any(fnmatchcase(topic, f"*{p}") for p in TOPICS):
+                publishers = self._node.get_publishers_info_by_topic(topic)
+                if publishers:
+                    self._open[topic] = self._relay(topic, types[0], publishers)
+
+    def _relay(self, topic: str, type_name: str, publishers: list) -> tuple[PolledSubscription, Channel] | None:
+        message_type = message_class(type_name)
+        try:
+            text = definition(type_name)
+        except UnknownTypeError:
+            message_type = None
+        if message_type is None:
+            print(f"{topic} is left out: type {type_name} is not installed", flush=True)
+            return None
+        latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
+        # Nobody waits for a viewer; only what is said once has to arrive.
+        qos = QoSProfile(
+            depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+        schema = Schema(name=type_name, encoding="ros2msg", data=text.encode())
+        print(f"{topic} ({type_name})", flush=True)
+        return (PolledSubscription(self._node, message_type, topic, qos, raw=True),
+                Channel(topic, message_encoding="cdr", schema=schema))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--port", type=int, default=8765)
+    options = parser.parse_args()
+    try:
+        server = foxglove.start_server(name="single-track predictor suite", host=options.host, port=options.port)
+    except (OSError, RuntimeError) as error:
+        print(f"{options.host}:{options.port}: {error}", file=sys.stderr)
+        return 2
+    print(f"serving on {options.host}:{server.port}", flush=True)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    relay = Relay()
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        relay.stop = True
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    relay.spin()
+    server.stop()
+    rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

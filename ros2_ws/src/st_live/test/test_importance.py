@@ -1,0 +1,28 @@
+"""Real-time scheduling for the nodes that matter most: asked of the kernel, for real processes."""
+
+import os
+import sys
+
+from st_live.importance import REALTIME
+from st_live.suite import Processes
+
+SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
+
+
+def test_without_being_asked_nothing_is_raised(tmp_path):
+    with Processes(tmp_path) as processes:
+        pid = processes.start("predictor", SLEEP).process.pid
+        assert os.sched_getscheduler(pid) == os.SCHED_OTHER
+        assert not processes.denied
+
+
+def test_real_time_is_given_or_said_to_be_denied(tmp_path):
+    with Processes(tmp_path, realtime=True) as processes:
+        pids = {name: processes.start(name, SLEEP).process.pid for name in (*REALTIME, "recorder")}
+        for name, pid in pids.items():
+            if name in REALTIME and name not in processes.denied:
+                assert os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR
+                assert os.sched_getparam(pid).sched_priority == REALTIME[name]
+            else:
+                assert os.sched_getscheduler(pid) == os.SCHED_OTHER
+        assert processes.denied <= REALTIME.keys()

@@ -1,0 +1,142 @@
+"""Predictions and scores in a recording, as arrays: what the live nodes said, and how they were set."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from st_core.vehicle import VehicleParameters
+
+from .paths import config
+from .runs import RunError
+from .runs.bag import definitions, open_bag
+from .runs.cdr import Layout, Layouts, typestore
+
+PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
+STATE = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
+A_JUMP = "position jumps"  # likewise (alignment.MeasurementHistory)
+THE_END = ": ends "  # in the evaluator's reason when a signal has no later sample (timeseries.TimeSeries.why_unknown)
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """Of one model: start times (n,) rising, states (n, points, 6) at the CG, step [s], configuration hashes met."""
+
+    starts_ns: np.ndarray
+    states: np.ndarray
+    step: float
+    hashes: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Of one model and mode: start times (n,), errors (n, points, 3), complete (n,).
+
+    cut: (n,) incomplete because the evaluator was ended before the horizon was over. jumped: (n,) incomplete because
+    the position jumps within it.
+    """
+
+    starts_ns: np.ndarray
+    errors: np.ndarray
+    complete: np.ndarray
+    cut: np.ndarray
+    jumped: np.ndarray
+
+
+@dataclass(frozen=True)
+class RecordedConfiguration:
+    """What a recording says of the configuration it was made with; None where it does not.
+
+    vehicle: text of the vehicle file. nodes: parameters by node.
+    """
+
+    vehicle: str | None
+    nodes: Mapping[str, Mapping[str, Any]]
+
+
+def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
+    """From the metadata records of a recording (runs.bag.BagDrive.records)."""
+    texts = records.get("configuration", {})
+    try:
+        document = yaml.safe_load(texts.get("parameters.yaml", "")) or {}
+        nodes = {node: dict(section["ros__parameters"]) for node, section in document.items()}
+    except (yaml.YAMLError, AttributeError, KeyError, TypeError):
+        nodes = {}
+    file = Path("/", str(nodes.get("predictor", {}).get("vehicle_file", "")))
+    # Two files of one name are kept with a folder before it.
+    named = [text for key, text in texts.items() if file.parts[-len(Path(key).parts):] == Path(key).parts]
+    return RecordedConfiguration(named[0] if named else texts.get("vehicle"), nodes)
+
+
+def configuration_of(records: Mapping[str, Mapping[str, str]],
+                     vehicle: Path | None) -> tuple[VehicleParameters, RecordedConfiguration, str]:
+    """(vehicle, recorded configuration, name of where the vehicle comes from): of the file given, else of the
+    recording, else config/car/leaf/vehicle.yaml. Raises RunError, ConfigurationError.
+    """
+    recorded = recorded_configuration(records)
+    if vehicle is None and recorded.vehicle is not None:
+        return VehicleParameters.from_yaml(recorded.vehicle, "the vehicle in the recording"), recorded, "the recording"
+    file = vehicle or config("car/leaf/vehicle.yaml")
+    try:
+        return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), recorded, str(file)
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(file, f"cannot be read: {error}") from None
+
+
+def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
+    """By model; empty for a recording without any. Raises RunError for predictions of unequal length."""
+    rows: dict[str, list[tuple[int, np.ndarray]]] = {}
+    steps: dict[str, set[float]] = {}
+    hashes: dict[str, set[str]] = {}
+    for layout, data in _messages([bag], PREDICTION, progress):
+        states = np.stack([layout.value(data, k) for k in STATE], axis=-1)
+        model = layout.example.model
+        rows.setdefault(model, []).append((layout.value(data, "header.stamp"), states))
+        steps.setdefault(model, set()).add(float(layout.value(data, "step")))
+        hashes.setdefault(model, set()).add(layout.example.configuration_hash)
+    found = {}
+    for model, entries in rows.items():
+        if len(steps[model]) > 1 or len({len(states) for _, states in entries}) > 1:
+            raise RunError(bag, f"predictions of {model} with different horizons or steps are in it")
+        starts, states = _sorted(entries)
+        found[model] = Predictions(starts, states, steps[model].pop(), frozenset(hashes[model]))
+    return found
+
+
+def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
+    """By model and mode, of all the bags together; one start scored twice is kept once."""
+    rows: dict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool, bool]]] = {}
+    for layout, data in _messages(bags, ERROR, progress):
+        errors = np.stack([layout.value(data, k) for k in ("longitudinal", "lateral", "yaw")], axis=-1)
+        example, start_ns = layout.example, layout.value(data, "header.stamp")
+        reason = example.incomplete_reason
+        entry = errors, bool(layout.value(data, "complete")), THE_END in reason, A_JUMP in reason
+        rows.setdefault((example.model, example.mode), {})[start_ns] = entry
+    found = {}
+    for key, entries in rows.items():
+        ordered = [entries[start] for start in sorted(entries)]
+        errors, *flags = zip(*ordered, strict=True)
+        found[key] = Scores(np.array(sorted(entries), np.int64), np.stack(errors), *map(np.array, flags))
+    return found
+
+
+def _sorted(entries: Sequence[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    by_start = dict(entries)
+    starts = sorted(by_start)
+    return np.array(starts, np.int64), np.stack([by_start[s] for s in starts])
+
+
+def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None) -> Iterator[tuple[Layout, bytes]]:
+    for bag in bags:
+        storage, layouts = open_bag(bag), Layouts(typestore(definitions()), type_name)
+        topics = [t for t in storage.topics() if t.type_name == type_name and t.count]
+        total = sum(t.count for t in topics)
+        messages = chain.from_iterable(storage.messages(t.name) for t in topics)
+        for done, data in enumerate(messages, 1):
+            yield layouts.of(data), data
+            if progress and (done % 500 == 0 or done == total):
+                progress(done, total)

@@ -1,0 +1,198 @@
+"""What a run left behind, read without ROS: measured track, scores, tick counts; and summary.json made of them."""
+
+import importlib.metadata
+import json
+import math
+import platform
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from st_core.evaluation import Statistic
+
+from .counted import Row, as_dict, counted
+from .paths import source_version
+from .runs.bag import definitions, numbers, open_bag
+from .runs.bag_storage import Storage
+from .runs.cdr import Layouts, typestore
+
+MODES = ("forecast", "hindsight")
+SEGMENTS = 6  # predictions drawn on the map
+ODOMETRY, STATUS, ERRORS = "/ins/odometry", "/predictor/status", "/evaluator/errors"
+ERROR = "st_msgs/msg/PredictionError"
+_MEAN_FIELDS = ("header.stamp", "complete", "longitudinal_mean", "lateral_mean", "yaw_mean")
+
+
+@dataclass(frozen=True)
+class Track:
+    """Measured INS point in the map frame. time_ns: UTC; x, y in m, yaw in rad (not wrapped)."""
+
+    time_ns: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    yaw: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class MeanErrors:
+    """Scores of one model and mode in order of their start: start_ns (n,), complete (n,), means over the horizon (n,).
+
+    longitudinal, lateral in m, yaw in rad; NaN where not complete.
+    """
+
+    start_ns: np.ndarray
+    complete: np.ndarray
+    longitudinal: np.ndarray
+    lateral: np.ndarray
+    yaw: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """One hindsight prediction to be drawn: time (n,) in ns UTC, errors (n,) in m along the measured heading."""
+
+    time_ns: np.ndarray
+    longitudinal: np.ndarray
+    lateral: np.ndarray
+
+
+@dataclass(frozen=True)
+class Results:
+    """scores: by model and mode. segments: of SEGMENTS starts spread over the run, by model and start.
+    bands: how often they held, where there were some.
+    """
+
+    track: Track
+    scores: dict[tuple[str, str], MeanErrors]
+    segments: dict[tuple[str, int], Segment]
+    ticks: dict[str, Any]
+    configuration_hash: str
+    bands: list[Row] = field(default_factory=list)
+
+    def models(self) -> list[str]:
+        return list(dict.fromkeys(model for model, _ in self.scores))
+
+    def starts_drawn(self) -> list[int]:
+        return sorted({start_ns for _, start_ns in self.segments})
+
+
+def read_results(folder: Path) -> Results:
+    """Read bag/ and errors/ of a run folder. Only what is drawn is kept of the errors over the horizons."""
+    bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
+    scores, configuration = _scores(errors)
+    segments = _segments(errors, _spread_starts(scores))
+    return Results(_track(folder / "bag", bag), scores, segments, _ticks(bag), configuration,
+                   [row for row in counted(errors) if row.n_bands])
+
+
+def _track(path: Path, bag: Storage) -> Track:
+    point = [f"pose.pose.position.{k}" for k in "xy"]
+    turn = [f"pose.pose.orientation.{k}" for k in "wxyz"]
+    values = numbers(path, bag, ODOMETRY, ["header.stamp", *point, *turn])
+    if values is None:
+        return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
+    w, x, y, z = (values[name] for name in turn)
+    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    return Track(values["header.stamp"], *(values[name] for name in point), yaw)
+
+
+def _ticks(bag: Storage) -> dict[str, Any]:
+    last = deque(bag.messages(STATUS), maxlen=1)
+    if not last:
+        return {"due": 0, "predicted": 0, "skipped": 0}
+    status = typestore(definitions()).deserialize_cdr(last[0], "st_msgs/msg/PredictorStatus")
+    skipped = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}
+    return {"due": status.due, "predicted": status.predicted, "skipped": sum(skipped.values()),
+            "skipped_by_reason": skipped}
+
+
+def _scores(errors: Storage) -> tuple[dict[tuple[str, str], MeanErrors], str]:
+    """(scores, the configuration hash of the last one)."""
+    rows: dict[tuple[str, str], list[tuple[int, bool, float, float, float]]] = {}
+    layouts, configuration = Layouts(typestore(definitions()), ERROR), ""
+    for data in errors.messages(ERRORS):
+        layout = layouts.of(data)
+        configuration = layout.example.configuration_hash
+        row = tuple(layout.value(data, field) for field in _MEAN_FIELDS)
+        rows.setdefault((layout.example.model, layout.example.mode), []).append(row)
+    scores = {}
+    for key, entries in rows.items():
+        start_ns, complete, *means = zip(*sorted(entries), strict=True)
+        scores[key] = MeanErrors(np.array(start_ns, np.int64), np.array(complete), *(np.array(m) for m in means))
+    return scores, configuration
+
+
+def _spread_starts(scores: dict[tuple[str, str], MeanErrors]) -> set[int]:
+    """Evenly spread starts that every model completed in hindsight."""
+    complete = [set(s.start_ns[s.complete].tolist()) for (_, mode), s in scores.items() if mode == "hindsight"]
+    common = sorted(set.intersection(*complete)) if complete else []
+    if len(common) <= SEGMENTS:
+        return set(common)
+    return {common[i] for i in np.linspace(0, len(common) - 1, SEGMENTS).round().astype(int)}
+
+
+def _segments(errors: Storage, starts: set[int]) -> dict[tuple[str, int], Segment]:
+    layouts, segments = Layouts(typestore(definitions()), ERROR), {}
+    for data in errors.messages(ERRORS) if starts else ():
+        layout = layouts.of(data)
+        start_ns = layout.value(data, "header.stamp")
+        if start_ns in starts and layout.example.mode == "hindsight":
+            horizon, longitudinal, lateral = (layout.value(data, k) for k in ("horizon", "longitudinal", "lateral"))
+            segments[layout.example.model, start_ns] = Segment(start_ns + horizon * 1e9, longitudinal, lateral)
+    return segments
+
+
+def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
+    """The content of summary.json: errors in m, statistics over the horizon means of complete scores."""
+    models: dict[str, Any] = {}
+    for model in results.models():
+        models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in MODES}
+    for row in results.bands:
+        models[row.model][row.mode]["bands"] = as_dict(row)
+    return {
+        **about,
+        "models": models,
+        "ticks": results.ticks,
+        "configuration_hash": results.configuration_hash,
+        "versions": versions(),
+    }
+
+
+def write_summary(path: Path, summary: dict[str, Any]) -> None:
+    """Whole or not at all: on a full disk there is no empty file that looks like a result."""
+    part = path.with_name(f"{path.name}.part")
+    try:
+        part.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def versions() -> dict[str, str]:
+    names = ("numpy", "scipy", "mcap", "rosbags", "cantools", "python-can", "ros-jazzy-rclpy")
+    found = {"source": source_version(), "python": platform.python_version()}
+    for name in names:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
+    complete = scores.complete if scores else np.zeros(0, dtype=bool)
+    result: dict[str, Any] = {"n_starts": int(complete.sum()), "n_incomplete": int((~complete).sum())}
+    for axis in ("longitudinal", "lateral", "yaw"):
+        statistic = Statistic()
+        if scores:
+            statistic.add(getattr(scores, axis)[complete])
+        result[axis] = {k: _finite(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
+    return result
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no NaN: nothing scored is null."""
+    return float(value) if math.isfinite(value) else None
+

@@ -1,0 +1,157 @@
+"""A raw run written as one rosbag2 MCAP on the INS clock: what `st import` does."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from oxts_bridge import batch
+from st_core.checks import Finding
+from st_core.vehicle import VehicleParameters
+
+from ..mcap import BagWriter
+from ..results import versions
+from .bag import definitions
+from .cdr import typestore
+from .covariance import Covariances
+from .errors import RunError
+from .load import LoadedRun, ReadSettings, check_common_time, hashes, treated
+from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS
+from .raw import RawRun, about_alignment, as_drive, latency_in_words, read_raw, steering_times
+from .rows import Messages, Serialiser, in_time_order
+from .sources import RunSource
+
+TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
+          "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
+BLOCK_NS = 20 * 10**9  # of the drive serialised at once
+
+
+@dataclass(frozen=True)
+class Imported:
+    """directory: of the bag. counts: messages per topic. span: from first to last message [s]. findings: of the
+    checks."""
+
+    directory: Path
+    counts: dict[str, int]
+    span: float
+    run: RawRun
+    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
+
+
+def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
+               checked: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
+               ) -> Imported:
+    """Read a run of raw files, have it checked and write it.
+
+    vehicle: for the road wheel angle. directory: of the bag, new. checked: the findings on a drive; raises RunError for
+    one that must not be written. progress: called with the share done, 0 to 1. Raises RunError for a run that cannot be
+    read or aligned, one that is refused, or a bag that cannot be written.
+    """
+    if source.problem is None and source.kind != "ncom":
+        raise RunError(source.where, f"is a {source.kind} run already", "import is for .ncom and CAN logs")
+    run = read_raw(source, settings)
+    drive = treated(source, as_drive(source, vehicle, settings, run), vehicle)
+    check_common_time(source, drive.log.ins_time_ns, drive.log.steering_time_ns)
+    findings = tuple(checked(drive))
+    try:
+        writer = BagWriter(directory, _records(source, vehicle, settings, run))
+    except OSError as error:
+        raise RunError(directory, str(error.strerror or error)) from None
+    store = typestore(definitions())
+    ids = {topic: writer.add_topic(topic, name, definition=store.generate_msgdef(name, ros_version=2)[0],
+                                   type_hash=store.hash_rihs01(name)) for topic, name in TOPICS.items()}
+    blocks = _Blocks(run, vehicle, settings, Serialiser(store))
+    counts = dict.fromkeys(TOPICS, 0)
+    try:
+        for start in range(blocks.start_ns, blocks.end_ns + 1, BLOCK_NS):
+            for time_ns, topic, data in in_time_order(blocks.messages(start, start + BLOCK_NS)):
+                writer.write(ids[topic], bytes(data), time_ns)
+                counts[topic] += 1
+            if progress is not None:
+                progress(min((start + BLOCK_NS - blocks.start_ns) / (blocks.end_ns - blocks.start_ns + 1), 1.0))
+    finally:
+        writer.close()
+    if writer.error:
+        raise RunError(directory, writer.error, "make room and import again")
+    warnings = list(drive.warnings)
+    if drive.extras.corrected:
+        warnings.append(f"{directory}: holds what was recorded, nothing corrected; what its run.yaml corrects goes "
+                        "into a run.yaml of the bag (bag: ...) too")
+    return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
+
+
+class _Blocks:
+    """All messages of a run, some seconds at a time."""
+
+    def __init__(self, run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser):
+        self._run, self._vehicle, self._settings, self._make = run, vehicle, settings, serialiser
+        columns = run.ins.columns
+        self._covariances = Covariances(columns)
+        structure_b = columns.navigation_status == 11
+        self._packets = np.nonzero(~structure_b)[0]
+        self._packet_ns = _filled(columns.utc_ns[self._packets], run.ins.time_ns)
+        frame_ns = run.alignment.to_reference_ns(run.can.frames.time_ns)
+        buses = np.unique(run.can.frames.bus).tolist()
+        self._frames = [(bus, np.nonzero(run.can.frames.bus == bus)[0]) for bus in buses]
+        self._frame_ns = frame_ns
+        self._steering_ns = steering_times(run, settings)
+        messages = {message for name, message in run.signals.signals if name in WHEEL_FIELDS}
+        to_reference = run.alignment.to_reference_ns
+        self._wheels = [serialiser.wheel_speeds(m, run.signals, to_reference) for m in sorted(messages)]
+        times = [run.ins.time_ns, self._packet_ns, frame_ns, self._steering_ns]
+        self.start_ns = min(int(t[0]) for t in times if len(t))
+        self.end_ns = max(int(t[-1]) for t in times if len(t))
+
+    def messages(self, start_ns: int, end_ns: int) -> list[Messages]:
+        run, make = self._run, self._make
+        parts = [make.odometry(run.ins, _between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
+        packets = _between(self._packet_ns, start_ns, end_ns)
+        parts.append(make.ncom(run.ins.columns.raw[self._packets[packets]], self._packet_ns[packets]))
+        rows = _between(self._steering_ns, start_ns, end_ns)
+        wheel = self._settings.steering_sign * run.steering.values[rows]
+        parts.append(make.steering(self._steering_ns[rows], wheel, run.steering.valid[rows], self._vehicle))
+        for wheels in self._wheels:
+            rows = _between(wheels.time_ns, start_ns, end_ns)
+            parts.append(Messages(wheels.topic, wheels.type_name, wheels.time_ns[rows], wheels.data,
+                                  wheels.edges[rows.start : rows.stop + 1]))
+        for bus, places in self._frames:
+            chosen = places[_between(self._frame_ns[places], start_ns, end_ns)]
+            if len(chosen):
+                parts.append(make.can_frames(run.can.frames.select(chosen), self._frame_ns[chosen], f"log:can{bus}"))
+        return [p for p in parts if len(p)]
+
+
+def _between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
+    return slice(*np.searchsorted(time_ns, (start_ns, end_ns)).tolist())
+
+
+def _filled(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
+    """Times that never fall: a packet without a time of its own gets that of the one before; all near the fixes."""
+    known = utc_ns != batch.UNKNOWN_TIME
+    margin = 60 * 10**9
+    near = known & (utc_ns >= fix_ns[0] - margin) & (utc_ns <= fix_ns[-1] + margin)
+    first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])
+    return np.maximum.accumulate(np.where(near, utc_ns, first))
+
+
+def _records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> dict[str, Any]:
+    """What the bag says about itself."""
+    alignment = {k: v if isinstance(v, str) else json.dumps(v) for k, v in about_alignment(run.alignment).items()}
+    latitude, longitude, altitude = run.ins.origin
+    return {
+        "import": {
+            "name": source.name, "ins": str(source.where), "can": json.dumps([str(f) for f in run.can.files]),
+            "map_origin": json.dumps({"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude),
+                                      "altitude_m": altitude}),
+            "steering_sign": str(settings.steering_sign), "steering_latency_s": str(settings.steering_latency),
+            "ins_can_latency": latency_in_words(source, settings),
+            "vehicle": vehicle.name, "vehicle_hash": vehicle.hash,
+            "labels": json.dumps([[entry.name, entry.start, entry.end] for entry in source.labels]),
+        },
+        "alignment": alignment,
+        "files_sha256": hashes(source),
+        "versions": versions(),
+    }

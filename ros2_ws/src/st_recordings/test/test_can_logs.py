@@ -1,0 +1,215 @@
+"""CAN logs: the real CANedge2 file frame for frame, both layouts, splits, cut and foreign files, other formats."""
+
+import csv
+import struct
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from mdf_files import LogFrame, write_layout_2
+from st_recordings.runs.can_logs import read_can_logs
+from st_recordings.runs.errors import RunError
+from st_recordings.runs.frames import EXTENDED, SENT, Frames
+from st_recordings.runs.mf4 import read_mf4, session_of
+from support import KEPT, SETS, vectors
+
+REAL = "can/canedge2_2F6913DB_00000004_00000001.MF4"
+START_NS = 1_700_000_000_000_000_000
+COLUMNS = ("time_ns", "id", "payload", "length", "bus", "flags")
+
+
+def same(one: Frames, other: Frames) -> bool:
+    return len(one) == len(other) and all((getattr(one, c) == getattr(other, c)).all() for c in COLUMNS)
+
+
+def some_frames(n: int, start_us: int = 0, seed: int = 0) -> list[LogFrame]:
+    random = np.random.default_rng(seed)
+    kinds = ((0x002, 5, False), (0x604, 8, False), (0x18DAF110, 3, True))
+    frames = []
+    for k in range(n):
+        identifier, size, extended = kinds[k % 3]
+        frames.append(LogFrame(start_us + 500 * k, 1 + k % 2, identifier, random.bytes(size), extended, k % 7 == 0))
+    return frames
+
+
+@pytest.mark.parametrize("which", SETS)
+def test_the_real_file_frame_for_frame(which: str) -> None:
+    log = read_mf4(vectors(which, REAL))
+    frames = log.frames
+    with vectors(which, REAL.replace(".MF4", ".frames.csv")).open() as stream:
+        expected = list(csv.DictReader(stream))
+    assert len(frames) == len(expected) == {"kept": 262, "whole": 5588}[which]
+    for k, row in enumerate(expected):
+        found = (
+            f"{(frames.time_ns[k] - log.start_ns) * 1e-9:.6f}", str(frames.bus[k]), str(frames.flags[k] & SENT),
+            str(int(frames.id[k] & EXTENDED != 0)), int(frames.id[k] & 0x1FFFFFFF), str(frames.length[k]),
+            frames.payload[k, : frames.length[k]].tobytes().hex().upper(),
+        )
+        wanted = (row["t_rel_s"], row["bus"], row["dir_tx"], row["ide"], int(row["id_hex"], 16), row["len"],
+                  row["data_hex"])
+        assert found == wanted, f"frame {k}"
+
+
+@pytest.mark.parametrize(("which", "middle"), [("kept", 20_000), ("whole", 60_000)])
+def test_the_real_file_cut_anywhere_gives_the_frames_before_the_cut(which: str, middle: int, tmp_path: Path) -> None:
+    whole = read_mf4(vectors(which, REAL)).frames
+    content = vectors(which, REAL).read_bytes()
+    file = tmp_path / "cut.MF4"
+    counts = []
+    for end in [*range(middle, middle + 37), *range(len(content) - 37, len(content)), 16_000, 5 * len(content) // 7]:
+        file.write_bytes(content[:end])
+        frames = read_mf4(file).frames
+        assert same(frames, whole.select(slice(0, len(frames)))), f"cut at {end}"
+        counts.append(len(frames))
+    assert counts[:37] == sorted(counts[:37])
+    assert counts[36] - counts[0] in (1, 2)  # 37 bytes are one frame and its payload
+    assert len(whole) - 3 <= min(counts[37:74]) <= max(counts[37:74]) <= len(whole)
+
+
+def test_a_file_cut_inside_its_index_says_so(tmp_path: Path) -> None:
+    drive = KEPT / "can/synthetic_leaf_rt.mf4"
+    for content in ((KEPT / REAL).read_bytes()[:5000], drive.read_bytes()[:-5000]):
+        file = tmp_path / "cut.MF4"
+        file.write_bytes(content)
+        with pytest.raises(RunError, match=r"cut\.MF4: the file is cut or damaged: .* copy it from the logger's card"):
+            read_mf4(file)
+
+
+def test_layout_2_of_later_firmware(tmp_path: Path) -> None:
+    frames = some_frames(600)
+    shuffled = [frames[k] for k in np.random.default_rng(1).permutation(600)]
+    in_groups = sorted(shuffled, key=lambda f: (f.group, f.microseconds))  # order holds within a group only
+    log = read_can_logs([write_layout_2(tmp_path / "00000001.MF4", START_NS, in_groups)])
+    assert log.start_ns == START_NS
+    assert np.array_equal(log.frames.time_ns, [START_NS + f.microseconds * 1000 for f in frames])
+    assert np.array_equal(log.frames.bus, [f.bus for f in frames])
+    assert np.array_equal(log.frames.id, [f.identifier | (EXTENDED if f.extended else 0) for f in frames])
+    found = [bytes(p[:n]) for p, n in zip(log.frames.payload, log.frames.length, strict=True)]
+    assert found == [f.data for f in frames]
+    assert np.array_equal(log.frames.flags & SENT != 0, [f.sent for f in frames])
+
+
+def test_splits_of_a_session_are_joined_in_time(tmp_path: Path) -> None:
+    session = tmp_path / "LOG" / "2F6913DB" / "00000004"
+    session.mkdir(parents=True)
+    frames = some_frames(900)
+    names = ("00000001.MF4", "00000002-6099D010.MF4", "00000003.MF4")
+    files = [write_layout_2(session / name, START_NS, frames[300 * k : 300 * (k + 1)]) for k, name in enumerate(names)]
+    log = read_can_logs([files[2], files[0], files[1]])
+    assert np.array_equal(log.frames.time_ns, [START_NS + f.microseconds * 1000 for f in frames])
+    assert not log.warnings
+    with_a_gap = read_can_logs([files[0], files[2]])
+    assert len(with_a_gap.frames) == 600
+    assert "split 2 of the session is missing" in with_a_gap.warnings[0]
+    again = read_can_logs([*files, write_layout_2(session / "00000003-60AA0000.MF4", START_NS, frames[600:])])
+    assert len(again.frames) == 900
+    assert "300 frames are in the log twice" in again.warnings[0]
+
+
+def test_names_of_sessions() -> None:
+    assert session_of(Path("LOG/2F6913DB/00000004/00000012.MF4")) == ("LOG/2F6913DB/00000004", 12)
+    assert session_of(Path("00000007/00000001-6099D010.MF4")) == ("00000007", 1)
+    assert session_of(Path("x/canedge2_2F6913DB_00000004_00000003.MF4")) == ("x/canedge2_2F6913DB_00000004", 3)
+    assert session_of(Path("drive.mf4")) == ("drive.mf4", 1)
+
+
+def test_a_bad_file_among_good_ones_costs_a_warning(tmp_path: Path) -> None:
+    good = write_layout_2(tmp_path / "a.MF4", START_NS, some_frames(100))
+    (tmp_path / "b.MF4").write_bytes(b"")
+    log = read_can_logs([good, tmp_path / "b.MF4"])
+    assert len(log.frames) == 100
+    assert "b.MF4: the file is empty" in log.warnings[0]
+
+
+def test_a_clock_set_back_on_the_way_goes_on(tmp_path: Path) -> None:
+    frames = some_frames(400)
+    file = tmp_path / "back.log"
+    times = [2000 + f.microseconds * 1e-6 - (1.5 if k >= 200 else 0) for k, f in enumerate(frames)]
+    file.write_text("".join(f"({t:.6f}) can0 {f.identifier & 0x7FF:03X}#{f.data.hex()}\n"
+                            for t, f in zip(times, frames, strict=True)))
+    log = read_can_logs([file])
+    assert "clock was set back by 1.500 s; what follows was put behind it" in log.warnings[0]
+    assert (np.diff(log.frames.time_ns) >= 0).all()
+    assert log.frames.time_ns[-1] - log.frames.time_ns[0] == pytest.approx(399 * 500_000, abs=1_000_000)
+
+
+@pytest.mark.parametrize("extension", [".mfc", ".mfe", ".mfm", ".MF4"])
+def test_the_makers_container_is_refused_with_the_name_of_its_converter(tmp_path: Path, extension: str) -> None:
+    file = tmp_path / f"00000001{extension}"
+    file.write_bytes(b"Generic File" + bytes(100))
+    with pytest.raises(RunError, match="CSS Electronics' own container, not MF4; convert it with their mdf2finalized"):
+        read_can_logs([file])
+
+
+@pytest.mark.parametrize("extension", [".log", ".asc", ".blf", ".trc"])
+def test_formats_of_python_can(tmp_path: Path, extension: str) -> None:
+    frames = some_frames(300)
+    file = tmp_path / f"drive{extension}"
+    with can.Logger(file) as writer:
+        for f in frames:
+            writer.on_message_received(can.Message(
+                timestamp=START_NS * 1e-9 + f.microseconds * 1e-6, arbitration_id=f.identifier,
+                is_extended_id=f.extended, data=f.data, channel=f.bus - 1))
+    log = read_can_logs([file])
+    found = log.frames
+    assert np.array_equal(found.id, [f.identifier | (EXTENDED if f.extended else 0) for f in frames])
+    assert [bytes(p[:n]) for p, n in zip(found.payload, found.length, strict=True)] == [f.data for f in frames]
+    # ASC and TRC have milliseconds and fractions of them, and a start in local time.
+    since = (found.time_ns - found.time_ns[0]) // 1000
+    assert np.abs(since - [f.microseconds for f in frames]).max() <= 100
+    if extension in (".log", ".blf"):
+        assert found.time_ns[0] == START_NS
+        assert np.array_equal(found.bus, [f.bus for f in frames])
+
+
+def test_a_log_under_the_wrong_extension_is_read_as_what_it_is(tmp_path: Path) -> None:
+    content = "(1700000000.000000) can0 002#1D000007B0\n(1700000000.010000) can0 002#1D000007B1\n"
+    file = tmp_path / "drive.asc"
+    file.write_text(content)
+    log = read_can_logs([file])
+    assert len(log.frames) == 2
+    assert "is a candump log under the extension .asc" in log.warnings[0]
+    mf4 = write_layout_2(tmp_path / "drive.log", START_NS, some_frames(10))
+    assert len(read_can_logs([mf4]).frames) == 10
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("empty.MF4", b"", "the file is empty"),
+        ("text.MF4", b"time,value\n1,2\n", "this is not an MF4 file"),
+        ("noise.log", bytes(range(256)) * 10, "this is no CAN log that can be read"),
+        ("packets.asc", b"\xe7" + bytes(71), "this is no CAN log that can be read"),
+        ("nothing.log", b"(1.0) can0 #nonsense\n", "no whole frame is in it"),
+    ],
+)
+def test_files_that_are_no_log(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    file = tmp_path / name
+    file.write_bytes(content)
+    with pytest.raises(RunError, match=rf"{name}: ({message})"):
+        read_can_logs([file])
+
+
+def test_a_cut_text_log_is_read_up_to_there(tmp_path: Path) -> None:
+    file = tmp_path / "cut.log"
+    file.write_text("(1700000000.000000) can0 002#1D000007B0\n(1700000000.010000) can0 002#1D0000\n(17000000")
+    log = read_can_logs([file])
+    assert len(log.frames) == 2
+    assert "cut or damaged behind frame 2" in log.warnings[0]
+
+
+def test_an_mf4_without_can_frames(tmp_path: Path) -> None:
+    file = write_layout_2(tmp_path / "quiet.MF4", START_NS, [])
+    with pytest.raises(RunError, match=r"quiet\.MF4: the log holds no CAN frames"):
+        read_can_logs([file])
+
+
+def test_long_frames_are_kept(tmp_path: Path) -> None:
+    file = tmp_path / "fd.log"
+    file.write_text(f"(1700000000.000000) can0 123##1{'AB' * 64}\n(1700000000.100000) can0 002#1D000007B0\n")
+    frames = read_can_logs([file]).frames
+    assert frames.payload.shape == (2, 64)
+    assert (frames.payload[0] == 0xAB).all()
+    assert frames.length.tolist() == [64, 5]
+    assert struct.unpack("<h", frames.payload[1, :2].tobytes()) == (29,)

@@ -1,0 +1,120 @@
+"""Signals of a whole log: the same values, faults and omissions as the live decoder finds frame by frame."""
+
+from dataclasses import replace
+
+import can
+import numpy as np
+import pytest
+from canedge_bridge import gps_time
+from canedge_bridge.decode import Decoder
+from st_recordings.runs.can_logs import read_can_logs
+from st_recordings.runs.can_signals import decode_signals, load_signal_table, steering_of, with_unix_time
+from st_recordings.runs.errors import RunError
+from st_recordings.runs.frames import REMOTE, Frames
+from support import KEPT, ROOT
+
+DBC, TABLE = ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml"
+
+
+@pytest.fixture(scope="module")
+def frames() -> Frames:
+    return read_can_logs([KEPT / "can/synthetic_leaf_rt.mf4"]).frames
+
+
+def live(frames: Frames) -> dict[tuple[str, str], list[tuple[int, float, bool]]]:
+    decoder = Decoder(DBC, TABLE)
+    found: dict[tuple[str, str], list[tuple[int, float, bool]]] = {}
+    for k in range(len(frames)):
+        message = can.Message(arbitration_id=int(frames.id[k]), is_extended_id=False,
+                              data=frames.payload[k, : frames.length[k]].tobytes())
+        decoded = decoder.decode(message, int(frames.time_ns[k]))
+        if decoded is not None:
+            for name, value in decoded.values.items():
+                if np.isfinite(value) and not name.startswith("gps_"):
+                    found.setdefault((name, decoded.message), []).append((decoded.time_ns, value, decoded.valid))
+    return found
+
+
+@pytest.mark.parametrize("damage", [0.0, 0.02, 0.3])
+def test_equal_to_the_live_decoder(frames: Frames, damage: float) -> None:
+    """Bits flipped in a share of the frames and as many frames lost."""
+    random = np.random.default_rng(5)
+    payload = frames.payload.copy()
+    hit = random.random(len(frames)) < damage
+    payload[hit, random.integers(0, 5, hit.sum())] ^= (1 << random.integers(0, 8, hit.sum())).astype(np.uint8)
+    log = replace(frames, payload=payload).select(random.random(len(frames)) >= damage / 2)
+    expected = live(log)
+    signals = decode_signals(log, load_signal_table(DBC, TABLE)).signals
+    assert signals.keys() == expected.keys()
+    for key, signal in signals.items():
+        times, values, valid = zip(*expected[key], strict=True)
+        assert signal.time_ns.tolist() == list(times), key
+        assert signal.valid.tolist() == list(valid), key
+        np.testing.assert_allclose(signal.values, values, rtol=1e-12, atol=1e-12)
+
+
+def test_time_frames_become_utc() -> None:
+    encoder = Decoder(DBC, TABLE)
+    at = 1_700_000_000.25
+    rows = [encoder.encode(name, {"ins_unix_time": at}) for name in ("RT_MilliTime", "RT_DateTime")]
+    log = Frames(np.array([1, 2]) * 10**9, np.array([r.arbitration_id for r in rows], np.uint32),
+                 np.stack([np.frombuffer(bytes(r.data).ljust(8, b"\0"), np.uint8) for r in rows]),
+                 np.array([len(r.data) for r in rows], np.uint8), np.zeros(2, np.uint8), np.zeros(2, np.uint8))
+    found = decode_signals(log, load_signal_table(DBC, TABLE)).all_of("ins_unix_time")
+    assert [s.message for s in found] == ["RT_DateTime", "RT_MilliTime"]
+    assert [s.values[0] for s in found] == pytest.approx([at, at], abs=1e-6)
+
+
+def test_a_log_without_steering_says_what_is_there(frames: Frames) -> None:
+    table = load_signal_table(DBC, TABLE)
+    without = decode_signals(frames.select(frames.id != 2), table)
+    with pytest.raises(RunError, match=r"drive\.mf4: the steering message Leaf_Steering \(0x002\) is not in the log; "
+                                       r"it has Leaf_WheelSpeedFront, .*; log the bus that carries it"):
+        steering_of(without, "drive.mf4", table)
+    real = read_can_logs([KEPT / "can/canedge2_2F6913DB_00000004_00000001.MF4"]).frames
+    with pytest.raises(RunError, match="none of the known messages is"):
+        steering_of(decode_signals(real, table), "real.mf4", table)
+
+
+def test_remote_frames_decode_to_nothing(frames: Frames) -> None:
+    flags = np.where(frames.id == 2, REMOTE, 0).astype(np.uint8)
+    assert decode_signals(replace(frames, flags=flags), load_signal_table(DBC, TABLE)).first_of(
+        "steering_wheel_angle") is None
+
+
+def test_the_same_message_on_two_buses_counts_once(frames: Frames) -> None:
+    steering = frames.select(frames.id == 2)
+    twice = Frames(*(np.repeat(getattr(steering, c), 2, axis=0) for c in ("time_ns", "id", "payload", "length", "bus",
+                                                                         "flags")))
+    signal = decode_signals(twice, load_signal_table(DBC, TABLE)).first_of("steering_wheel_angle")
+    assert np.array_equal(signal.time_ns, steering.time_ns)
+
+
+def test_a_table_that_does_not_hold_together(tmp_path) -> None:
+    broken = tmp_path / "table.yaml"
+    broken.write_text("messages: [")
+    with pytest.raises(RunError) as refused:
+        load_signal_table(DBC, broken)
+    assert str(refused.value).count(str(broken)) == 1
+
+
+def test_time_in_columns_is_the_bridges() -> None:
+    random = np.random.default_rng(7)
+    n = 400
+    moments = random.uniform(1.2e9, 1.9e9, n)
+    dates = [gps_time.to_date_time(t) for t in moments]
+    columns = {name: np.array([d[name] for d in dates]) for name in gps_time.DATE_TIME_PARTS}
+    columns["gps_month"][:50] = random.integers(0, 99, 50)
+    columns["gps_day"][50:100] = random.integers(0, 99, 50)
+    columns["gps_hour"][100:120] = 77
+    columns["gps_century"][120:150] = random.integers(0, 255, 30)
+    rows = [{name: column[k] for name, column in columns.items()} for k in range(n)]
+    np.testing.assert_allclose(with_unix_time(columns)["ins_unix_time"], [gps_time.from_date_time(r) for r in rows],
+                               atol=1e-6)
+    times = [gps_time.to_milli_time(t) for t in moments]
+    columns = {name: np.array([d[name] for d in times]) for name in gps_time.MILLI_TIME_PARTS}
+    columns["gps_time"][:20] = 0
+    columns["gps_utc_offset"][20:200] = 0
+    rows = [{name: column[k] for name, column in columns.items()} for k in range(n)]
+    np.testing.assert_allclose(with_unix_time(columns)["ins_unix_time"], [gps_time.from_milli_time(r) for r in rows],
+                               atol=1e-6)

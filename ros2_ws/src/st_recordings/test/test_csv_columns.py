@@ -1,0 +1,267 @@
+"""CSV files as people have them: every name and unit of a column, declared ones, holes, the hand wheel alone."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from st_core.log import INS_SIGNALS, DriveLog
+from st_core.vehicle import VehicleParameters
+from st_recordings.runs import RunError, columns, find_runs, read
+from st_recordings.runs.columns import COLUMNS, Layout
+from st_recordings.runs.csv import has_drive_columns, read_csv
+from st_recordings.runs.units import UNITS, plain
+from support import ROOT
+
+LEAF = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
+N = 60
+PLAIN = {"t": "t", "x": "x", "y": "y", "yaw": "yaw", "velocity_x": "vx", "velocity_y": "vy", "yaw_rate": "yaw_rate",
+         "acceleration_x": "ax", "acceleration_y": "ay", "road_wheel_angle": "delta"}
+
+
+def values() -> dict[str, np.ndarray]:
+    """A drive in SI, no two channels alike."""
+    t = 0.02 * np.arange(N)
+    wheel = 0.5 * np.sin(3 * t)
+    return {"t": t, "x": 7 * t, "y": np.sin(t), "yaw": 3.0 + t, "compass_heading": np.pi / 2 - 3.0 - t,
+            "velocity_x": 7 + t, "velocity_y": 0.2 * np.cos(t), "yaw_rate": 0.3 * np.cos(t),
+            "acceleration_x": 0.1 + t, "acceleration_y": 2 * np.cos(t), "steering_wheel_angle": wheel,
+            "road_wheel_angle": (wheel - LEAF.steering_wheel_offset) / LEAF.steering_ratio,
+            "wheel_speed_front_left": 6.5 + t, "wheel_speed_front_right": 7.1 + t, "wheel_speed_rear_left": 6.8 + t,
+            "wheel_speed_rear_right": 7.2 + t, "vehicle_speed": 7.05 + t}
+
+
+def write(file: Path, names: Mapping[str, str], units: Mapping[str, str] | None = None, delimiter: str = ",") -> Path:
+    """Columns (channel -> name), their values in given units, SI where none is given."""
+    data = {c: values()[c] / UNITS[COLUMNS[c].kind][unit][0] if (unit := (units or {}).get(c)) else values()[c]
+            for c in names}
+    lines = [delimiter.join(names.values()), *(delimiter.join(f"{v:.12g}" for v in row)
+                                               for row in zip(*data.values(), strict=True))]
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def spoilt(file: Path, cells: Mapping[tuple[int, int], str]) -> Path:
+    """The file with other texts in some cells: (row, column) -> text."""
+    rows = [line.split(",") for line in file.read_text().splitlines()]
+    for (row, column), text in cells.items():
+        rows[row + 1][column] = text
+    file.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    return file
+
+
+def assert_whole(log: DriveLog, but: Sequence[str] = ()) -> None:
+    expected = values()
+    for name in (*INS_SIGNALS, "acceleration_x", "acceleration_y", "road_wheel_angle"):
+        if name not in but:
+            np.testing.assert_allclose(getattr(log, name), expected[name], atol=2e-9, err_msg=name)
+    np.testing.assert_allclose((log.ins_time_ns - log.ins_time_ns[0]) * 1e-9, expected["t"], atol=1e-6)
+
+
+def test_no_name_means_two_channels() -> None:
+    names = [plain(name) for channel in COLUMNS.values() for name in channel.names]
+    assert len(names) == len(set(names)) and not columns.AMBIGUOUS & set(names)
+
+
+@pytest.mark.parametrize("channel", list(COLUMNS))
+def test_every_name_and_unit_of_a_channel(tmp_path: Path, channel: str) -> None:
+    names = {**PLAIN, **{c: c for c in (*columns_of_wheels(channel), channel)}}
+    names = {c: n for c, n in names.items() if c == channel or (c, channel) not in REPLACED}
+    kind = COLUMNS[channel].kind
+    for name in COLUMNS[channel].names:
+        written = {**names, channel: name}
+        check(read_csv(write(tmp_path / "d.csv", written), LEAF), channel)
+        for unit, (_, others) in UNITS[kind].items():
+            for text in (f"{name}_{unit}", f"{name.upper()} [{others[0] if others else unit}]", f" {name} ({unit}) "):
+                check(read_csv(write(tmp_path / "d.csv", {**written, channel: text}, {channel: unit}), LEAF), channel)
+    for unit in UNITS[kind]:
+        file = write(tmp_path / "d.csv", {**names, channel: "nameless"}, {channel: unit})
+        check(read_csv(file, LEAF, Layout({channel: "nameless"}, {channel: unit})), channel)
+
+
+REPLACED = (("yaw", "compass_heading"), ("road_wheel_angle", "steering_wheel_angle"))
+
+
+def columns_of_wheels(channel: str) -> tuple[str, ...]:
+    """The wheel on the other side, without which one says nothing."""
+    side = {"left": "right", "right": "left"}.get(channel.rpartition("_")[2])
+    return (f"{channel.rpartition('_')[0]}_{side}",) if channel.startswith("wheel_speed") else ()
+
+
+def check(drive, channel: str) -> None:
+    assert_whole(drive.log)
+    assert drive.warnings == ()
+    if "speed" in channel:
+        of = [values()[c] for c in (channel, *columns_of_wheels(channel))]
+        np.testing.assert_allclose(drive.extras.wheel_speed.values, np.mean(of, axis=0), atol=1e-9)
+    else:
+        assert channel in drive.columns
+
+
+@pytest.mark.parametrize(("names", "units"), [
+    ({"t": "Time (s)", "velocity_x": "Speed km/h", "yaw_rate": "YawRate_deg/s"},
+     {"velocity_x": "km/h", "yaw_rate": "deg/s"}),
+    ({"t": "%time", "yaw": "yaw_deg", "velocity_x": "speed_kph", "yaw_rate": "yaw_rate_dps"},
+     {"yaw": "deg", "velocity_x": "km/h", "yaw_rate": "deg/s"}),
+    ({"t": "timestamp_ms", "velocity_x": "velocityX_mps", "acceleration_y": "ay_m_s2", "acceleration_x": "ax_g"},
+     {"t": "ms", "acceleration_x": "g"}),
+    ({"x": "Easting [ft]", "y": "northing_km", "yaw_rate": '"yaw rate, deg/s"'},
+     {"x": "ft", "y": "km", "yaw_rate": "deg/s"}),
+])
+def test_headers_as_people_write_them(tmp_path: Path, names: dict, units: dict) -> None:
+    drive = read_csv(write(tmp_path / "d.csv", {**PLAIN, **names}, units))
+    assert_whole(drive.log)
+    assert has_drive_columns(tmp_path / "d.csv")
+    for channel, unit in units.items():
+        assert drive.columns[channel].endswith(f"[{unit}]")
+    assert drive.columns["velocity_y"] == "vy [m/s, assumed]"
+
+
+def test_a_better_name_goes_first_and_velocity_before_speed(tmp_path: Path) -> None:
+    file = write(tmp_path / "d.csv", {"vehicle_speed": "speed", **PLAIN})
+    assert_whole(read_csv(file).log)
+
+
+def test_a_row_of_units_below_the_header(tmp_path: Path) -> None:
+    units = {"yaw": "deg", "velocity_x": "km/h", "t": "ms"}
+    lines = write(tmp_path / "d.csv", PLAIN, units).read_text().splitlines()
+    (tmp_path / "d.csv").write_text("\n".join([lines[0], "ms,m,m,[deg],km/h,m/s,rad/s,m/s^2,m/s^2,rad", *lines[1:]]))
+    drive = read_csv(tmp_path / "d.csv")
+    assert_whole(drive.log)
+    assert drive.columns["velocity_x"] == "vx [km/h]" and not drive.warnings
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_decimal_commas(tmp_path: Path, delimiter: str) -> None:
+    file = write(tmp_path / "d.csv", PLAIN, delimiter=delimiter)
+    file.write_text(file.read_text().replace(".", ","))
+    assert_whole(read_csv(file).log)
+
+
+def test_words_in_a_column_that_is_not_used_do_no_harm(tmp_path: Path) -> None:
+    lines = write(tmp_path / "d.csv", PLAIN).read_text().splitlines()
+    lines = [f"{line},{'comment' if k == 0 else 'dry'}" for k, line in enumerate(lines)]
+    (tmp_path / "d.csv").write_text("\n".join(lines))
+    drive = read_csv(tmp_path / "d.csv")
+    assert_whole(drive.log)
+    assert not drive.warnings
+
+
+def test_the_hand_wheel_alone(tmp_path: Path) -> None:
+    names = {c: n for c, n in PLAIN.items() if c != "road_wheel_angle"} | {"steering_wheel_angle": "swa_deg"}
+    file = write(tmp_path / "d.csv", names, {"steering_wheel_angle": "deg"})
+    assert has_drive_columns(file)
+    (run,) = find_runs([tmp_path])
+    loaded = read(run, LEAF)
+    assert_whole(loaded.log)
+    np.testing.assert_allclose(loaded.log.steering_wheel_angle, values()["steering_wheel_angle"], atol=1e-9)
+    with pytest.raises(RunError, match=r"d\.csv: it has the steering wheel angle only \(column swa_deg\).* give its "):
+        read(run)
+
+
+def test_a_steering_angle_of_neither_wheel_is_asked_for(tmp_path: Path) -> None:
+    file = write(tmp_path / "d.csv", {**PLAIN, "road_wheel_angle": "steering_angle_rad"})
+    assert has_drive_columns(file)
+    with pytest.raises(RunError, match=r"column steering_angle_rad may be of the steering wheel or of the road wheels; "
+                       r"say which in a run\.yaml, as columns: \{steering_wheel_angle: steering_angle_rad\} or"):
+        read_csv(file, LEAF)
+    assert_whole(read_csv(file, layout=Layout({"road_wheel_angle": "steering_angle_rad"})).log)
+
+
+@pytest.mark.parametrize(("x", "y"), [("x", "y"), ("east", "Northing [km]")])
+def test_exchanged_axes_are_exchanged_back_whatever_their_columns_are_called(tmp_path: Path, x: str, y: str) -> None:
+    file = write(tmp_path / "d.csv", {**PLAIN, "x": y, "y": x}, {"x": "km"} if "km" in y else None)
+    assert_whole(read_csv(file, layout=Layout({"x": "y", "y": "x"})).log)
+
+
+def test_a_unit_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
+    file = write(tmp_path / "d.csv", {c: n for c, n in PLAIN.items() if c != "yaw"} | {"compass_heading": "heading"})
+    with pytest.raises(RunError, match=r"units: yaw: d\.csv has no column for it; it has one for t, .*compass_heading"):
+        read_csv(file, layout=Layout(units={"yaw": "deg"}))
+
+
+BAD = ("", "nan", "n/a", "inf", "-inf", "1e999", "--")
+
+
+@pytest.mark.parametrize("channel", [c for c in PLAIN if c not in ("t", "acceleration_x", "acceleration_y",
+                                                                   "road_wheel_angle")])
+def test_a_hole_in_an_ins_channel_costs_ins_samples_only(tmp_path: Path, channel: str) -> None:
+    at = list(PLAIN).index(channel)
+    drive = read_csv(spoilt(write(tmp_path / "d.csv", PLAIN), {(5 + 2 * k, at): text for k, text in enumerate(BAD)}))
+    lost = 5 + 2 * np.arange(len(BAD))
+    left = np.delete(np.arange(N), lost)
+    np.testing.assert_allclose(drive.log.yaw, values()["yaw"][left])
+    np.testing.assert_allclose(drive.log.road_wheel_angle, values()["road_wheel_angle"], atol=1e-9)
+    assert drive.extras.missing == {channel: len(BAD)}
+    assert len(drive.extras.stamps["INS"]) == N
+    (warning,) = drive.warnings
+    assert warning.endswith(f"d.csv: {channel} (column {PLAIN[channel]}): {len(BAD)} of {N} rows hold no number; these "
+                            "samples of the INS were left out")
+
+
+@pytest.mark.parametrize("wheel", [False, True])
+def test_a_hole_in_the_steering_costs_steering_samples_only(tmp_path: Path, wheel: bool) -> None:
+    names = {**PLAIN, "steering_wheel_angle": "swa"} if wheel else PLAIN
+    drive = read_csv(spoilt(write(tmp_path / "d.csv", names), {(7, len(names) - 1): "n/a"}), LEAF)
+    assert (len(drive.log.x), len(drive.log.road_wheel_angle)) == (N, N - 1)
+    assert drive.extras.missing == {"steering_wheel_angle" if wheel else "road_wheel_angle": 1}
+
+
+def test_a_hole_in_an_acceleration_costs_nothing_else(tmp_path: Path) -> None:
+    drive = read_csv(spoilt(write(tmp_path / "d.csv", PLAIN), {(k, 8): "" for k in range(10)}))
+    assert np.isnan(drive.log.acceleration_y).sum() == 10
+    assert_whole(drive.log, but=("acceleration_y",))
+    assert drive.extras.missing == {"acceleration_y": 10}
+    assert "10 of 60 rows hold no number; it is not known there" in drive.warnings[0]
+
+
+def test_a_channel_that_is_mostly_bad_is_said(tmp_path: Path) -> None:
+    names = {**PLAIN, "steering_wheel_angle": "swa"}
+    file = spoilt(write(tmp_path / "d.csv", names),
+                  {(k, column): "n/a" for k in range(40) for column in (2, 7, 10)})
+    drive = read_csv(file, LEAF)
+    said = "\n".join(drive.warnings)
+    assert "y (column y): 40 of 60 rows hold no number, more than half; these samples of the INS were left out" in said
+    assert "acceleration_x (column ax): 40 of 60 rows hold no number, more than half; it is not used" in said
+    assert "steering_wheel_angle (column swa) holds no number in more than half of the rows; it is not used" in said
+    assert drive.log.acceleration_x is None and drive.log.steering_wheel_angle is None
+    assert (len(drive.log.x), len(drive.log.road_wheel_angle)) == (20, N)
+    with pytest.raises(RunError, match="fewer than two usable rows are in it: y holds no number in 59 of 60"):
+        read_csv(spoilt(file, {(k, 2): "n/a" for k in range(59)}))
+
+
+def test_rows_without_a_time_and_out_of_order_are_counted_and_handed_on(tmp_path: Path) -> None:
+    file = spoilt(write(tmp_path / "d.csv", PLAIN), {(10, 0): "n/a", (20, 0): "0.38", (30, 0): "0.1", (31, 0): "1e12"})
+    drive = read_csv(file)
+    assert len(drive.log.x) == len(drive.log.road_wheel_angle) == N - 4
+    assert drive.extras.missing == {"time": 2}
+    stamps = drive.extras.stamps["INS"]
+    assert len(stamps) == N - 2 and (np.diff(stamps) == 0).sum() == 1 and (np.diff(stamps) < 0).sum() == 1
+    assert any("time does not rise in 2 rows" in w for w in drive.warnings)
+    assert any("time (column t): 2 of 60 rows hold no number; these rows were left out" in w for w in drive.warnings)
+
+
+def test_times_that_are_no_seconds_ask_for_their_unit(tmp_path: Path) -> None:
+    file = write(tmp_path / "d.csv", PLAIN)
+    lines = file.read_text().splitlines()
+    rows = [f"{1_700_000_000_000_000_000 + 20_000_000 * k},{line.partition(',')[2]}" for k, line in
+            enumerate(lines[1:])]
+    file.write_text("\n".join([lines[0], *rows]))
+    with pytest.raises(RunError, match=r"times like 1\.7e\+18 in column t are no s; declare their unit in a run.yaml, "
+                       r"as units: \{t: ns\}"):
+        read_csv(file)
+    log = read_csv(file, layout=Layout(units={"t": "ns"})).log
+    assert_whole(log)
+    assert log.ins_time_ns[0] == 1_700_000_000_000_000_000
+
+
+def test_the_table_is_in_the_documentation() -> None:
+    """docs/manual/recordings.md has a row for each channel, made of the table."""
+    text = (ROOT / "docs/manual/recordings.md").read_text()
+    for name, channel in COLUMNS.items():
+        row = f"| `{name}` | {next(iter(UNITS[channel.kind]))} | {channel.meaning} | {', '.join(channel.names)} |"
+        assert row in text, f"docs/manual/recordings.md lacks or differs:\n{row}"
+    for kind, units in UNITS.items():
+        spelled = [f"{unit} ({', '.join(others)})" if others else unit for unit, (_, others) in units.items()]
+        row = f"| {kind} | {', '.join(spelled)} |"
+        assert row in text, f"docs/manual/recordings.md lacks or differs:\n{row}"

@@ -1,0 +1,110 @@
+"""MF4 logs whose description is damaged: one sentence, before asammdf believes it."""
+
+import math
+import struct
+import warnings
+from pathlib import Path
+
+import pytest
+from mdf_files import LogFrame, write_layout_2
+from st_recordings.runs.errors import RunError
+from st_recordings.runs.mf4 import read_mf4
+from support import KEPT
+
+REAL = KEPT / "can/canedge2_2F6913DB_00000004_00000001.MF4"
+START_NS = 1_700_000_000_000_000_000
+FRAMES = [LogFrame(500 * k, 1, 0x002, bytes(5)) for k in range(20)]
+
+
+def link(data: bytes, at: int, number: int) -> int:
+    return struct.unpack_from("<Q", data, at + 24 + 8 * number)[0]
+
+
+def places(data: bytes) -> dict[str, int]:
+    """Where the blocks of the first group are, and its numbers in them."""
+    groups = link(data, 64, 0)
+    group = link(data, groups, 1)
+    time = link(data, group, 1)
+    frame = link(data, time, 0)
+    member, conversion, records = link(data, frame, 1), link(data, time, 4), link(data, groups, 2)
+    return {
+        "next data group": groups + 24, "size of identifiers": groups + 56, "next group": group + 24,
+        "count": group + 80, "flags": group + 88, "size": group + 96, "next channel": time + 24, "kind": time + 88,
+        "type of time": time + 90,
+        "times": conversion + 80, "factor": conversion + 88, "byte": member + 92, "bits": member + 96,
+        "bit": member + 91, "data type": member + 90, "name": link(data, member, 2) + 24, "frame": frame,
+        "composition": frame + 32, "data group": groups, "records": records,
+    }
+
+
+def damaged(tmp_path: Path, place: str, layout: str, value: object) -> Path:
+    file = write_layout_2(tmp_path / "log.MF4", START_NS, FRAMES)
+    data = bytearray(file.read_bytes())
+    struct.pack_into(layout, data, places(data)[place], value)
+    file.write_bytes(data)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("place", "layout", "value", "what"),
+    [
+        ("byte", "<I", 34, r"the channel at byte \d+ ends at byte 36 of a record, the record at 21"),
+        ("byte", "<I", 2**32 - 1, "ends at byte 4294967297 of a record"),
+        ("bits", "<I", 80, "has 80 bits from bit 0 of its byte on"),
+        ("bit", "<B", 9, "has 11 bits from bit 9 of its byte on"),
+        ("data type", "<B", 10, "the ID of its frames is no whole number"),
+        ("name", "<16s", b"CAN_DataFrame.II", "its frames have no ID"),
+        ("composition", "<Q", 0, "its frames have no ID"),
+        ("size", "<I", 2**30, "has records of 1073741824 bytes"),
+        ("flags", "<H", 7, "have channels and no fixed length"),
+        ("size of identifiers", "<B", 3, "has record identifiers of 3 bytes"),
+        ("next data group", "<Q", 64, "its index leads to byte 64 twice"),
+        ("next channel", "<Q", 0, "the log holds no CAN frames"),
+        ("next channel", "<Q", 2**63, "its index points to byte 9223372036854775808"),
+        ("kind", "<B", 0, "its frames have no time"),
+        ("type of time", "<B", 15, "is the time and no real number"),
+        ("factor", "<d", math.nan, "makes no times of its numbers"),
+        ("factor", "<d", 1e307, "the times of its frames are no times"),
+        ("factor", "<d", 1e200, "the times of its frames are no times"),
+        ("times", "<d", -1e12, "the times of its frames are no times"),
+    ],
+)
+def test_a_damaged_description_is_one_sentence(tmp_path, capfd, place, layout, value, what):
+    file = damaged(tmp_path, place, layout, value)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(RunError, match=rf"log\.MF4: .*{what}"):
+            read_mf4(file)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_more_frames_than_the_file_has_bytes_for(tmp_path):
+    file = damaged(tmp_path, "count", "<Q", 1000)
+    assert len(read_mf4(file).frames) == 20  # not finalised, so its counters are not believed
+    data = bytearray(file.read_bytes())
+    struct.pack_into("<H", data, 60, 4)
+    file.write_bytes(data)
+    with pytest.raises(RunError, match="claims 22000 bytes of records and has 440"):
+        read_mf4(file)
+
+
+def test_links_in_a_circle(tmp_path):
+    file = write_layout_2(tmp_path / "log.MF4", START_NS, FRAMES)
+    data = bytearray(file.read_bytes())
+    found = places(data)
+    struct.pack_into("<Q", data, found["next data group"], found["data group"])
+    file.write_bytes(data)
+    with pytest.raises(RunError, match=f"its index leads to byte {found['data group']} twice"):
+        read_mf4(file)
+
+
+@pytest.mark.parametrize("offset", [2**63, 2**64 - 1, 2**31])
+def test_a_frame_whose_payload_is_nowhere(tmp_path, offset):
+    """In layout 1 a record says where its payload is; asammdf would look there."""
+    content = bytearray(REAL.read_bytes())
+    records = link(content, link(content, 64, 0), 2) + 24
+    struct.pack_into("<Q", content, records + 1 + 14, offset)
+    file = tmp_path / "log.MF4"
+    file.write_bytes(content)
+    with pytest.raises(RunError, match="payloads are not where its frames say"):
+        read_mf4(file)

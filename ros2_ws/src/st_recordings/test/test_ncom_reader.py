@@ -1,0 +1,116 @@
+"""NCOM files in the suite's axes, and NCOM files that cannot be used."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oxts_bridge.geodesy import LocalFrame
+from oxts_bridge.ncom import Packet, encode
+from st_recordings.runs.errors import RunError
+from st_recordings.runs.ncom import read_ncom
+from support import vectors
+
+MINUTE = 23_000_000  # since the GPS epoch: 2023
+
+
+def packets(times: list[float], status: int = 4, minutes: bool = True, east: float = 10.0) -> bytes:
+    """Driving east at 10 m/s; times in s after a minute."""
+    stream = b""
+    for k, t in enumerate(times):
+        minute, ms = divmod(round(t * 1000), 60_000)
+        channel0 = minutes and k % 10 == 0
+        batch = (MINUTE + minute).to_bytes(4, "little") + bytes(4) if channel0 else bytes(8)
+        stream += encode(Packet(
+            milliseconds=ms, acceleration=(0.0, 0.0, -9.81), angular_rate=(0.0, 0.0, 0.0), navigation_status=status,
+            latitude=0.8, longitude=0.3 + east * t / 4.45e6, altitude=100.0, velocity_ned=(0.0, east, 0.0),
+            heading=np.pi / 2, pitch=0.0, roll=0.0, channel=0 if channel0 else 1, batch_s=batch))
+    return stream
+
+
+# The two cases in which the vendor's derived values are, the shorter of them always there.
+drives = pytest.mark.parametrize(("which", "case"), [("kept", "filters"), ("whole", "drive_100hz")])
+
+
+@drives
+def test_axes_against_the_vendors_own_iso_values(which: str, case: str) -> None:
+    log = read_ncom(vectors(which, f"ncom/{case}.ncom"))
+    with vectors(which, f"ncom/{case}.expected.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    for k, name in enumerate(("IsoVoX", "IsoVoY", "IsoVoZ")):
+        expected = np.array([float(row[name]) for row in rows])[log.rows]
+        np.testing.assert_allclose(log.velocity[k], expected, atol=1e-9)
+    # Frames turn FRD -> FLU, and heading from north clockwise -> yaw from east counter-clockwise.
+    np.testing.assert_allclose(log.rate[2], [-np.radians(float(row["Wz"])) for row in rows], atol=1e-12)
+    np.testing.assert_allclose(log.acceleration[1], [-float(row["Ay"]) for row in rows], atol=1e-12)
+    heading = np.radians([float(row["Heading"]) for row in rows])
+    np.testing.assert_allclose(np.exp(1j * log.yaw), np.exp(1j * (np.pi / 2 - heading)), atol=1e-12)
+    assert np.abs(np.diff(log.yaw)).max() < 0.1
+
+
+@drives
+def test_positions_in_the_plane_of_the_origin(which: str, case: str) -> None:
+    log = read_ncom(vectors(which, f"ncom/{case}.ncom"))
+    columns, last = log.columns, int(log.rows[-1])
+    frame = LocalFrame(*log.origin)
+    expected = frame.enu(columns.latitude[last], columns.longitude[last], columns.altitude[last])
+    np.testing.assert_allclose(log.position[:, -1], expected, atol=1e-6)
+    assert log.position[:, 0].tolist() == pytest.approx([0, 0, 0], abs=1e-6)
+    # Velocity is the derivative of position: body axes, yaw and plane belong together.
+    time = (log.time_ns - log.time_ns[0]) * 1e-9
+    east = np.gradient(log.position[0], time)
+    forward, left = log.velocity[:2]
+    np.testing.assert_allclose(east[5:-5], (forward * np.cos(log.yaw) - left * np.sin(log.yaw))[5:-5], atol=0.05)
+
+
+def test_only_packets_with_a_fix_and_a_time(tmp_path: Path) -> None:
+    file = tmp_path / "start.ncom"
+    file.write_bytes(packets([0.0, 0.1], status=2) + packets([0.2 + 0.01 * k for k in range(20)]))
+    log = read_ncom(file)
+    assert len(log.time_ns) == 20
+    assert log.motion.absolute
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "the file is empty"),
+        (b"time,value\n1,2\n", "no NCOM packet .* text"),
+        (b"MDF     4.11    " + bytes(200), "no NCOM packet .* an MDF log"),
+        (packets([0.1 * k for k in range(50)], status=2),
+         r"no packet has a fix; navigation status: 2 \(initialising\) in 50"),
+        (packets([0.1 * k for k in range(50)], minutes=False), "no packet says what minute it is"),
+    ],
+)
+def test_files_that_cannot_be_used(tmp_path: Path, content: bytes, message: str) -> None:
+    file = tmp_path / "bad.ncom"
+    file.write_bytes(content)
+    with pytest.raises(RunError, match=rf"bad\.ncom: {message}"):
+        read_ncom(file)
+
+
+def test_damage_is_counted(tmp_path: Path) -> None:
+    file = tmp_path / "damaged.ncom"
+    stream = bytearray(packets([0.01 * k for k in range(300)]))
+    stream[100 * 72 + 30] ^= 0xFF
+    file.write_bytes(bytes(stream[: 200 * 72 + 40]))
+    log = read_ncom(file)
+    assert len(log.time_ns) == 199
+    assert "packets have a wrong checksum" in log.warnings[0]
+
+
+def test_a_clock_set_back_leaves_the_longest_stretch(tmp_path: Path) -> None:
+    file = tmp_path / "back.ncom"
+    file.write_bytes(packets([30 + 0.01 * k for k in range(400)]) + packets([10 + 0.01 * k for k in range(900)]))
+    log = read_ncom(file)
+    assert (np.diff(log.time_ns) > 0).all()
+    assert len(log.time_ns) > 880
+    assert "the time of the packets goes back" in log.warnings[-1]
+
+
+def test_packets_inside_an_xcom_container_are_found(tmp_path: Path) -> None:
+    file = tmp_path / "drive.xcom"
+    stream = packets([0.01 * k for k in range(100)])
+    pages = b"".join(b"OggS" + bytes(23) + stream[k : k + 72 * 10] for k in range(0, len(stream), 72 * 10))
+    file.write_bytes(pages)
+    assert len(read_ncom(file).time_ns) == 100

@@ -1,0 +1,150 @@
+"""Which files make a run, in folders of all kinds and in run.yaml; what is none says why, and the rest goes on."""
+
+from pathlib import Path
+
+import pytest
+from canedge_bridge import log_decode
+from st_core.vehicle import VehicleParameters
+from st_recordings.runs import ReadSettings, RunSource, can_logs, find_runs, frames, raw, read, sources
+from st_recordings.runs.errors import RunError
+from support import ROOT
+
+DRIVE = "t,x,y,yaw,vx,vy,yaw_rate,delta\n" + "".join(f"{0.02 * k:.2f},0,0,0,5,0,0,0\n" for k in range(50))
+
+
+def touch(folder: Path, *names: str, content: str = "") -> list[Path]:
+    files = [folder / name for name in names]
+    for file in files:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(content)
+    return files
+
+
+def by_name(runs: list[RunSource]) -> dict[str, RunSource]:
+    assert len({run.name for run in runs}) == len(runs)
+    return {run.name: run for run in runs}
+
+
+def test_the_extensions_of_can_logs_are_those_that_can_be_read():
+    assert sources.CAN_EXTENSIONS == can_logs.EXTENSIONS and frames.EXTENDED == log_decode.EXTENDED
+
+
+def test_bounds_the_wrong_way_round_are_refused() -> None:
+    source = RunSource("x", "ncom", (Path("x.ncom"),))
+    with pytest.raises(RunError, match="--search: 5 is not below 1"):
+        raw.clock_settings(source, ReadSettings(search=(5.0, 1.0)))
+
+
+def test_files_of_one_stem(tmp_path: Path) -> None:
+    touch(tmp_path, "s3.ncom", "s3.MF4", "s4.ncom", "s4.log", "notes.txt")
+    runs = by_name(find_runs([tmp_path]))
+    assert {name: (run.kind, run.problem) for name, run in runs.items()} == {"s3": ("ncom", None), "s4": ("ncom", None)}
+    assert [f.name for f in runs["s3"].can] == ["s3.MF4"]
+    assert by_name(find_runs([tmp_path / "s4.ncom"]))["s4"].can == (tmp_path / "s4.log",)
+
+
+def test_one_ins_recording_and_a_loggers_tree(tmp_path: Path) -> None:
+    touch(tmp_path, "drive.ncom", "LOG/2F6913DB/00000004/00000001.MF4", "LOG/2F6913DB/00000004/00000002.MF4")
+    (run,) = find_runs([tmp_path])
+    assert (run.name, run.kind, len(run.can)) == ("drive", "ncom", 2)
+
+
+def test_files_given_one_by_one(tmp_path: Path) -> None:
+    files = touch(tmp_path, "a.ncom", "b.asc", "c.blf")
+    (run,) = find_runs(files)
+    assert (run.name, run.kind, run.can) == ("a", "ncom", (files[1], files[2]))
+
+
+def test_what_has_no_partner_says_so(tmp_path: Path) -> None:
+    touch(tmp_path, "a.ncom", "b.ncom", "c.log")
+    runs = find_runs([tmp_path])
+    assert len(runs) == 2
+    assert all("name the files alike, or say which belong together in a run.yaml" in str(run.problem) for run in runs)
+    alone = find_runs(touch(tmp_path / "alone", "d.log"))
+    assert "there is no INS recording (.ncom) for this CAN log" in str(alone[0].problem)
+    lonely = find_runs(touch(tmp_path / "lonely", "e.ncom"))
+    assert "there is no CAN log with the same stem" in str(lonely[0].problem)
+
+
+def test_a_folder_of_everything(tmp_path: Path) -> None:
+    touch(tmp_path, "one.ncom", "one.log", "readme.txt", "photo.png", "sub/table.csv", "empty/nothing.here")
+    touch(tmp_path, "genesis.csv", content=DRIVE)
+    topics = "rosbag2_bagfile_information: {topics_with_message_count: [%s]}"
+    touch(tmp_path, "bag/metadata.yaml", content=topics % "{topic_metadata: {type: nav_msgs/msg/Odometry}}")
+    touch(tmp_path, "errors/metadata.yaml", content=topics % "")
+    touch(tmp_path, "bag/bag_0.mcap", "errors/errors_0.mcap")
+    runs = by_name(find_runs([tmp_path]))
+    assert {name: run.kind for name, run in runs.items()} == {"one": "ncom", "genesis": "csv", tmp_path.name: "bag"}
+    assert len(read(runs["genesis"]).log.x) == 50
+    with pytest.raises(RunError, match=r"one\.ncom: .* give its vehicle file"):
+        read(runs["one"])
+    leaf = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
+    with pytest.raises(RunError, match=r"one\.ncom: the file is empty"):
+        read(runs["one"], leaf)
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("nowhere.ncom", "there is no such file or folder"),
+        ("notes.txt", r"the extension \.txt is not one of a recording; known are .*\.ncom"),
+        ("folder", "no recording is in this folder"),
+    ],
+)
+def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
+    touch(tmp_path, "notes.txt", "folder/notes.txt")
+    (run,) = find_runs([tmp_path / path])
+    with pytest.raises(RunError, match=message):
+        read(run)
+
+
+def test_same_names_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    touch(tmp_path, "monday/drive.csv", "tuesday/drive.csv", content=DRIVE)
+    assert sorted(run.name for run in find_runs([tmp_path])) == ["drive", "tuesday_drive"]
+
+
+def test_a_run_called_run_has_the_name_of_its_folder(tmp_path: Path) -> None:
+    touch(tmp_path, "monday/run.csv", "tuesday/run.csv", content=DRIVE)
+    assert sorted(run.name for run in find_runs([tmp_path])) == ["monday", "tuesday"]
+
+
+def test_run_yaml(tmp_path: Path) -> None:
+    touch(tmp_path, "x.ncom", "logs/1.log", "logs/2.log", "logs/readme.txt")
+    touch(tmp_path, "run.yaml", content="""
+        name: monday
+        ins: x.ncom
+        can: [logs]
+        offset: -3.2
+        ins_can_latency: [0.004, 0.001]
+        labels: [{name: S3, start: 10, end: 20.5}]
+        """)
+    (run,) = find_runs([tmp_path])
+    assert (run.name, run.kind, len(run.can), run.settings["offset"]) == ("monday", "ncom", 2, -3.2)
+    assert run.settings["ins_can_latency"] == (0.004, 0.001)
+    assert (run.labels[0].name, run.labels[0].end) == ("S3", 20.5)
+    (pattern,) = find_runs(touch(tmp_path, "other.run.yaml", content="ins: x.ncom\ncan: logs/*.log\n"))
+    assert (pattern.name, len(pattern.can)) == ("other", 2)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[", "is not YAML"),
+        ("- a", "does not hold keys and values"),
+        ("ins: x.ncom\ncan: 1.log\nspeed: 3", "key speed is not known; known keys are name, ins"),
+        ("can: 1.log", "one of the keys ins, bag and csv"),
+        ("ins: y.ncom\ncan: 1.log", "ins: there is no 'y.ncom' beside it"),
+        ("ins: x.ncom", "key can names no CAN log"),
+        ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is no pattern"),
+        ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is no pattern"),
+        ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),
+        ("ins: x.ncom\ncan: 1.log\nins_can_latency: 0.002", r"ins_can_latency: 0\.002 is not \[latency"),
+        ("csv: d.csv\nlabels: [{name: a}]", "labels: a list of"),
+        ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends"),
+    ],
+)
+def test_a_run_yaml_that_is_wrong(tmp_path: Path, content: str, message: str) -> None:
+    touch(tmp_path, "x.ncom", "1.log", "d.csv")
+    (run,) = find_runs(touch(tmp_path, "run.yaml", content=content))
+    with pytest.raises(RunError, match=rf"run\.yaml: {message}"):
+        read(run)
