@@ -1,6 +1,7 @@
 """The live suite under measurement: all nodes and the virtual Leaf at full rates, on a domain of its own."""
 
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,26 +18,34 @@ from st_recordings.paths import config
 
 
 @contextmanager
-def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full",
-                  bands: bool = False) -> Iterator[Suite]:
-    """Nodes up and data flowing; everything ended and deleted afterwards. bands: around every prediction."""
+def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full") -> Iterator[Suite]:
+    """Nodes up and data flowing; everything ended and deleted afterwards.
+
+    ST_BENCH_REALTIME=1: bridges and predictor with real-time scheduling. ST_BENCH_WITHOUT: nodes left out, as
+    recorder,evaluator. ST_BENCH_BUSY: so many programs beside that never sleep. ST_BENCH_BANDS=1: bands around every
+    prediction.
+    """
+    left_out = os.environ.get("ST_BENCH_WITHOUT", "").split(",")
+    nodes = [node for node in NODES if node[1] not in left_out]
     with claimed_domain() as domain, tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         rates = ["--ncom-rate", str(ncom_rate), "--can-rate", can_rate]
         car = VirtualCar(config("vehicle/leaf.yaml"), ["--scenario", "S6", "--duration", str(duration), *rates])
         folder = Path(name)
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         parameters = node_parameters(folder, car.vehicle, car.bridge_parameters())
-        if bands:
+        if os.environ.get("ST_BENCH_BANDS") == "1":
             file = folder / "bands.yaml"
             vehicle = VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle))
             file.write_text(drawn_bands(vehicle).to_yaml(), encoding="utf-8")
             parameters = with_bands(parameters, file)
-        with Suite(folder, parameters, domain) as suite:
-            for package, executable in NODES:
+        with Suite(folder, parameters, domain, "ST_BENCH_REALTIME" in os.environ) as suite:
+            for package, executable in nodes:
                 suite.start_node(package, executable)
             with Monitor(domain) as monitor:
-                missing = monitor.wait_for_nodes({executable for _, executable in NODES}, 30)
-            if missing:
-                raise RuntimeError(f"nodes not up: {missing}")
+                missing = monitor.wait_for_nodes({executable for _, executable in nodes}, 30)
+            if missing or suite.denied:
+                raise RuntimeError(f"nodes not up: {missing}; without real-time scheduling: {suite.denied}")
+            for number in range(int(os.environ.get("ST_BENCH_BUSY", "0"))):
+                suite.start(f"busy_{number}", [sys.executable, "-c", "while True: pass"])
             car.start(suite)
             yield suite

@@ -69,3 +69,28 @@ def health(messages: dict[str, list[Any]]) -> dict[str, list[tuple[int, int, str
         for status in message.status:
             said[status.name].append((nanoseconds(message.header.stamp), status.level, status.message))
     return said
+
+
+def keep_topics(bag: Path, wanted: tuple[str, ...], file: Path) -> None:
+    """A copy of a recording with the topics that begin with one of `wanted`, and with what it says about itself."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    (source,) = bag.glob("*.mcap")
+    with source.open("rb") as stream, file.open("wb") as copy:
+        reader, writer = make_reader(stream), Writer(copy)
+        writer.start("ros2")
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            if not channel.topic.startswith(wanted):
+                continue
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding,
+                                                               schemas[schema.id], channel.metadata)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        writer.finish()

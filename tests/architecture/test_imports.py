@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from PIL import Image
+from st_offline.documentation import structure
 from support import ROOT
 
 SOURCES = ROOT / "ros2_ws" / "src"
@@ -95,6 +97,25 @@ def test_every_package_is_looked_at():
     # The walk sees what it should: a relative import resolved, and a node that imports ROS.
     assert "st_core.types.VehicleState" in [m for _, m in imports(Path("st_core/st_core/prediction.py"))]
     assert any(is_ros(m) for _, m in imports(Path("st_ros/st_ros/spin.py")))
+
+
+def test_the_figure_of_the_structure_shows_these_imports():
+    """What `st docs` draws, what the picture in the repository holds, and what this walk sees are the same arrows."""
+    known = set(structure.packages(SOURCES))
+    seen = {(path.parts[0], top) for path in python_files() for _, module in imports(path)
+            if (top := module.partition(".")[0]) in known - {path.parts[0]}}
+    assert known == {*PACKAGES, "st_msgs"}
+    assert structure.edges(SOURCES) == seen
+    assert structure.drawn(Image.open(ROOT / "docs" / structure.FIGURE).text) == seen, "run ./st docs"
+    assert f"]({structure.FIGURE})" in (ROOT / "docs" / "architecture.md").read_text()
+
+
+def test_layers_and_implied_arrows_of_a_structure():
+    arrows = {("a", "b"), ("b", "c"), ("a", "c")}
+    assert structure.layers(["a", "b", "c", "d"], arrows) == [["c", "d"], ["b"], ["a"]]
+    assert structure.implied(arrows) == {("a", "c")}
+    with pytest.raises(ValueError, match="import each other: a, b"):
+        structure.layers(["a", "b"], {("a", "b"), ("b", "a")})
 
 
 def test_packages_import_in_one_direction():

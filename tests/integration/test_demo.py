@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import read_messages
 from support import EXAMPLES, ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -51,6 +52,14 @@ def circle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_leaves_the_promised_files(circle: Path) -> None:
     for name in ("bag/metadata.yaml", "errors/metadata.yaml", "summary.json", "paths.png", "parameters.yaml"):
         assert (circle / name).stat().st_size > 100, name
+
+
+def test_the_bag_holds_what_cannot_be_made_again(circle: Path) -> None:
+    topics = set(read_messages(circle / "bag"))
+    assert {"/ins/ncom", "/ins/origin", "/can/frames", "/ins/odometry", "/ins/status", "/vehicle/steering", "/tf",
+            "/predictor/linear/prediction", "/evaluator/errors", "/diagnostics"} <= topics
+    assert not {"/ins/imu", "/ins/velocity", "/ins/nav_sat_fix", "/ins/time_reference", "/vehicle/wheel_speeds",
+                "/vehicle/ins_on_can"} & topics
 
 
 def test_nearly_every_tick_carries_three_predictions(circle: Path) -> None:

@@ -10,6 +10,7 @@ from cantools.database.can import Signal as DbcSignal
 
 from . import gps_time
 from .checks import CounterCheck, Mode, checksum_of
+from .extraction import Extractor
 from .plausibility import Plausibility
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
@@ -56,6 +57,7 @@ class FrameStatistics:
 @dataclass
 class _Row:
     spec: MessageSpec
+    extractor: Extractor
     counter: CounterCheck | None
     plausibility: tuple[tuple[str, Plausibility], ...]
     statistics: MessageStatistics = field(default_factory=MessageStatistics)
@@ -111,8 +113,7 @@ class Decoder:
         if dropped:
             statistics.dropped += 1
             return None
-        physical = spec.dbc.decode(data, decode_choices=False)
-        values = {s.name: s.to_si(physical[s.dbc.name]) for s in spec.signals}
+        values = row.extractor.si(data)
         if not all(map(math.isfinite, values.values())):
             statistics.not_finite += 1
             return None
@@ -199,7 +200,8 @@ class Decoder:
 def _row(spec: MessageSpec) -> _Row:
     counter = CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None
     judged = [s for s in spec.signals if math.isfinite(s.maximum) or math.isfinite(s.max_rate)]
-    return _Row(spec, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in judged))
+    extractor = Extractor(spec.dbc.length, spec.signals)
+    return _Row(spec, extractor, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in judged))
 
 
 def _raw_of(spec: SignalSpec, si: float) -> float:

@@ -15,6 +15,7 @@ from st_core.vehicle import VehicleParameters
 from st_msgs.msg import CanFrames, InsOnCan, Steering, WheelSpeeds
 from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
+from st_ros.on_demand import OnDemand
 from st_ros.parameters import ConfigurationError, Parameter
 
 from .convert import serialised_frame, serialised_frames, to_ins_on_can, to_steering, to_wheel_speeds
@@ -59,8 +60,8 @@ class CanedgeBridge(Node):
         self._calibration = self._make_calibration()
         self._latency_ns = round(settings.steering_latency * 1e9)
         self._steering = self.create_publisher(Steering, "vehicle/steering", QOS)
-        self._wheel_speeds = self.create_publisher(WheelSpeeds, "vehicle/wheel_speeds", QOS)
-        self._ins_on_can = self.create_publisher(InsOnCan, "vehicle/ins_on_can", QOS)
+        self._wheel_speeds = OnDemand(self.create_publisher(WheelSpeeds, "vehicle/wheel_speeds", QOS))
+        self._ins_on_can = OnDemand(self.create_publisher(InsOnCan, "vehicle/ins_on_can", QOS))
         self._frames: list[bytes] = []
         self._frames_lock = threading.Lock()
         if settings.publish_frames:
@@ -118,12 +119,10 @@ class CanedgeBridge(Node):
             self._steering.publish(to_steering(
                 decoded.time_ns - self._latency_ns, calibration.steering_wheel_angle(sensor),
                 calibration.road_wheel_angle(sensor), decoded.valid))
-        wheel_speeds = to_wheel_speeds(decoded)
-        if wheel_speeds is not None:
-            self._wheel_speeds.publish(wheel_speeds)
-        ins = to_ins_on_can(decoded)
-        if ins is not None:
-            self._ins_on_can.publish(ins)
+        now = time.monotonic()
+        for output, to_message in ((self._wheel_speeds, to_wheel_speeds), (self._ins_on_can, to_ins_on_can)):
+            if output.wanted(now) and (message := to_message(decoded)) is not None:
+                output.publish(message)
 
     def _publish_frames(self) -> None:
         with self._frames_lock:

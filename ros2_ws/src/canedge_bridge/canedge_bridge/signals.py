@@ -54,10 +54,6 @@ class SignalSpec:
     maximum: float
     max_rate: float
 
-    def to_si(self, physical: float) -> float:
-        value = self.gain * physical + self.bias
-        return wrap(value) if self.name in ANGLES else value
-
     def to_physical(self, si: float) -> float:
         return (si - self.bias) / self.gain
 

@@ -229,6 +229,14 @@ def make_trigger(
     return message
 
 
+def make_origin(stamp_ns: int, map_frame: str, degrees: tuple[float, float, float]) -> NavSatFix:
+    """Where the map frame starts: latitude, longitude [deg], altitude [m] of the kind the unit sends."""
+    message = NavSatFix(header=Header(frame_id=map_frame))
+    set_stamp(message.header, stamp_ns)
+    message.latitude, message.longitude, message.altitude = degrees
+    return message
+
+
 def make_status(
     stamp_ns: int, ins_frame: str, navigation_status: int, status: StatusTracker, counters: Counters, time_jumps: int
 ) -> InsStatus:

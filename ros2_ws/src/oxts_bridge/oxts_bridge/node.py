@@ -12,8 +12,9 @@ from st_ros.parameters import ConfigurationError
 from . import convert
 from .attitude import Vector
 from .continuity import Continuity
-from .gps_time import host_minute, unix_nanoseconds
+from .gps_time import unix_nanoseconds
 from .health import Health
+from .host_minute import HostMinute
 from .motion import Accuracy, Motion, motion_of
 from .ncom import NcomError
 from .nodes._outputs import Outputs
@@ -25,8 +26,6 @@ from .stream import DUPLICATE, NEW, SAME, NcomParser, Received
 from .stream_statistics import StreamStatistics
 from .triggers import EventLog
 
-# A live stream without channel 0 for this long gets its minute from the host's clock [s].
-_MINUTE_PATIENCE = 2.0
 _CLOCK_PERIOD = 0.01
 _ACCURACY_CHANNELS = frozenset((3, 4, 5))
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -70,7 +69,7 @@ class OxtsBridge(LifecycleNode):
             s.altitude_is_ellipsoidal,
             s.silence_after,
         )
-        self._untimed_since: float | None = None
+        self._minute = HostMinute()
         self._shown: tuple | None = None
         self._shown_at = self._clock_at = float("-inf")
 
@@ -174,7 +173,8 @@ class OxtsBridge(LifecycleNode):
         if in_series:
             self._continuity.note(received.packet)
             self._statistics.add(received)
-            self._know_minute(received, now)
+            if self._live and self._minute.look(received, self._parser.clock):
+                self._health.minute_from_host = True
             self._publish_motion(received, motion, position, now)
         self._publish_status(received, now)
 
@@ -193,7 +193,10 @@ class OxtsBridge(LifecycleNode):
     def _position(self, received: Received, motion: Motion | None) -> Vector | None:
         if motion is None:
             return None
+        before = self._origin.frame
         frame = self._origin.look(motion, self._status, received.received_ns)
+        if frame is not before:
+            self._outputs.origin(received.received_ns, self._origin.degrees)
         return None if frame is None else motion.position(frame)
 
     def _publish_event(self, received: Received, motion: Motion | None, position: Vector | None) -> None:
@@ -203,18 +206,6 @@ class OxtsBridge(LifecycleNode):
         stamp = unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
         where = (position, motion) if event.complete else (None, None)
         self._outputs.trigger(convert.make_trigger(stamp, self._settings.map_frame, event.channel, event.count, *where))
-
-    def _know_minute(self, received: Received, now: float) -> None:
-        """Publishing waits for channel 0, which comes every 10th packet; where it never comes the host's clock has to
-        do."""
-        if not received.rule.time or received.gps_ns is not None or not self._live:
-            self._untimed_since = None
-            return
-        if self._untimed_since is None:
-            self._untimed_since = now
-        elif now - self._untimed_since > _MINUTE_PATIENCE:
-            self._parser.clock.hint(host_minute(received.received_ns, received.packet.milliseconds))
-            self._health.minute_from_host = True
 
     def _publish_motion(self, received: Received, motion: Motion | None, position: Vector | None, now: float) -> None:
         outputs = self._outputs

@@ -1,6 +1,6 @@
 """Where the map frame starts: the first fix, a given point, or the unit's own local frame."""
 
-from math import radians
+from math import degrees, radians
 
 from .geodesy import LocalFrame
 from .motion import Motion
@@ -14,8 +14,8 @@ UNIT_PATIENCE_NS = 10_000_000_000
 class Origin:
     """Decides once and keeps it: a map frame that moves would tear every path apart.
 
-    frame: None until decided. With source "unit" the first fix stands in when the unit sends no local frame within 10
-    s.
+    frame: None until decided. degrees: latitude, longitude [deg], altitude [m] of it, which give the same frame again
+    to the last bit. With source "unit" the first fix stands in when the unit sends no local frame within 10 s.
     """
 
     def __init__(self, source: str, given: tuple[float, float, float] | None = None) -> None:
@@ -23,11 +23,12 @@ class Origin:
         self.source = source
         self.used = ""
         self.frame: LocalFrame | None = None
+        self.degrees: tuple[float, float, float] | None = None
         self._since_ns: int | None = None
         if source == GIVEN:
             if given is None:
                 raise ValueError("origin_source given needs an origin")
-            self._set(GIVEN, radians(given[0]), radians(given[1]), given[2])
+            self._set(GIVEN, *given)
 
     def look(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
         """The frame for this fix; now_ns: any steady clock of the stream."""
@@ -36,13 +37,14 @@ class Origin:
         if self.source == UNIT:
             sent = status.local_frame
             if sent is not None:
-                return self._set(UNIT, radians(sent[0]), radians(sent[1]), sent[2])
+                return self._set(UNIT, *sent[:3])
             self._since_ns = now_ns if self._since_ns is None else self._since_ns
             if 0 <= now_ns - self._since_ns < UNIT_PATIENCE_NS:
                 return None
-        return self._set(FIRST_FIX, motion.latitude, motion.longitude, motion.altitude)
+        return self._set(FIRST_FIX, degrees(motion.latitude), degrees(motion.longitude), motion.altitude)
 
     def _set(self, used: str, latitude: float, longitude: float, altitude: float) -> LocalFrame:
         self.used = used
-        self.frame = LocalFrame(latitude, longitude, altitude)
+        self.degrees = latitude, longitude, altitude
+        self.frame = LocalFrame(radians(latitude), radians(longitude), altitude)
         return self.frame

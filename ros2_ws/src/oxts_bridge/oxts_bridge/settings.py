@@ -9,7 +9,7 @@ from st_ros.parameters import ConfigurationError, Parameter
 from .origin import FIRST_FIX, GIVEN, UNIT
 from .sources import is_address
 
-TOPICS = ("ncom", "odometry", "imu", "nav_sat_fix", "velocity", "time_reference", "status", "trigger")
+TOPICS = ("ncom", "odometry", "imu", "nav_sat_fix", "velocity", "time_reference", "status", "trigger", "origin")
 NCOM, RECEIVE = "ncom", "receive"
 
 PARAMETERS = (

@@ -5,8 +5,11 @@ The offline counterpart of Predictor and Evaluator: from the same start it gives
 of each start are its errors' means, squares and extremes over the horizon and their values at whole seconds.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -27,6 +30,7 @@ from .vehicle import VehicleParameters
 MODES: tuple[Mode, ...] = ("hindsight", "forecast")
 AXES = ("longitudinal", "lateral", "yaw")
 BLOCK = 1024  # starts predicted together; each model and mode then holds 7 MB
+AHEAD = 2  # blocks being made, one a thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
 ALL = slice(None)
 
@@ -217,10 +221,24 @@ class Block:
 
 def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings) -> Iterator[tuple[slice, Block]]:
-    """Errors and whole trajectories of BLOCK starts at a time, with the rows of `starts_ns` they belong to."""
-    for first in range(0, len(starts_ns), BLOCK):
-        rows = slice(first, min(first + BLOCK, len(starts_ns)))
-        yield rows, _evaluate_block(models, vehicle, signals, starts_ns[rows], settings)
+    """Errors and whole trajectories of BLOCK starts at a time, with the rows of `starts_ns` they belong to.
+
+    While one is looked at the next are being made: kernels and arrays leave the interpreter to other threads.
+    """
+    blocks = [slice(first, min(first + BLOCK, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK)]
+    make = partial(_evaluate_block, models, vehicle, signals, settings=settings)
+    if len(blocks) == 1:
+        yield blocks[0], make(starts_ns=starts_ns)
+        return
+    with ThreadPoolExecutor(AHEAD) as pool:
+        waiting: deque[tuple[slice, Future[Block]]] = deque()
+        for rows in blocks:
+            waiting.append((rows, pool.submit(make, starts_ns=starts_ns[rows])))
+            if len(waiting) > AHEAD:
+                first, made = waiting.popleft()
+                yield first, made.result()
+        for rows, made in waiting:
+            yield rows, made.result()
 
 
 def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
+from st_predictor.params import ALL_TOPICS
 from st_recordings.paths import config
 
 from . import live_view
@@ -54,10 +55,17 @@ class Outcome:
         return not (self.problem or self.restarts or any(self.statuses.values()))
 
 
-def node_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Parameters | None = None) -> Parameters:
-    """config/nodes.yaml with what this run decides on top. model: of `fourth_model`, for one beside the three."""
+def node_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Parameters | None = None,
+                    everything: bool = False) -> Parameters:
+    """config/nodes.yaml with what this run decides on top.
+
+    model: of `fourth_model`, for one beside the three. everything: whether all topics are recorded, those too that can
+    be made again.
+    """
     fourth = model or {}
     files = [values["model_file"] for values in list(fourth.values())[:1]]
+    # With them the raw frames can be decoded wherever the recording is taken.
+    bus = [bridges["canedge_bridge"][name] for name in ("dbc_file", "signals_file")]
     return merge(
         config("nodes.yaml"),
         {
@@ -68,7 +76,8 @@ def node_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Par
             "recorder": {
                 "output_directory": str(folder / "bag"),
                 "number_when_taken": True,
-                "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *files],
+                "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *bus, *files],
+                **({"topics": ALL_TOPICS} if everything else {}),
             },
         },
     )

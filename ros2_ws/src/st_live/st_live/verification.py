@@ -23,7 +23,10 @@ from st_recordings.recorded import (
     read_scores,
 )
 from st_recordings.runs.bag import is_bag, read_bag, was_cut
+from st_recordings.runs.errors import RunError
 from st_recordings.runs.foreign import SteeringField
+from st_recordings.runs.made_again import WHERE
+from st_recordings.runs.messages import ODOMETRY, STEERING
 
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
 MODES = ("hindsight", "forecast")
@@ -84,6 +87,10 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     from .replaying import node_parameters, replay
 
     drive = read_bag(bag, steering=steering)
+    made = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(WHERE)]
+    if made:
+        raise RunError(bag, f"it holds no {' and no '.join(made)} to play",
+                       "st evaluate and st verify make them again from raw packets and frames")
     for line in not_played(bag, drive.unknown):
         console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
     car, recorded, _ = configuration_of(drive.records, vehicle)

@@ -99,7 +99,7 @@ def generate_launch_description():
     drawn = {"condition": IfCondition(LaunchConfiguration("markers"))}
     tracked = {"condition": IfCondition(LaunchConfiguration("identify"))}
     bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}
-    # Over Fast DDS' shared memory a node that is started again may stay deaf (docs/reliability.md, Transport).
+    # Over Fast DDS' shared memory a node that is started again may stay deaf (docs/manual/reliability.md, Transport).
     transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     return LaunchDescription([
         SetEnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", transports),

@@ -61,7 +61,12 @@ EVALUATOR = (
     _NUMBER,
 )
 
+# What cannot be made again from raw packets and frames, and what viewers and tools of other make look for.
 TOPICS = [
+    "ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
+    "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics", "/rosout",
+]
+ALL_TOPICS = [
     "ins/*", "vehicle/*", "can/*", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics",
     "/rosout",
 ]

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from st_core.vehicle import VehicleParameters
 
 from .paths import config
 from .runs import RunError
 from .runs.bag import definitions, open_bag
 from .runs.cdr import Layout, Layouts, typestore
+from .runs.recorded_texts import parameters, text_of
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 STATE = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
@@ -60,16 +60,9 @@ class RecordedConfiguration:
 
 def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
     """From the metadata records of a recording (runs.bag.BagDrive.records)."""
-    texts = records.get("configuration", {})
-    try:
-        document = yaml.safe_load(texts.get("parameters.yaml", "")) or {}
-        nodes = {node: dict(section["ros__parameters"]) for node, section in document.items()}
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError):
-        nodes = {}
-    file = Path("/", str(nodes.get("predictor", {}).get("vehicle_file", "")))
-    # Two files of one name are kept with a folder before it.
-    named = [text for key, text in texts.items() if file.parts[-len(Path(key).parts):] == Path(key).parts]
-    return RecordedConfiguration(named[0] if named else texts.get("vehicle"), nodes)
+    nodes = parameters(records)
+    vehicle = text_of(records, str(nodes.get("predictor", {}).get("vehicle_file", "")))
+    return RecordedConfiguration(vehicle or records.get("configuration", {}).get("vehicle"), nodes)
 
 
 def configuration_of(records: Mapping[str, Mapping[str, str]],

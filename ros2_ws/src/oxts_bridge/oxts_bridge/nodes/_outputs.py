@@ -2,7 +2,6 @@
 
 from math import isfinite, nan
 from types import SimpleNamespace
-from typing import Any
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
@@ -12,6 +11,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix, TimeReference
 from st_msgs.msg import InsStatus, Ncom, Trigger
+from st_ros.on_demand import OnDemand
 from tf2_msgs.msg import TFMessage
 
 from .. import convert
@@ -39,27 +39,6 @@ TYPES = {
     "time_reference": TimeReference,
     "trigger": Trigger,
 }
-# How often it is asked whether anyone listens to a topic [s]: asking costs as much as filling a message.
-_LISTENERS_PERIOD = 0.05
-
-
-class _Output:
-    """A publisher that knows whether it is needed; `publisher` None: switched off."""
-
-    def __init__(self, publisher: Publisher | None):
-        self._publisher = publisher
-        self._asked = float("-inf")
-        self._wanted = False
-
-    def wanted(self, now: float) -> bool:
-        """now: a monotonic clock [s]."""
-        if self._publisher is not None and now - self._asked > _LISTENERS_PERIOD:
-            self._asked = now
-            self._wanted = self._publisher.get_subscription_count() > 0
-        return self._wanted
-
-    def publish(self, message: Any) -> None:
-        self._publisher.publish(message)
 
 
 class Outputs:
@@ -71,7 +50,8 @@ class Outputs:
         ins, lever = settings.ins_frame, tuple(settings.base_to_ins)
         self._out = {name: self._output(name, type_) for name, type_ in TYPES.items()}
         self._status = self._create(InsStatus, "ins/status", LATCHED) if "status" in settings.topics else None
-        self._tf = _Output(self._create(TFMessage, "/tf", TF_QOS) if settings.publish_tf else None)
+        self._origin = self._create(NavSatFix, "ins/origin", LATCHED) if "origin" in settings.topics else None
+        self._tf = OnDemand(self._create(TFMessage, "/tf", TF_QOS) if settings.publish_tf else None)
         self._tf_static = self._create(TFMessage, "/tf_static", LATCHED) if settings.publish_tf else None
         self._clock = self._create(Clock, "/clock", 10) if settings.publish_clock else None
         rate, acceleration = settings.angular_velocity_stddev, settings.linear_acceleration_stddev
@@ -88,8 +68,8 @@ class Outputs:
         self._publishers.append(publisher)
         return publisher
 
-    def _output(self, name: str, type_: type) -> _Output:
-        return _Output(self._create(type_, f"ins/{name}", QOS) if name in self._settings.topics else None)
+    def _output(self, name: str, type_: type) -> OnDemand:
+        return OnDemand(self._create(type_, f"ins/{name}", QOS) if name in self._settings.topics else None)
 
     def destroy(self) -> None:
         for publisher in self._publishers:
@@ -137,6 +117,11 @@ class Outputs:
     def status(self, message: InsStatus) -> None:
         if self._status is not None:
             self._status.publish(message)
+
+    def origin(self, stamp_ns: int, degrees: tuple[float, float, float]) -> None:
+        """Latitude, longitude [deg], altitude [m] that the map frame starts at."""
+        if self._origin is not None:
+            self._origin.publish(convert.make_origin(stamp_ns, self._settings.map_frame, degrees))
 
     def clock(self, utc_ns: int) -> None:
         if self._clock is not None:

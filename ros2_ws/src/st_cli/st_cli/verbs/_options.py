@@ -18,6 +18,12 @@ def _sign(value: int | None) -> int | None:
     return value
 
 
+def _record(value: str) -> str:
+    if value not in ("needed", "all"):
+        raise typer.BadParameter(f"{value} is neither needed nor all")
+    return value
+
+
 CarName = Annotated[str | None, typer.Option(
     "--car", help="The car that drives or was recorded: a name in config/car, or a folder with vehicle.yaml, can.dbc, "
     "signals.yaml and car.yaml. --vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
@@ -42,6 +48,9 @@ SteeringPath = Annotated[str, typer.Option(
 SteeringIs = Annotated[str, typer.Option(
     "--steering-is", help="road: angle of the front wheels; wheel: of the hand wheel, ratio and offset of the vehicle "
     "file make the other.")]
+Record = Annotated[str, typer.Option(
+    "--record", callback=_record, help="needed: raw packets and frames, odometry, status, steering, predictions, "
+    "errors, diagnostics; what the bridges publish besides can be made again from them. all: that too.")]
 SteeringLatency = Annotated[float | None, typer.Option(
     help="s, from the turn of the wheel to the frame; default that of --car, else 0; live: else that of "
     "config/nodes.yaml.", min=0.0, max=1.0)]

@@ -5,6 +5,8 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
+from ._options import Record
+
 AFTERWARDS = 2.0  # s
 SCENARIOS = (
     "S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
@@ -39,6 +41,7 @@ def demo(
     bands: Path | None = typer.Option(
         None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False
     ),
+    record: Record = "needed",
     view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
     view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
@@ -69,7 +72,8 @@ def demo(
         fourth = fourth_model(model, effects, car.vehicle)
         shown = window(view, view_save)
         folder = new_folder(output, f"demo-{what}")
-        parameters = with_bands(node_parameters(folder, car.vehicle, car.bridge_parameters(), fourth), bands)
+        parameters = with_bands(
+            node_parameters(folder, car.vehicle, car.bridge_parameters(), fourth, record == "all"), bands)
         outcome = run(folder, parameters, what, duration, car.start, console, shown)
     except (SuiteError, OutputError) as error:
         typer.echo(f"st demo: {error}", err=True)

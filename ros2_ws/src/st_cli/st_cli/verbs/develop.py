@@ -18,11 +18,20 @@ def test(
 ) -> None:
     """Run every test. Further arguments go to pytest: ./st test -k ncom."""
     root = project_root()
-    # Failed, broken and skipped tests are listed with their reasons; cores are few, so tests run one after another.
-    command = [sys.executable, "-m", "pytest", "-rfEs", "-q", *(["-m", "not slow"] if fast else []), *context.args]
+    # Failed, broken and skipped tests are listed with their reasons.
+    pytest = [sys.executable, "-m", "pytest", "-rfEs", "-q"]
+    fast_only = "not slow and " if fast else ""
+    # Tests that keep time have the cores to themselves, one after another, when all others are done.
+    parts = [
+        [*pytest, "-n", "auto", "--dist", "loadfile", "-m", f"{fast_only}not timing"],
+        [*pytest, "-m", f"{fast_only}timing"],
+    ]
+    if context.args:
+        parts = [[*pytest, *(["-m", "not slow"] if fast else []), *context.args]]
     with tempfile.TemporaryDirectory(prefix="st-test-") as logs:
         environment = {**os.environ, **transport.loopback(os.environ), "ROS_LOG_DIR": logs}
-        raise typer.Exit(subprocess.run(command, cwd=root, env=environment, check=False).returncode)
+        statuses = [subprocess.run(part, cwd=root, env=environment, check=False).returncode for part in parts]
+        raise typer.Exit(max(statuses))
 
 
 def shell(context: typer.Context) -> None:

@@ -15,13 +15,16 @@ def docs(
     ),
     output: Path | None = typer.Option(None, help="Folder; default docs/.", file_okay=False),
 ) -> None:
-    """Write docs/reference.md and docs/gallery.md from the code, with --gallery the pictures too, from real output."""
+    """Write docs/reference.md, docs/gallery.md and the figure of the packages from the code.
+
+    With --gallery the pictures of the gallery too, from real output.
+    """
     # Imported when it runs, see demo.py.
     from rich.console import Console
     from st_offline.documentation import gallery as pictures
+    from st_offline.documentation import structure
     from st_offline.documentation.reference import page
     from st_recordings.paths import project_root
-
 
     console = Console()
     folder = output or project_root() / "docs"
@@ -29,6 +32,9 @@ def docs(
     for name, text in (("reference.md", page(context.find_root().command)), ("gallery.md", pictures.page())):
         (folder / name).write_text(text, encoding="utf-8")
         console.print(f"{folder / name}", highlight=False, soft_wrap=True)
+    figure = folder / structure.FIGURE
+    structure.draw(project_root() / "ros2_ws" / "src", figure)
+    console.print(f"{figure}", highlight=False, soft_wrap=True)
     if gallery:
         try:
             pictures.draw(folder / "images", ST, console)

@@ -5,7 +5,7 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from ._options import CarName, Dbc, Signals, SteeringLatency, SteeringSign, VehicleFile, on_the_wires, say_whose
+from ._options import CarName, Dbc, Record, Signals, SteeringLatency, SteeringSign, VehicleFile, on_the_wires, say_whose
 
 
 def live(
@@ -34,6 +34,7 @@ def live(
     bands: Path | None = typer.Option(
         None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False
     ),
+    record: Record = "needed",
     view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
     view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
@@ -60,7 +61,7 @@ def live(
         shown = window(view, view_save)
         folder = new_folder(output, "live")
         bridges = bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
-        parameters = with_bands(node_parameters(folder, vehicle, bridges, fourth), bands)
+        parameters = with_bands(node_parameters(folder, vehicle, bridges, fourth, record == "all"), bands)
         if named.vehicle is None:
             say_whose("live", vehicle)
         outcome = run(folder, parameters, "live", duration, None, console, shown, supervised=True,

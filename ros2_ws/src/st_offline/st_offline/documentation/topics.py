@@ -11,6 +11,7 @@ TOPICS = (
     ("/ins/time_reference", "sensor_msgs/msg/TimeReference", "oxts_bridge", "host time of receipt, and UTC of the INS"),
     ("/ins/status", "st_msgs/msg/InsStatus", "oxts_bridge", "modes, satellites, accuracies; latched"),
     ("/ins/trigger", "st_msgs/msg/Trigger", "oxts_bridge", "event inputs and outputs of the INS"),
+    ("/ins/origin", "sensor_msgs/msg/NavSatFix", "oxts_bridge", "where the map frame starts; latched"),
     ("/ins/ncom", "st_msgs/msg/Ncom", "oxts_bridge", "every NCOM packet as received"),
     ("/vehicle/steering", "st_msgs/msg/Steering", "canedge_bridge", "steering wheel and road wheel angle, left +"),
     ("/vehicle/wheel_speeds", "st_msgs/msg/WheelSpeeds", "canedge_bridge", "four wheels, m/s"),

@@ -15,6 +15,7 @@ from st_core.readings import readings
 from st_core.vehicle import VehicleParameters
 from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 
+from .beside import beside
 from .drawing import TEXT, WIDTH, Drawn, Place, broken, finish, style, thinned
 
 SIDE = {"longitudinal": "ahead", "lateral": "left"}
@@ -51,9 +52,9 @@ def run_figures(drawing: Drawing) -> list[Drawn]:
         return []
     from .slip_figure import slip
 
-    figures = (segments, horizon_means, slip, error_against_horizon, error_against_acceleration)
-    with style():
-        drawn = [make(drawing) for make in figures]
+    first, others = (segments, horizon_means), (slip, error_against_horizon, error_against_acceleration)
+    with style(), beside(lambda: [make(drawing) for make in others]) as rest:
+        drawn = [make(drawing) for make in first] + rest()
     return [figure for figure in drawn if figure is not None]
 
 

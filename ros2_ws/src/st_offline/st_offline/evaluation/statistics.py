@@ -1,4 +1,4 @@
-"""What evaluation.json says of one run: plain values, from the arrays of a LogEvaluation. docs/evaluation_json.md."""
+"""What evaluation.json says of one run: plain values, from a LogEvaluation (docs/manual/evaluation.md)."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -20,8 +20,9 @@ from .bag_storage import Storage, Topic, open_storage
 from .cdr import typestore
 from .errors import RunError, check_readable
 from .foreign import SteeringField, steering_columns, steering_topic, unknown
+from .made_again import WHERE, MadeAgain
 from .mcap_columns import DAMAGE, summary_of
-from .messages import ODOMETRY, STEERING
+from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING
 
 EXTENSIONS = (".mcap", ".db3")
 OURS = {"recording", "configuration"}  # records that recorder and evaluator begin with
@@ -66,42 +67,59 @@ def holds_odometry(path: Path) -> bool:
     if path.is_dir() and (path / "metadata.yaml").is_file():
         try:
             about = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-            return any(t["topic_metadata"]["type"] == ODOMETRY for t in about["topics_with_message_count"])
+            return _is_a_drive({t["topic_metadata"]["type"] for t in about["topics_with_message_count"]})
         except (OSError, yaml.YAMLError, KeyError, TypeError):
             return True
     if path.is_file() and path.suffix.lower() == ".mcap":
         summary = summary_of(path)
-        return summary is None or any(s.name == ODOMETRY for s in summary.schemas.values())
+        return summary is None or _is_a_drive({s.name for s in summary.schemas.values()})
     return True
 
 
+def _is_a_drive(types: set[str]) -> bool:
+    return ODOMETRY in types or {NCOM, CAN_FRAMES} <= types
+
+
 def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None) -> BagDrive:
-    """Odometry and steering of a recording; topics of other types, known or not, are passed over.
+    """Odometry and steering of a recording, or what its raw packets and frames make of them; topics of other types,
+    known or not, are passed over.
 
     steering: where the steering angle is in a recording of another make; default st_msgs/Steering. Raises RunError for
     what is no bag, was not closed, or lacks one of the two.
     """
-    storage, store = open_bag(path), typestore(definitions())
+    storage, store, records = open_bag(path), typestore(definitions()), records_of(path)
     there = storage.topics()
-    needed: dict[Topic, tuple[str, ...]] = {_topic(path, there, ODOMETRY): _ODOMETRY_FIELDS}
-    if steering is None:
+    again = MadeAgain(path, storage, records, store)
+    needed: dict[Topic, tuple[str, ...]] = {}
+    if has_odometry := _is_there(there, ODOMETRY) or again.topic(NCOM) is None:
+        needed[_topic(path, there, ODOMETRY)] = _ODOMETRY_FIELDS
+    if steering is None and (_is_there(there, STEERING) or again.topic(CAN_FRAMES) is None):
         needed[_topic(path, there, STEERING)] = _STEERING_FIELDS
     others = extra_fields(there)
     quick = storage.columns({**needed, **others}, store)
     columns = {topic.type_name: quick.get(topic.name) or _one_by_one(path, storage, topic, fields, store)
                for topic, fields in needed.items()}
+    topics = {topic.type_name: topic.name for topic in needed}
+    if not has_odometry:
+        columns[ODOMETRY], topics[ODOMETRY] = again.odometry(_ODOMETRY_FIELDS), again.topic(NCOM).name + WHERE
     if steering is not None:
         named = steering_topic(path, there, steering, store)
-        columns[STEERING] = steering_columns(path, storage, named, steering, store)
+        columns[STEERING], topics[STEERING] = steering_columns(path, storage, named, steering, store), named.name
+    elif STEERING not in columns:
+        columns[STEERING], topics[STEERING] = again.steering(), again.topic(CAN_FRAMES).name + WHERE
     log, missing, notes = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     extras = bag_extras(storage, there, {topic: quick[topic.name] for topic in others if topic.name in quick},
-                        stamps, missing, store)
-    topics = {topic.type_name: topic.name for topic in needed} | ({} if steering is None else {STEERING: named.name})
+                        stamps, missing, store, again)
     passed_over = tuple(f"{t.name} ({t.type_name})" for t in unknown(there, tuple(topics.values())))
-    frame = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY).header.frame_id
-    return BagDrive(log, topics, records_of(path), tuple(f"{path}: {note}" for note in notes), extras, frame,
-                    passed_over)
+    frame = again.map_frame()
+    if has_odometry:
+        frame = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY).header.frame_id
+    return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in notes), extras, frame, passed_over)
+
+
+def _is_there(topics: Sequence[Topic], type_name: str) -> bool:
+    return any(t.type_name == type_name and t.count for t in topics)
 
 
 def open_bag(path: Path) -> Storage:

@@ -11,6 +11,7 @@ from st_core.checks import Extras, InsQuality, Series
 from .bag_storage import Storage, Topic
 from .cdr import Layouts
 from .extras import car_speed, series
+from .made_again import MadeAgain
 from .messages import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS
 from .ncom import to_body
 from .status_channels import ins_quality
@@ -31,17 +32,23 @@ def extra_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
 
 
 def bag_extras(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
-               stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore) -> Extras:
-    """columns: of the topics of `extra_fields` that could be read. stamps, missing: of odometry and steering."""
+               stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
+               again: MadeAgain) -> Extras:
+    """columns: of the topics of `extra_fields` that could be read. stamps, missing: of odometry and steering. again: of
+    the same recording, for the speeds where no topic has them.
+    """
     by_type = {topic.type_name: found for topic, found in columns.items()}
     status = next((topic for topic in topics if topic.type_name == INS_STATUS and topic.count), None)
     quality = _status(storage, status, store) if status else None
+    wheels = _wheels(by_type[WHEEL_SPEEDS]) if WHEEL_SPEEDS in by_type else None
     ins_speed = _ins_on_can(by_type[INS_ON_CAN]) if INS_ON_CAN in by_type else None
+    if WHEEL_SPEEDS not in by_type and again.bus_is_described:
+        wheels, ins_speed = again.speeds()
     if NCOM in by_type and (quality is None or ins_speed is None):
         of_packets = _packets(by_type[NCOM]["raw_packet"])
         quality, ins_speed = quality or of_packets[0], ins_speed or of_packets[1]
     return Extras(stamps, {name: count for name, count in missing.items() if count},
-                  _wheels(by_type[WHEEL_SPEEDS]) if WHEEL_SPEEDS in by_type else None, ins_speed, quality)
+                  wheels, ins_speed, quality)
 
 
 def _wheels(columns: Mapping[str, np.ndarray]) -> Series | None:

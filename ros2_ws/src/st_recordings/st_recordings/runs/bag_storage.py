@@ -228,7 +228,7 @@ class _Gathered:
         if self._layout is None:
             self._layout = self._layout_of(buffer[starts[0] : starts[0] + sizes[0]].tobytes())
         layout = self._layout
-        self.alike = layout is not None and bool((sizes == len(layout)).all()) and layout.fits(buffer, starts)
+        self.alike = layout is not None and bool(layout.fits_in(sizes).all()) and layout.fits(buffer, starts)
         if layout is not None and self.alike:
             self.parts.append({field: layout.column(buffer, starts, field) for field in self._fields})
 

@@ -129,13 +129,17 @@ class Layout:
             return values[:, 0].astype(np.int64) * 1_000_000_000 + values[:, 1].astype(np.uint32).astype(np.int64)
         return values if field.count > 1 else values[:, 0]
 
+    def fits_in(self, sizes: np.ndarray | int) -> np.ndarray | bool:
+        """Whether messages of so many bytes can have this layout: the middleware fills up to a multiple of four."""
+        return (sizes >= len(self)) & (sizes < len(self) + 4)
+
     def fits(self, buffer: np.ndarray, starts: np.ndarray) -> bool:
         """Whether the messages at `starts` have the example's texts and sequence lengths, and so this layout."""
         return all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
 
     def fits_one(self, data: bytes) -> bool:
         """As `fits`, of one message."""
-        return len(data) == len(self.template) and all(data[begin:end] == text for begin, end, text in self._spans)
+        return self.fits_in(len(data)) and all(data[begin:end] == text for begin, end, text in self._spans)
 
     def value(self, data: bytes, path: str) -> Any:
         """One field of one message: a number, or a row of them (a view of `data`); a time in ns."""

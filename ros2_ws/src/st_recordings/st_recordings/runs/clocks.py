@@ -107,7 +107,7 @@ def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tupl
         return result
     # Near the time frame's own answer: on a proving ground the same lap fits many times.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
-    check = align(pairs, search=(offset - CHECKED_WITHIN, offset + CHECKED_WITHIN))
+    check = align(_one_of_each(pairs), search=(offset - CHECKED_WITHIN, offset + CHECKED_WITHIN))
     if check.verdict is Verdict.REFUSED:
         return result.doubted(f"the shared signals do not confirm it: {check.reasons[-1]}")
     difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9
@@ -115,6 +115,11 @@ def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tupl
     if abs(difference) > METHODS_DIFFER:
         return result.doubted(f"the shared signals put the offset {difference * 1e3:+.0f} ms away")
     return result
+
+
+def _one_of_each(pairs: list[SharedSignal]) -> list[SharedSignal]:
+    """The first message of velocity, yaw rate and yaw; what a second one of the same says again confirms nothing."""
+    return list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
 
 
 def _time_frames(can: CanSignals) -> Signal | None:

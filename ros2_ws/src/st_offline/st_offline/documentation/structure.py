@@ -1,0 +1,130 @@
+"""The figure of the structure: packages as boxes, imports as arrows, read from the syntax trees of the sources."""
+
+import ast
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import permutations
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from matplotlib.patches import FancyArrowPatch
+
+FIGURE = "images/architecture.png"  # in docs/
+BOX = {"boxstyle": "round,pad=0.5", "facecolor": "#eef3f8", "edgecolor": "#2f4b66", "linewidth": 1.2}
+DIRECT, IMPLIED = "#2f4b66", "#b4c0cc"
+BOX_HALF_WIDTH = 0.13  # of the width of the figure, with some air
+WIDTH = 0.85  # of a row before it is shifted, of the width of the figure
+SHIFTS = (0.0, -0.05, 0.05, -0.1, 0.1, -0.15, 0.15)
+SWEEPS = 3
+
+Edge = tuple[str, str]
+
+
+def packages(sources: Path) -> list[str]:
+    """Names of the ROS packages below ros2_ws/src."""
+    return sorted(file.parent.name for file in sources.glob("*/package.xml"))
+
+
+def edges(sources: Path) -> set[Edge]:
+    """(package, package it imports), from every Python file but tests and setup.py, imports in functions included."""
+    known = packages(sources)
+    files = ((name, file) for name in known for file in (sources / name).rglob("*.py"))
+    return {(name, top) for name, file in files if file.relative_to(sources).parts[1] != "test" and
+            file.name != "setup.py" for top in _imported(file) if top in known and top != name}
+
+
+def _imported(file: Path) -> Iterator[str]:
+    """First parts of the modules a file imports; relative imports stay inside the package and are left out."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"), str(file))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield (node.module or "").partition(".")[0]
+
+
+def layers(names: list[str], arrows: set[Edge]) -> list[list[str]]:
+    """Packages by the longest chain of imports below them; the first layer imports none.
+
+    Raises ValueError for packages that import each other.
+    """
+    height: dict[str, int] = {}
+    while len(height) < len(names):
+        ready = [n for n in names if n not in height and all(b in height for a, b in arrows if a == n)]
+        if not ready:
+            raise ValueError(f"these packages import each other: {', '.join(n for n in names if n not in height)}")
+        height |= {n: 1 + max((height[b] for a, b in arrows if a == n), default=-1) for n in ready}
+    return [[n for n in names if height[n] == level] for level in range(1 + max(height.values()))]
+
+
+def implied(arrows: set[Edge]) -> set[Edge]:
+    """Arrows between packages that a longer way of other arrows joins too."""
+    ways = arrows  # of two arrows or more, in the end
+    joined: set[Edge] = set()
+    while ways:
+        ways = {(a, d) for a, b in ways for c, d in arrows if b == c} - joined
+        joined |= ways
+    return arrows & joined
+
+
+def draw(sources: Path, file: Path) -> None:
+    """Write the figure as PNG. Its arrows also stand in the file's Description, as lines `a -> b`: see `drawn`."""
+    names, arrows = packages(sources), edges(sources)
+    places, longer = _places(layers(names, arrows), arrows), implied(arrows)
+    figure, axes = plt.subplots(figsize=(9.0, 7.0), dpi=110)
+    axes.set(xlim=(0.0, 1.0), ylim=(-0.4, max(y for _, y in places.values()) + 0.4))
+    axes.set_axis_off()
+    figure.tight_layout(pad=0.2)
+    boxes = {name: axes.text(*place, name, ha="center", va="center", fontsize=11, family="monospace", zorder=3,
+                             bbox=BOX) for name, place in places.items()}
+    figure.canvas.draw()  # now every box knows its size, and arrows end at its edge
+    for arrow in sorted(arrows, key=lambda a: (a not in longer, a)):
+        start, end = arrow
+        grey = arrow in longer
+        axes.add_patch(FancyArrowPatch(
+            places[start], places[end], patchA=boxes[start].get_bbox_patch(), patchB=boxes[end].get_bbox_patch(),
+            arrowstyle="-|>", mutation_scale=11, shrinkA=1, shrinkB=1, linewidth=0.9 if grey else 1.5,
+            color=IMPLIED if grey else DIRECT, zorder=1 if grey else 2))
+    file.parent.mkdir(parents=True, exist_ok=True)
+    lines = "\n".join(f"{a} -> {b}" for a, b in sorted(arrows))
+    figure.savefig(file, metadata={"Description": lines, "Software": None})
+    plt.close(figure)
+
+
+def drawn(metadata: Mapping[str, str]) -> set[Edge]:
+    """The arrows of a picture made by `draw`, from its metadata."""
+    return {(a, b) for a, _, b in (line.partition(" -> ") for line in metadata["Description"].splitlines())}
+
+
+def _places(rows: list[list[str]], arrows: set[Edge]) -> dict[str, tuple[float, float]]:
+    """Middles of the boxes, a row for each layer. Rows are shifted one after another until arrows miss the boxes."""
+    chosen = [_row(row, level, 0.0) for level, row in enumerate(rows)]
+    for _ in range(SWEEPS):
+        for level, row in enumerate(rows):
+            trials = [[*chosen[:level], _row(order, level, shift), *chosen[level + 1:]]
+                      for order in permutations(row) for shift in SHIFTS]
+            chosen = min(trials, key=lambda trial: _clutter(_merged(trial), arrows))
+    return _merged(chosen)
+
+
+def _row(order: Sequence[str], level: int, shift: float) -> dict[str, tuple[float, float]]:
+    return {name: (0.5 + WIDTH * ((number + 0.5) / len(order) - 0.5) + shift, float(level))
+            for number, name in enumerate(order)}
+
+
+def _merged(rows: list[dict[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
+    return {name: place for row in rows for name, place in row.items()}
+
+
+def _clutter(places: dict[str, tuple[float, float]], arrows: set[Edge]) -> float:
+    """How badly it reads: arrows through or near boxes count most, then length."""
+    total = 0.0
+    for start, end in sorted(arrows):
+        (x0, y0), (x1, y1) = places[start], places[end]
+        total += abs(x1 - x0) * 0.02
+        for name, (x, y) in places.items():
+            if name not in (start, end) and y1 < y < y0:
+                off = abs(x0 + (x1 - x0) * (y - y0) / (y1 - y0) - x)
+                total += max(0.0, 1.0 - off / BOX_HALF_WIDTH)
+    return total
