@@ -129,6 +129,16 @@ def test_without_costly_effects_at_null_the_same_is_predicted(leaf):
     assert {"steering_compliance"} == {e.name for e in lean.effects if e.costly}
 
 
+def test_a_linear_car_does_without_tyres_that_saturate_at_null(leaf):
+    everything = universal("linear").with_values({"mass": {"factor": 1.1}})
+    lean = everything.lean()
+    assert {e.name for e in everything.effects} - {e.name for e in lean.effects} >= {"tyre_saturation"}
+    states = [predict(model, leaf, STATE, HELD).states for model in (lean, everything)]
+    np.testing.assert_array_equal(*states)
+    saturated = everything.with_values({"tyre_saturation": {"share": 0.5}}).lean()
+    assert "tyre_saturation" in {e.name for e in saturated.effects}
+
+
 def test_more_effects_on_a_model_that_has_some(leaf):
     first = augment("linear", {"mass": {"factor": 1.2}})
     both = augment(first, {"yaw_inertia": {"factor": 0.9}})

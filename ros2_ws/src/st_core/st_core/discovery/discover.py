@@ -192,6 +192,9 @@ class _Work:
         if len(self.runs) < 3:
             self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'}: whether runs agree cannot be "
                                  "said; stretches of them are compared instead")
+        if not sites(self.windows).any():
+            self.warnings.append("all of it is at one site: what belongs to the place, as its banks and its wind, "
+                                 "cannot be told from what belongs to the car")
         if problem.blocks < 10:
             self.warnings.append(f"only {problem.blocks} blocks of {self.settings.block:g} s: tests are weak, little "
                                  "can be said")
@@ -225,22 +228,23 @@ class _Work:
                                          _values(evidence)[level], evidence.position), fit))
         if not said:
             for v in varying(self.problem, found.fit, parts):
-                if comes_and_goes(evidence_of(self.problem, found.fit, v, parts), self.limits):
-                    said.append((self._coming(v), None))
+                evidence = evidence_of(self.problem, found.fit, v, parts)
+                if comes_and_goes(evidence, self.limits):
+                    said.append((self._coming(v, evidence.position), None))
                     break
         for bound, _ in said:
             self.warnings.append(f"something that resembles {bound.resembles} is sure, but differs over "
                                  f"{WORDS[bound.to]}: it is told, not named")
         return said
 
-    def _coming(self, v: Varying) -> BoundEffect:
-        """Shares are of the largest change any part shows."""
+    def _coming(self, v: Varying, position: float) -> BoundEffect:
+        """Shares are of the largest change any part shows. position [m]: fall of the error."""
         free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
         value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
         change = value - free.null or free.usual
         shares = tuple(Value(part, (x - free.null) / change, s / abs(change)) for part, (x, s) in v.values.items())
         found = FittedParameter(value, free.unit, (value - 1.96 * spread, value + 1.96 * spread), free.null)
-        return BoundEffect(v.name, v.level, {v.parameter: found}, shares, 0.0)
+        return BoundEffect(v.name, v.level, {v.parameter: found}, shares, position)
 
     def _reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
         said = list(named.values())
@@ -249,19 +253,22 @@ class _Work:
 
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[Candidate, ...]:
         problem, space, rows = self.problem, self.space, []
-        rivals = {r.name: (alternative(r, self.limits), r.evidence.gain)
-                  for others in found.rivals.values() for r in others}
+        # Of a name that was tried in several places, where it explains most.
+        rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
+                                            key=lambda r: (alternative(r, self.limits).rule == "alternative", r.share))}
         for name in space.hypotheses:
-            vector = found.fit.vector
+            values = space.values(name, found.fit.vector)
             if name in found.evidence:
                 verdict, gain = named[name], found.evidence[name].gain
             elif name in found.refused:
                 evidence, verdict, fit = found.refused[name]
-                gain, vector = evidence.gain, fit.vector
+                gain, values = evidence.gain, space.values(name, fit.vector)
             elif name in rivals:
-                verdict, gain = rivals[name]
+                rival = rivals[name]
+                verdict, gain, values = alternative(rival, self.limits), rival.evidence.gain, rival.values
             elif name in found.scores.own:
                 each, vector = found.scores.gains[name]
+                values = space.values(name, vector)
                 gain = float(each.sum()) / problem.number
                 verdict = judge(Evidence(name, gain, chance(found.scores.own[name], each, found.scores,
                                                             len(space.hypotheses))), self.limits)
@@ -271,7 +278,6 @@ class _Work:
                                      "more, and were asked first")
             else:
                 verdict, gain = Reason("part of the answer", name, {}, "a part of what is stated, or made of it"), 0.0
-            values = {space.free[i].parameter: float(vector[i]) for i in space.indices(name)}
             rows.append(Candidate(name, get_effect(name).kind, values, share_of(gain), verdict.rule, verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 

@@ -129,6 +129,3 @@ def shows(problem: Problem, effect: str, driven: Catalogue) -> str:
 def _curvature(problem: Problem, fit: Fit) -> np.ndarray:
     q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).values)
     return q.hessian.sum(axis=0)
-
-
-__all__ = ["TOLD", "Catalogue", "apart", "catalogue", "following", "separability", "shows"]

@@ -322,8 +322,9 @@ class Search:
                     continue
                 fit = self._more(without, other, others[other][1], around)
                 difference = fit.held_out - found.fit.held_out
-                rival = Rival(other, 1.0 - float(difference.sum()) / max(gain, 1e-12), no_worse(difference),
-                              float(difference.sum()) / p.number, self._evidence(without, fit, other, found.scores))
+                rival = Rival(other, name, 1.0 - float(difference.sum()) / max(gain, 1e-12), no_worse(difference),
+                              float(difference.sum()) / p.number, self._evidence(without, fit, other, found.scores),
+                              p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
                 surely = rival.worse > 1.0 - self.limits.doubt
                 if surely and frozenset(fit.names) not in self._seen and judge(

@@ -69,6 +69,10 @@ class Space:
         """Where the parameters of effects are in the vector, rising."""
         return np.array(sorted({i for name in names for i in self._places.get(name, ())}), int)
 
+    def values(self, name: str, vector: np.ndarray) -> dict[str, float]:
+        """Of an effect in a vector, by parameter."""
+        return {self.free[i].parameter: float(vector[i]) for i in self.indices(name)}
+
     def overlaps(self, name: str, names: Sequence[str]) -> bool:
         """Whether an effect is one of `names`, or made of one of them, or one of them of it."""
         own = {name, *get_effect(name).members}

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import TWO_SIDED, agreement, covariance, inverse
+from .evidence import TWO_SIDED, agreement, covariance, inverse, random_effects
 from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
@@ -93,9 +93,7 @@ def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
     if len(said) < 3:
         return 0.0
     shares, deviations = np.array(list(said.values())).T
-    w = 1.0 / np.square(deviations)
-    q = float(w @ np.square(shares - w @ shares / w.sum()))
-    between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
+    _, between = random_effects(shares, np.square(deviations))
     error = 1.0 / (1.0 / (np.square(deviations) + between)).sum()
     return TWO_SIDED * float(np.sqrt(between + error))
 
@@ -156,6 +154,9 @@ def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: End
     def line(part: str, last: tuple[float, float], first: tuple[float, float]) -> BudgetLine:
         return BudgetLine(part, last[0], first[0], last[0] / max(start[0], 1e-9), first[0] / max(start[0], 1e-9),
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
+    def fitted(names: tuple[str, ...]) -> Fit:
+        return problem.renewed(problem.fit(names, final.slopes, iterations=3))  # far from the answer slopes are others
+
     base = problem.about(base.names, base.vector, base.which, base.slopes)
     start, end = size(base), size(final)
     lines = []
@@ -164,8 +165,8 @@ def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: End
         if not mine:
             continue
         rest = tuple(n for n in final.names if n not in mine)
-        without = size(problem.fit(rest, final.slopes, iterations=3)) if rest else start
-        alone = size(problem.fit(mine, final.slopes, iterations=3)) if rest else end
+        without = size(fitted(rest)) if rest else start
+        alone = size(fitted(mine)) if rest else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
     if bound is not None:
         more = size(bound)

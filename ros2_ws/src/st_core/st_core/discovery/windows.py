@@ -32,6 +32,7 @@ MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is
 SLOWEST = 1.5  # m/s. Slower windows say nothing of lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
 REMEMBERED = 4  # recordings, as sensors and steering of the last models change them, and what follows from them
+ASKED = 8  # sets of instants remembered, with where they lie between the samples
 CLOSEST = 1.0  # s between the starts of two windows, at the least: closer ones bring next to nothing new
 SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 COLUMNS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position_lateral", "position_longitudinal")
@@ -39,7 +40,8 @@ CHANNEL_OF = {"position_lateral": "position", "position_longitudinal": "position
 
 
 class Signals(LogSignals):
-    """A drive whose forward acceleration is the slope of the forward speed over 2 STEP, without delay."""
+    """A drive whose forward acceleration is the slope of the forward speed over 2 STEP, without delay. Where the last
+    instants asked for lie between the samples is kept: a fit asks for the same ones thousands of times."""
 
     def __init__(self, log: DriveLog, maximum_gap: float):
         self.log, self.maximum_gap = log, maximum_gap
@@ -48,13 +50,22 @@ class Signals(LogSignals):
         low, high = np.maximum(seconds - STEP, 0.0), np.minimum(seconds + STEP, seconds[-1:])
         ends = [np.interp(t, seconds, log.velocity_x) for t in (low, high)]
         self.velocity_x_dot = (ends[1] - ends[0]) / np.maximum(high - low, STEP)
+        self._places: OrderedDict[tuple, tuple] = OrderedDict()
 
     def of(self, log: DriveLog) -> "Signals":
         if not same(log, self.log, "ins_time_ns", "velocity_x"):
-            return Signals(log, self.maximum_gap)
+            other = Signals(log, self.maximum_gap)
+            other._places = self._places
+            return other
         other = copy(self)
         other.log = log
         return other
+
+    def _between(self, times, wanted):
+        # Both arrays are kept as well, so that no others are ever at their place in memory.
+        key = _memory(times), _memory(wanted)
+        known = self._places.pop(key, None) or (times, wanted, super()._between(times, wanted))
+        return _remember(self._places, key, known, ASKED)[2]
 
 
 class Batch(LogBatch):
@@ -80,9 +91,14 @@ class Batch(LogBatch):
         return self._substeps
 
 
-def _remember(kept: OrderedDict, key: tuple, value):
+def _memory(array: np.ndarray) -> tuple:
+    """What two views of the same numbers have in common."""
+    return array.ctypes.data, array.shape, array.strides
+
+
+def _remember(kept: OrderedDict, key: tuple, value, most: int = REMEMBERED):
     kept[key] = value
-    while len(kept) > REMEMBERED:
+    while len(kept) > most:
         kept.popitem(last=False)
     return value
 
@@ -135,8 +151,7 @@ class Windows:
     """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) whole numbers; seconds: (n,) into
     the run."""
 
-    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings,
-                 starts_ns: np.ndarray | None = None, backend: str | None = None):
+    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
         self.names = tuple(run.name for run in runs)
         self.columns, self._points = columns_of(settings), score_points(settings)
@@ -144,18 +159,15 @@ class Windows:
         joined, offsets = _join(runs)
         self.joined = joined
         horizon = int(self._points[-1]) + 1
-        if starts_ns is None:
-            starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
-        else:
-            starts, run, seconds = np.asarray(starts_ns, np.int64), np.zeros(len(starts_ns), int), np.zeros(0)
+        starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
         around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
         signals = Signals(prepared(joined, vehicle, settings), 0.1)
-        self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6), backend=backend)
+        self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._readings(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds
-        self.block = _blocks(run, seconds, settings.block) if len(seconds) else np.zeros(len(starts), int)
+        self.block = _blocks(run, seconds, settings.block)
         self._length = horizon * STEP
 
     def __len__(self) -> int:
@@ -309,15 +321,3 @@ def _blocks(run: np.ndarray, seconds: np.ndarray, length: float) -> np.ndarray:
     """Number of the block of each window: stretches of `length` seconds of one run."""
     keys = np.stack([run, (seconds // length).astype(int)], axis=1)
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
-
-
-def channel_errors(model: AugmentedModel, vehicle: VehicleParameters, log: DriveLog, starts_ns: np.ndarray,
-                   settings: DiscoverySettings, gain: float = 0.0) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(time after the start [s] (k,), {channel: (n, k)}) of one drive: measured minus predicted, SI, NaN where unknown.
-
-    starts_ns: on the clock of the log. position: to the left of the measured heading [m]. gain: see `Windows.errors`.
-    """
-    windows = Windows([log], vehicle, settings, np.asarray(starts_ns, np.int64) - log.start_ns)
-    errors = windows.errors(model, gain)
-    return errors.time, {CHANNEL_OF.get(c, c): errors.values[..., i] for i, c in enumerate(errors.columns)
-                         if c != "position_longitudinal"}
