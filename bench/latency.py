@@ -62,7 +62,7 @@ def run() -> dict:
     """Latency [ms]: both samples of a start at the host -> last of three predictions published, and -> heard; and
     what each hop of the way takes (_hops.py).
 
-    cpu_percent: of a core, per process. ST_BENCH_SECONDS, ST_BENCH_NCOM_RATE [Hz] change the run.
+    cpu_percent: of a core, per process. ST_BENCH_SECONDS, ST_BENCH_NCOM_RATE [Hz] change the run, see also _suite.py.
     """
     seconds = float(os.environ.get("ST_BENCH_SECONDS", "60"))
     with running_suite(seconds + 10, int(os.environ.get("ST_BENCH_NCOM_RATE", "250"))) as suite:

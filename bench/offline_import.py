@@ -70,9 +70,9 @@ def _timed(parts: dict[str, tuple[Any, str]]) -> dict[str, float]:
 
 
 def _reading() -> dict[str, tuple[Any, str]]:
-    from st_recordings.runs import raw
+    from st_recordings.runs import ncom, raw
 
-    return {"read_ncom": (raw, "read_ncom"), "read_mf4": (raw, "read_can_logs"),
+    return {"read_ncom": (ncom, "read_ncom"), "read_mf4": (raw, "read_can_logs"),
             "decode_can": (raw, "decode_signals"), "align": (raw, "align_clocks")}
 
 
@@ -86,13 +86,13 @@ def _spent(seconds: dict[str, float], wall: float) -> dict[str, float]:
 def measure_import(logs: Path, output: Path) -> dict:
     from st_core.vehicle import VehicleParameters
     from st_offline.checking.gate import checked_run
-    from st_recordings.runs import find_runs, load, write
+    from st_recordings.runs import ReadSettings, find_runs, write
 
     leaf = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text(), "leaf.yaml")
     (source,) = find_runs([logs])
     seconds = _timed(_reading())
     start = time.perf_counter()
-    done = write.import_run(source, leaf, output, load.ReadSettings(), checked_run(source.where, leaf, force=False))
+    done = write.import_run(source, leaf, output, ReadSettings(), checked_run(source.where, leaf, force=False))
     total = time.perf_counter() - start
     return {"minutes": done.span / 60, "ncom_packets": done.counts["/ins/ncom"], "can_frames": len(done.run.can.frames),
             "verdict": str(done.run.alignment.verdict), "times_real_time": done.span / total, **_spent(seconds, total),
@@ -104,9 +104,9 @@ def measure_evaluate(source: Path, output: Path) -> dict:
     import psutil
     from st_cli import cli
     from st_offline.evaluation import command, work
-    from st_recordings.runs import load
+    from st_recordings.runs import bag, load
 
-    reading = {"read_bag": (load.bag, "read_bag")} if (source / "metadata.yaml").exists() else _reading()
+    reading = {"read_bag": (bag, "read_bag")} if (source / "metadata.yaml").exists() else _reading()
     parts = {**reading, "hash": (load, "hashes"), "predict": (work, "evaluate_log"),
              "starts_csv": (work, "write_starts"), "draw": (work, "run_figures"), "report": (command, "write_results")}
     seconds = _timed(parts)

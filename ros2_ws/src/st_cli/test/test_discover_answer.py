@@ -11,7 +11,7 @@ from drives import weave, write_drive
 from st_cli.verbs.discover import spread
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.result import BoundEffect, Change, Step, Value
+from st_core.discovery.result import BoundEffect, Candidate, Change, NotTestable, Step, Value
 from st_core.discovery.where import survey
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import answers, quantities, words
@@ -21,7 +21,7 @@ from st_offline.discovery.document import document
 from st_offline.discovery.drive_figures import maps, over_time, paths
 from st_offline.discovery.drives import read_drive
 from st_offline.discovery.figures import Scene, candidates, conditions, gap
-from st_offline.discovery.mending import mend
+from st_offline.discovery.mending import Mended, mend
 from st_offline.discovery.page import write_page
 from st_offline.discovery.question import Question
 from st_offline.discovery.shown import show
@@ -59,8 +59,35 @@ def test_the_first_line_says_what_takes_how_much(logs):
 
 def test_names_not_told_apart_stand_together(logs):
     found = discovery(logs, STEPS[:1], 1.72, alternatives={"steering_ratio": ("front_stiffness",)}, outcome="ambiguous")
-    assert "steering ratio or front stiffness × 0.894 (1.00 m)" in words.title(found)
+    stiff = Candidate("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
+    found = replace(found, candidates=(*found.candidates, stiff))
+    assert "steering ratio × 0.894 or front stiffness × 1.31 (1.00 m)" in words.title(found)
     assert any("drive what is suggested" in text for text in words.to_do(found, None))
+
+
+def test_what_cannot_be_seen_is_told_with_its_size_parameters_of_the_car_first(logs):
+    blind = tuple(NotTestable(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
+    (text,) = [t for t in words.blind(replace(discovery(logs, (), 1.0), not_testable=blind)) if "cannot" in t]
+    assert text == "cannot be seen: friction of 40 %, steering ratio of 6 %, heading misalignment of 0.458°, drag"
+
+
+def test_what_makes_the_position_worse_is_told_by_what_it_is_for(logs):
+    found = discovery(logs, (*STEPS[:1], ("yaw_inertia", {"factor": 0.86}, 0.92)), 1.72)
+    assert "yaw inertia × 0.860 (lateral acceleration error −2 %)" in words.title(found)
+
+
+def test_a_file_that_holds_one_of_two_names_says_so(logs):
+    found = discovery(logs, (("yaw_inertia", {"factor": 0.86}, 0.5),), 1.7, alternatives={"yaw_inertia": ("mass",)})
+    mended = Mended(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
+    told = words.to_do(found, mended)
+    assert any("holds the first of yaw inertia × 0.860 or mass × 1.02; these drives do not tell" in t for t in told)
+
+
+def test_what_is_kept_is_told_by_all_its_names(logs):
+    found = discovery(logs, (("tyre_stiffness", {"factor": 1.2}, 0.5),), 1.7,
+                      alternatives={"tyre_stiffness": ("mass",)})
+    found = replace(discovery(logs, STEPS, 1.72), minor=found.effects)
+    assert any("also holds tyre stiffness × 1.200 or mass × 1.02" in text for text in words.to_do(found, None))
 
 
 @pytest.mark.parametrize(("outcome", "said"), [

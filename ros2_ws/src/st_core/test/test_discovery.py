@@ -294,6 +294,24 @@ def test_few_runs_are_said(leaf, count, said):
     assert len(found.runs) == count and all(r.windows > 0 for r in found.runs)
 
 
+def test_one_site_is_said(leaf):
+    logs = recorded(leaf, OFFSET, 1)
+    elsewhere = [*logs[:2], replace(logs[2], x=logs[2].x + 2000.0)]
+    for runs, said in ((logs, True), (elsewhere, False)):
+        found = discover(runs, leaf, settings=FEW)
+        assert any("all of it is at one site" in text for text in found.warnings) == said
+
+
+def test_value_on_a_bound_is_no_name(leaf):
+    driven = ("lane_change", "slalom", "circle", "sweep", "step", "weave")
+    logs = [replace(log, yaw_rate=1.4 * log.yaw_rate) for log in recorded(leaf, {}, 1, driven)]
+    found = discover(logs, leaf, settings=replace(FEW, effects=("yaw_rate_scale",), channels=("yaw_rate", "position")))
+    assert found.outcome == "unknown" and found.effects == ()
+    (candidate,) = found.candidates
+    assert candidate.verdict == "on a bound" and "its value is on a bound" in candidate.why
+    assert candidate.parameters["factor"] == pytest.approx(1.25)
+
+
 def test_short_run_is_left_out_in_words(leaf):
     runs = recorded(leaf, {}, 1)
     short = replace(runs[0].slice(runs[0].start_ns, runs[0].start_ns + 4_000_000_000), name="a stub")

@@ -42,7 +42,7 @@ MAYBE_NULL = replace(GOOD, null=0.2)
 DENIED, EDGE = replace(GOOD, sensors=0.01), replace(GOOD, bound=0.0)
 SLIGHT = replace(GOOD, position=0.01, position_somewhere=0.0)
 LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
-EQUAL = Rival("rear_stiffness", share=0.9, worse=0.4, less=0.02, evidence=replace(GOOD, name="rear_stiffness"))
+EQUAL = Rival("rear_stiffness", "mass", share=0.9, worse=0.4, less=0.02, evidence=replace(GOOD, name="rear_stiffness"))
 WEAK = replace(GOOD, gain=0.1)
 SHOWN = Evidence("yaw_rate_scale", gain=0.0, chance=1.0, sensors=0.6, sensors_null=0.001)
 SEEN = replace(GOOD, sensors=0.6, sensors_null=0.001)
@@ -178,6 +178,11 @@ def test_every_level_has_words():
 ])
 def test_another_name(rival, rule):
     assert alternative(rival, LIMITS).rule == rule
+
+
+def test_another_name_is_told_with_the_one_whose_place_it_takes():
+    for rival in (replace(EQUAL, instead="tyre_stiffness"), replace(WORSE, instead="tyre_stiffness")):
+        assert "in the place of tyre stiffness it explains 90% of what that does" in alternative(rival, LIMITS).text
 
 
 @pytest.mark.parametrize(("answer", "outcome", "figures"), [

@@ -6,7 +6,7 @@ from oxts_bridge.attitude import Attitude
 from oxts_bridge.channels import encode_channel
 from oxts_bridge.ncom import Packet, encode
 from st_recordings.runs.covariance import UNKNOWN_VARIANCE, Covariances
-from st_recordings.runs.ncom import InsLog, read_ncom
+from st_recordings.runs.ncom import NcomLog, read_ncom
 from st_recordings.runs.rows import quaternion
 
 ACCURACY = {3: {"NorthAcc": 0.02, "EastAcc": 0.03, "AltAcc": 0.05}, 4: {"VnAcc": 0.01, "VeAcc": 0.02, "VdAcc": 0.03},
@@ -14,7 +14,7 @@ ACCURACY = {3: {"NorthAcc": 0.02, "EastAcc": 0.03, "AltAcc": 0.05}, 4: {"VnAcc":
 
 
 @pytest.fixture(scope="module")
-def ins(tmp_path_factory: pytest.TempPathFactory) -> InsLog:
+def ins(tmp_path_factory: pytest.TempPathFactory) -> NcomLog:
     """Packets 0 to 9 without accuracies, then all three."""
     stream = b""
     for k in range(40):
@@ -31,7 +31,7 @@ def ins(tmp_path_factory: pytest.TempPathFactory) -> InsLog:
     return read_ncom(file)
 
 
-def test_quaternions_of_the_bridge(ins: InsLog) -> None:
+def test_quaternions_of_the_bridge(ins: NcomLog) -> None:
     found = np.stack(quaternion(ins.yaw, ins.pitch, ins.roll), axis=1)
     columns = ins.columns
     for k, row in enumerate(ins.rows):
@@ -39,7 +39,7 @@ def test_quaternions_of_the_bridge(ins: InsLog) -> None:
         np.testing.assert_allclose(found[k], attitude.quaternion(), atol=1e-12)
 
 
-def test_velocities_of_the_bridge(ins: InsLog) -> None:
+def test_velocities_of_the_bridge(ins: NcomLog) -> None:
     columns = ins.columns
     for k, row in enumerate(ins.rows):
         north, east, down = columns.velocity_ned[:, row]
@@ -47,7 +47,7 @@ def test_velocities_of_the_bridge(ins: InsLog) -> None:
         np.testing.assert_allclose(ins.velocity[:, k], attitude.to_body((east, north, -down)), atol=1e-12)
 
 
-def test_covariances_of_the_bridge(ins: InsLog) -> None:
+def test_covariances_of_the_bridge(ins: NcomLog) -> None:
     pose, twist = Covariances(ins.columns).of(ins, slice(0, 40))
     for k in range(40):
         columns, row = ins.columns, int(ins.rows[k])

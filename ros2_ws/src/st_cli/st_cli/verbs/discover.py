@@ -79,7 +79,7 @@ def discover(
     ),
     seed: int = typer.Option(0, help="Of every drawing of numbers."),
     jobs: int = typer.Option(1, help="Processes side by side.", min=1),
-    figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
+    figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; an empty text for none."),
     report: bool = typer.Option(True, help="Draw the figures and the page; without, numbers, model and vehicle only."),
     offset: Offset = None,
     dbc: Dbc = None,

@@ -1,7 +1,7 @@
 """What follows from the evidence: pure functions of figures and limits. No statistics here, no decisions elsewhere."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from .evidence import Evidence, share_of
 from .limits import Limits
@@ -16,14 +16,16 @@ RULES = (NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, BOUND, VARIES)
 
 @dataclass(frozen=True)
 class Rival:
-    """Another name in the place of a stated one. share [1]: of its gain. worse [1]: chance that it is no worse. less
-    [1]: gain it lacks. evidence: its own, there."""
+    """Another name in the place of one of the answer, `instead`. share [1]: of that one's gain. worse [1]: chance that
+    it is no worse. less [1]: gain it lacks. evidence, values: its own, there."""
 
     name: str
+    instead: str
     share: float
     worse: float
     less: float
     evidence: Evidence
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -159,13 +161,13 @@ def alternative(rival: Rival, limits: Limits) -> Reason:
     figures = {"share": rival.share, "no_worse": rival.worse, "less": rival.less, "rival": limits.rival,
                "doubt": limits.doubt, "beside": limits.beside}
     unexplained = rival.evidence.left > limits.left and rival.less < limits.beside
+    place = f"in the place of {rival.instead.replace('_', ' ')} it explains {rival.share:.0%} of what that does"
     if rival.share < limits.rival or (rival.worse < limits.doubt and not unexplained):
-        return Reason("explains less", rival.name, figures, f"in its place it explains {rival.share:.0%} of that, and "
-                      f"is no worse with probability {rival.worse:.2g}")
+        return Reason("explains less", rival.name, figures, f"{place}, and is no worse with probability "
+                      f"{rival.worse:.2g}")
     if verdict.rule not in (STATED, UNWORTHY):
         return verdict
-    return Reason("alternative", rival.name, figures, f"in its place it explains {rival.share:.0%} of that; no worse "
-                  f"with probability {rival.worse:.2g}")
+    return Reason("alternative", rival.name, figures, f"{place}; no worse with probability {rival.worse:.2g}")
 
 
 def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:

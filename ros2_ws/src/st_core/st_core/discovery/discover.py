@@ -93,7 +93,9 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _Work:
-    def __init__(self, runs, vehicle, base, reference, settings, progress, identities, parallel):
+    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
+                 reference: Sequence[DriveLog], settings: DiscoverySettings, progress: Progress | None,
+                 identities: Sensors, parallel: int):
         self.vehicle, self.settings, self.limits = vehicle, settings, settings.limits
         self._progress, self._count = progress, 0
         self.warnings: list[str] = []
@@ -112,17 +114,8 @@ class _Work:
 
     def result(self) -> Discovery:
         settings, space, limits = self.settings, self.space, self.limits
-        start, prior, between, by_column = space.null, None, 0.0, noise.floor(self.windows)
-        if self.reference:
-            healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
-            start, prior, between = healthy.vector, healthy.prior, healthy.gain
-            # What nothing describes in the healthy car either is no change of it.
-            by_column = {c: max(by_column[c], float(v))
-                         for c, v in zip(self.windows.columns, healthy.left, strict=True)}
-            by_column["position_5s"] = healthy.position
-        loss = Loss(Errors(self.windows, space, self.threads), start)
-        self.problem = problem = Problem(loss, start, self.windows.block, prior,
-                                         np.array([by_column[c] for c in self.windows.columns]), between)
+        self.problem, by_column = self._problem()
+        problem = self.problem
         self._say_little(problem)
         parts = levels(self.windows)
         search = Search(problem, limits, parts, self.sensors, settings.seed, self._tick("searching"))
@@ -141,7 +134,7 @@ class _Work:
         lines = waterfall.budget(problem, base, found.fit, next((fit for _, fit in bound), None), ends)
         told = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
                 if settings.certify else certificate.predicted(problem, found.fit, found.scores, limits))
-        stated = {name for e in (*effects, *minor) for name in (e.name, *e.alternatives)}
+        stated = {*(name for e in effects for name in (e.name, *e.alternatives)), *(e.name for e in minor)}
         driven = self._catalogue(found, effects)
         untestable = self._untestable(told, stated, driven)
         seen = 1.0 - sum(n.name in space.hypotheses for n in untestable) / len(space.hypotheses)
@@ -164,6 +157,21 @@ class _Work:
 
     # What goes in
 
+    def _problem(self) -> tuple[Problem, dict[str, float]]:
+        """What is searched, from the fit to the reference if there is one, and the noise of every column."""
+        settings, space = self.settings, self.space
+        start, prior, between, by_column = space.null, None, 0.0, noise.floor(self.windows)
+        if self.reference:
+            healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
+            start, prior, between = healthy.vector, healthy.prior, healthy.gain
+            # What nothing describes in the healthy car either is no change of it.
+            by_column = {c: max(by_column[c], float(v))
+                         for c, v in zip(self.windows.columns, healthy.left, strict=True)}
+            by_column["position_5s"] = healthy.position
+        loss = Loss(Errors(self.windows, space, self.threads), start)
+        return Problem(loss, start, self.windows.block, prior,
+                       np.array([by_column[c] for c in self.windows.columns]), between), by_column
+
     def _usable(self, runs: Sequence[DriveLog], what: str) -> list[DriveLog]:
         needed = self.settings.horizon + 2.0 * MARGIN_NS * 1e-9 + 0.5
         good = [run for run in runs if run.overlap >= needed]
@@ -185,13 +193,16 @@ class _Work:
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
     def _by_sensors(self, identities: Sensors) -> dict[str, tuple[float, float, float]]:
-        return {f"{effect}.{p.name}": tuple(identities[p.identity]) for effect in self.space.hypotheses
+        return {f"{effect}.{p.name}": identities[p.identity] for effect in self.space.hypotheses
                 for p in get_effect(effect).parameters if p.identity and p.identity in identities}
 
     def _say_little(self, problem: Problem) -> None:
         if len(self.runs) < 3:
             self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'}: whether runs agree cannot be "
                                  "said; stretches of them are compared instead")
+        if not sites(self.windows).any():
+            self.warnings.append("all of it is at one site: what belongs to the place, as its banks and its wind, "
+                                 "cannot be told from what belongs to the car")
         if problem.blocks < 10:
             self.warnings.append(f"only {problem.blocks} blocks of {self.settings.block:g} s: tests are weak, little "
                                  "can be said")
@@ -225,22 +236,23 @@ class _Work:
                                          _values(evidence)[level], evidence.position), fit))
         if not said:
             for v in varying(self.problem, found.fit, parts):
-                if comes_and_goes(evidence_of(self.problem, found.fit, v, parts), self.limits):
-                    said.append((self._coming(v), None))
+                evidence = evidence_of(self.problem, found.fit, v, parts)
+                if comes_and_goes(evidence, self.limits):
+                    said.append((self._coming(v, evidence.position), None))
                     break
         for bound, _ in said:
             self.warnings.append(f"something that resembles {bound.resembles} is sure, but differs over "
                                  f"{WORDS[bound.to]}: it is told, not named")
         return said
 
-    def _coming(self, v: Varying) -> BoundEffect:
-        """Shares are of the largest change any part shows."""
+    def _coming(self, v: Varying, position: float) -> BoundEffect:
+        """Shares are of the largest change any part shows. position [m]: fall of the error."""
         free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
         value, spread = max(v.values.values(), key=lambda each: abs(each[0] - free.null))
         change = value - free.null or free.usual
         shares = tuple(Value(part, (x - free.null) / change, s / abs(change)) for part, (x, s) in v.values.items())
         found = FittedParameter(value, free.unit, (value - 1.96 * spread, value + 1.96 * spread), free.null)
-        return BoundEffect(v.name, v.level, {v.parameter: found}, shares, 0.0)
+        return BoundEffect(v.name, v.level, {v.parameter: found}, shares, position)
 
     def _reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
         said = list(named.values())
@@ -249,19 +261,22 @@ class _Work:
 
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[Candidate, ...]:
         problem, space, rows = self.problem, self.space, []
-        rivals = {r.name: (alternative(r, self.limits), r.evidence.gain)
-                  for others in found.rivals.values() for r in others}
+        # Of a name that was tried in several places, where it explains most.
+        rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
+                                            key=lambda r: (alternative(r, self.limits).rule == "alternative", r.share))}
         for name in space.hypotheses:
-            vector = found.fit.vector
+            values: Mapping[str, float] = space.values(name, found.fit.vector)
             if name in found.evidence:
                 verdict, gain = named[name], found.evidence[name].gain
             elif name in found.refused:
                 evidence, verdict, fit = found.refused[name]
-                gain, vector = evidence.gain, fit.vector
+                gain, values = evidence.gain, space.values(name, fit.vector)
             elif name in rivals:
-                verdict, gain = rivals[name]
+                rival = rivals[name]
+                verdict, gain, values = alternative(rival, self.limits), rival.evidence.gain, rival.values
             elif name in found.scores.own:
                 each, vector = found.scores.gains[name]
+                values = space.values(name, vector)
                 gain = float(each.sum()) / problem.number
                 verdict = judge(Evidence(name, gain, chance(found.scores.own[name], each, found.scores,
                                                             len(space.hypotheses))), self.limits)
@@ -271,7 +286,6 @@ class _Work:
                                      "more, and were asked first")
             else:
                 verdict, gain = Reason("part of the answer", name, {}, "a part of what is stated, or made of it"), 0.0
-            values = {space.free[i].parameter: float(vector[i]) for i in space.indices(name)}
             rows.append(Candidate(name, get_effect(name).kind, values, share_of(gain), verdict.rule, verdict.text))
         return tuple(sorted(rows, key=lambda c: -c.gain))
 

@@ -334,13 +334,18 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called:
     return pooled(np.array(shares), np.array(variances), names)
 
 
+def random_effects(shares: np.ndarray, variances: np.ndarray) -> tuple[float, float]:
+    """(Cochran's Q, variance between the parts) of two shares or more (DerSimonian and Laird 1986)."""
+    w = 1.0 / variances
+    q = float(w @ np.square(shares - w @ shares / w.sum()))
+    return q, max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
+
+
 def pooled(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
     said = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
     if len(shares) < 2:
         return Agreement(said, 1.0, 0.0)
-    w = 1.0 / variances
-    q = float(w @ np.square(shares - w @ shares / w.sum()))
-    between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
+    q, between = random_effects(shares, variances)
     w = 1.0 / (variances + between)
     mean = float(w @ shares / w.sum())
     return Agreement(said, float(stats.chi2.sf(q, len(shares) - 1)),

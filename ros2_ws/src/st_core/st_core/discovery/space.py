@@ -60,7 +60,7 @@ class Space:
 
     def at(self, vector: np.ndarray) -> AugmentedModel:
         """The model at a vector; what is out of bounds is taken back to them."""
-        return self.model.with_vector(self.inside(vector)[:-1])
+        return self.model.with_vector(self.inside(vector)[:-1].tolist())
 
     def inside(self, vector: np.ndarray) -> np.ndarray:
         return np.clip(vector, self.low, self.high)
@@ -68,6 +68,10 @@ class Space:
     def indices(self, *names: str) -> np.ndarray:
         """Where the parameters of effects are in the vector, rising."""
         return np.array(sorted({i for name in names for i in self._places.get(name, ())}), int)
+
+    def values(self, name: str, vector: np.ndarray) -> dict[str, float]:
+        """Of an effect in a vector, by parameter."""
+        return {self.free[i].parameter: float(vector[i]) for i in self.indices(name)}
 
     def overlaps(self, name: str, names: Sequence[str]) -> bool:
         """Whether an effect is one of `names`, or made of one of them, or one of them of it."""

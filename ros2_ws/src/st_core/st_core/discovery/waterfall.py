@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import TWO_SIDED, agreement, covariance, inverse
+from .evidence import TWO_SIDED, agreement, covariance, inverse, random_effects
 from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
@@ -52,8 +52,8 @@ class Ends:
         number = np.maximum(self._weights @ count, 1)
         fall = turn(self._weights @ sums[0] / number) - turn(self._weights @ sums[1] / number)
         low, high = np.quantile(fall, (0.025, 0.975))
-        whole = [float(turn(v[known].mean())) for v in (before, after)]
-        return Change(*whole, (float(low), float(high)), UNITS[channel])
+        base, augmented = (float(turn(v[known].mean())) for v in (before, after))
+        return Change(base, augmented, (float(low), float(high)), UNITS[channel])
 
     def by_run(self, values: np.ndarray) -> dict[str, float]:
         return {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
@@ -93,9 +93,7 @@ def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
     if len(said) < 3:
         return 0.0
     shares, deviations = np.array(list(said.values())).T
-    w = 1.0 / np.square(deviations)
-    q = float(w @ np.square(shares - w @ shares / w.sum()))
-    between = max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
+    _, between = random_effects(shares, np.square(deviations))
     error = 1.0 / (1.0 / (np.square(deviations) + between)).sum()
     return TWO_SIDED * float(np.sqrt(between + error))
 
@@ -139,7 +137,7 @@ def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[
         if channel != "position_5s":
             old, new = ({n: float(np.sqrt(v)) for n, v in values.items()} for values in (old, new))
         noise = floor.get(channel, 0.0)
-        worst = max(new, key=new.get, default="")
+        worst = max(new, key=new.__getitem__, default="")
         result[channel] = Gap(change.base, change.augmented, change.interval, change.unit, noise, worst,
                               new.get(worst, 0.0), tuple(n for n in new if new[n] > old[n] + noise))
     return result
@@ -156,6 +154,9 @@ def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: End
     def line(part: str, last: tuple[float, float], first: tuple[float, float]) -> BudgetLine:
         return BudgetLine(part, last[0], first[0], last[0] / max(start[0], 1e-9), first[0] / max(start[0], 1e-9),
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
+    def fitted(names: tuple[str, ...]) -> Fit:
+        return problem.renewed(problem.fit(names, final.slopes, iterations=3))  # far from the answer slopes are others
+
     base = problem.about(base.names, base.vector, base.which, base.slopes)
     start, end = size(base), size(final)
     lines = []
@@ -164,8 +165,8 @@ def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: End
         if not mine:
             continue
         rest = tuple(n for n in final.names if n not in mine)
-        without = size(problem.fit(rest, final.slopes, iterations=3)) if rest else start
-        alone = size(problem.fit(mine, final.slopes, iterations=3)) if rest else end
+        without = size(fitted(rest)) if rest else start
+        alone = size(fitted(mine)) if rest else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
     if bound is not None:
         more = size(bound)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,9 @@ from ..errors import StCoreError
 from ..filtering import NANOSECOND
 from ..log import DriveLog
 from ..log_signals import LogSignals, same
-from ..readings import readings
+from ..models import Model
+from ..readings import true_readings
+from ..start_grid import Block
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
@@ -32,6 +35,7 @@ MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is
 SLOWEST = 1.5  # m/s. Slower windows say nothing of lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
 REMEMBERED = 4  # recordings, as sensors and steering of the last models change them, and what follows from them
+ASKED = 8  # sets of instants remembered, with where they lie between the samples
 CLOSEST = 1.0  # s between the starts of two windows, at the least: closer ones bring next to nothing new
 SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 COLUMNS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position_lateral", "position_longitudinal")
@@ -39,7 +43,8 @@ CHANNEL_OF = {"position_lateral": "position", "position_longitudinal": "position
 
 
 class Signals(LogSignals):
-    """A drive whose forward acceleration is the slope of the forward speed over 2 STEP, without delay."""
+    """A drive whose forward acceleration is the slope of the forward speed over 2 STEP, without delay. Where the last
+    instants asked for lie between the samples is kept: a fit asks for the same ones thousands of times."""
 
     def __init__(self, log: DriveLog, maximum_gap: float):
         self.log, self.maximum_gap = log, maximum_gap
@@ -48,41 +53,55 @@ class Signals(LogSignals):
         low, high = np.maximum(seconds - STEP, 0.0), np.minimum(seconds + STEP, seconds[-1:])
         ends = [np.interp(t, seconds, log.velocity_x) for t in (low, high)]
         self.velocity_x_dot = (ends[1] - ends[0]) / np.maximum(high - low, STEP)
+        self._places: OrderedDict[tuple, tuple] = OrderedDict()
 
     def of(self, log: DriveLog) -> "Signals":
         if not same(log, self.log, "ins_time_ns", "velocity_x"):
-            return Signals(log, self.maximum_gap)
+            other = Signals(log, self.maximum_gap)
+            other._places = self._places
+            return other
         other = copy(self)
         other.log = log
         return other
+
+    def _between(self, times: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, ...]:
+        # Both arrays are kept as well, so that no others are ever at their place in memory.
+        key = _memory(times), _memory(wanted)
+        known = self._places.pop(key, None) or (times, wanted, super()._between(times, wanted))
+        return _remember(self._places, key, known, ASKED)[2]
 
 
 class Batch(LogBatch):
     """A LogBatch for thousands of fits: the step is checked once by who makes it. The recording, and what depends on
     the inputs alone, is kept for models that make the same of it, as most do that a fit tries one after the other."""
 
-    def __init__(self, *arguments, **options):
+    def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
         self._recordings: OrderedDict[tuple, Recording] = OrderedDict()
         self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()
 
-    def recording(self, model):
+    def recording(self, model: Any) -> Recording:
         key = model.measuring
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
 
-    def _table(self, block, values, model, p):
+    def _table(self, block: Block, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
         # The values are kept as well, so that no others are ever at their place in memory.
         key = (block.number, model.inputs, model.looked_at(p), *map(id, values))
         known = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
         return _remember(self._tables, key, known)[1]
 
-    def _count_substeps(self, model, vehicle):
+    def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> Any:
         return self._substeps
 
 
-def _remember(kept: OrderedDict, key: tuple, value):
+def _memory(array: np.ndarray) -> tuple:
+    """What two views of the same numbers have in common."""
+    return array.ctypes.data, array.shape, array.strides
+
+
+def _remember(kept: OrderedDict, key: tuple, value: Any, most: int = REMEMBERED) -> Any:
     kept[key] = value
-    while len(kept) > REMEMBERED:
+    while len(kept) > most:
         kept.popitem(last=False)
     return value
 
@@ -135,8 +154,7 @@ class Windows:
     """The windows of some runs. starts_ns: (n,) on the common clock; run, block: (n,) whole numbers; seconds: (n,) into
     the run."""
 
-    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings,
-                 starts_ns: np.ndarray | None = None, backend: str | None = None):
+    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
         self.names = tuple(run.name for run in runs)
         self.columns, self._points = columns_of(settings), score_points(settings)
@@ -144,18 +162,15 @@ class Windows:
         joined, offsets = _join(runs)
         self.joined = joined
         horizon = int(self._points[-1]) + 1
-        if starts_ns is None:
-            starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
-        else:
-            starts, run, seconds = np.asarray(starts_ns, np.int64), np.zeros(len(starts_ns), int), np.zeros(0)
+        starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
         around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
         signals = Signals(prepared(joined, vehicle, settings), 0.1)
-        self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6), backend=backend)
+        self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._readings(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds
-        self.block = _blocks(run, seconds, settings.block) if len(seconds) else np.zeros(len(starts), int)
+        self.block = _blocks(run, seconds, settings.block)
         self._length = horizon * STEP
 
     def __len__(self) -> int:
@@ -168,7 +183,7 @@ class Windows:
 
     def measured_at(self, times: np.ndarray, *names: str) -> tuple[np.ndarray, ...]:
         """What was measured at any times [ns] of the common clock."""
-        return self._batch.signals.ins_at(times, *names)
+        return tuple(self._batch.signals.ins_at(times, *names))
 
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
         log, width = self.joined, round(2 * STEP / NANOSECOND)
@@ -223,7 +238,7 @@ class Windows:
         """
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
-            shown = readings(MotionOnly(model), self.vehicle, tuple(np.moveaxis(states, -1, 0)))
+            shown = true_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
             before, true, after = (Measured(*(value[:, i] for value in shown)) for i in self._around)
             turning = [e.velocity_x * e.yaw_rate for e in (before, true, after)]
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
@@ -234,21 +249,21 @@ class Windows:
                                  yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP))
             return model.observe(true)
 
-    def _felt(self, model: AugmentedModel, states: np.ndarray):
+    def _felt(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
         """What an accelerometer shows on top of the motion [m/s^2]."""
         if not any(e.felt for e in model.active):
             return 0.0
         recording = self._batch.recording(model)
         if "points" not in recording.sampled:
             signals = recording.signals
-            recording.sampled["points"] = (signals.road_wheel_angle_at(self._times),
-                                           *signals.ins_at(self._times, "velocity_x_dot"))
+            acceleration, = signals.ins_at(self._times, "velocity_x_dot")
+            recording.sampled["points"] = signals.road_wheel_angle_at(self._times), acceleration
         return added_acceleration(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)),
                                   *recording.sampled["points"])
 
 
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
-                       acceleration: np.ndarray):
+                       acceleration: np.ndarray) -> np.ndarray | float:
     """a_y an accelerometer at the CG shows on top of the motion [m/s^2]; states: the six, arrays as the inputs."""
     # Only those effects that are felt, and what changes the inputs they look at.
     model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.felt or e.inputs)))
@@ -258,13 +273,6 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
     p = model.parameters(vehicle)
     extra = [np.zeros(np.shape(angle))] * len(model.extra_states)
     return added((*states, *extra), model.inputs(angle, acceleration, p), p)[1]
-
-
-class MotionOnly:
-    """A model as `readings` sees it, with the sensors left out: they are applied last."""
-
-    def __init__(self, model: AugmentedModel):
-        self.effective_vehicle = model.effective_vehicle
 
 
 def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
@@ -282,7 +290,8 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
     return DriveLog(name="all runs", **times, **parts), offsets
 
 
-def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float, settings: DiscoverySettings):
+def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
+            settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Instants, run and seconds into the run of all windows driven faster than SLOWEST."""
     length = round(horizon / NANOSECOND)
     usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
@@ -309,15 +318,3 @@ def _blocks(run: np.ndarray, seconds: np.ndarray, length: float) -> np.ndarray:
     """Number of the block of each window: stretches of `length` seconds of one run."""
     keys = np.stack([run, (seconds // length).astype(int)], axis=1)
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
-
-
-def channel_errors(model: AugmentedModel, vehicle: VehicleParameters, log: DriveLog, starts_ns: np.ndarray,
-                   settings: DiscoverySettings, gain: float = 0.0) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(time after the start [s] (k,), {channel: (n, k)}) of one drive: measured minus predicted, SI, NaN where unknown.
-
-    starts_ns: on the clock of the log. position: to the left of the measured heading [m]. gain: see `Windows.errors`.
-    """
-    windows = Windows([log], vehicle, settings, np.asarray(starts_ns, np.int64) - log.start_ns)
-    errors = windows.errors(model, gain)
-    return errors.time, {CHANNEL_OF.get(c, c): errors.values[..., i] for i, c in enumerate(errors.columns)
-                         if c != "position_longitudinal"}

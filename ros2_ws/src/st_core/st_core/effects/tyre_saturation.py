@@ -16,6 +16,7 @@ class TyreSaturation(Effect):
     applies_to = frozenset(("linear",))
     lifts = ("linear", "nonlinear")
     prepared = ("b_front", "d_front", "e_front", "b_rear", "d_rear", "e_rear")
+    costly = True
     order = 10
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: tyres as in the vehicle file",

@@ -1,6 +1,6 @@
 """From an answer that leaves much unexplained to the law that is missing, or to the reason why there is none."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -97,8 +97,9 @@ def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
     return ""
 
 
-def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws: Laws, chances,
-            settings: DiscoverySettings, tried, vehicle: VehicleParameters, stated: Sequence[str]) -> Proposals:
+def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws: Laws, chances: Mapping[str, float],
+            settings: DiscoverySettings, tried: Mapping[str, tuple[float, float]], vehicle: VehicleParameters,
+            stated: Sequence[str]) -> Proposals:
     fit, limits = fits[best], settings.limits
     chance = chances[best.candidate.name]
     falls = without.held_out - fit.held_out
@@ -138,6 +139,7 @@ def _may_lose(law: Screened, laws: Laws, limits: Limits) -> Callable[[float], fl
 
 def _beside(laws: Laws, fit: Fitted) -> AugmentedModel:
     """The model without the law, at the values fitted beside it."""
+    assert fit.candidate is not None
     whole = laws.space_of(fit.candidate).at(fit.vector)
     return whole.only(e for e in whole.effects if e.name != fit.candidate.effect)
 

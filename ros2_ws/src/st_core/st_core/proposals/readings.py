@@ -153,4 +153,5 @@ def _fitted(missed: Callable[[np.ndarray], np.ndarray], count: int, at: np.ndarr
         done = least_squares(missed, start, x_scale=np.abs(start) + 1e-9)
         if best is None or done.cost < best.cost:
             best = done
+    assert best is not None
     return best.x

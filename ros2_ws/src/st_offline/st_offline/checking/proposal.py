@@ -12,12 +12,12 @@ from st_core.corrections import Correction
 from st_recordings.output import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.errors import printable
+from st_recordings.runs.readers import READERS
 from st_recordings.runs.sources import RUN_FILE, RUN_SUFFIX
 
 from . import words
 
 OF_A_CSV = {"columns", "units"}
-KINDS = {"csv": "csv", "bag": "bag", "ncom": "ins"}
 HEAD = "# Proposed by st check. What it corrects is said by every verb that reads it.\n"
 
 
@@ -107,7 +107,7 @@ def _add(cures: dict[str, Any], entry: Mapping[str, Any]) -> None:
 
 
 def _files(source: RunSource, file: Path) -> dict[str, Any]:
-    found: dict[str, Any] = {KINDS[source.kind]: _relative(source.where, file)}
+    found: dict[str, Any] = {READERS[source.kind].key: _relative(source.where, file)}
     if source.can:
         found["can"] = [_relative(path, file) for path in source.can]
     return found

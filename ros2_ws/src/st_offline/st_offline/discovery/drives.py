@@ -18,7 +18,9 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.recorded import recorded_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
-from st_recordings.runs.load import hashes, signal_files
+from st_recordings.runs.load import hashes
+from st_recordings.runs.readers import READERS
+from st_recordings.runs.run_types import signal_files
 
 from ..checking.document import documents, findings_in
 from ..checking.gate import Refused, checked_log, refuse
@@ -110,8 +112,8 @@ def _recorded_vehicle(source: RunSource, run: LoadedRun) -> str:
 
 def _key(source: RunSource, files: dict[str, str], vehicle: VehicleParameters, settings: ReadSettings) -> str:
     """Of everything the drive depends on: contents, not paths, except that its name is kept in it."""
-    table = [] if source.kind != "ncom" else [hashlib.sha256(f.read_bytes()).hexdigest()
-                                               for f in signal_files(source, settings)]
+    tables = signal_files(source, settings) if READERS[source.kind].with_can else ()
+    table = [hashlib.sha256(f.read_bytes()).hexdigest() for f in tables]
     options = {k: v for k, v in asdict(settings).items() if k not in ("dbc", "signals")}
     content = [FORMAT, _checks(), source.name, source.kind, sorted(files.values()), table, vehicle.hash, options,
                {k: v for k, v in source.settings.items() if k not in ("dbc", "signals")}]

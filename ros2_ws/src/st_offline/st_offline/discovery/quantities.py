@@ -82,6 +82,17 @@ def fitted(name: str, numbers: Mapping[str, float]) -> str:
     return ", ".join(f"{plain(key)} {size(number, units.get(key, '1'))}" for key, number in numbers.items())
 
 
+def fitted_shortly(name: str, numbers: Mapping[str, float]) -> str:
+    """The same in few digits; what changes nothing at 1 is a factor."""
+    known = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
+    told = []
+    for key, number in numbers.items():
+        unit, null = (known[key].unit, known[key].null) if key in known else ("1", 0.0)
+        shown = f"× {number:.2f}" if (unit, null) == ("1", 1.0) else with_unit(f"{number * factor(unit):.2g}", unit)
+        told.append(f"{plain(key) + ' ' if len(numbers) > 1 else ''}{shown}")
+    return ", ".join(told)
+
+
 def change(size_of: float, unit: str) -> str:
     """A deviation from null: factors in per cent."""
     return f"{100 * abs(size_of):.3g} %" if unit == "1" else size(abs(size_of), unit)

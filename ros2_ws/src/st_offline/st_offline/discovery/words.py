@@ -18,7 +18,7 @@ from st_core.discovery.result import (
 from st_core.effects import EFFECTS
 
 from .mending import Mended
-from .quantities import change, channel, metres, plain, short_values, size, values
+from .quantities import change, channel, fitted_shortly, metres, plain, short_values, size, values
 
 RANKED = ("position_5s", "velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
 MOST_PARTS = 6
@@ -29,8 +29,11 @@ SURE = 1.96
 SHOWN = Limits().shown
 
 
-def by_any_name(effect: FoundEffect) -> str:
-    return " or ".join(plain(name) for name in (effect.name, *effect.alternatives))
+def by_any_name(found: Discovery, effect: FoundEffect) -> str:
+    """Name and value, and those of its alternatives, each with the value it has in that place."""
+    values = {c.name: c.parameters for c in found.candidates}
+    others = (f"{plain(name)} {fitted_shortly(name, values.get(name, {}))}".strip() for name in effect.alternatives)
+    return " or ".join((f"{plain(effect.name)} {short_values(effect.parameters)}", *others))
 
 
 def taken(steps: Sequence[Step]) -> dict[str, float]:
@@ -57,10 +60,10 @@ def step_name(step: Step) -> str:
 
 
 def share_of(name: str, steps: Sequence[Step]) -> str:
-    """What an effect takes away: metres, or of another channel where it hardly moves the position."""
+    """What an effect takes away: metres, or of another channel where it takes away none."""
     away = taken(steps).get(name, 0.0)
     mine = [step for step in steps if step.effect == name and step.action != "removed"]
-    return (metres(away) if abs(away) >= LEAST or not mine else other_channel(mine[-1])) or metres(away)
+    return (metres(away) if away >= LEAST or not mine else other_channel(mine[-1])) or metres(away)
 
 
 def other_channel(step: Step) -> str:
@@ -85,8 +88,7 @@ def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
         return "These drives show too little to say what may be missing"
-    told = ", ".join(f"{by_any_name(e)} {short_values(e.parameters)} ({share_of(e.name, found.steps)})"
-                     for e in found.effects)
+    told = ", ".join(f"{by_any_name(found, e)} ({share_of(e.name, found.steps)})" for e in found.effects)
     if found.outcome == "unknown":
         known = f"; beside {told}" if told else ""
         return f"{changes(found)}: something is missing that no known effect explains{known}"
@@ -204,7 +206,10 @@ def blind(found: Discovery) -> list[str]:
     """What these drives cannot show, and what they do."""
     told = [visible(found)] if visible(found) else []
     if found.not_testable:
-        names = ", ".join(plain(n.name) for n in found.not_testable[:MOST_BLIND])
+        largest = {p.effect: p for p in sorted(found.certificate.powers, key=lambda p: abs(p.size))}
+        ranked = sorted(found.not_testable, key=lambda n: _rank(n.name))
+        names = ", ".join(plain(n.name) + (f" of {change(largest[n.name].size, largest[n.name].unit)}"
+                                           if n.name in largest else "") for n in ranked[:MOST_BLIND])
         more = len(found.not_testable) - MOST_BLIND
         told.append(f"cannot be seen: {names}{f' and {more} more, listed below' if more > 0 else ''}")
     return told
@@ -216,11 +221,15 @@ def visible(found: Discovery) -> str:
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
         if power.found >= SHOWN:
             best.setdefault(power.effect, power)
-    kinds = {c.name: PARTS.index(c.kind) for c in found.candidates}
-    ranked = sorted(best.values(), key=lambda p: (kinds.get(p.effect) != PARTS.index("vehicle parameters"),
-                                                  kinds.get(p.effect, len(PARTS))))
+    ranked = sorted(best.values(), key=lambda p: _rank(p.effect))
     told = [f"{plain(p.effect)} of {change(p.size, p.unit)}" for p in ranked[:MOST_BLIND]]
     return f"would show {', '.join(told)}{', …' if len(ranked) > MOST_BLIND else ''}" if told else ""
+
+
+def _rank(name: str) -> tuple[bool, int]:
+    """Vehicle parameters first, then by part."""
+    kind = EFFECTS[name].kind if name in EFFECTS else ""
+    return kind != "vehicle parameters", PARTS.index(kind) if kind in PARTS else len(PARTS)
 
 
 def following(found: Discovery) -> str:
@@ -239,6 +248,8 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
     told = []
     if mended is not None and mended.folded:
         told.append(f"take vehicle.yaml: {keys(mended.changes)}")
+        told += [f"vehicle.yaml holds the first of {by_any_name(found, e)}; these drives do not tell them apart: "
+                 "measure one of them on the car" for e in found.effects if e.name in mended.folded and e.alternatives]
     for name, change_of in (mended.kept if mended is not None else {}).items():
         told.append(f"{plain(name)} is in model.yaml: these recordings hold the angle of the road wheels, or play in "
                     "the steering acts before it, and no entry of a vehicle file corrects that; where the steering "
@@ -252,7 +263,7 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
     if others:
         told.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.minor and found.effects:
-        kept = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.minor)
+        kept = ", ".join(by_any_name(found, e) for e in found.minor)
         told.append(f"model.yaml also holds {kept}: part of the fit, too small beside what is left to be believed; do "
                     "not read it as a property of the car")
     if found.outcome == "unknown":

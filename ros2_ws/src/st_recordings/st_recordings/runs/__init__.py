@@ -8,7 +8,8 @@
 """
 
 from .errors import RunError
-from .load import LoadedRun, ReadSettings, read
-from .sources import Label, RunSource, find_runs
+from .load import read
+from .run_types import Label, LoadedRun, ReadSettings, RunSource
+from .sources import find_runs
 
 __all__ = ["Label", "LoadedRun", "ReadSettings", "RunError", "RunSource", "find_runs", "read"]

@@ -8,7 +8,7 @@ from st_core.clock_time_frames import align_by_time_frame
 from st_core.clock_types import Alignment, SharedSignal, Verdict, refused
 
 from .can_signals import CanSignals, Signal
-from .ncom import Motion
+from .ins_log import Motion
 
 # What lies between the instant an INS value is true and its CAN frame reaching the logger (calculation, then the queue)
 # and its standard deviation, where nobody has measured it [s].

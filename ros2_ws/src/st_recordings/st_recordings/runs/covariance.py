@@ -3,7 +3,7 @@
 import numpy as np
 from oxts_bridge.batch import Columns
 
-from .ncom import InsLog
+from .ncom import NcomLog
 from .status_channels import ACCURACIES, held, sent
 
 # As in oxts_bridge.convert: large enough that no filter believes it, finite so that none breaks.
@@ -19,7 +19,7 @@ class Covariances:
             index, values = sent(columns, channel, names)
             self._held[channel] = index, np.radians(values) if channel == 5 else values
 
-    def of(self, ins: InsLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+    def of(self, ins: NcomLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """(pose, twist) covariances, (n, 36) each, of the odometry of some fixes.
 
         Pose: east, north, up, then rotations about the fixed axes. Twist: body axes. Variances of what the unit does

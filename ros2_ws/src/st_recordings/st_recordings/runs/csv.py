@@ -14,7 +14,7 @@ from .columns import Layout, doubtful_steering, find_columns
 from .csv_table import Table, header_of, read_table
 from .errors import RunError
 from .extras import SPEEDS, car_speed, mostly_known
-from .ncom import Motion
+from .ins_log import Motion
 
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"

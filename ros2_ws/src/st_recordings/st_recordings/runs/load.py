@@ -1,65 +1,19 @@
 """A run read into a DriveLog: decoded, its clocks aligned, and where every part of it came from."""
 
 import hashlib
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from st_core.checks import Extras
-from st_core.clock_types import Alignment, none_needed
 from st_core.corrections import Correction, corrected, in_words
 from st_core.errors import StCoreError
-from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
-from ..paths import config
-from . import bag, csv
 from .errors import RunError
-from .foreign import SteeringField
-from .sources import Label, RunSource
-
-
-@dataclass(frozen=True)
-class ReadSettings:
-    """How raw files become a run.
-
-    dbc, signals: of the CAN bus; default that of the Leaf. steering_sign: +1 where the decoded sensor is left
-    positive. steering_latency: from the turn of the wheel to the frame in the log [s]. offset: INS minus CAN clock [s],
-    given by hand. search: bounds of that offset [s] when it is looked for. ins_can_latency: from the instant an INS
-    value is true to its CAN frame in the log, and the standard deviation of that [s]; None: assumed (clocks.py).
-    doubtful: whether an alignment that is doubtful may be used (with a warning); a refused one never is. steering:
-    where the angle is in bags without st_msgs/Steering.
-    """
-
-    dbc: Path | None = None
-    signals: Path | None = None
-    steering_sign: int = 1
-    steering_latency: float = 0.0
-    offset: float | None = None
-    search: tuple[float, float] | None = None
-    ins_can_latency: tuple[float, float] | None = None
-    doubtful: bool = True
-    steering: SteeringField | None = None
-
-
-@dataclass(frozen=True)
-class LoadedRun:
-    """log: the drive on the INS clock. labels: named parts, in seconds after the first INS measurement.
-
-    provenance: files (path -> sha256), reader, settings, alignment, corrected: plain values for reports. warnings:
-    sentences. extras: what else was recorded, for checks.
-    """
-
-    log: DriveLog
-    provenance: Mapping[str, Any]
-    labels: tuple[Label, ...] = ()
-    warnings: tuple[str, ...] = ()
-    alignment: Alignment = field(default_factory=none_needed)
-    extras: Extras = field(default_factory=Extras)
+from .readers import READERS
+from .run_types import LoadedRun, ReadSettings, RunSource
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None = None,
@@ -76,7 +30,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     # Hashing does not hold the interpreter; it is done when the rest is.
     with ThreadPoolExecutor(1) as beside:
         digests = beside.submit(hashes, source)
-        loaded = _loaded(source, vehicle, settings)
+        loaded = READERS[source.kind].read(source, vehicle, settings)
     log = loaded.log
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
@@ -85,29 +39,11 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
 
 
-def _loaded(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-    if source.kind == "ncom":
-        from .raw import read_raw_run  # scipy.signal and the CAN libraries: two seconds that bags need not wait for
-
-        return read_raw_run(source, vehicle, settings)
-    if source.kind == "bag":
-        drive = bag.read_bag(source.where, source.name, settings.steering)
-        recorded = {name: dict(record) for name, record in drive.records.items()}
-        about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
-        labels = source.labels or _recorded_labels(drive.records)
-        return LoadedRun(drive.log, about, labels, drive.warnings, extras=drive.extras)
-    table = csv.read_csv(source.where, vehicle, source.settings.get("layout"), _corrections(source)[1])
-    about = {"reader": "csv", "columns": dict(table.columns)}
-    return LoadedRun(replace(table.log, name=source.name), about, source.labels, table.warnings, extras=table.extras)
-
-
-def _corrections(source: RunSource) -> tuple[dict[str, Correction], float]:
-    """What is left to correct when a run is read, and the scale of yaw that its reader takes (see `csv.read_csv`)."""
+def _left_to_correct(source: RunSource) -> dict[str, Correction]:
     corrections = dict(source.settings.get("correct", {}))
-    yaw = corrections.get("yaw", Correction())
-    if source.kind != "csv" or yaw.scale == 1.0:
-        return corrections, 1.0
-    return {**corrections, "yaw": replace(yaw, scale=1.0)}, yaw.scale
+    if "yaw" in corrections and READERS[source.kind].scales_yaw:
+        corrections["yaw"] = replace(corrections["yaw"], scale=1.0)
+    return corrections
 
 
 def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
@@ -121,7 +57,7 @@ def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None
     if not phrases:
         return run
     try:
-        log = corrected(run.log, _corrections(source)[0], vehicle, left_out)
+        log = corrected(run.log, _left_to_correct(source), vehicle, left_out)
     except StCoreError as error:
         raise RunError(source.where, str(error)) from None
     gone = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0
@@ -130,11 +66,6 @@ def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None
         run, log=log, labels=labels, provenance={**run.provenance, "corrected": list(phrases)},
         warnings=(*run.warnings, f"{source.where}: corrected as its run.yaml says: {'; '.join(phrases)}"),
         extras=replace(run.extras, corrected=phrases))
-
-
-def _recorded_labels(records: Mapping[str, Mapping[str, str]]) -> tuple[Label, ...]:
-    """Labels that came with an imported run."""
-    return tuple(Label(*entry) for entry in json.loads(records.get("import", {}).get("labels", "[]")))
 
 
 def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.ndarray) -> None:
@@ -160,9 +91,3 @@ def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
         with file.open("rb") as stream:
             found[str(file)] = hashlib.file_digest(stream, "sha256").hexdigest()
     return found
-
-
-def signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:
-    """(DBC, table) of a run: of the settings, else of its run.yaml, else the Leaf's."""
-    return (settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc"),
-            settings.signals or source.settings.get("signals") or config("car/leaf/signals.yaml"))

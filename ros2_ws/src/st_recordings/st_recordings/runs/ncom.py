@@ -10,51 +10,19 @@ from oxts_bridge.navigation import BY_STATUS
 from oxts_bridge.ncom import NcomError
 
 from .errors import RunError, check_readable
-
-EXTENSIONS = (".ncom", ".xcom")
-
-
-@dataclass(frozen=True)
-class Motion:
-    """What clock alignment needs of an INS recording: SI, body axes, yaw from east; absolute: times are UTC."""
-
-    time_ns: np.ndarray
-    velocity_x: np.ndarray
-    yaw_rate: np.ndarray
-    yaw: np.ndarray | None = None
-    absolute: bool = True
+from .ins_log import InsLog
+from .status_channels import ins_quality
 
 
-@dataclass(frozen=True)
-class InsLog:
-    """Every packet with a fix. time_ns: UTC of the measurement, strictly increasing.
+@dataclass(frozen=True, kw_only=True)
+class NcomLog(InsLog):
+    """columns, rows: the whole file, and which of its packets these are."""
 
-    position: (3, n) east, north, up of `origin` [m], INS point. yaw: from east counter-clockwise, unwrapped; pitch:
-    nose down +, roll: right side down + [rad] (axes forward, left, up). velocity: (3, n) body axes [m/s]. rate: (3, n)
-    body axes [rad/s]. acceleration: (3, n) specific force, body axes [m/s^2]. origin: latitude, longitude [rad],
-    altitude [m]. columns, rows: the whole file, and which of its packets these are.
-    """
-
-    file: Path
-    time_ns: np.ndarray
-    position: np.ndarray
-    yaw: np.ndarray
-    pitch: np.ndarray
-    roll: np.ndarray
-    velocity: np.ndarray
-    rate: np.ndarray
-    acceleration: np.ndarray
-    origin: tuple[float, float, float]
     columns: batch.Columns
     rows: np.ndarray
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def motion(self) -> Motion:
-        return Motion(self.time_ns, self.velocity[0], self.rate[2], self.yaw)
 
 
-def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> InsLog:
+def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> NcomLog:
     """Decode a file.
 
     origin: of the map frame, latitude, longitude [rad], altitude [m]; default the first fix.
@@ -83,7 +51,7 @@ def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> I
 
 
 def _in_our_axes(file: Path, columns: batch.Columns, rows: np.ndarray, origin: tuple[float, float, float] | None,
-                 warnings: tuple[str, ...]) -> InsLog:
+                 warnings: tuple[str, ...]) -> NcomLog:
     latitude, longitude, altitude = (c[rows] for c in (columns.latitude, columns.longitude, columns.altitude))
     origin = origin or (float(latitude[0]), float(longitude[0]), float(altitude[0]))
     # FRD about NED -> FLU about ENU: y and z change sign, and with them pitch and the rates about them.
@@ -91,11 +59,13 @@ def _in_our_axes(file: Path, columns: batch.Columns, rows: np.ndarray, origin: t
     yaw = np.unwrap(np.pi / 2 - columns.heading[rows])
     pitch, roll = -columns.pitch[rows], columns.roll[rows]
     north, east, down = columns.velocity_ned[:, rows]
-    return InsLog(
+    timed = (columns.kind == batch.REGULAR) & (columns.utc_ns != batch.UNKNOWN_TIME)
+    return NcomLog(
         file=file, time_ns=columns.utc_ns[rows], position=enu(origin, latitude, longitude, altitude),
         yaw=yaw, pitch=pitch, roll=roll, velocity=to_body(np.stack([east, north, -down]), yaw, pitch, roll),
         rate=columns.angular_rate[:, rows] * flip, acceleration=columns.acceleration[:, rows] * flip, origin=origin,
-        columns=columns, rows=rows, warnings=warnings,
+        stamps_ns=columns.utc_ns[timed], quality=ins_quality(columns, rows), columns=columns, rows=rows,
+        warnings=warnings,
     )
 
 

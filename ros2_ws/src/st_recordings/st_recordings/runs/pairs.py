@@ -11,17 +11,20 @@ from .can_logs import EXTENSIONS, CanLog, read_can_logs
 from .can_signals import CanSignals, decode_signals, load_signal_table
 from .clocks import align_clocks
 from .errors import RunError
-from .load import ReadSettings, signal_files
-from .ncom import Motion, read_ncom
+from .ins_log import Motion
 from .raw import clock_settings, latency_in_words
-from .sources import RunSource, find_runs
+from .readers import READERS
+from .run_types import ReadSettings, RunSource, signal_files
+from .sources import find_runs
 
 
 @dataclass(frozen=True)
 class Pair:
-    """shared: the signals the alignment rests on, or by which it can be looked at. latency: of INS frames, in words."""
+    """dbc: by which the CAN frames were decoded. shared: the signals the alignment rests on, or by which it can be
+    looked at. latency: of INS frames, in words."""
 
     name: str
+    dbc: Path
     motion: Motion
     can: CanLog
     signals: CanSignals
@@ -40,12 +43,13 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
     if source.kind == "csv":
         motion, warnings = csv.read_motion(source.where)
     else:
-        ins = read_ncom(source.where)
+        ins = READERS[source.kind].read_ins(source.where)
         motion, warnings = ins.motion, ins.warnings
     can = read_can_logs(source.can)
-    signals = decode_signals(can.frames, load_signal_table(*signal_files(source, settings)))
+    dbc, table = signal_files(source, settings)
+    signals = decode_signals(can.frames, load_signal_table(dbc, table))
     alignment, shared = align_clocks(motion, signals, **clock_settings(source, settings))
-    return Pair(source.name, motion, can, signals, alignment, shared, latency_in_words(source, settings),
+    return Pair(source.name, dbc, motion, can, signals, alignment, shared, latency_in_words(source, settings),
                 (*warnings, *can.warnings))
 
 
@@ -59,7 +63,7 @@ def _source(files: Sequence[Path]) -> RunSource:
     for run in runs:
         if run.problem is not None:
             raise run.problem
-    raw = [run for run in runs if run.kind == "ncom"]
+    raw = [run for run in runs if READERS[run.kind].with_can]
     if len(raw) != 1:
         what = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
         raise RunError(", ".join(map(str, files)), f"{what} of an INS recording and CAN logs is in there",

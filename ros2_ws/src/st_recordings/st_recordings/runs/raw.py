@@ -1,10 +1,11 @@
 """INS recording and CAN logs as the instruments wrote them: decoded, and their two clocks aligned."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from oxts_bridge import batch
 from st_core.checks import Extras
 from st_core.clock_types import Alignment, SharedSignal, Verdict
 from st_core.errors import StCoreError
@@ -17,10 +18,8 @@ from .clocks import INS_ON_CAN, align_clocks
 from .errors import RunError, check_readable
 from .extras import SPEEDS, car_speed, mostly_known, series
 from .frames import empty
-from .load import LoadedRun, ReadSettings, signal_files
-from .ncom import InsLog, read_ncom
-from .sources import RunSource
-from .status_channels import ins_quality
+from .ins_log import InsLog
+from .run_types import LoadedRun, ReadSettings, RunSource, signal_files
 
 
 @dataclass(frozen=True)
@@ -36,10 +35,12 @@ class RawRun:
     warnings: tuple[str, ...]
 
 
-def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True) -> RawRun:
-    """INS recording and CAN logs of a run of kind "ncom".
+def read_raw(source: RunSource, settings: ReadSettings, read_ins: Callable[[Path], InsLog],
+             keep_frames: bool = True) -> RawRun:
+    """INS recording and CAN logs of a run.
 
-    keep_frames: False leaves the raw frames out as soon as they are decoded; they are most of what is in memory.
+    read_ins: of the INS recording. keep_frames: False leaves the raw frames out as soon as they are decoded; they are
+    most of what is in memory.
     Raises RunError; a refused alignment is returned as such.
     """
     if source.problem is not None:
@@ -51,18 +52,19 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     steering = steering_of(signals, can.files[0], table)
     if not keep_frames:
         can = replace(can, frames=empty())
-    ins = read_ncom(source.where)
+    ins = read_ins(source.where)
     alignment, shared = align_clocks(ins.motion, signals, **clock_settings(source, settings))
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(ins, can, signals, steering, alignment, shared, (*ins.warnings, *can.warnings, *faults))
 
 
-def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
+def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
+                 read_ins: Callable[[Path], InsLog]) -> LoadedRun:
     """See `load.read`."""
     if vehicle is None:
         raise RunError(source.where, "the steering of a CAN log needs the steering ratio and offset of the car",
                        "give its vehicle file")
-    return as_drive(source, vehicle, settings, read_raw(source, settings, keep_frames=False))
+    return as_drive(source, vehicle, settings, read_raw(source, settings, read_ins, keep_frames=False))
 
 
 def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
@@ -88,7 +90,8 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
         )
     except StCoreError as error:
         raise RunError(source.where, str(error)) from None
-    about = {"reader": "ncom and CAN log", "origin": list(ins.origin), "alignment": about_alignment(run.alignment),
+    about = {"reader": f"{source.kind} and CAN log", "origin": list(ins.origin),
+             "alignment": about_alignment(run.alignment),
              "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
                           "ins_can_latency": latency_in_words(source, settings)}}
     extras = _extras(run, steering_ns, {name: count for name, count in missing.items() if count})
@@ -96,14 +99,13 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
 
 
 def _extras(run: RawRun, steering_ns: np.ndarray, missing: dict[str, int]) -> Extras:
-    columns, to_reference, signals = run.ins.columns, run.alignment.to_reference_ns, run.signals
-    timed = (columns.kind == batch.REGULAR) & (columns.utc_ns != batch.UNKNOWN_TIME)
+    to_reference, signals = run.alignment.to_reference_ns, run.signals
     found = {name: signal for name in (*SPEEDS, "ins_velocity_x") if (signal := signals.first_of(name)) is not None}
     speeds = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
               for name, signal in found.items()}
     ins_speed = speeds.pop("ins_velocity_x", None)
-    return Extras({"INS": columns.utc_ns[timed], "steering": steering_ns}, missing, car_speed(speeds),
-                  series(*ins_speed) if ins_speed else None, ins_quality(columns, run.ins.rows))
+    return Extras({"INS": run.ins.stamps_ns, "steering": steering_ns}, missing, car_speed(speeds),
+                  series(*ins_speed) if ins_speed else None, run.ins.quality)
 
 
 def alignment_warnings(source: RunSource, alignment: Alignment, settings: ReadSettings) -> list[str]:

@@ -12,8 +12,8 @@ from .can_signals import CanSignals
 from .cdr import Layout
 from .covariance import Covariances
 from .frames import ERROR, EXTENDED, FD, REMOTE, Frames
+from .ins_log import InsLog
 from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS
-from .ncom import InsLog
 
 MAP_FRAME, INS_FRAME = "map", "ins_link"
 CAN_PERIOD_NS = 20_000_000  # of one can/frames message, as the live bridge sends them

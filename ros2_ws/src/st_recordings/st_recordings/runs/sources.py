@@ -1,54 +1,25 @@
 """Which files make a run: the same stem, one folder, one list of files, or a run.yaml that says it."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
-from . import bag, csv, ncom, run_keys
+from . import run_keys
 from .errors import RunError
 from .mf4 import session_of
+from .readers import READERS, Reader, reader_of
+from .run_types import Label, RunSource
 
 # Those of can_logs, whose libraries take a second to load (tested to be the same).
 CAN_EXTENSIONS = frozenset((".asc", ".blf", ".candump", ".log", ".trc", ".mf4", ".mdf", ".mfc", ".mfe", ".mfm"))
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
 NO_NAME = ("run", "bag")  # says nothing (run.ncom with run.mf4, bag/ of st live): the folder's name is the run's
-_KEYS = ("name", "ins", "can", "bag", "csv", "offset", "ins_can_latency", "labels", "dbc", "signals", *run_keys.KEYS)
-
-
-@dataclass(frozen=True)
-class Label:
-    """A named part of a run, in seconds after its first INS measurement."""
-
-    name: str
-    start: float
-    end: float
-
-
-@dataclass(frozen=True)
-class RunSource:
-    """The files of one run. kind: "bag", "ncom" (with CAN logs), "csv", or "" where `problem` says why it is none.
-
-    settings: from run.yaml: offset [s], ins_can_latency (value and deviation [s]), dbc, signals (paths), layout
-    (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]). where: the file or folder to name
-    to the user.
-    """
-
-    name: str
-    kind: str
-    files: tuple[Path, ...]
-    can: tuple[Path, ...] = ()
-    labels: tuple[Label, ...] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    problem: RunError | None = None
-
-    @property
-    def where(self) -> Path:
-        return self.files[0] if self.files else Path(self.name)
+_FILES = tuple(dict.fromkeys(reader.key for reader in sorted(READERS.values(), key=lambda one: not one.with_can)))
+_KEYS = ("name", *_FILES, "can", "offset", "ins_can_latency", "labels", "dbc", "signals", *run_keys.KEYS)
 
 
 def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
@@ -62,12 +33,12 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     for path in map(Path, paths):
         if not path.exists():
             runs.append(_failed(path, RunError(path, "there is no such file or folder")))
-        elif path.is_dir() and not bag.is_bag(path):
+        elif (reader := reader_of(path)) is not None and not reader.with_can:
+            runs.append(_alone(path, reader))
+        elif path.is_dir():
             found = _in_folder(path)
             runs += found or [_failed(path, RunError(path, "no recording is in this folder",
                                                      "give a folder with .ncom and CAN logs, bags or CSV files"))]
-        elif path.is_dir() or path.suffix.lower() in bag.EXTENSIONS:
-            runs.append(RunSource(path.stem if path.is_file() else path.name, "bag", (path,)))
         elif path.name == RUN_FILE or path.name.endswith(RUN_SUFFIX):
             runs.append(_from_run_file(path))
         else:
@@ -86,33 +57,43 @@ def _in_folder(folder: Path) -> list[RunSource]:
         if any(parent in taken for parent in path.parents):
             continue
         if path.is_dir():
-            if bag.is_bag(path):
+            if (reader := reader_of(path)) is not None:
                 taken.add(path)
-                if bag.holds_odometry(path):
-                    runs.append(RunSource(path.name, "bag", (path,)))
+                if reader.holds_drive(path):
+                    runs.append(_alone(path, reader))
         elif path.name == RUN_FILE or path.name.endswith(RUN_SUFFIX):
             run = _from_run_file(path)
             runs.append(run)
             taken.update({*run.files, *run.can})
         else:
             files.append(path)
+    loose = []
     for path in files:
-        if path not in taken and path.suffix.lower() in bag.EXTENSIONS and bag.holds_odometry(path):
-            runs.append(RunSource(path.stem, "bag", (path,)))
-    return runs + _from_files([f for f in files if f not in taken], given=False)
+        if path in taken:
+            continue
+        if (reader := reader_of(path)) is None or reader.with_can:
+            loose.append(path)
+        elif reader.holds_drive(path):
+            runs.append(_alone(path, reader))
+    return runs + _from_files(loose, given=False)
+
+
+def _alone(path: Path, reader: Reader) -> RunSource:
+    return RunSource(path.name if path.is_dir() else path.stem, reader.kind, (path,))
 
 
 def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
-    """Runs out of loose files. given: the user named each of them, so one that is no recording is a problem."""
+    """Runs out of INS recordings and CAN logs that lie loose.
+
+    given: the user named each of them, so one that is no recording is a problem.
+    """
     runs: list[RunSource] = []
-    ins = [f for f in files if f.suffix.lower() in ncom.EXTENSIONS]
+    kinds = {f: reader.kind for f in files if (reader := reader_of(f)) is not None}
+    ins = list(kinds)
     logs = [f for f in files if f.suffix.lower() in CAN_EXTENSIONS]
     for file in files:
-        if file.suffix.lower() == ".csv":
-            if given or csv.has_drive_columns(file):
-                runs.append(RunSource(file.stem, "csv", (file,)))
-        elif given and file not in ins and file not in logs:
-            known = ", ".join(sorted({*ncom.EXTENSIONS, *CAN_EXTENSIONS, *bag.EXTENSIONS, ".csv"}))
+        if given and file not in ins and file not in logs:
+            known = ", ".join(sorted({*CAN_EXTENSIONS, *(e for one in READERS.values() for e in one.extensions)}))
             what = f"the extension {file.suffix or '(none)'} is not one of a recording"
             runs.append(_failed(file, RunError(file, what, f"known are {known}, folders of bags, and run.yaml")))
     rest = []
@@ -122,12 +103,12 @@ def _from_files(files: Sequence[Path], given: bool) -> list[RunSource]:
             same = [f for f in sorted(file.parent.iterdir())
                     if f.stem == file.stem and f.suffix.lower() in CAN_EXTENSIONS]
         if same:
-            runs.append(RunSource(file.stem, "ncom", (file,), tuple(same)))
+            runs.append(RunSource(file.stem, kinds[file], (file,), tuple(same)))
             logs = [f for f in logs if f not in same]
         else:
             rest.append(file)
     if len(rest) == 1 and logs:
-        return [*runs, RunSource(rest[0].stem, "ncom", (rest[0],), tuple(logs))]
+        return [*runs, RunSource(rest[0].stem, kinds[rest[0]], (rest[0],), tuple(logs))]
     for file in rest:
         several = "several INS recordings and CAN logs lie here" if logs else "there is no CAN log with the same stem"
         runs.append(_failed(file, RunError(file, f"no CAN log belongs to it: {several}",
@@ -156,15 +137,17 @@ def _parsed(path: Path) -> RunSource:
     unknown = [key for key in content if key not in _KEYS]
     if unknown:
         raise RunError(path, f"key {unknown[0]} is not known", f"known keys are {', '.join(_KEYS)}")
-    kinds = [key for key in ("ins", "bag", "csv") if key in content]
-    if len(kinds) != 1:
-        raise RunError(path, "one of the keys ins, bag and csv must say where the INS measurements are")
-    file = _existing(path, kinds[0], content[kinds[0]])
+    keys = [key for key in _FILES if key in content]
+    if len(keys) != 1:
+        what = f"{', '.join(_FILES[:-1])} and {_FILES[-1]}"
+        raise RunError(path, f"one of the keys {what} must say where the INS measurements are")
+    file = _existing(path, keys[0], content[keys[0]])
+    reader = reader_of(file, keys[0])
     logs: list[Path] = []
     for text in _listed(path, "can", content.get("can", [])):
         logs += [f for entry in _matching(path, text) for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
                  if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS]
-    if kinds[0] == "ins" and not logs:
+    if reader.with_can and not logs:
         raise RunError(path, "key can names no CAN log", "list the logs, a folder of them, or a pattern")
     offset = content.get("offset")
     if offset is not None and (isinstance(offset, bool) or not isinstance(offset, int | float)):
@@ -174,10 +157,10 @@ def _parsed(path: Path) -> RunSource:
         settings["offset"] = float(offset)
     if "ins_can_latency" in content:
         settings["ins_can_latency"] = _latency(path, content["ins_can_latency"])
-    settings |= run_keys.understood(path, content, kinds[0])
+    settings |= run_keys.understood(path, content, keys[0])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
-    name, kind = _plain_name(path, content.get("name", default)), {"ins": "ncom"}.get(kinds[0], kinds[0])
-    return RunSource(name, kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
+    name = _plain_name(path, content.get("name", default))
+    return RunSource(name, reader.kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
 
 
 def _matching(path: Path, text: str) -> list[Path]:

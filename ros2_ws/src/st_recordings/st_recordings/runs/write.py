@@ -17,11 +17,12 @@ from .bag import definitions
 from .cdr import typestore
 from .covariance import Covariances
 from .errors import RunError
-from .load import LoadedRun, ReadSettings, check_common_time, hashes, treated
+from .load import check_common_time, hashes, treated
 from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS
 from .raw import RawRun, about_alignment, as_drive, latency_in_words, read_raw, steering_times
+from .readers.ncom import read_ins
 from .rows import Messages, Serialiser, in_time_order
-from .sources import RunSource
+from .run_types import LoadedRun, ReadSettings, RunSource
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
@@ -52,7 +53,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     """
     if source.problem is None and source.kind != "ncom":
         raise RunError(source.where, f"is a {source.kind} run already", "import is for .ncom and CAN logs")
-    run = read_raw(source, settings)
+    run = read_raw(source, settings, read_ins)
     drive = treated(source, as_drive(source, vehicle, settings, run), vehicle)
     check_common_time(source, drive.log.ins_time_ns, drive.log.steering_time_ns)
     findings = tuple(checked(drive))

@@ -1,0 +1,26 @@
+"""rosbag2 recordings: folders, and bare files of one."""
+
+import json
+from collections.abc import Mapping
+
+from st_core.vehicle import VehicleParameters
+
+from .. import bag
+from ..run_types import Label, LoadedRun, ReadSettings, RunSource
+from ._base import Reader, register
+
+
+def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
+    drive = bag.read_bag(source.where, source.name, settings.steering)
+    recorded = {name: dict(record) for name, record in drive.records.items()}
+    about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
+    labels = source.labels or _recorded_labels(drive.records)
+    return LoadedRun(drive.log, about, labels, drive.warnings, extras=drive.extras)
+
+
+def _recorded_labels(records: Mapping[str, Mapping[str, str]]) -> tuple[Label, ...]:
+    """Labels that came with an imported run."""
+    return tuple(Label(*entry) for entry in json.loads(records.get("import", {}).get("labels", "[]")))
+
+
+register(Reader("bag", "bag", bag.EXTENSIONS, read, is_folder=bag.is_bag, holds_drive=bag.holds_odometry))

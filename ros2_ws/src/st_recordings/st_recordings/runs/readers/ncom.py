@@ -1,0 +1,24 @@
+"""INS recordings in NCOM, with the CAN logs of the same drive."""
+
+from pathlib import Path
+
+from st_core.vehicle import VehicleParameters
+
+from ..ins_log import InsLog
+from ..run_types import LoadedRun, ReadSettings, RunSource
+from ._base import Reader, register
+
+
+def read_ins(file: Path) -> InsLog:
+    from ..ncom import read_ncom
+
+    return read_ncom(file)
+
+
+def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
+    from ..raw import read_raw_run  # scipy.signal and the CAN libraries: two seconds that others need not wait for
+
+    return read_raw_run(source, vehicle, settings, read_ins)
+
+
+register(Reader("ncom", "ins", (".ncom", ".xcom"), read, read_ins))
