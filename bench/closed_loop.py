@@ -32,18 +32,18 @@ def run(folder: Path | None = None) -> dict:
     effects = [part for name, value in HIDDEN.items() for part in ("--effect", f"{name}={value}")]
     runs = [folder / name for name in DRIVES]
     for number, drive in enumerate(runs):
-        st("demo", "--scenario", drive.name, "--duration", SECONDS, "--vehicle", vehicle, *plant, *effects, "--seed",
+        _st("demo", "--scenario", drive.name, "--duration", SECONDS, "--vehicle", vehicle, *plant, *effects, "--seed",
             number, "--output", drive)
-    st("discover", *(drive / "bag" for drive in runs), "--vehicle", vehicle, "--output", folder / "found")
+    _st("discover", *(drive / "bag" for drive in runs), "--vehicle", vehicle, "--output", folder / "found")
     mended, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
     unseen = ("demo", "--scenario", UNSEEN, "--duration", UNSEEN_SECONDS, *plant, *effects, "--seed", 100)
-    st(*unseen, "--vehicle", vehicle, "--output", folder / "before")
-    st(*unseen, "--vehicle", mended if mended.exists() else vehicle, "--model", model, "--output", folder / "after")
+    _st(*unseen, "--vehicle", vehicle, "--output", folder / "before")
+    _st(*unseen, "--vehicle", mended if mended.exists() else vehicle, "--model", model, "--output", folder / "after")
     found = json.loads((folder / "found" / "discovery.json").read_text())
     result = {"found": [_statement(e) for e in found["effects"]], "kept": [_statement(e) for e in found["minor"]],
               "mended": mended.exists(), "position_5s": [found["gap"]["position_5s"][k] for k in ("base", "augmented")],
-              **{when: live_errors(folder / when) for when in ("before", "after")}}
-    draw(result["before"], result["after"], FIGURE, ("file and model as they were", "mended by st discover"))
+              **{when: _errors(folder / when) for when in ("before", "after")}}
+    _draw(result["before"], result["after"])
     PAGE.write_text(_page(result))
     return result
 
@@ -57,8 +57,7 @@ def _wrong_file(folder: Path) -> Path:
     return file
 
 
-def st(*arguments: object) -> None:
-    """A command of the suite."""
+def _st(*arguments: object) -> None:
     # A shell of its own: a suite started within another would take its domain.
     clean = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
     subprocess.run([str(project_root() / "st"), *map(str, arguments)], check=True, env=clean)
@@ -69,15 +68,13 @@ def _statement(effect: dict) -> dict:
             "values": {name: [p["value"], *p["interval"], p["unit"]] for name, p in effect["parameters"].items()}}
 
 
-def live_errors(folder: Path) -> dict:
-    """Lateral RMSE [m] over 5 s in hindsight by model, of the folder of a demo."""
+def _errors(folder: Path) -> dict:
     summary = json.loads((folder / "summary.json").read_text())
     return {"starts": summary["models"]["nonlinear"]["hindsight"]["n_starts"],
             "lateral": {model: said["hindsight"]["lateral"]["rmse"] for model, said in summary["models"].items()}}
 
 
-def draw(before: dict, after: dict, file: Path, called: tuple[str, str]) -> None:
-    """Errors of the models of two live drives, as `live_errors` reads them."""
+def _draw(before: dict, after: dict) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -95,12 +92,12 @@ def draw(before: dict, after: dict, file: Path, called: tuple[str, str]) -> None
                 axis.plot(start, row, "o", markerfacecolor="white", color=colour)
             axis.plot(now, row, "o", color=colour)
             axis.annotate(f"{now:.2f} m", (now, row), (0, 6), textcoords="offset points", ha="center")
-        axis.plot([], [], "o", color="0.3", markerfacecolor="white", label=called[0])
-        axis.plot([], [], "o", color="0.3", label=called[1])
+        axis.plot([], [], "o", color="0.3", markerfacecolor="white", label="file and model as they were")
+        axis.plot([], [], "o", color="0.3", label="mended by st discover")
         axis.set(xlabel="lateral error over 5 s, RMSE, live, hindsight [m]", xlim=(0.0, None), yticks=range(len(names)),
                  yticklabels=names, ylim=(len(names) - 0.3, -0.7))
         axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-        figure.savefig(file)
+        figure.savefig(FIGURE)
         plt.close(figure)
 
 

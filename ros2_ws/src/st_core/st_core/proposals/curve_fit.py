@@ -170,15 +170,15 @@ class Laws:
         slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
         return self._fit(candidate, loss, which, smooth, slopes, without.vector)
 
-    def less(self, fit: Fitted, name: str) -> Fitted:
+    def less(self, candidate: Candidate, fit: Fitted, name: str) -> Fitted:
         """A law with an effect of the answer taken out, and everything else fitted anew."""
         own = self.space.indices(name)
         vector, which = fit.vector.copy(), np.setdiff1d(fit.which[:-COUNT], own)
         nothing = {p.name: p.null for p in get_effect(name).parameters}
         vector[own] = [nothing[self.space.free[i].parameter] for i in own]
-        loss, moving = self.of(fit.candidate), np.concatenate([which, self.law])
+        loss, moving = self.of(candidate), np.concatenate([which, self.law])
         slopes = np.nan_to_num(loss.slopes(vector, moving), posinf=0.0, neginf=0.0)
-        return self._fit(fit.candidate, loss, moving, fit.smooth, slopes, vector)
+        return self._fit(candidate, loss, moving, fit.smooth, slopes, vector)
 
     def _fit(self, candidate: Candidate | None, loss: Loss, which: np.ndarray, smooth: float, slopes: np.ndarray,
              vector: np.ndarray | None = None) -> Fitted:

@@ -7,10 +7,12 @@ import numpy as np
 from ..discovery.limits import Limits
 from .choice import least
 from .curve_fit import Fitted, Laws
+from .places import Candidate
 from .scrutiny import held_out_positions
 
 
-def exchanged(laws: Laws, fit: Fitted, without: Fitted, names: Sequence[str], limits: Limits) -> dict[str, float]:
+def exchanged(laws: Laws, law: Candidate, fit: Fitted, without: Fitted, names: Sequence[str],
+              limits: Limits) -> dict[str, float]:
     """Share of the size of the errors [1] that comes back where each of the effects `names` is taken out and everything
     else is fitted anew; those only that the law leaves too little to do.
 
@@ -21,7 +23,7 @@ def exchanged(laws: Laws, fit: Fitted, without: Fitted, names: Sequence[str], li
     found = {}
     with_both = held_out_positions(laws, fit)
     for name in names:
-        alone = laws.less(fit, name)
+        alone = laws.less(law, fit, name)
         more = alone.held_out - fit.held_out
         position = float(np.nanmean(held_out_positions(laws, alone) - with_both))
         worth_it = more.sum() >= limits.worth * laws.loss.number or position >= limits.worth_position

@@ -108,7 +108,7 @@ def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws:
     rivals = [one for one in fits if one is not best]
     apart = not_told_apart(np.array([fits[one].held_out - fit.held_out for one in rivals]), limits.doubt, settings.seed)
     others = {one.candidate.name: cosine(laws, fit, fits[one]) for one, near in zip(rivals, apart, strict=True) if near}
-    needless = exchanged(laws, fit, without, stated, limits)
+    needless = exchanged(laws, best.candidate, fit, without, stated, limits)
     c = best.candidate
     u = driven(laws.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, POINTS)

@@ -124,11 +124,14 @@ def readings(law: Candidate, coefficients: np.ndarray, information: np.ndarray,
     for shape, (text, count, formula) in (SHAPES if mirrored else ONE_SIDED).items():
         if shape == "inverse" and np.abs(at).min() < 0.05 * np.abs(at).max():
             continue
-        numbers = _fitted(lambda p, f=formula: into @ f(at, p) - coefficients @ root, count, at,
-                          coefficients @ law.splines(at))
+
+        def missed(numbers: np.ndarray, formula: Formula = formula) -> np.ndarray:
+            return into @ formula(at, numbers) - coefficients @ root
+
+        numbers = _fitted(missed, count, at, coefficients @ law.splines(at))
         if shape == "dead zone":
             numbers[1] = abs(numbers[1])
-        lost = float(np.sum((into @ formula(at, numbers) - coefficients @ root) ** 2))
+        lost = float(np.sum(missed(numbers) ** 2))
         if 1.0 - lost / total >= LEAST:
             stands = lost <= max(may_lose(count), ROUNDING * total)
             causes = (PAIRED.get((law.place, law.quantity, law.by), "") if law.by else
