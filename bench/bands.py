@@ -71,7 +71,7 @@ def genesis() -> dict[str, str]:
 
 def virtual() -> dict[str, str]:
     sys.path.insert(0, str(project_root()))
-    from bench.discovery import cars, manoeuvres
+    from bench.discovery import cars, programmes
     from bench.discovery.plants import Order, driven, vehicle_of
 
     car = cars.healthy_car(cars.LEAF, (SEED,))
@@ -86,7 +86,7 @@ def virtual() -> dict[str, str]:
 
     mixed, other = drives("seed", SEEDS, car.settings), drives("off", SEEDS, off)
     kinds = ("SWEEP", "STEPS", "SLALOM", "WEAVE", "LIMIT", "BRAKING", "ORDINARY", "CIRCLE")
-    single = {kind: drives(kind, OF_A_MANOEUVRE, car.settings, (getattr(manoeuvres, kind),) * 3) for kind in kinds}
+    single = {kind: drives(kind, OF_A_MANOEUVRE, car.settings, (getattr(programmes, kind),) * 3) for kind in kinds}
     groups = [list(part) for part in np.array_split(np.array(list(mixed)), FOLDS)]
     found = held_out("virtual, nonlinear, by seed", mixed, dict(enumerate(groups)), "nonlinear")
     found |= held_out("virtual, parameters off, by seed", other, dict(enumerate(
