@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from _drawn_bands import drawn_bands
+from st_core.vehicle import VehicleParameters
+from st_live.bands import with_bands
 from st_live.node import Monitor
 from st_live.session import NODES, node_parameters
 from st_live.suite import Suite, claimed_domain
@@ -19,7 +22,8 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
     """Nodes up and data flowing; everything ended and deleted afterwards.
 
     ST_BENCH_REALTIME=1: bridges and predictor with real-time scheduling. ST_BENCH_WITHOUT: nodes left out, as
-    recorder,evaluator. ST_BENCH_BUSY: so many programs beside that never sleep.
+    recorder,evaluator. ST_BENCH_BUSY: so many programs beside that never sleep. ST_BENCH_BANDS=1: bands around every
+    prediction.
     """
     left_out = os.environ.get("ST_BENCH_WITHOUT", "").split(",")
     nodes = [node for node in NODES if node[1] not in left_out]
@@ -29,6 +33,11 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
         folder = Path(name)
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         parameters = node_parameters(folder, car.vehicle, car.bridge_parameters())
+        if os.environ.get("ST_BENCH_BANDS") == "1":
+            file = folder / "bands.yaml"
+            vehicle = VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle))
+            file.write_text(drawn_bands(vehicle).to_yaml(), encoding="utf-8")
+            parameters = with_bands(parameters, file)
         with Suite(folder, parameters, domain, "ST_BENCH_REALTIME" in os.environ) as suite:
             for package, executable in nodes:
                 suite.start_node(package, executable)

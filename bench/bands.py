@@ -1,21 +1,29 @@
-"""Bands on runs they were not learnt from: coverage, worst cell, interval score against parametric alternatives."""
+"""Bands on runs they were not learnt from: coverage, worst cell, interval score against parametric alternatives.
+
+ST_BANDS=genesis, virtual, manoeuvres, mended or changes: that part only. Each renews its rows of docs/manual/bands.md.
+"""
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from _band_changes import changes
-from scipy import stats
+from _band_mended import mended as mended_files
+from _band_mended import read_again
+from _band_page import PAGE, write
+from _band_ways import LEVELS, SEED, WAYS
+from _markers import renew, table
 from st_core.bands import Band, RunSamples, Seen, calibrate, run_samples
-from st_core.bands.scale import Scale, features, fit_scale, spread
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
-from st_core.models import get_model
+from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
 from st_offline.bands.scoring import question_sums
+from st_offline.bands.shares import finished_shares, share_rows, share_sums
 from st_offline.bands.sums import finished, pooled_sums
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs, read
@@ -23,8 +31,6 @@ from st_recordings.runs import find_runs, read
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 MODES = ("hindsight", "forecast")
-LEVELS = (0.5, 0.9)
-SEED = 21
 # Days as the data's own page has them; of low_speed_f to _h only the campaign is known.
 DAYS = {
     "2018-08-20": ("cpg_lap_slow", "cpg_lap_fast"), "2018-08-22": ("cpg_lap_medium", "cpg_lap_fast_controlled"),
@@ -35,104 +41,163 @@ DAYS = {
 SITES = {"Richmond": DAYS["2019-10-18"] + DAYS["2019-11-27"],
          "proving ground": DAYS["2018-08-20"] + DAYS["2018-08-22"] + DAYS["June 2019"]}
 OTHER_POINT = ("rear_ref_rfs_1", "rear_ref_rfs_2", "rear_ref_rfs_3", "rear_ref_rfs_lanekeeping")
-SEEDS, OF_A_MANOEUVRE, FOLDS = 32, 4, 4
+SEEDS, OF_A_MANOEUVRE, FOLDS, TO_MEND = 32, 4, 4, 6
+MANOEUVRES = ("SWEEP", "STEPS", "SLALOM", "WEAVE", "LIMIT", "BRAKING", "ORDINARY", "CIRCLE")
 OFF = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1.1}
 """What is off on the car whose vehicle file is not."""
 
 Runs = Mapping[str, RunSamples]
-Learn = Callable[[Sequence[RunSamples], tuple[str, str]], Band]
+Row = dict[str, str]
+COLUMNS = ("90 % covers", "least run", "50 % covers", "worst cell of 200 starts", "interval score", "CRPS",
+           "half-width at 5 s", "no band")
+CALIBRATED = ("conformal",)
 
 
 def run() -> dict:
-    """ST_BANDS=genesis, virtual or changes: that part only. Figures are of one model and question a row."""
-    parts = {"genesis": genesis, "virtual": virtual, "changes": changes}
+    """Figures of one model and question a row."""
+    parts = {"genesis": genesis, "virtual": virtual, "manoeuvres": by_manoeuvre, "mended": mended, "changes": changes}
     chosen = os.environ.get("ST_BANDS")
-    found: dict[str, str] = {}
+    found: dict[str, Row | str] = {}
     for name, part in parts.items():
         if chosen in (None, name):
-            found |= part()
+            rows = part()
+            if name != "changes" and rows:
+                write(rows)
+            found |= rows
     return found
 
 
-def genesis() -> dict[str, str]:
+def genesis() -> dict[str, Row]:
+    """Nothing where the shared drives are not at hand."""
     runs = _genesis_runs()
     if runs is None:
-        return {"Genesis": "the shared drives are not here"}
+        return {}
     apart = {name: runs.pop(name) for name in OTHER_POINT}
     found = {}
-    for model in ("kinematic", "linear"):
-        found |= held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model)
-    for model in ("linear",):
+    for model in ("kinematic", "linear", "nonlinear"):
+        found |= held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model, tuple(WAYS))
         found |= held_out(f"Genesis, {model}, by day", runs, DAYS, model)
         found |= held_out(f"Genesis, {model}, by site", runs, SITES, model)
-        found |= transferred(f"Genesis, {model}, INS point at the rear axle", runs, apart, model)
-    return found
+    return found | transferred("Genesis, linear, on runs with the INS point at the rear axle", runs, apart, "linear")
 
 
-def virtual() -> dict[str, str]:
-    sys.path.insert(0, str(project_root()))
-    from bench.discovery import cars, programmes
-    from bench.discovery.plants import Order, driven, vehicle_of
+def virtual() -> dict[str, Row]:
+    """By seed, and from the car that is as in its file to one that is not."""
+    here = world()
+    mixed, other = here.samples("seed", SEEDS, here.healthy), here.samples("off", SEEDS, here.off)
+    return held_out("virtual, nonlinear, by seed", mixed, _folds(mixed), "nonlinear", tuple(WAYS)) \
+        | held_out("virtual, parameters off, by seed", other, _folds(other), "nonlinear", tuple(WAYS)) \
+        | transferred("virtual, bands of the healthy car on the one that is off", mixed, other, "nonlinear")
 
-    car = cars.healthy_car(cars.LEAF, (SEED,))
-    file = vehicle_of(cars.LEAF, car.settings)
-    off = car.settings | {name: car.settings[name] * v if name.endswith("factor") else car.settings[name] + v
-                          for name, v in OFF.items()}
 
-    def drives(name: str, count: int, settings: Mapping[str, float], parts: tuple | None = None) -> dict:
-        return {f"{name} {k}": samples(driven(cars.LEAF, file, Order(f"{name} {k}", (SEED, *name.encode(), k), settings,
-                                                                     parts)), file, ("nonlinear",))
+def by_manoeuvre() -> dict[str, Row]:
+    """Each kind of manoeuvre with bands of all the others."""
+    here = world()
+    kinds = {kind: here.samples(kind, OF_A_MANOEUVRE, here.healthy, kind) for kind in MANOEUVRES}
+    return held_out("virtual, nonlinear, by manoeuvre", {k: v for one in kinds.values() for k, v in one.items()},
+                    {kind: tuple(one) for kind, one in kinds.items()}, "nonlinear")
+
+
+def mended() -> dict[str, Row]:
+    """The car that is off as `st discover` mends it from other drives of it; and as it was, on the same runs."""
+    here = world()
+    car, model, intervals = mended_files([here.drive("to mend", k, here.off) for k in range(TO_MEND)], here.file)
+    logs = [read_again(here.drive("off", k, here.off), car) for k in range(SEEDS)]
+    after = {log.name: samples(log, car, (model,)) for log in logs}
+    _write_shares([share_sums([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals}) for log in logs])
+    before = here.samples("off", SEEDS, here.off)
+    healthy = here.samples("seed", SEEDS, here.healthy)
+    name = model.name
+    found = held_out("virtual, mended by st discover, by seed", after, _folds(after), name, tuple(WAYS))
+    renamed = {key: RunSamples(one.name, one.conditions, {("nonlinear", mode): one.errors[name, mode]
+                                                          for mode in MODES}) for key, one in after.items()}
+    return found \
+        | transferred("virtual, bands of the healthy car on the mended one", healthy, renamed, "nonlinear") \
+        | transferred("virtual, bands from before the mending on the mended one", before, renamed, "nonlinear")
+
+
+def _write_shares(runs: Sequence[dict]) -> None:
+    """What the error of the mended car is made of, into the page."""
+    shares = finished_shares(pooled_sums(runs))
+    (one,) = shares.values()
+    causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
+    largest = sorted(causes, key=causes.get, reverse=True)[:5]
+    told = "; ".join(f"{name} {causes[name]:.2f} m" for name in largest)
+    lines = [*table(share_rows(shares)), "", f"The largest causes across at 5 s, rms: {told}."]
+    renew(PAGE, "shares", "\n".join(lines) + "\n")
+
+
+@dataclass(frozen=True)
+class World:
+    """The virtual Leaf: a vehicle file that says what the healthy car is, and a car that is off against it."""
+
+    file: VehicleParameters
+    healthy: Mapping[str, float]
+    off: Mapping[str, float]
+
+    def drive(self, name: str, number: int, settings: Mapping[str, float], kind: str | None = None) -> DriveLog:
+        """kind: manoeuvre of bench.discovery.programmes, three times; None: mixed."""
+        from bench.discovery import cars, programmes
+        from bench.discovery.plants import Order, driven
+
+        parts = None if kind is None else (getattr(programmes, kind),) * 3
+        return driven(cars.LEAF, self.file, Order(f"{name} {number}", (SEED, *name.encode(), number), settings, parts))
+
+    def samples(self, name: str, count: int, settings: Mapping[str, float], kind: str | None = None) -> Runs:
+        return {f"{name} {k}": samples(self.drive(name, k, settings, kind), self.file, ("nonlinear",))
                 for k in range(count)}
 
-    mixed, other = drives("seed", SEEDS, car.settings), drives("off", SEEDS, off)
-    kinds = ("SWEEP", "STEPS", "SLALOM", "WEAVE", "LIMIT", "BRAKING", "ORDINARY", "CIRCLE")
-    single = {kind: drives(kind, OF_A_MANOEUVRE, car.settings, (getattr(programmes, kind),) * 3) for kind in kinds}
-    groups = [list(part) for part in np.array_split(np.array(list(mixed)), FOLDS)]
-    found = held_out("virtual, nonlinear, by seed", mixed, dict(enumerate(groups)), "nonlinear")
-    found |= held_out("virtual, parameters off, by seed", other, dict(enumerate(
-        [list(part) for part in np.array_split(np.array(list(other)), FOLDS)])), "nonlinear")
-    found |= transferred("virtual, bands of the healthy car on the one that is off", mixed, other, "nonlinear")
-    found |= held_out("virtual, nonlinear, by manoeuvre", {k: v for one in single.values() for k, v in one.items()},
-                      {kind: tuple(one) for kind, one in single.items()}, "nonlinear")
-    return found
+
+def world() -> World:
+    sys.path.insert(0, str(project_root()))
+    from bench.discovery import cars
+    from bench.discovery.plants import vehicle_of
+
+    car = cars.healthy_car(cars.LEAF, (SEED,)).settings
+    off = {name: car[name] * value if name.endswith("factor") else car[name] + value for name, value in OFF.items()}
+    return World(vehicle_of(cars.LEAF, car), car, car | off)
 
 
-def samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str]) -> RunSamples:
+def samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str | Model]) -> RunSamples:
     return run_samples([get_model(model) for model in models], vehicle, SETTINGS.signals(log), SETTINGS)
 
 
-def held_out(title: str, runs: Runs, groups: Mapping, model: str) -> dict[str, str]:
+def held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence[str] = CALIBRATED) -> dict[str, Row]:
     """Each group of runs tested with bands learnt from all the others; one row for each question and way."""
     found = {}
     for mode in MODES:
-        for name, learn in WAYS.items():
-            entries, refused = [], []
-            for group, names in groups.items():
-                try:
-                    entries.append(tested([one for key, one in runs.items() if key not in names],
-                                          [runs[key] for key in names], (model, mode), learn))
-                except StCoreError as error:
-                    refused.append(f"{group}: {error}")
-            found[f"{title}, {mode}, {name}"] = row(entries, refused)
-            print(f"{title}, {mode}, {name}: {found[f'{title}, {mode}, {name}']}", flush=True)
+        entries: dict[str, list] = {way: [] for way in ways}
+        refused = []
+        for group, names in groups.items():
+            known = [one for key, one in runs.items() if key not in names]
+            try:
+                band = calibrate(known, (model, mode), TIME, LEVELS)
+            except StCoreError as error:
+                refused.append(f"{group}: {error}")
+                continue
+            for way in ways:
+                entries[way] += tested(WAYS[way](band, known, (model, mode)), known, [runs[key] for key in names],
+                                       (model, mode))
+        for way, sums in entries.items():
+            found[f"{title}, {mode}, {way}"] = row(sums, refused)
+            print(title, mode, way, found[f"{title}, {mode}, {way}"], flush=True)
     return found
 
 
-def transferred(title: str, runs: Runs, others: Runs, model: str) -> dict[str, str]:
+def transferred(title: str, runs: Runs, others: Runs, model: str) -> dict[str, Row]:
     """Bands of these runs on runs that are not like them: the promise does not hold there, and it shows."""
     found = {}
     for mode in MODES:
-        entry = tested(list(runs.values()), list(others.values()), (model, mode), WAYS["conformal"])
-        found[f"{title}, {mode}, conformal"] = row([entry], [])
-        print(f"{title}, {mode}: {found[f'{title}, {mode}, conformal']}", flush=True)
+        known = list(runs.values())
+        band = calibrate(known, (model, mode), TIME, LEVELS)
+        found[f"{title}, {mode}, conformal"] = row(tested(band, known, list(others.values()), (model, mode)), [])
+        print(title, mode, found[f"{title}, {mode}, conformal"], flush=True)
     return found
 
 
-def tested(known: Sequence[RunSamples], new: Sequence[RunSamples], question: tuple[str, str],
-           learn: Learn) -> list[dict]:
+def tested(band: Band, known: Sequence[RunSamples], new: Sequence[RunSamples], question: tuple[str, str]) -> list[dict]:
     """Sums (bands.scoring) of every new run."""
-    band, seen = learn(known, question), Seen.of([one.conditions for one in known])
-    entries = []
+    seen, entries = Seen.of([one.conditions for one in known]), []
     for one in new:
         rows = seen(one.conditions)
         sums = question_sums(band, one.conditions[rows], one.errors[question][rows].astype(float))
@@ -140,72 +205,28 @@ def tested(known: Sequence[RunSamples], new: Sequence[RunSamples], question: tup
     return entries
 
 
-def row(entries: Sequence[Sequence[dict]], refused: Sequence[str]) -> str:
-    runs = [one for group in entries for one in group]
-    if not runs:
-        return "refused: " + "; ".join(refused)
-    of_all = finished({"models": {"m": {"q": pooled_sums(runs)}}})["models"]["m"]["q"]
-    every = [[one["coverage"][key] / one["starts"] for one in runs if one["starts"]] for key in ("0.9", "0.5")]
-    score, crps, worst = of_all["interval_score"]["0.9"], of_all["crps"], of_all["worst_cell"]
-    width = of_all["half_width"]["0.9"]["5"]
-    words = [f"90 % covers {np.mean(every[0]):.1%} (mean of {len(every[0])} runs, least {min(every[0]):.0%}; of starts "
-             f"{of_all['coverage']['0.9']:.1%})", f"50 % covers {np.mean(every[1]):.1%}",
-             f"worst cell {worst['coverage']:.0%} ({worst['cell']}, {worst['starts']})" if worst else "no cell of 200",
-             f"interval score {score['longitudinal']:.2f} | {score['lateral']:.2f} m",
-             f"CRPS {crps['longitudinal']:.2f} | {crps['lateral']:.2f} m",
-             f"half-width at 5 s {width['longitudinal']:.2f} | {width['lateral']:.2f} m",
-             f"no band {of_all['without_band'] / (of_all['without_band'] + of_all['starts']):.1%}"]
-    return "; ".join([*words, *(f"refused {one}" for one in refused)])
+def row(runs: Sequence[dict], refused: Sequence[str]) -> Row:
+    """refused: groups that the others make no band for, with the reason."""
+    of_all = finished({"models": {"m": {"q": pooled_sums(runs)}}})["models"]["m"]["q"] if runs else None
+    if of_all is None or not of_all["starts"]:
+        return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(refused) or "100%"}
+    every = {level: [one["coverage"][level] / one["starts"] for one in runs if one["starts"]]
+             for level in ("0.9", "0.5")}
+    worst, width = of_all["worst_cell"], of_all["half_width"]["0.9"]["5"]
+    without = of_all["without_band"] / (of_all["without_band"] + of_all["starts"])
+    cells = [f"{np.mean(every['0.9']):.1%}", f"{min(every['0.9']):.0%}", f"{np.mean(every['0.5']):.1%}",
+             f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']})" if worst else "no cell of 200",
+             _pair(of_all["interval_score"]["0.9"]), _pair(of_all["crps"]), _pair(width),
+             "; ".join([f"{without:.1%}", *refused])]
+    return dict(zip(COLUMNS, cells, strict=True))
 
 
-def conformal(runs: Sequence[RunSamples], question: tuple[str, str]) -> Band:
-    return calibrate(runs, question, TIME, LEVELS)
+def _pair(axes: Mapping[str, float]) -> str:
+    return f"{axes['longitudinal']:.2f} | {axes['lateral']:.2f}"
 
 
-def normal(runs: Sequence[RunSamples], question: tuple[str, str], by_condition: bool = True,
-           heavy: bool = False) -> Band:
-    """A normal (or Student t) process: the quantile of the largest of its points and axes, by drawing from it.
-
-    Its covariance is that of the errors divided by their scale, all windows of all runs together; nothing is held out
-    and nothing calibrated. Degrees of freedom: maximum likelihood at single points.
-    """
-    scale = fit_scale([one.conditions for one in runs], [one.errors[question] for one in runs], TIME)
-    if not by_condition:
-        scale = _same_everywhere(scale, runs, question)
-    picked = [spread(len(one.conditions), 100) for one in runs]
-    z = np.concatenate([one.errors[question][rows] / scale(one.conditions[rows])
-                        for one, rows in zip(runs, picked, strict=True)])
-    points = z[:, 4::5].reshape(len(z), -1)
-    generator = np.random.default_rng(SEED)
-    drawn = generator.multivariate_normal(np.zeros(points.shape[1]), np.cov(points.T) + 1e-9 * np.eye(points.shape[1]),
-                                          4000, method="eigh")
-    marginal = stats.norm(scale=points.std())
-    if heavy:
-        sample = generator.choice(points.ravel(), 5000)
-        freedom = max(2.5, stats.t.fit(sample, floc=0.0)[0])
-        # The same covariance, heavier tails.
-        drawn *= np.sqrt((freedom - 2.0) / generator.chisquare(freedom, (len(drawn), 1)))
-        marginal = stats.t(freedom, scale=points.std() * np.sqrt((freedom - 2.0) / freedom))
-    highest = np.abs(drawn).max(axis=1)
-    ratios = np.tile(marginal.ppf(0.5 + 0.5 * 0.05 * np.arange(1, 20)), (3, 1))
-    return Band(scale, {level: float(np.quantile(highest, level)) for level in LEVELS}, ratios)
-
-
-def _same_everywhere(scale: Scale, runs: Sequence[RunSamples], question: tuple[str, str]) -> Scale:
-    """Root mean square at each knot, whatever the conditions."""
-    squares = np.mean([np.square(one.errors[question].astype(float)).mean(axis=0) for one in runs], axis=0)
-    near = [int(np.abs(TIME - knot).argmin()) for knot in scale.knots]
-    coefficients = np.zeros((3, len(near), features(np.zeros((1, 4))).shape[1]))
-    coefficients[:, :, 0] = 0.5 * np.log(squares[near].T)
-    return Scale(coefficients, scale.floor, TIME, scale.knots)
-
-
-WAYS: dict[str, Learn] = {
-    "conformal": conformal,
-    "normal by condition": normal,
-    "Student t by condition": lambda runs, question: normal(runs, question, heavy=True),
-    "normal, same everywhere": lambda runs, question: normal(runs, question, by_condition=False),
-}
+def _folds(runs: Runs) -> dict[int, list[str]]:
+    return dict(enumerate([list(part) for part in np.array_split(np.array(list(runs)), FOLDS)]))
 
 
 def _genesis_runs() -> dict[str, RunSamples] | None:
@@ -217,4 +238,5 @@ def _genesis_runs() -> dict[str, RunSamples] | None:
     file = config("vehicle/hyundai_genesis.yaml")
     car = VehicleParameters.from_yaml(file.read_text(), str(file))
     sources = [source for source in find_runs(folders) if not source.name.startswith("wrong_projection")]
-    return {source.name: samples(read(source, car).log, car, ("kinematic", "linear")) for source in sources}
+    models = ("kinematic", "linear", "nonlinear")
+    return {source.name: samples(read(source, car).log, car, models) for source in sources}

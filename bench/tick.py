@@ -1,40 +1,56 @@
-"""One predictor tick: the start state and the three models' 5 s trajectories on Python floats."""
+"""One predictor tick: the start state and the three models' 5 s trajectories on Python floats, without and with bands.
+"""
 
 import time
 
 import numpy as np
+from _drawn_bands import drawn_bands
+from st_core.bands import LiveBands, conditions_now
 from st_core.prediction import PredictionSettings, Predictor, Skip
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
+from st_predictor.nodes._bands import messages
 from st_recordings.paths import config
 
 TICKS = 500
 MODELS = ("kinematic", "linear", "nonlinear")
+LAST_NS = 1_990_000_000
 
 
 def run() -> dict:
-    """ms per tick, at 10 m/s in a gentle turn."""
+    """ms per tick, at 10 m/s in a gentle turn; with bands: half-widths of both questions and levels, and their part of
+    the messages. The two take turns, tick by tick.
+    """
     path = config("vehicle/leaf.yaml")
-    predictor = Predictor(VehicleParameters.from_yaml(path.read_text(), origin=str(path)), MODELS, PredictionSettings())
+    vehicle = VehicleParameters.from_yaml(path.read_text(), origin=str(path))
+    predictor, live = Predictor(vehicle, MODELS, PredictionSettings()), LiveBands(drawn_bands(vehicle), MODELS)
     for k in range(200):
         time_ns = k * 10_000_000
         predictor.add_ins(InsSample(time_ns, 10 * k * 0.01, 0.0, 0.0, 10.0, 0.05, 0.2))
         predictor.add_steering(time_ns, 0.06)
-    times = []
-    for _ in range(TICKS):
+    times: dict[bool, list[float]] = {False: [], True: []}
+    for k in range(2 * TICKS):
         begin = time.perf_counter()
-        start = predictor.start(1_990_000_000)
+        start = predictor.start(LAST_NS)
         if isinstance(start, Skip):
             raise RuntimeError(start.reason)
+        if with_bands := bool(k % 2):
+            stated = live(conditions_now(predictor.history, start.time_ns))
+            if len([messages(one) for one in stated.values()]) != len(MODELS):
+                raise RuntimeError("no band at these conditions")
         for model in MODELS:
             predictor.run(start, model)
-        times.append((time.perf_counter() - begin) * 1e3)
-    p50, p99 = np.percentile(times, (50, 99))
+        times[with_bands].append((time.perf_counter() - begin) * 1e3)
+    p50, p99 = np.percentile(times[False], (50, 99))
+    with_p50, with_p99 = np.percentile(times[True], (50, 99))
     return {
         "ticks": TICKS,
         "ms_p50": float(p50),
         "ms_p99": float(p99),
         "share_of_a_core_at_10_hz": float(p50) / 100,
+        "with_bands_ms_p50": float(with_p50),
+        "with_bands_ms_p99": float(with_p99),
+        "bands_ms_p50": float(with_p50 - p50),
     }
 
 

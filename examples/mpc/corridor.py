@@ -149,26 +149,31 @@ def learn(controller: Controller, car: Car, vehicle: VehicleParameters, model: s
     return calibrate(runs, (model, "hindsight"), time, LEVELS), Seen.of([one.conditions for one in runs])
 
 
+def compared(seeds: int, model: str) -> dict[str, dict[str, float]]:
+    """With the constraint as it is and tightened, each seed a car: how many touch a post, how deep [m], error, cost."""
+    file = config("vehicle/leaf.yaml")
+    vehicle, car, tuning = VehicleParameters.from_yaml(file.read_text(), str(file)), read_car(file), Tuning()
+    controller = Controller(get_model(model), vehicle, round(HORIZON / tuning.step), tuning, "rti", corridor=True)
+    band, found = learn(controller, car, vehicle, model), {}
+    for name, used in (("as it is", None), ("tightened", band)):
+        drives = [drive(controller, car, vehicle, gates(), seed, used) for seed in range(seeds)]
+        depths = np.array([one.depth for one in drives])
+        found[name] = {
+            "seeds": seeds, "violations": int((depths > TOUCHED).sum()), "deepest": float(depths.max()),
+            "depth_median": float(np.median(depths)), "error_rms": float(np.mean([one.error for one in drives])),
+            "cost": float(np.mean([one.cost for one in drives]))}
+        print(name, found[name], flush=True)
+    return found
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--model", default="linear", choices=["kinematic", "linear", "nonlinear"])
     parser.add_argument("--output", type=Path, help="folder; default runs/corridor-<time>")
     options = parser.parse_args()
-    folder, file = new_folder(options.output, "corridor"), config("vehicle/leaf.yaml")
-    vehicle, car, tuning = VehicleParameters.from_yaml(file.read_text(), str(file)), read_car(file), Tuning()
-
-    controller = Controller(get_model(options.model), vehicle, round(HORIZON / tuning.step), tuning, "rti",
-                            corridor=True)
-    band, found = learn(controller, car, vehicle, options.model), {}
-    for name, used in (("as it is", None), ("tightened", band)):
-        drives = [drive(controller, car, vehicle, gates(), seed, used) for seed in range(options.seeds)]
-        depths = np.array([one.depth for one in drives])
-        found[name] = {
-            "seeds": options.seeds, "violations": int((depths > TOUCHED).sum()), "deepest": float(depths.max()),
-            "depth_median": float(np.median(depths)), "error_rms": float(np.mean([one.error for one in drives])),
-            "cost": float(np.mean([one.cost for one in drives]))}
-        print(name, found[name], flush=True)
+    folder = new_folder(options.output, "corridor")
+    found = compared(options.seeds, options.model)
     (folder / "corridor.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(folder)
     return 0

@@ -93,6 +93,8 @@ def test_bands_cover_runs_they_were_not_learnt_from_and_not_everything():
 
 
 def test_no_band_of_few_runs_or_errors_that_are_not_finite():
+    with pytest.raises(StCoreError, match=r"^2 runs: what a run does must be learnt from two others; give 3 or more"):
+        calibrate([drawn(k) for k in range(2)], QUESTION, TIME, (0.5,))
     with pytest.raises(StCoreError, match="5 runs can promise 83"):
         calibrate([drawn(k) for k in range(5)], QUESTION, TIME)
     runs = [drawn(k) for k in range(9)]
@@ -157,9 +159,18 @@ def test_a_file_is_read_back_and_an_edited_one_refused(bands):
 def test_conditions_never_seen_are_named(bands):
     why = bands.seen.why_not
     assert why(np.array([8.0, 1.0, 0.2, 0.02])) == ""
-    assert why(np.array([40.0, 1.0, 0.2, 0.02])) == "40.0 m/s with 1.0 m/s^2 across was never calibrated"
+    assert why(np.array([40.0, 1.0, 0.2, 0.02])) == "40.0 m/s with 1.0 m/s^2 across was calibrated by fewer than 2 runs"
     assert why(np.array([8.0, 1.0, 0.2, 0.5])).startswith("steering activity 0.5 rad/s, calibrated up to 0.0")
     assert why(np.array([8.0, 1.0, 0.2, np.nan])) == "steering activity not known"
+
+
+def test_what_one_run_alone_did_is_not_calibrated():
+    slow, fast = (np.tile([speed, 1.5, 0.2, 0.02], (400, 1)) for speed in (8.0, 22.0))
+    few = fast[:9]
+    probe = np.stack([slow[0], fast[0]])
+    assert Seen.of([slow, np.concatenate([slow, fast])])(probe).tolist() == [True, False]
+    assert Seen.of([np.concatenate([slow, few]), np.concatenate([slow, fast])])(probe).tolist() == [True, False]
+    assert Seen.of([np.concatenate([slow, fast[:10]]), np.concatenate([slow, fast])])(probe).all()
 
 
 def test_bands_of_another_car_model_or_configuration_are_refused(bands, leaf):

@@ -71,6 +71,10 @@ def evaluate(
         None, help="Bands of `st calibrate`, to be tested on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False
     ),
+    advise: float | None = typer.Option(
+        None, help="m across: also say which model and step is the cheapest that stays within, by speed and second; "
+        "cost, error and band width of each.", min=0.001
+    ),
     force: bool = typer.Option(False, "--force", help="Evaluate also runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Runs evaluated side by side (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
@@ -111,7 +115,8 @@ def evaluate(
             effects=effects,
         )
         load_bands(task, load_models(task))
-        status = run_command(runs, task, output, table, car_from, workers, scheduler, Console())
+        status = run_command(runs, task, output, table, car_from, workers, scheduler, Console(),
+                             advise)
     except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
         typer.echo(f"st evaluate: {error}", err=True)
         raise typer.Exit(2) from None

@@ -15,7 +15,8 @@ LEVELS = (0.5, 0.9)
 RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))
 """Levels for the reliability diagram, as far as the runs can promise them; and of the ratios below."""
 FOLDS = 5
-FEWEST_RUNS = 2
+FEWEST_RUNS = 3
+"""One to be scored, and two to say what the others do (see `seen`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,8 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
     """
     refuse_beyond(levels, len(runs))
     if len(runs) < FEWEST_RUNS:
-        raise StCoreError(f"{len(runs)} run: the scale of a run must be learnt from others; give {FEWEST_RUNS} or more")
+        raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: what a run does must be learnt from two "
+                          f"others; give {FEWEST_RUNS} or more")
     for run in runs:
         if not np.isfinite(run.errors[question]).all():
             raise StCoreError(f"{run.name}: errors of {question[0]} are not finite; no band is made of such errors")

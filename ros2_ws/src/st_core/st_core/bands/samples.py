@@ -22,6 +22,10 @@ Question = tuple[str, str]
 """(model, mode): mode hindsight asks for the model alone, forecast for model and driver."""
 
 
+class NotFiniteError(StCoreError):
+    """Errors of a model are not finite though all its inputs were measured."""
+
+
 @dataclass(frozen=True, eq=False)
 class RunSamples:
     """One run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: by (model, mode), (n, points - 1, 3), float32,
@@ -52,8 +56,8 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
     """Error curves of one drive from at most `most` starts spread over it.
 
     Only starts whose whole horizon was measured and whose conditions are known count. Raises StCoreError, one line,
-    for a drive shorter than the horizon, for one without such a start, and where a model's errors are not finite though
-    all its inputs were measured.
+    for a drive shorter than the horizon, for one without such a start, and, as NotFiniteError, where a model's errors
+    are not finite though all its inputs were measured.
     """
     horizon = settings.prediction.horizon
     log = signals.log
@@ -101,6 +105,6 @@ def _known(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
 def _refuse_not_finite(errors: np.ndarray, model: str, time: np.ndarray) -> None:
     bad = ~np.isfinite(errors).all(axis=(1, 2))
     if bad.any():
-        raise StCoreError(f"errors of {model} are not finite from {int(bad.sum())} starts, the first at "
-                          f"{time[bad][0]:.1f} s, though all inputs were measured: mend the model or take a shorter "
-                          "--step; no band is made of such errors")
+        raise NotFiniteError(f"errors of {model} are not finite from {int(bad.sum())} starts, the first at "
+                             f"{time[bad][0]:.1f} s, though all inputs were measured: mend the model or take a shorter "
+                             "--step; no band is made of such errors")

@@ -8,8 +8,10 @@ import numpy as np
 from ..binning import LATERAL_ACCELERATION, SPEED
 from .conditions import CONDITIONS, UNITS
 
-FEWEST_STARTS = 20
-"""In a cell of speed and lateral acceleration: two seconds of driving, all runs together."""
+FEWEST_STARTS = 10
+"""Of a run in a cell of speed and lateral acceleration: one second of driving."""
+FEWEST_RUNS = 2
+"""With so many starts in a cell: how much runs differ there cannot be told from one, whatever the number of starts."""
 CELLED = {"speed": SPEED, "lateral_acceleration": LATERAL_ACCELERATION}
 
 
@@ -21,8 +23,8 @@ def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """starts: (speed bins, lateral acceleration bins), how many were calibrated with. most: the largest
-    forward_acceleration [m/s^2] and steering_activity [rad/s] among them."""
+    """starts: (speed bins, lateral acceleration bins), how many were calibrated with; 0 where fewer than FEWEST_RUNS
+    runs had FEWEST_STARTS. most: the largest forward_acceleration [m/s^2] and steering_activity [rad/s] among them."""
 
     starts: np.ndarray
     most: tuple[float, float]
@@ -30,16 +32,18 @@ class Seen:
     @classmethod
     def of(cls, conditions: Sequence[np.ndarray]) -> "Seen":
         """What conditions (n, 4), one array a run, have seen."""
+        starts = np.zeros((len(conditions), *(len(edges) for edges in CELLED.values())), int)
+        for one, of_run in zip(conditions, starts, strict=True):
+            np.add.at(of_run, cells(one), 1)
+        enough = (starts >= FEWEST_STARTS).sum(axis=0) >= FEWEST_RUNS
         rows = np.concatenate(conditions)
-        starts = np.zeros([len(edges) for edges in CELLED.values()], int)
-        np.add.at(starts, cells(rows), 1)
-        return cls(starts, (float(rows[:, 2].max()), float(rows[:, 3].max())))
+        return cls(np.where(enough, starts.sum(axis=0), 0), (float(rows[:, 2].max()), float(rows[:, 3].max())))
 
     def __call__(self, conditions: np.ndarray) -> np.ndarray:
         """(n,) bool: whether conditions (n, 4) were calibrated; False where one is not known."""
         known = np.isfinite(conditions).all(axis=1)
         rows = np.where(known[:, None], conditions, 0.0)
-        return known & (self.starts[cells(rows)] >= FEWEST_STARTS) & (rows[:, 2:] <= self.most).all(axis=1)
+        return known & (self.starts[cells(rows)] > 0) & (rows[:, 2:] <= self.most).all(axis=1)
 
     def why_not(self, condition: np.ndarray) -> str:
         """For conditions (4,) without a band: why, in one line; empty where there is one."""
@@ -51,4 +55,5 @@ class Seen:
         for name, value, most in zip(CONDITIONS[2:], condition[2:], self.most, strict=True):
             if value > most:
                 return f"{name.replace('_', ' ')} {value:.3g} {UNITS[name]}, calibrated up to {most:.3g}"
-        return f"{condition[0]:.1f} m/s with {condition[1]:.1f} m/s^2 across was never calibrated"
+        return (f"{condition[0]:.1f} m/s with {condition[1]:.1f} m/s^2 across was calibrated by fewer than "
+                f"{FEWEST_RUNS} runs")

@@ -11,7 +11,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from st_recordings.output import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
 
+from ..advice.command import advise
+from ..bands.shares import finished_shares, shares_table
 from ..bands.shown import HOW_TO_GET, bands_table
+from ..bands.sums import pooled_sums
 from ..checking.document import findings_in
 from ..checking.shown import say
 from . import fleet
@@ -33,8 +36,10 @@ class CommandError(RuntimeError):
 
 
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
-                scheduler: str | None, console: Console) -> int:
-    """Exit status: 0 when every run was evaluated, 1 when some were. Raises CommandError, OutputError."""
+                scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
+    """Exit status: 0 when every run was evaluated, 1 when some were. tolerance: [m], for advice on the model; None: no
+    advice. Raises CommandError, OutputError.
+    """
     unknown = [form for form in task.formats if form not in FORMATS]
     if unknown:
         raise CommandError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
@@ -54,6 +59,10 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         console.print(f"[dim]{key}: {escape(value)}[/dim]", highlight=False, soft_wrap=True)
     tested = bands_table(good, console.width)
     console.print(HOW_TO_GET if tested is None else tested, highlight=False, soft_wrap=tested is None)
+    if shares := shares_table(finished_shares(pooled_sums([report.bands for report in good])), console.width):
+        console.print(shares)
+    if tolerance is not None:
+        advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in found:
         say(report.name, findings_in(report.about), console)
     for key, what in WHAT_IS_WHAT.items():

@@ -11,6 +11,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.results import versions
 
 from ..bands.figures import band_figures
+from ..bands.shares import finished_shares, share_figures
 from ..bands.sums import finished, pooled_sums
 from . import tables
 from .drawing import Place
@@ -73,8 +74,9 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
 def _bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
     if task.bands is None:
         return {}
+    pooled = pooled_sums([r.bands for r in good])
     return {"bands": {r.name: finished(r.bands) for r in good},
-            "bands_all_runs": {"file": task.bands[0], **finished(pooled_sums([r.bands for r in good]))}}
+            "bands_all_runs": {"file": task.bands[0], **finished(pooled), "shares": finished_shares(pooled)}}
 
 
 def pooled_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
@@ -114,7 +116,8 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     about = f"{words['vehicle']}; starts {words['starts']}; horizon {words['horizon']}; {words['measured inputs']}."
     files["latex"].write_text(tables.latex_table(good, choices.over, about))
     drawn = overview(good, choices.over, Place(folder, choices.task.formats))
-    of_bands = band_figures(content.get("bands_all_runs"), Place(folder, choices.task.formats))
+    tested, place = content.get("bands_all_runs"), Place(folder, choices.task.formats)
+    of_bands = [*band_figures(tested, place), *share_figures((tested or {}).get("shares", {}), place)]
     write_page(files["page"], title, reports, content, words, drawn, of_bands, choices.over)
     return files
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..bands.shares import share_rows
 from ..bands.shown import band_rows
 from ..pages import template
 from . import tables
@@ -21,6 +22,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         title=title, reports=good, failed=[r for r in reports if r.problem], content=content, settings=settings,
         about={r.name: r.about for r in reports},
         overview=overview, band_figures=bands, band_rows=band_rows(content.get("bands_all_runs")),
+        share_rows=share_rows(content.get("bands_all_runs", {}).get("shares", {})),
         over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS,
         figures=_within_budget(good), shown=tables.shown, best=tables.best, values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")

@@ -20,7 +20,7 @@ from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs import ReadSettings, RunError, RunSource, read
+from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
 from ..checking.document import documents
 from ..checking.gate import Refused, passed
@@ -130,7 +130,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     return RunReport(
         source.name, "", ranking(evaluation, "lateral"), about, statistics.by_model(evaluation),
         statistics.by_second(evaluation), statistics.by_bin(evaluation), statistics.by_manoeuvre(evaluation, parts),
-        figures, scorer.sums(run.provenance["files"]) if scorer else {},
+        figures, _band_sums(scorer, run, models, signals, task) if scorer else {},
         dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
 
 
@@ -158,6 +158,14 @@ def _scorer(bands: Bands, signals: LogSignals):
     from ..bands.scoring import Scorer  # a library of scores that an evaluation without bands need not wait for
 
     return Scorer(bands, signals)
+
+
+def _band_sums(scorer, run: LoadedRun, models: Sequence[Model], signals: LogSignals, task: Task) -> dict[str, Any]:
+    from ..bands.shares import intervals_of, share_sums
+
+    files = [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
+    return scorer.sums(run.provenance["files"]) | share_sums(models, task.vehicle, signals, task.settings,
+                                                             intervals_of(files))
 
 
 def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:

@@ -1,0 +1,45 @@
+"""A car that is off, mended by what `st discover` writes of it: vehicle.yaml and model.yaml."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from st_core.bands.shares import Intervals
+from st_core.checks import check, pooled
+from st_core.discovery import DiscoverySettings, discover
+from st_core.log import DriveLog
+from st_core.model_file import ModelFile
+from st_core.models import Model, get_model
+from st_core.vehicle import VehicleParameters
+from st_offline.bands.shares import intervals_of
+from st_offline.discovery.document import model_file
+from st_offline.discovery.drives import Drive
+from st_offline.discovery.mending import mend
+from st_offline.discovery.question import Question
+
+
+def mended(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
+    """The car, the model and its 95 % intervals as read back from the files that `st discover` writes about these
+    drives."""
+    sensors = pooled([{name: value for name, value in check(log, vehicle).estimates.items() if np.isfinite(value).all()}
+                      for log in logs])
+    settings = DiscoverySettings()
+    found = discover(logs, vehicle, "nonlinear", (), settings, identities=sensors)
+    question = Question([Drive(log.name, log, {"files": {}}) for log in logs], (), "nonlinear", vehicle, "the file",
+                        vehicle.to_yaml(), settings, {})
+    files = mend(found, question)
+    if files is None:
+        raise RuntimeError(f"st discover found no model: {found.outcome}")
+    car = VehicleParameters.from_yaml(files.text) if files.text else vehicle
+    model = model_file(found, question, files)
+    if model is None:
+        return car, get_model("nonlinear"), {}
+    file = ModelFile.from_yaml(model.to_yaml())
+    return car, file.model(), next(iter(intervals_of([file]).values()))
+
+
+def read_again(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
+    """The drive as it is read with this vehicle file: its steering ratio and offset are others."""
+    if log.steering_wheel_angle is None:
+        return log
+    return replace(log, road_wheel_angle=vehicle.road_wheel_angle(log.steering_wheel_angle))

@@ -1,0 +1,27 @@
+"""Bands of errors that were drawn, for the Leaf and every condition: their numbers mean nothing, their cost is real."""
+
+import numpy as np
+from st_core.bands import Bands, RunSamples, Seen, calibrate
+from st_core.bands.file import configuration_of
+from st_core.log_evaluation import MODES, EvaluationSettings
+from st_core.vehicle import VehicleParameters
+
+MODELS = ("kinematic", "linear", "nonlinear")
+SETTINGS = EvaluationSettings()
+TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
+RUNS, STARTS = 12, 1000
+MOST = (26.0, 8.0, 6.0, 1.0)
+"""Of the conditions drawn: m/s, m/s^2, m/s^2, rad/s."""
+
+
+def drawn_bands(vehicle: VehicleParameters) -> Bands:
+    question = "drawn", "hindsight"
+    runs = []
+    for number in range(RUNS):
+        draw = np.random.default_rng([21, number])
+        errors = (0.1 * draw.standard_normal((STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
+        runs.append(RunSamples(f"run {number}", draw.uniform(0.0, MOST, (STARTS, 4)), {question: errors}))
+    band, settings = calibrate(runs, question, TIME), SETTINGS.as_dict()
+    return Bands(vehicle.name, vehicle.hash, settings, {}, RUNS, Seen.of([run.conditions for run in runs]),
+                 {(model, mode): band for model in MODELS for mode in MODES},
+                 {model: configuration_of(vehicle, settings, "") for model in MODELS})

@@ -1,0 +1,27 @@
+"""Gates passed by a controller, its constraint as it is and tightened by the band: 50 cars, for docs/manual/mpc.md.
+
+Two minutes of processor time; ST_CORRIDOR_SEEDS changes the number of cars.
+"""
+
+import os
+import sys
+
+from _markers import renew, table
+from st_recordings.paths import project_root
+
+MODEL = "linear"
+PAGE = project_root() / "docs" / "manual" / "mpc.md"
+
+
+def run() -> dict:
+    """By constraint; see examples/mpc/corridor.py."""
+    sys.path.insert(0, str(project_root() / "examples" / "mpc"))
+    from corridor import compared
+
+    found = compared(int(os.environ.get("ST_CORRIDOR_SEEDS", "50")), MODEL)
+    rows = [{"constraint": name, "cars": str(one["seeds"]), "touch a post": str(one["violations"]),
+             "deepest, m": f"{one['deepest']:.2f}", "median depth, m": f"{one['depth_median']:.2f}",
+             "rms from the road, m": f"{one['error_rms']:.3f}", "cost": f"{one['cost']:.2f}"}
+            for name, one in found.items()]
+    renew(PAGE, "corridor", "\n".join(table(rows)) + "\n")
+    return {"corridor": {row["constraint"]: row for row in rows}}

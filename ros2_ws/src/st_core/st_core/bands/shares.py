@@ -1,0 +1,154 @@
+"""What the error of a model is made of: parameters, sensors and start state, and what remains.
+
+    mean e_a(t)^2 = sum_p mean( (de_a(t)/dp sigma_p)^2 ) + sum_s mean( (de_a(t)/ds sigma_s)^2 ) + rest
+
+p: parameters of vehicle and model file that state an uncertainty (standard deviation, or a 95 % interval), taken as
+independent. s: the six states at the start and the measured pose at t, with the white noise of this recording. The
+derivatives are differences of whole predictions, a standard deviation to both sides, seen along and across the
+predicted heading. What remains: the structure of the model, parameters that state no uncertainty, slow errors of the
+sensors, noise of steering and acceleration over the horizon. It is negative where the stated uncertainties say more
+than was seen. Only of the model question; that of the forecast is the driver's. Checked by: test_bands_shares.py.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ..augmented import AugmentedModel
+from ..batch import LogBatch
+from ..effects import get_effect
+from ..errors import ConfigurationError
+from ..frames import map_to_body, wrap_angle
+from ..identification.apply import value_of
+from ..log import INS_SIGNALS, DriveLog
+from ..log_evaluation import EvaluationSettings, regular_starts, usable_starts
+from ..log_signals import LogSignals
+from ..models import Model
+from ..readings import readings
+from ..vehicle import DERIVED, TYRES, VehicleParameters
+from .scale import spread
+
+PARAMETERS, SENSORS = "parameters", "sensors and start"
+STARTS = 200
+"""Of a run: their neighbours say the same."""
+NORMAL_MEDIAN = 0.6745
+"""Median magnitude of a normal quantity, in standard deviations."""
+EDGES_95 = 1.96
+
+Intervals = Mapping[tuple[str, str], tuple[float, float]]
+"""95 % interval by effect and parameter, of a model file."""
+Cause = tuple[str, str]
+"""(PARAMETERS or SENSORS, name)."""
+
+
+def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
+                  intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
+    """Of one run: (starts, squares of the error, squares by cause), each sums over the starts, (seconds, 3) [m^2, m^2,
+    rad^2], along, across and in yaw at 1, 2, ... s ahead. A key of the vehicle that changes no prediction is left out.
+    """
+    seconds = np.arange(1, int(settings.prediction.horizon + 1e-9) + 1, dtype=float)
+    starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, settings.interval),
+                              settings.prediction.minimum_speed)
+    starts = starts[spread(len(starts), STARTS)]
+
+    def batch(of: LogSignals) -> LogBatch:
+        return LogBatch(of, starts, settings.prediction.horizon, settings.prediction.step, points=seconds.tolist())
+
+    def path(of: LogSignals, with_: Model, car: VehicleParameters) -> np.ndarray:
+        states = batch(of).predict(with_, car).states
+        with np.errstate(all="ignore"):
+            seen = readings(with_, car, tuple(np.moveaxis(states, -1, 0)))
+            return np.stack([seen.x, seen.y, seen.yaw])
+
+    measured = batch(signals)
+    errors, base = measured.errors(measured.predict(model, vehicle)), path(signals, model, vehicle)
+    complete = np.isfinite(errors).all(axis=(1, 2))
+    ends: dict[Cause, tuple[np.ndarray, np.ndarray]] = {}
+    for key, (low, high) in _cars(vehicle).items():
+        ends[PARAMETERS, key] = path(_read_again(signals, low, settings), model, low), \
+            path(_read_again(signals, high, settings), model, high)
+    for key, (low, high) in _models(model, intervals or {}).items():
+        ends[PARAMETERS, key] = path(signals, low, vehicle), path(signals, high, vehicle)
+    noise = white_noise(signals.log)
+    for name, sigma in noise.items():
+        ends[SENSORS, f"{name} at the start"] = (
+            path(_moved(signals, name, -sigma, settings), model, vehicle),
+            path(_moved(signals, name, sigma, settings), model, vehicle))
+    squares: dict[Cause, np.ndarray] = {}
+    for cause, (low, high) in ends.items():
+        moved = np.stack([*map_to_body(0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), base[2]),
+                          wrap_angle(high[2] - low[2]) * 0.5], axis=-1)[complete]
+        if (moved != 0.0).any():
+            squares[cause] = np.square(moved).sum(axis=0)
+    place = 0.5 * (noise["x"] ** 2 + noise["y"] ** 2)
+    squares[SENSORS, "pose at the end"] = np.tile(complete.sum() * np.array([place, place, noise["yaw"] ** 2]),
+                                                  (len(seconds), 1))
+    return int(complete.sum()), np.square(errors[complete]).sum(axis=0), squares
+
+
+def white_noise(log: DriveLog) -> dict[str, float]:
+    """Standard deviation of what is new in every sample of the INS, by signal [SI]: from third differences, in which
+    the motion of a car at 20 Hz and more no longer counts. 0 for a drive of fewer than four samples.
+
+        sigma = median |d^3 u| / (0.6745 sqrt(20))
+    """
+    found = {}
+    for name in INS_SIGNALS:
+        third = np.abs(np.diff(getattr(log, name), 3))
+        found[name] = float(np.median(third) / (NORMAL_MEDIAN * np.sqrt(20.0))) if len(third) else 0.0
+    return found
+
+
+def _cars(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, VehicleParameters]]:
+    """The car with each uncertain parameter a standard deviation lower and higher; those that are no car are left out.
+    """
+    found = {}
+    for key, about in vehicle.provenance.items():
+        if about.uncertainty:
+            value = value_of(vehicle, key)
+            try:
+                found[key] = with_value(vehicle, key, value - about.uncertainty), \
+                    with_value(vehicle, key, value + about.uncertainty)
+            except ConfigurationError:
+                continue
+    return found
+
+
+def with_value(vehicle: VehicleParameters, key: str, value: float) -> VehicleParameters:
+    """The car with another value of one key of the file ("mass", "tyre_front.p_cy1"), SI; what is derived from it as
+    well. Raises ConfigurationError where that is no car.
+    """
+    tyre, _, name = key.partition(".")
+    changed = replace(vehicle, **({tyre: getattr(vehicle, tyre)._replace(**{name: value})} if name else {key: value}))
+    derived = [one for one in TYRES if vehicle.sources.get(f"{one}.lambda_ky") == DERIVED
+               and key != f"{one}.lambda_ky"]
+    return changed.with_derived_scales(derived)
+
+
+def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]]:
+    """The model with each uncertain value of its effects at both ends of one standard deviation, inside its bounds."""
+    found: dict[str, tuple[Model, Model]] = {}
+    if not isinstance(model, AugmentedModel):
+        return found
+    for (effect, name), (low, high) in intervals.items():
+        value, sigma = model.values[effect][name], (high - low) / (2.0 * EDGES_95)
+        bounds = next(p.bounds for p in get_effect(effect).parameters if p.name == name)
+        # To one side only where the other is out of bounds: the difference is then as large as the whole.
+        pair = [float(np.clip(value + side * sigma, *bounds)) for side in (-1.0, 1.0)]
+        if pair[0] < pair[1]:
+            found[f"{effect}.{name}"] = tuple(model.with_values({effect: {name: end}}) for end in pair)
+    return found
+
+
+def _read_again(signals: LogSignals, car: VehicleParameters, settings: EvaluationSettings) -> LogSignals:
+    """The drive as read with that car: its steering ratio and offset are others."""
+    log = signals.log
+    if log.steering_wheel_angle is None:
+        return signals
+    return settings.signals(replace(log, road_wheel_angle=car.road_wheel_angle(log.steering_wheel_angle)))
+
+
+def _moved(signals: LogSignals, name: str, by: float, settings: EvaluationSettings) -> LogSignals:
+    """The drive with another start everywhere; a constant changes no derivative, so that inputs stay."""
+    return settings.signals(replace(signals.log, **{name: getattr(signals.log, name) + by}))

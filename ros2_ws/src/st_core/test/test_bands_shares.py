@@ -1,0 +1,93 @@
+"""Shares of the error against causes that are known: a parameter, a start state, noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from st_core.augmented import augment
+from st_core.bands.shares import PARAMETERS, SENSORS, share_squares, white_noise, with_value
+from st_core.log import DriveLog
+from st_core.log_evaluation import EvaluationSettings
+from st_core.models import get_model
+from st_core.provenance import Provenance
+
+SETTINGS = EvaluationSettings()
+SPEED, SECONDS = 10.0, 20.0
+
+
+def straight(noise: float = 0.0, offset: float = 0.0) -> DriveLog:
+    """Straight on at a constant speed; white noise [m, m/s, rad, ...] on all INS signals; steering off by `offset`."""
+    time = np.arange(0.0, SECONDS, 0.01)
+    draw, zero = np.random.default_rng(3), np.zeros(len(time))
+    ns = np.round(time * 1e9).astype(np.int64)
+    values = [SPEED * time, zero, zero, zero + SPEED, zero, zero]
+    return DriveLog("straight", ns, *(v + noise * draw.standard_normal(len(time)) for v in values), ns, zero + offset)
+
+
+def shares(model, vehicle, log, intervals=None):
+    count, total, parts = share_squares(get_model(model), vehicle, SETTINGS.signals(log), SETTINGS, intervals)
+    return total / count, {cause: squares / count for cause, squares in parts.items()}
+
+
+def test_white_noise_is_found_in_a_moving_car_and_motion_is_none():
+    found = white_noise(straight(0.02))
+    assert all(value == pytest.approx(0.02, rel=0.1) for value in found.values())
+    time = np.arange(0.0, 20.0, 0.01)
+    weaving = replace(straight(), y=np.sin(2.0 * time))
+    assert white_noise(weaving)["y"] < 1e-5
+
+
+def test_the_start_state_moves_the_end_of_the_path_by_its_lever(leaf):
+    _, parts = shares("kinematic", leaf, straight(0.01))
+    yaw = np.sqrt(parts[SENSORS, "yaw at the start"])
+    assert yaw[4, 1] == pytest.approx(0.01 * SPEED * 5.0, rel=0.15)
+    assert yaw[0, 1] == pytest.approx(0.01 * SPEED * 1.0, rel=0.2)
+    assert yaw[:, 2] == pytest.approx(0.01, rel=0.1)
+    speed = np.sqrt(parts[SENSORS, "velocity_x at the start"])
+    assert speed[:, 0] == pytest.approx(0.01 * np.arange(1, 6), rel=0.15)
+    assert np.sqrt(parts[SENSORS, "pose at the end"])[0, 0] == pytest.approx(0.01, rel=0.15)
+
+
+def test_an_error_of_a_parameter_as_large_as_stated_is_all_of_the_error(leaf):
+    """A wheelbase of the file that is off by its own standard deviation: error and share are equal, to first order."""
+    radius_log = circle(leaf, 0.06)
+    stated = replace(with_value(leaf, "wheelbase", leaf.wheelbase * 1.02),
+                     provenance={"wheelbase": Provenance(0.02 * leaf.wheelbase)})
+    total, parts = shares("kinematic", stated, radius_log)
+    assert set(cause for cause in parts if cause[0] == PARAMETERS) == {(PARAMETERS, "wheelbase")}
+    assert parts[PARAMETERS, "wheelbase"][4, 1] == pytest.approx(total[4, 1], rel=0.15)
+    assert sum(one[4, 1] for cause, one in parts.items() if cause[0] == SENSORS) < 0.01 * total[4, 1]
+
+
+def circle(vehicle, angle: float) -> DriveLog:
+    """The kinematic car itself on a circle, seen at the INS point, without noise."""
+    from st_core.prediction import predict
+    from st_core.types import ControlInput, VehicleState
+
+    rear = vehicle.wheelbase - vehicle.cg_to_front_axle
+    slip = np.arctan(rear / vehicle.wheelbase * np.tan(angle))
+    rate = SPEED / vehicle.wheelbase * np.tan(angle)
+    start = VehicleState(0.0, 0.0, SPEED, SPEED * np.tan(slip), 0.0, rate)
+    x, y, v_x, v_y, yaw, r = predict("kinematic", vehicle, start, ControlInput(angle, 0.0), SECONDS, 0.01).states.T
+    d_x, d_y = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
+    ns = np.round(np.arange(len(x)) * 1e7).astype(np.int64)
+    return DriveLog("circle", ns, x + np.cos(yaw) * d_x - np.sin(yaw) * d_y, y + np.sin(yaw) * d_x + np.cos(yaw) * d_y,
+                    yaw, v_x - r * d_y, v_y + r * d_x, r, ns, np.full(len(x), angle))
+
+
+def test_an_interval_of_a_model_file_counts_as_its_standard_deviation(leaf):
+    model = augment("kinematic", {"steering_offset": {"angle": 0.01}})
+    _, parts = shares(model, leaf, straight(), {("steering_offset", "angle"): (0.01 - 0.00196, 0.01 + 0.00196)})
+    # 0.001 rad at the wheels bends the path by v^2 t^2 / (2 L) of it.
+    expected = 0.001 * SPEED**2 * 25.0 / (2.0 * leaf.wheelbase)
+    assert np.sqrt(parts[PARAMETERS, "steering_offset.angle"][4, 1]) == pytest.approx(expected, rel=0.05)
+
+
+def test_a_steering_offset_of_the_vehicle_file_counts_where_the_wheel_angle_was_recorded(leaf):
+    log = straight()
+    uncertain = replace(leaf, provenance={"steering_wheel_offset": Provenance(0.01)})
+    assert not [c for c in shares("kinematic", uncertain, log)[1] if c[0] == PARAMETERS]
+    wheel = replace(log, steering_wheel_angle=np.full(len(log.road_wheel_angle), leaf.steering_wheel_offset))
+    found = shares("kinematic", uncertain, wheel)[1][PARAMETERS, "steering_wheel_offset"]
+    expected = 0.01 / leaf.steering_ratio * SPEED**2 * 25.0 / (2.0 * leaf.wheelbase)
+    assert np.sqrt(found[4, 1]) == pytest.approx(expected, rel=0.05)
