@@ -276,9 +276,7 @@ def _count(
     structure_b = status == STRUCTURE_B
     counters.structure_b = int(structure_b.sum())
     counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
-    unknown = np.flatnonzero(~_IS_KNOWN[status])
-    counters.unknown_statuses = len(unknown)
-    counters.last_unknown_status = int(status[unknown[-1]]) if len(unknown) else None
+    counters.unknown_statuses = int((~_IS_KNOWN[status]).sum())
     counters.unknown_channels = int((has_status & ~_KNOWN_CHANNEL[channel]).sum())
 
 

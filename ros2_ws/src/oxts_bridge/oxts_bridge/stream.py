@@ -1,6 +1,6 @@
 """Bytes from anywhere, in any portions, to timed NCOM packets. Never raises on what the bytes hold."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite, pi
 
 from . import channels, gps_time
@@ -69,7 +69,6 @@ class Counters:
     structure_b: int = 0  # vendor-internal, dropped
     triggers: int = 0
     impossible_positions: int = 0  # NaN or out of range where the navigation status declares a position: masked
-    last_unknown_status: int | None = field(default=None, repr=False)
 
 
 class NcomParser:
@@ -176,7 +175,6 @@ class NcomParser:
             self._last_trigger = raw
         elif not rule.known:
             counters.unknown_statuses += 1
-            counters.last_unknown_status = status
         counters.impossible_positions += _mask(packet, rule, kind)
         utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
         return Received(packet, raw, offset, kind, rule, gps_ns, utc_ns, order, received_ns)

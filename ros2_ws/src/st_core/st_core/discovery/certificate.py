@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from ..effects import get_effect
+from ..effects import twins_of
 from .evidence import FLIPS, Scores, chance, left_over, score
 from .fit import Fit, Problem
 from .limits import Limits
@@ -106,7 +106,7 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
     if not sure or share < asked:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.doubt) * gains[best].sum()
-            or (e in get_effect(best).twins and gains[e].sum() > limits.rival * gains[best].sum())]
+            or (e in twins_of(best) and gains[e].sum() > limits.rival * gains[best].sum())]
 
 
 def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:

@@ -141,7 +141,7 @@ class _Work:
         lines = waterfall.budget(problem, base, found.fit, next((fit for _, fit in bound), None), ends)
         told = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
                 if settings.certify else certificate.predicted(problem, found.fit, found.scores, limits))
-        stated = {name for e in (*effects, *minor) for name in (e.name, *e.alternatives)}
+        stated = {*(name for e in effects for name in (e.name, *e.alternatives)), *(e.name for e in minor)}
         driven = self._catalogue(found, effects)
         untestable = self._untestable(told, stated, driven)
         seen = 1.0 - sum(n.name in space.hypotheses for n in untestable) / len(space.hypotheses)

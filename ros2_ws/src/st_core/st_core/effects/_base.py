@@ -131,7 +131,8 @@ class Effect:
         observe(measured, theta) -> Measured: what the sensors make of the truth; correct(measured, theta): back again
 
     name: unique. physics: the equation in a line, sign included. excited_by: driving that shows it. twins: effects it
-    is hard to tell from. applies_to: kinds of model. lifts: (from, to) for an effect that turns one kind into another.
+    is hard to tell from, named by one of the two at least. applies_to: kinds of model. lifts: (from, to) for an effect
+    that turns one kind into another.
     extra_units: of the extra states, for those who export the model.
     kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: those of CHANNELS without
     any one of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
@@ -274,6 +275,11 @@ def get_effect(name: str) -> type[Effect]:
         hint = f", did you mean {near[0]}?" if near else ""
         raise ConfigurationError(f"unknown effect {name!r}{hint}; known are {', '.join(sorted(EFFECTS))}")
     return EFFECTS[name]
+
+
+def twins_of(name: str) -> frozenset[str]:
+    """Names of the effects that are hard to tell from one: those it names, and those that name it."""
+    return frozenset(get_effect(name).twins) | {other for other, effect in EFFECTS.items() if name in effect.twins}
 
 
 def applicable(kind: str) -> tuple[str, ...]:

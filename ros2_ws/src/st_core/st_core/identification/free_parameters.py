@@ -4,12 +4,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ..augmented import AugmentedModel, augment
+from ..effects.steering_delay import SteeringDelay
+from ..effects.steering_offset import SteeringOffset
+from ..effects.steering_ratio import SteeringRatio
+from ..effects.tyre_relaxation import TyreRelaxation
 from ..models import Model
 from ..tyres import stiffness_scale
 from ..vehicle import VehicleParameters
 from .result import IdentificationError
 
-MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", "steering_delay", "tyre_relaxation"
+MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 
 
 @dataclass(frozen=True)
@@ -81,11 +85,11 @@ class Applied:
     def __init__(self, vehicle: VehicleParameters, base: str | Model, names: Sequence[str]):
         check_names(names)
         self.vehicle, self.names = vehicle, tuple(names)
-        effects = {"steering_ratio": {"factor": 1.0}, "steering_offset": {"angle": 0.0}}
+        effects = {SteeringRatio.name: {"factor": 1.0}, SteeringOffset.name: {"angle": 0.0}}
         if DELAY in names:
-            effects["steering_delay"] = {"time": 0.0}
+            effects[DELAY] = {"time": 0.0}
         if RELAXATION in names:
-            effects["tyre_relaxation"] = {"length": 0.0}
+            effects[RELAXATION] = {"length": 0.0}
         self._model = augment(base, effects)
 
     def __call__(self, values: Sequence[float]) -> tuple[AugmentedModel, VehicleParameters, float]:
@@ -96,12 +100,12 @@ class Applied:
         car = replace(car, **{name: given[name] for name in ("yaw_inertia", "cg_to_ins_x") if name in given})
         ratio = given.get("steering_ratio", file.steering_ratio)
         offset = given.get("steering_wheel_offset", file.steering_wheel_offset)
-        effects = {"steering_ratio": {"factor": ratio / file.steering_ratio},
-                   "steering_offset": {"angle": (file.steering_wheel_offset - offset) / ratio}}
+        effects = {SteeringRatio.name: {"factor": ratio / file.steering_ratio},
+                   SteeringOffset.name: {"angle": (file.steering_wheel_offset - offset) / ratio}}
         if DELAY in given:
-            effects["steering_delay"] = {"time": given[DELAY]}
+            effects[DELAY] = {"time": given[DELAY]}
         if RELAXATION in given:
-            effects["tyre_relaxation"] = {"length": given[RELAXATION]}
+            effects[RELAXATION] = {"length": given[RELAXATION]}
         return self._model.with_values(effects), car, given.get(MISALIGNMENT, 0.0)
 
 

@@ -5,7 +5,6 @@ the central differences of its neighbours' averages, so all quantities of a mome
 before the newest. Checked by: test_recursive.py.
 """
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -82,12 +81,3 @@ class Moments:
         self._next = None
         self._points.clear()
         self._blocks.clear()
-
-
-def moments_of(times_ns: np.ndarray, rows: np.ndarray, vehicle: VehicleParameters) -> Iterator[Moment]:
-    """Moments of a whole drive: times (n,) [ns]; rows (n, 4): v_x, v_y, r at the INS point, hand wheel."""
-    moments = Moments(vehicle)
-    for time, (v_x, v_y, r, hand) in zip(times_ns.tolist(), rows.tolist(), strict=True):
-        moments.add_ins(InsSample(time, math.nan, math.nan, math.nan, v_x, v_y, r))
-        moments.add_steering(time, hand)
-        yield from moments.take()

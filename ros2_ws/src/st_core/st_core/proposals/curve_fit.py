@@ -9,10 +9,10 @@ from ..discovery.loss import Errors, Loss, Quadratic
 from ..discovery.space import GAIN, Space
 from ..discovery.windows import Windows
 from ..effects import get_effect
-from ..effects._law import COUNT
+from ..effects._law import COUNT, Law
 from .places import Candidate, run_time
 
-LAW = "law"  # the kind of law the places in the vector are looked up of; they are the same for all kinds
+LAW = Law.name  # the kind of law the places in the vector are looked up of; they are the same for all kinds
 SMOOTH = (0.003, 0.03, 0.3)  # penalty on second differences, shares of the mean curvature of the coefficients
 LEVEL = 0.1  # of the penalty, on the coefficients themselves: what driving does not show stays at nothing
 SETTLED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
