@@ -11,6 +11,7 @@ from typing import Any
 from .errors import ConfigurationError
 from .provenance import KEYS as PROVENANCE_KEYS
 from .provenance import Provenance, read_provenance
+from .types import Number
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
 from .yaml_text import check_keys, load, number, quoted
 
@@ -133,7 +134,7 @@ class VehicleParameters:
     sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check_all("", self, VEHICLE_QUANTITIES)
         if not self.cg_to_front_axle < self.wheelbase:
             raise ConfigurationError(f"cg_to_front_axle: {self.cg_to_front_axle:g} m is not below wheelbase "
@@ -156,11 +157,11 @@ class VehicleParameters:
         """m g l_f / l / 2 [N]: one rear tyre at rest."""
         return 0.5 * self.mass * GRAVITY * self.cg_to_front_axle / self.wheelbase
 
-    def road_wheel_angle(self, steering_wheel_angle):
+    def road_wheel_angle(self, steering_wheel_angle: Number) -> Number:
         """delta = (measured - offset) / ratio [rad], left +, from the measured steering wheel angle [rad], left +."""
         return (steering_wheel_angle - self.steering_wheel_offset) / self.steering_ratio
 
-    def steering_wheel_angle(self, road_wheel_angle):
+    def steering_wheel_angle(self, road_wheel_angle: Number) -> Number:
         """What the steering wheel sensor reads [rad] at a road wheel angle [rad]: the inverse of `road_wheel_angle`."""
         return road_wheel_angle * self.steering_ratio + self.steering_wheel_offset
 
@@ -188,8 +189,8 @@ class VehicleParameters:
         if not isinstance(name, str) or not name.strip():
             raise ConfigurationError(f"name: {name!r} is not a text; write the name of the car")
         notes = _Notes()
-        values = _read("", document, VEHICLE_QUANTITIES, notes)
-        tyres = {}
+        values: dict[str, Any] = _read("", document, VEHICLE_QUANTITIES, notes)
+        tyres: dict[str, Any] = {}
         for tyre in TYRES:
             section = document[tyre]
             if not isinstance(section, dict):

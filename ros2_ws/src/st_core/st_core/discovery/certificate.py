@@ -4,7 +4,7 @@ Drives are imitated on the errors themselves: those the answer leaves, with the 
 plus what the effect would change. The same tests then say whether it is found.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import stats
@@ -56,7 +56,7 @@ def _asked(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) -> 
     return max(asked, limits.beside) if left_over(problem, rows) > limits.left else asked
 
 
-def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick) -> Certificate:
+def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
     """The test of a forward step on imitated drives, DRAWS of each size of each effect and FLIPS / 4 without any."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))

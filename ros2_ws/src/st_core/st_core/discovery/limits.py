@@ -42,7 +42,7 @@ class Limits:
     shown: float = 0.8
     most: int = 16
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in fields(self):
             if not getattr(self, field.name) > 0:
                 raise ConfigurationError(f"limit {field.name}: {getattr(self, field.name)!r} is not above 0")

@@ -39,7 +39,8 @@ def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
 
 
 def _modules(finder: FileFinder) -> list[str]:
-    return sorted(name for name, _ in pkgutil.iter_importer_modules(finder) if not name.startswith("_"))
+    found = pkgutil.iter_importer_modules(finder)  # type: ignore[attr-defined]  # public, but not in the stubs
+    return sorted(name for name, _ in found if not name.startswith("_"))
 
 
 def _package(path: str) -> tuple[FileFinder, str]:

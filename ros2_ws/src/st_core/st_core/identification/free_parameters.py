@@ -2,6 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from ..augmented import AugmentedModel, augment
 from ..effects.steering_delay import SteeringDelay
@@ -92,12 +95,13 @@ class Applied:
             effects[RELAXATION] = {"length": 0.0}
         self._model = augment(base, effects)
 
-    def __call__(self, values: Sequence[float]) -> tuple[AugmentedModel, VehicleParameters, float]:
+    def __call__(self, values: Sequence[float] | np.ndarray) -> tuple[AugmentedModel, VehicleParameters, float]:
         """(model, car, ins_misalignment [rad]) for values of `names`, SI."""
         given, file = dict(zip(self.names, map(float, values), strict=True)), self.vehicle
         car = with_stiffness(file, given.get("cornering_stiffness_front", file.cornering_stiffness_front),
                              given.get("cornering_stiffness_rear", file.cornering_stiffness_rear))
-        car = replace(car, **{name: given[name] for name in ("yaw_inertia", "cg_to_ins_x") if name in given})
+        car = replace(car, yaw_inertia=given.get("yaw_inertia", car.yaw_inertia),
+                      cg_to_ins_x=given.get("cg_to_ins_x", car.cg_to_ins_x))
         ratio = given.get("steering_ratio", file.steering_ratio)
         offset = given.get("steering_wheel_offset", file.steering_wheel_offset)
         effects = {SteeringRatio.name: {"factor": ratio / file.steering_ratio},
@@ -111,7 +115,7 @@ class Applied:
 
 def identified_vehicle(vehicle: VehicleParameters, values: Mapping[str, float]) -> VehicleParameters:
     """The vehicle file's car with new values (SI) of any of its parameters; lambda_ky follows the stiffnesses."""
-    own = {name: value for name, value in values.items() if hasattr(vehicle, name)}
+    own: dict[str, Any] = {name: value for name, value in values.items() if hasattr(vehicle, name)}
     car = replace(vehicle, **{n: v for n, v in own.items() if not n.startswith("cornering_stiffness")})
     return with_stiffness(car, own.get("cornering_stiffness_front", vehicle.cornering_stiffness_front),
                           own.get("cornering_stiffness_rear", vehicle.cornering_stiffness_rear))

@@ -47,10 +47,10 @@ class Moments:
 
     def take(self) -> Iterator[Moment]:
         """Moments that are complete by now, oldest first."""
-        if self._ins.newest is None or self._steering.newest is None:
+        if not len(self._ins) or not len(self._steering):
             return
-        newest = min(self._ins.newest, self._steering.newest)
-        oldest = max(self._ins.oldest, self._steering.oldest)
+        newest = int(min(self._ins.times[-1], self._steering.times[-1]))
+        oldest = int(max(self._ins.times[0], self._steering.times[0]))
         if self._next is None or self._next < oldest:
             self._start_over()
             self._next = -(-oldest // GRID_NS) * GRID_NS
