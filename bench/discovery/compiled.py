@@ -137,7 +137,8 @@ def _pushed(rates, s, law, body, time, ax):
             rates[9], rates[10], rates[11], rates[12], rates[13], rates[14], rates[15])
 
 
-def _loop(state, options, c, road, law, body, first, delayed, gusts, hand, yaw, gain, speed, acceleration, out):
+# One kernel compiled as a whole: its parts share the state of driver, actuator, gusts and body.
+def _loop(state, options, c, road, law, body, first, delayed, gusts, hand, yaw, gain, speed, acceleration, out):  # noqa: PLR0912, PLR0915
     mass, wheelbase, rear, nominal_ratio, ratio, play, wind, gust = options
     memory = exp(-STEP / GUST_TIME)
     kick = gust * sqrt(1.0 - memory * memory)

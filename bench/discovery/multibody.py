@@ -169,7 +169,8 @@ def rates(x, steering_rate, acceleration, here, p, drag_area, calm):
     return f
 
 
-def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, yaw, gain, speed, acceleration, out):
+# One kernel compiled as a whole: its parts share the state of driver, actuator, gusts and body.
+def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, hand, yaw, gain, speed, acceleration, out):  # noqa: PLR0912, PLR0915
     fading = exp(-STEP / GUST_TIME)
     kick = o.gust * sqrt(1.0 - fading * fading)
     x, middle = state[:BODY_STATES].copy(), state[:BODY_STATES].copy()

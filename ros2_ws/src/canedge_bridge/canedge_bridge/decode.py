@@ -143,7 +143,7 @@ class Decoder:
         """(what is wrong, whether to drop the frame)"""
         spec, statistics = row.spec, row.statistics
         counter_mode, checksum_mode = self.modes[spec.name]
-        if spec.checksum is not None and checksum_mode is not Mode.OFF:
+        if spec.checksum is not None and spec.checksum.rule is not None and checksum_mode is not Mode.OFF:
             found = spec.checksum.field.read(data)
             expected = checksum_of(spec.checksum.rule, spec.checksum.field, data, spec.dbc.frame_id)
             if found != expected:
@@ -151,7 +151,7 @@ class Decoder:
                 if row.counter is not None:
                     row.counter.pass_over(time_ns)
                 return f"{spec.checksum.signal} is {found:#x}, {expected:#x} expected", checksum_mode is Mode.DROP
-        if row.counter is not None and counter_mode is not Mode.OFF:
+        if row.counter is not None and spec.counter is not None and counter_mode is not Mode.OFF:
             right = row.counter.accepts(data, time_ns)
             statistics.lost = row.counter.lost
             if not right:
@@ -169,7 +169,7 @@ class Decoder:
         """
         dbc = self.table.database.get_message_by_name(message)
         spec = self.table.messages.get(message)
-        raw = dict.fromkeys((s.name for s in dbc.signals), 0)
+        raw: dict[str, float] = dict.fromkeys((s.name for s in dbc.signals), 0)
         given = dict(values)
         if spec is not None:
             raw.update(spec.fill)
@@ -191,8 +191,8 @@ class Decoder:
         if spec is not None and spec.counter is not None:
             raw[spec.counter.signal] = counter & spec.counter.field.mask
         data = dbc.encode(raw, scaling=False, strict=False)
-        if spec is not None and spec.checksum is not None:
-            check = spec.checksum
+        check = spec.checksum if spec is not None else None
+        if check is not None and check.rule is not None:
             data = check.field.written(data, checksum_of(check.rule, check.field, data, dbc.frame_id))
         return can.Message(arbitration_id=dbc.frame_id, is_extended_id=dbc.is_extended_frame, data=data)
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
@@ -57,7 +58,9 @@ class Health:
 
     def _needed(self) -> Check:
         now_ns = self._now_ns()
-        values, missing, stale = {}, [], []
+        values: dict[str, Any] = {}
+        missing: list[str] = []
+        stale: list[str] = []
         for message in self._decoder.table.messages.values():
             seen = self._decoder.statistics(message.name).last_seen_ns
             age = None if seen is None else (now_ns - seen) * 1e-9
@@ -76,7 +79,8 @@ class Health:
         return Check("signals", OK, "waiting for the first frames" if missing else "needed signals are fresh", values)
 
     def _frames(self) -> Check:
-        values, bad = {}, 0
+        values: dict[str, Any] = {}
+        bad = 0
         for name, message in self._decoder.table.messages.items():
             counts = self._decoder.statistics(name)
             values[f"{name} good"] = counts.good

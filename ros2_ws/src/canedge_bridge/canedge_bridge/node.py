@@ -5,6 +5,7 @@ import math
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import can
 import rclpy
@@ -150,7 +151,7 @@ class CanedgeBridge(Node):
             logger.info(self._calibration.formula())
 
 
-def _make_decoder(settings) -> Decoder:
+def _make_decoder(settings: SimpleNamespace) -> Decoder:
     for name in ("dbc_file", "signals_file"):
         if not getattr(settings, name):
             raise ConfigurationError(f"canedge_bridge.{name}: not given")

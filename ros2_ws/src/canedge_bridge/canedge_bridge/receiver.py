@@ -100,7 +100,7 @@ class Receiver:
                 if self._bus is None:
                     self._open()
                 else:
-                    self._receive()
+                    self._receive(self._bus)
             except Exception as error:  # The supervisor: whatever a driver raises, the thread lives on.
                 self._failed(error)
         self._close()
@@ -120,8 +120,8 @@ class Receiver:
             except Exception as error:  # A vanished device may not even let itself be closed.
                 self._on_trouble(error)
 
-    def _receive(self) -> None:
-        frame = self._bus.recv(_POLL)
+    def _receive(self, bus: can.BusABC) -> None:
+        frame = bus.recv(_POLL)
         if frame is None:
             self._nothing_came()
             return

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cantools
 from cantools.database.can import Message as DbcMessage
@@ -189,7 +189,8 @@ def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
         period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
         counter=_check(counter, dbc, dbc_path, row) if counter else None,
         checksum=_check(checksum, dbc, dbc_path, row, with_rule=True) if checksum else None,
-        fill={name: fill.integer(name, 0, 2 ** _find(dbc, name, dbc_path, row).length - 1) for name in fill or ()},
+        fill={name: fill.integer(name, 0, 2 ** _find(dbc, name, dbc_path, row).length - 1) for name in fill} if fill
+        else {},
         samples=tuple(_sample(s, dbc, signals, dbc_path) for s in row.entries("samples")),
     )
 
@@ -230,14 +231,20 @@ def _signal(entry: Entry, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
     return spec
 
 
+def _number(value: object) -> float:
+    """What cantools scales without choices."""
+    assert isinstance(value, int | float)
+    return value
+
+
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
     """A signal that is given a range must reach both sides of it: an unsigned layout of a wheel cannot turn right."""
     if not math.isfinite(spec.maximum) or spec.dbc.is_float:
         return
     raw_low = -(2 ** (spec.dbc.length - 1)) if spec.dbc.is_signed else 0
     raw_high = raw_low + 2**spec.dbc.length - 1
-    ends = [(spec.gain * spec.dbc.conversion.raw_to_scaled(raw, decode_choices=False) + spec.bias) / spec.factor
-            for raw in (raw_low, raw_high)]
+    ends = [(spec.gain * _number(spec.dbc.conversion.raw_to_scaled(raw, decode_choices=False)) + spec.bias)
+            / spec.factor for raw in (raw_low, raw_high)]
     # Half of the range: some sensors stop short of what is physically possible, none stops at straight ahead.
     if min(ends) > spec.minimum / 2 or max(ends) < spec.maximum / 2:
         order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
@@ -282,8 +289,8 @@ def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_
     shown = f"the recorded frame {data.hex(' ').upper()} of {dbc.name}"
     if len(data) != dbc.length:
         raise TableError(f"{entry.origin}: {entry.path}.data: {shown} has {len(data)} bytes, the DBC says {dbc.length}")
-    physical = dbc.decode(data, decode_choices=False)[spec.dbc.name]
-    value = (spec.gain * physical + spec.bias) / spec.factor
+    physical = cast("dict[str, float]", dbc.decode(data, decode_choices=False))  # of a plain message
+    value = (spec.gain * physical[spec.dbc.name] + spec.bias) / spec.factor
     # The sign is left to steering_sign: which way the sensor counts is a property of the car, byte order is not.
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
         raise TableError(f"{dbc_path}: {spec.dbc.name} makes nonsense of {shown}: {value:g} {spec.unit} instead of "

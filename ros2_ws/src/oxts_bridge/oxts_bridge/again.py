@@ -45,8 +45,8 @@ def odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = 
             if received.kind != "regular" or received.order != NEW:
                 continue
             if live:
-                minute.look(received, parser.clock)
+                minute.look(received, received_ns, parser.clock)
             stamp = received_ns if by_receive_time else received.utc_ns
-            if frame is not None and stamp is not None:
+            if motion is not None and frame is not None and stamp is not None:
                 yield Posed(stamp, motion.position(frame), motion.attitude.quaternion(), motion.body_velocity,
                             motion.angular_velocity)

@@ -20,7 +20,7 @@ from .ncom import (
     VELOCITY_UNIT,
     NcomError,
 )
-from .stream import DUPLICATE, NEW, Counters, plausible
+from .stream import DUPLICATE, LATE, NEW, Counters, plausible
 
 KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
@@ -142,26 +142,12 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     status, channel = raw[:, 21].copy(), raw[:, 62].copy()
     milliseconds = np.ndarray((n,), "<u2", buffer, 1, (PACKET_SIZE,)).astype(np.int64)
     has_status = _HAS_STATUS[status]
-    _count(counters, raw, status, channel, has_status)
-
-    timed = np.flatnonzero(_HAS_TIME[status])
     minutes = _channel_0_minutes(buffer, n, channel, has_status)
-    gps_ns = np.full(n, UNKNOWN_TIME)
-    order = np.zeros(n, np.int8)
-    hints = np.flatnonzero((status == 10) & (minutes >= 0))
-    gps_ms, order[timed], jumps = packet_times(
-        milliseconds[timed],
-        minutes[timed],
-        timed,
-        [(i, minutes[i]) for i in hints],
-        lambda a, b: bool((raw[timed[a]] == raw[timed[b]]).all()),
-    )
-    gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
+    gps_ns, order, jumps = _times(raw, status, milliseconds, minutes)
     kind = _KIND[status]
-    _trigger_times(raw, status, channel, kind, gps_ns, order)
-    counters.triggers = int((_KIND[status] == TRIGGER).sum())
-    counters.duplicates = int((order == DUPLICATE).sum())
-    counters.late = int((order == 2).sum())
+    _trigger_times(raw, kind, gps_ns, order)
+    _count(counters, raw, status, channel, has_status, order)
+    heading, pitch, roll = _i24(buffer, n, 52, ANGLE_UNIT)
 
     columns = Columns(
         offset=offset,
@@ -179,20 +165,34 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         longitude=np.ndarray((n,), "<f8", buffer, 31, (PACKET_SIZE,)).copy(),
         altitude=_altitude(buffer, n),
         velocity_ned=_i24(buffer, n, 43, VELOCITY_UNIT),
-        heading=_empty,
-        pitch=_empty,
-        roll=_empty,
+        heading=heading,
+        pitch=pitch,
+        roll=roll,
         approximate=_IS_APPROXIMATE[status],
         has_status=has_status,
         counters=counters,
         time_jumps=jumps,
     )
-    columns.heading, columns.pitch, columns.roll = _i24(buffer, n, 52, ANGLE_UNIT)
     _mask(columns)
     return columns
 
 
-_empty = np.empty(0)
+def _times(
+    raw: np.ndarray, status: np.ndarray, milliseconds: np.ndarray, minutes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """GPS time [ns] and order of every packet that is timed by its milliseconds, and the number of jumps."""
+    gps_ns, order = np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
+    timed = np.flatnonzero(_HAS_TIME[status])
+    hints = np.flatnonzero((status == 10) & (minutes >= 0))
+    gps_ms, order[timed], jumps = packet_times(
+        milliseconds[timed],
+        minutes[timed],
+        timed,
+        [(i, int(minutes[i])) for i in hints.tolist()],
+        lambda a, b: bool((raw[timed[a]] == raw[timed[b]]).all()),
+    )
+    gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
+    return gps_ns, order, jumps
 
 
 def _rows(data: bytes, offset: np.ndarray) -> np.ndarray:
@@ -229,9 +229,7 @@ def _channel_0_minutes(buffer: memoryview, n: int, channel: np.ndarray, has_stat
     return minutes
 
 
-def _trigger_times(
-    raw: np.ndarray, status: np.ndarray, channel: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order: np.ndarray
-) -> None:
+def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order: np.ndarray) -> None:
     before = b""
     for i in np.flatnonzero(kind == TRIGGER):
         packet = raw[i].tobytes()
@@ -253,7 +251,12 @@ def _utc_offsets(raw: np.ndarray, status: np.ndarray, channel: np.ndarray) -> tu
 
 
 def _count(
-    counters: Counters, raw: np.ndarray, status: np.ndarray, channel: np.ndarray, has_status: np.ndarray
+    counters: Counters,
+    raw: np.ndarray,
+    status: np.ndarray,
+    channel: np.ndarray,
+    has_status: np.ndarray,
+    order: np.ndarray,
 ) -> None:
     first = np.add.reduce(raw[:, 1:22], axis=1, dtype=np.uint8)
     wrong = first != raw[:, 22]
@@ -261,10 +264,11 @@ def _count(
     structure_b = status == STRUCTURE_B
     counters.structure_b = int(structure_b.sum())
     counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
-    unknown = np.flatnonzero(~_IS_KNOWN[status])
-    counters.unknown_statuses = len(unknown)
-    counters.last_unknown_status = int(status[unknown[-1]]) if len(unknown) else None
+    counters.unknown_statuses = int((~_IS_KNOWN[status]).sum())
     counters.unknown_channels = int((has_status & ~_KNOWN_CHANNEL[channel]).sum())
+    counters.triggers = int((_KIND[status] == TRIGGER).sum())
+    counters.duplicates = int((order == DUPLICATE).sum())
+    counters.late = int((order == LATE).sum())
 
 
 def _mask(columns: Columns) -> None:

@@ -35,19 +35,20 @@ def packet_times(
         time, order[k] = clock.step(int(ms[k]), None if minutes[k] < 0 else int(minutes[k]))
         times[k] = -1 if time is None else time
         k += 1
-        if not clock.settled:
+        minute = clock.minute
+        if minute is None or not clock.settled:
             continue
-        end = events.next(k, clock.minute)
+        end = events.next(k, minute)
         if end > k:
             run = slice(k, end)
-            times[run] = (clock.minute + events.turns[run] - events.turns[k - 1]) * MINUTE_MS + ms[run]
+            times[run] = (minute + events.turns[run] - events.turns[k - 1]) * MINUTE_MS + ms[run]
             order[run][events.ahead[run] == 0] = SAME
             clock.jumps += int((events.ahead[run] * 1_000_000 > LARGEST_STEP_NS).sum())
             clock.minute, clock.milliseconds = int(times[end - 1] // MINUTE_MS), int(ms[end - 1])
             k = end
             # Hints inside the run came while the minute was known and meant nothing.
             waiting = [hint for hint in waiting if hint[0] > index[k - 1]]
-    for i in np.flatnonzero(order == SAME):
+    for i in np.flatnonzero(order == SAME).tolist():
         if equal(i, i - 1):
             order[i] = DUPLICATE
     return times, order, clock.jumps
@@ -70,7 +71,7 @@ class _Events:
     def next(self, k: int, minute: int) -> int:
         """First packet from k on that is late or whose sent minute differs, given the minute of packet k - 1; else
         the end."""
-        end = self._at(self._late, np.searchsorted(self._late, k))
+        end = self._at(self._late, int(np.searchsorted(self._late, k)))
         j = int(np.searchsorted(self._sent, k))
         if j == len(self._sent):
             return end

@@ -91,7 +91,7 @@ def encode_trigger(channel: int, gps_nanoseconds: int, count: int) -> bytes:
 
 
 def _encode_long_range(values: Mapping[str, Value]) -> bytes:
-    lengths = [values.get(name) for name in ("GAPx", "GAPy", "GAPz")]
+    lengths: list[Value] = [values.get(name) for name in ("GAPx", "GAPy", "GAPz")]
     if all(length is None for length in lengths):
         return b"\xff" * 6 + b"\xff\x00"
     if any(length is None for length in lengths):

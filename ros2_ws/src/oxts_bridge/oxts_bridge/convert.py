@@ -3,6 +3,7 @@ Odometry costs more than everything else done for a packet. Signs and units: REP
 UNKNOWN_VARIANCE."""
 
 from math import degrees
+from typing import Any
 
 from geometry_msgs.msg import TransformStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
@@ -29,11 +30,11 @@ def set_stamp(header: Header, nanoseconds: int) -> None:
     header.stamp.sec, header.stamp.nanosec = divmod(nanoseconds, 1_000_000_000)
 
 
-def _set_quaternion(message: object, quaternion: tuple[float, float, float, float]) -> None:
+def _set_quaternion(message: Any, quaternion: tuple[float, float, float, float]) -> None:
     message.x, message.y, message.z, message.w = quaternion
 
 
-def _set_vector(message: object, vector: Vector) -> None:
+def _set_vector(message: Any, vector: Vector) -> None:
     message.x, message.y, message.z = vector
 
 
@@ -59,7 +60,7 @@ class OdometryMaker:
         return message
 
     @staticmethod
-    def _pose_covariance(covariance: object, motion: Motion, accuracy: Accuracy) -> None:
+    def _pose_covariance(covariance: Any, motion: Motion, accuracy: Accuracy) -> None:
         known = accuracy.position_known
         covariance[0] = accuracy.east**2 if known else UNKNOWN_VARIANCE
         covariance[7] = accuracy.north**2 if known else UNKNOWN_VARIANCE
@@ -97,7 +98,7 @@ def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, 
     return motion.attitude.orientation_covariance(accuracy.roll, accuracy.pitch, accuracy.heading)
 
 
-def _set_block(covariance: object, at: int, block: tuple[float, ...]) -> None:
+def _set_block(covariance: Any, at: int, block: tuple[float, ...]) -> None:
     """A 3 x 3 block of a 6 x 6 matrix, its first element at index `at`."""
     covariance[at], covariance[at + 1], covariance[at + 2] = block[0:3]
     covariance[at + 6], covariance[at + 7], covariance[at + 8] = block[3:6]
@@ -185,7 +186,7 @@ def static_transforms(
     for parent, child, offset in ((map_frame, odom_frame, (0.0, 0.0, 0.0)), (base_frame, ins_frame, base_to_ins)):
         transform = TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
         set_stamp(transform.header, stamp_ns)
-        _set_vector(transform.transform.translation, tuple(offset))
+        _set_vector(transform.transform.translation, offset)
         transforms.append(transform)
     return TFMessage(transforms=transforms)
 
@@ -221,7 +222,7 @@ def make_trigger(
     message = Trigger(header=Header(frame_id=map_frame), source=channel, count=count)
     set_stamp(message.header, stamp_ns)
     message.pose_valid = position is not None and motion is not None
-    if message.pose_valid:
+    if position is not None and motion is not None:
         _set_vector(message.pose.position, position)
         _set_quaternion(message.pose.orientation, motion.attitude.quaternion())
         _set_vector(message.twist.linear, motion.body_velocity)

@@ -80,7 +80,7 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     if status_path is not None:
         with Path(status_path).open("w", encoding="ascii", newline="") as file:
             file.write("pkt,channel,field,valid,value\n")
-            file.writelines(_status_lines(columns, changes))
+            file.writelines(_status_lines(changes))
     return len(columns)
 
 
@@ -176,7 +176,7 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
     return changes, settings
 
 
-def _status_lines(columns: Columns, changes: list[Change]) -> Iterator[str]:
+def _status_lines(changes: list[Change]) -> Iterator[str]:
     for packet, channel, name, value in changes:
         text = "" if value is None else repr(value) if isinstance(value, float) else str(value)
         yield f"{packet},{channel},{name},{int(value is not None)},{_quoted(text)}\n"

@@ -3,11 +3,13 @@
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 from .ncom import NcomError
 from .wire import wire
 
-Value = float | int | str | None
+Value: TypeAlias = Any
+"""A float, int or text as the field says; None: invalid."""
 Decoder = Callable[[bytes], Value]
 
 

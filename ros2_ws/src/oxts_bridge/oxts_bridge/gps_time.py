@@ -103,7 +103,9 @@ class GpsClock:
         return self._time(), NEW if ahead else SAME
 
     def _time(self) -> int | None:
-        return None if self.minute is None else self.minute * MINUTE_MS + self.milliseconds
+        if self.minute is None or self.milliseconds is None:
+            return None
+        return self.minute * MINUTE_MS + self.milliseconds
 
     def _channel_0(self, ms: int, minute: int) -> bool:
         """Compare the counted minute with the sent one, which wins; True if that moved the time."""
@@ -120,7 +122,8 @@ class GpsClock:
 
     def _is_ahead(self, ms: int, minute: int | None) -> bool:
         """Whether a packet that looks old by its ms alone says by its minute that it is not."""
-        return minute is not None and self.minute is not None and minute * MINUTE_MS + ms > self._time()
+        now = self._time()
+        return minute is not None and now is not None and minute * MINUTE_MS + ms > now
 
     def _late(self, ms: int, minute: int | None, ahead: int, received_ns: int | None) -> tuple[int | None, int]:
         follows = self._run and (ms - self._run_ms) % MINUTE_MS < HALF_MINUTE_MS

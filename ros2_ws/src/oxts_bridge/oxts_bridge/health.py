@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
@@ -55,7 +56,7 @@ class Health:
         return [self._source_check(source), self._stream(source), self._solution(), self._completeness(), self._time()]
 
     def _source_check(self, source: SourceStatus) -> Check:
-        values = {"datagrams": source.datagrams}
+        values: dict[str, Any] = {"datagrams": source.datagrams}
         if source.sender:
             values["sender"] = source.sender
         values.update({f"ignored from {address}": count for address, count in source.others.items()})
@@ -175,16 +176,16 @@ class Health:
 
     def _time(self) -> Check:
         offset = self._parser.utc_offset
-        values = {
+        values: dict[str, Any] = {
             "time jumps": self._parser.time_jumps,
             "UTC offset [s]": "leap-second table" if offset is None else offset,
         }
         figures = self._statistics.stamp_minus_host() if self._live else None
-        if figures is None:
+        newest = self._statistics.newest_minus_host()
+        if figures is None or newest is None:
             return Check("time", OK, "not compared with the host's clock" if not self._live else "no time yet", values)
         middle, worst = figures
         values |= {"stamp minus host, median [s]": middle, "stamp minus host, 99 % above [s]": worst}
-        newest = self._statistics.newest_minus_host()
         if abs(newest) > ANOTHER_TIME:
             apart = f"{newest / DAY:+.1f} days" if abs(newest) > DAY else f"{newest:+.0f} s"
             return Check("time", ERROR, f"stamps are of another time: {apart} from the host's clock", values)

@@ -13,14 +13,14 @@ class HostMinute:
     def __init__(self) -> None:
         self._untimed_since: int | None = None
 
-    def look(self, received: Received, clock: GpsClock) -> bool:
-        """Take a packet of the series, with the time the host got it; True where the clock was given its minute."""
+    def look(self, received: Received, received_ns: int, clock: GpsClock) -> bool:
+        """Take a packet of the series and the time the host got it; True where the clock was given its minute."""
         if not received.rule.time or received.gps_ns is not None:
             self._untimed_since = None
             return False
         if self._untimed_since is None:
-            self._untimed_since = received.received_ns
-        if received.received_ns - self._untimed_since <= PATIENCE_NS:
+            self._untimed_since = received_ns
+        if received_ns - self._untimed_since <= PATIENCE_NS:
             return False
-        clock.hint(host_minute(received.received_ns, received.packet.milliseconds))
+        clock.hint(host_minute(received_ns, received.packet.milliseconds))
         return True

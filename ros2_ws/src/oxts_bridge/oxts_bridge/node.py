@@ -20,7 +20,7 @@ from .ncom import NcomError
 from .nodes._outputs import Outputs
 from .origin import GIVEN, Origin
 from .settings import NCOM, PARAMETERS, check
-from .sources import ReplaySource, UdpSource
+from .sources import ReplaySource, SourceStatus, UdpSource
 from .status import StatusTracker
 from .stream import DUPLICATE, NEW, SAME, NcomParser, Received
 from .stream_statistics import StreamStatistics
@@ -89,6 +89,7 @@ class OxtsBridge(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         if self._source is None:
             self._source = self._make_source()
+        assert self._outputs is not None, "made on configuring"
         self._outputs.static_transforms(time.time_ns())
         self._source.start()
         self.get_logger().info(f"reading {self._source.status.name}")
@@ -129,7 +130,7 @@ class OxtsBridge(LifecycleNode):
             self._outputs.destroy()
             self._outputs = None
 
-    def _source_status(self):
+    def _source_status(self) -> SourceStatus | None:
         return None if self._source is None else self._source.status
 
     def _checks(self) -> list[Check]:
@@ -143,7 +144,8 @@ class OxtsBridge(LifecycleNode):
         for received in packets:
             received.received_ns = received_ns
             try:
-                self._take(received, wanted)
+                if self._outputs is not None:
+                    self._take(received, received_ns, self._outputs, wanted)
             except Exception as error:  # a packet nobody thought of must not end the thread that reads all others
                 self._health.failures += 1
                 self.get_logger().error(
@@ -154,11 +156,11 @@ class OxtsBridge(LifecycleNode):
     def _on_replay_restart(self) -> None:
         self._parser.restart()
 
-    def _take(self, received: Received, wanted: bool) -> None:
+    def _take(self, received: Received, received_ns: int, outputs: Outputs, wanted: bool) -> None:
         now = time.monotonic()
         self._health.heard = now
         if wanted and received.order != DUPLICATE:
-            self._outputs.raw(received, now)
+            outputs.raw(received, now)
         if received.order not in (NEW, SAME):
             return
         if received.rule.known:
@@ -168,15 +170,15 @@ class OxtsBridge(LifecycleNode):
             return
         in_series = received.kind == "regular" and received.order == NEW
         motion = motion_of(received)
-        position = self._position(received, motion)
-        self._publish_event(received, motion, position)
+        position = self._position(outputs, received_ns, motion)
+        self._publish_event(outputs, received, motion, position)
         if in_series:
             self._continuity.note(received.packet)
             self._statistics.add(received)
-            if self._live and self._minute.look(received, self._parser.clock):
+            if self._live and self._minute.look(received, received_ns, self._parser.clock):
                 self._health.minute_from_host = True
-            self._publish_motion(received, motion, position, now)
-        self._publish_status(received, now)
+            self._publish_motion(outputs, received, motion, position, now)
+        self._publish_status(outputs, received.utc_ns if received.utc_ns is not None else received_ns, now)
 
     def _update_status(self, received: Received) -> None:
         if not received.rule.status:
@@ -190,25 +192,28 @@ class OxtsBridge(LifecycleNode):
         if fields and packet.channel in _ACCURACY_CHANNELS:
             self._accuracy = Accuracy.from_status(self._status)
 
-    def _position(self, received: Received, motion: Motion | None) -> Vector | None:
+    def _position(self, outputs: Outputs, received_ns: int, motion: Motion | None) -> Vector | None:
         if motion is None:
             return None
         before = self._origin.frame
-        frame = self._origin.look(motion, self._status, received.received_ns)
-        if frame is not before:
-            self._outputs.origin(received.received_ns, self._origin.degrees)
+        frame = self._origin.look(motion, self._status, received_ns)
+        if frame is not before and self._origin.degrees is not None:
+            outputs.origin(received_ns, self._origin.degrees)
         return None if frame is None else motion.position(frame)
 
-    def _publish_event(self, received: Received, motion: Motion | None, position: Vector | None) -> None:
+    def _publish_event(
+        self, outputs: Outputs, received: Received, motion: Motion | None, position: Vector | None
+    ) -> None:
         event = self._events.event(received)
         if event is None:
             return
         stamp = unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
         where = (position, motion) if event.complete else (None, None)
-        self._outputs.trigger(convert.make_trigger(stamp, self._settings.map_frame, event.channel, event.count, *where))
+        outputs.trigger(convert.make_trigger(stamp, self._settings.map_frame, event.channel, event.count, *where))
 
-    def _publish_motion(self, received: Received, motion: Motion | None, position: Vector | None, now: float) -> None:
-        outputs = self._outputs
+    def _publish_motion(
+        self, outputs: Outputs, received: Received, motion: Motion | None, position: Vector | None, now: float
+    ) -> None:
         stamp = received.utc_ns if self._settings.stamp_source == NCOM else received.received_ns
         outputs.time_reference(received, now)
         if stamp is None:
@@ -221,14 +226,13 @@ class OxtsBridge(LifecycleNode):
             self._clock_at = now
             outputs.clock(received.utc_ns)
 
-    def _publish_status(self, received: Received, now: float) -> None:
+    def _publish_status(self, outputs: Outputs, stamp: int, now: float) -> None:
         get = self._status.get
         shown = (self._health.navigation_status, get("GpsPosMode"), get("GpsVelMode"), get("GpsAttMode"))
         if shown == self._shown and now - self._shown_at < self._settings.status_period:
             return
         self._shown, self._shown_at = shown, now
-        stamp = received.utc_ns if received.utc_ns is not None else received.received_ns
-        self._outputs.status(
+        outputs.status(
             convert.make_status(
                 stamp,
                 self._settings.ins_frame,

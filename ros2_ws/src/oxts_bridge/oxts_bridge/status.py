@@ -77,8 +77,10 @@ class StatusTracker:
     def local_frame(self) -> tuple[float, float, float, float] | None:
         """Origin latitude, longitude [deg], altitude [m], heading [deg] of the last complete local frame of the
         unit."""
-        frame = tuple(self.values.get(name) for name in LOCAL_FRAME)
-        return None if None in frame else frame
+        latitude, longitude, altitude, heading = (self.values.get(name) for name in LOCAL_FRAME)
+        if latitude is None or longitude is None or altitude is None or heading is None:
+            return None
+        return latitude, longitude, altitude, heading
 
     def _system(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
         lag, code = fields["BnsLag"], fields.pop("UpTimeCode")
@@ -105,9 +107,9 @@ class StatusTracker:
         if milliseconds is None or gps_seconds is None:
             return  # no new time, so no new frequency: the last one stands
         time = 60.0 * round((gps_seconds - milliseconds * 1e-3) / 60.0) + milliseconds * 1e-3
-        count = fields["WSpeedCount"]
-        forward = self._wheel is not None and time > self._wheel[0]
-        fields["WSpeedFreq"] = (count - self._wheel[1]) % (1 << 32) / (time - self._wheel[0]) if forward else None
+        count, before = fields["WSpeedCount"], self._wheel
+        forward = before is not None and time > before[0]
+        fields["WSpeedFreq"] = (count - before[1]) % (1 << 32) / (time - before[0]) if before and forward else None
         self._wheel = time, count
         fields["WSpeedTime"] = time
 

@@ -1,6 +1,6 @@
 """Bytes from anywhere, in any portions, to timed NCOM packets. Never raises on what the bytes hold."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite, pi
 
 from . import channels, gps_time
@@ -57,7 +57,6 @@ class Counters:
     structure_b: int = 0  # vendor-internal, dropped
     triggers: int = 0
     impossible_positions: int = 0  # NaN or out of range where the navigation status declares a position: masked
-    last_unknown_status: int | None = field(default=None, repr=False)
 
 
 class NcomParser:
@@ -139,34 +138,41 @@ class NcomParser:
         kind = rule.kind
         order = NEW
         gps_ns: int | None = None
-        minute: int | None = None
-        if rule.status:
-            minute = self._status_channel(packet, status)
+        minute = self._status_channel(packet, status) if rule.status else None
         if rule.time:
-            gps_ms, order = self.clock.step(packet.milliseconds, minute, received_ns)
-            gps_ns = None if gps_ms is None else gps_ms * 1_000_000
-            if order == SAME and raw == self._last_raw:
-                order = DUPLICATE
-                counters.duplicates += 1
-            elif order == LATE:
-                counters.late += 1
-            self._last_raw = raw
+            gps_ns, order = self._step(packet, raw, minute, received_ns)
         elif rule.trigger:
-            counters.triggers += 1
-            if packet.channel in channels.TRIGGER_CHANNELS:
-                gps_ns = channels.trigger_nanoseconds(packet.batch_s)
+            gps_ns, order = self._trigger(packet, raw)
             if gps_ns is None:
                 kind = "empty"
-            elif raw == self._last_trigger:
-                order = DUPLICATE
-                counters.duplicates += 1
-            self._last_trigger = raw
         elif not rule.known:
             counters.unknown_statuses += 1
-            counters.last_unknown_status = status
         counters.impossible_positions += _mask(packet, rule, kind)
         utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
         return Received(packet, raw, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
+
+    def _step(self, packet: Packet, raw: bytes, minute: int | None, received_ns: int | None) -> tuple[int | None, int]:
+        """GPS time [ns] and order of a measurement."""
+        gps_ms, order = self.clock.step(packet.milliseconds, minute, received_ns)
+        if order == SAME and raw == self._last_raw:
+            order = DUPLICATE
+            self.counters.duplicates += 1
+        elif order == LATE:
+            self.counters.late += 1
+        self._last_raw = raw
+        return None if gps_ms is None else gps_ms * 1_000_000, order
+
+    def _trigger(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
+        """GPS time [ns] and order of an event; no time where the packet holds none."""
+        self.counters.triggers += 1
+        before, self._last_trigger = self._last_trigger, raw
+        if packet.channel not in channels.TRIGGER_CHANNELS:
+            return None, NEW
+        gps_ns = channels.trigger_nanoseconds(packet.batch_s)
+        if gps_ns is None or raw != before:
+            return gps_ns, NEW
+        self.counters.duplicates += 1
+        return gps_ns, DUPLICATE
 
     def _status_channel(self, packet: Packet, status: int) -> int | None:
         """What the clock needs from batch S; returns the minute of channel 0 if it is there and valid."""

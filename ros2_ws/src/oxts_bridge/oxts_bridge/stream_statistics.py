@@ -40,7 +40,7 @@ class StreamStatistics:
             if step > 0:
                 self._step(step)
         self._last_gps_ns = received.gps_ns
-        if received.received_ns is not None:
+        if received.received_ns is not None and received.utc_ns is not None:
             self._offsets.append(received.utc_ns - received.received_ns)
 
     def _step(self, step: int) -> None:

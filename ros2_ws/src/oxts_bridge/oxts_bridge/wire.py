@@ -2,14 +2,14 @@
 
 import struct
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Wire(NamedTuple):
-    """read(data) -> number; write(buffer, number); low..high: what fits."""
+    """read(data) -> number; write(buffer, number): an integer, of f32 a float. low..high: what fits."""
 
-    read: Callable[[bytes], float]
-    write: Callable[[bytearray, int], None]
+    read: Callable[[bytes], Any]
+    write: Callable[[bytearray, Any], None]
     low: int
     high: int
 

@@ -88,6 +88,21 @@ def test_every_verb_that_decodes_steering_means_the_same_by_the_same_options(nam
     assert refused.exit_code == 2 and "2 is neither 1 nor -1" in refused.output
 
 
+@pytest.mark.parametrize("name", ["align", "calibrate", "check", "discover", "effects", "evaluate", "export",
+                                  "identify", "import", "live", "replay", "verify", "view"])
+def test_every_verb_that_needs_a_car_takes_it_by_name(name):
+    assert "--car" in {p.opts[0] for p in get_command(app).commands[name].params}
+
+
+@pytest.mark.parametrize("named", [[], ["--car", "hyundai_genesis"]])
+def test_export_says_so_where_it_takes_the_leaf(tmp_path, named):
+    pytest.importorskip("casadi")
+    done = CliRunner().invoke(app, ["export", "linear", *named, "--output", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert ("no car was named: the Leaf's file" in done.stderr) == (not named)
+    assert ("Leaf" in (tmp_path / "out" / "model.json").read_text()) == (not named)
+
+
 def st_car(*words):
     return CliRunner().invoke(app, ["car", *map(str, words)])
 

@@ -175,7 +175,8 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
         for name in effects:
             if name in base.values:
                 raise ConfigurationError(f"effect {name}: in the model already; change its values instead")
-        base, effects = base.base, {**base.values, **effects}
+        effects = {**base.values, **effects}
+        base = base.base
     found = sorted((get_effect(name) for name in effects), key=lambda effect: (effect.order, effect.name))
     _check_applicable(base, found)
     return _make(base, tuple(found), _checked(found, effects))

@@ -192,11 +192,15 @@ class LogBatch:
         if key in recording.sampled:
             angle, acceleration = recording.sampled[key]
         else:
-            angle, acceleration = self._recorded.sampled.get(key, (None, None))
-            if angle is None or not same(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
+            known = self._recorded.sampled.get(key)
+            if known is None or not same(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
                 angle = block.laid_out(signals.road_wheel_angle_at(times_ns))
-            if acceleration is None or signals.velocity_x_dot is not self.signals.velocity_x_dot:
+            else:
+                angle = known[0]
+            if known is None or signals.velocity_x_dot is not self.signals.velocity_x_dot:
                 acceleration = block.laid_out(signals.ins_at(times_ns, "velocity_x_dot")[0])
+            else:
+                acceleration = known[1]
         if block.shared:
             recording.sampled[key] = angle, acceleration
         others = [block.laid_out(signals.sample(*self.others[name], times_ns)) for name in model.signals]

@@ -91,7 +91,7 @@ def _attempt(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Seque
              reasons: Sequence[str], needed: float, search: tuple[float, float] | None) -> Alignment:
     r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
     epoch = (r0 - o0) * 1e-9  # what lies between the two origins; taken out of the floats, put back at the end
-    span = tuple(s - epoch for s in search) if search else (-np.inf, np.inf)
+    span = (search[0] - epoch, search[1] - epoch) if search else (-np.inf, np.inf)
     coarse = coarse_offset(fine, needed, 2.0, span)
     if coarse is None:
         return refused(*reasons, f"at no offset do the recordings share {needed:.0f} s of like motion")
@@ -100,11 +100,10 @@ def _attempt(fine: Sequence[Pair], pairs: dict[float, list[Pair]], usable: Seque
     low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - first)
     high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - first)
     middle = (low + high) / 2
-    solution = None
     try:
-        for cutoff in CUTOFFS:
-            start, drift = (solution.offset, solution.drift) if solution else (first, 0.0)
-            solution = fit(pairs[cutoff], start, middle, drift)
+        solution = fit(pairs[CUTOFFS[0]], first, middle, 0.0)
+        for cutoff in CUTOFFS[1:]:
+            solution = fit(pairs[cutoff], solution.offset, middle, solution.drift)
     except ValueError as error:
         return refused(*reasons, str(error))
     singles = _single_signals(fine, solution)
@@ -179,7 +178,8 @@ def _drift_deviation(solution: Fit, overlap: float) -> float:
 
 def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
     refusals, doubts = [], []
-    r_first, r_second = result.peak[1], result.second_peak[1]
+    assert result.peak and result.second_peak
+    (first, r_first), (second, r_second) = result.peak, result.second_peak
     # After the fit: a drift has smeared the peak of the coarse search, but not these.
     weakest = min(max(s.correlation, 0.0) for s in result.signals)
     strongest = max(s.correlation for s in result.signals)
@@ -190,8 +190,8 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
         worst = min(result.signals, key=lambda s: s.correlation)
         doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, {GOOD_PEAK} expected")
     if result.ambiguous:
-        doubts.append(f"another offset fits nearly as well: {result.second_peak[0]:+.2f} s with correlation "
-                      f"{r_second:.2f} against {result.peak[0]:+.2f} s with {r_first:.2f} (repeated laps?)")
+        doubts.append(f"another offset fits nearly as well: {second:+.2f} s with correlation "
+                      f"{r_second:.2f} against {first:+.2f} s with {r_first:.2f} (repeated laps?)")
     if solution.offset_deviation > USABLE_DEVIATION:
         refusals.append(f"too little motion: the offset is only known to {solution.offset_deviation * 1e3:.0f} ms")
     elif solution.offset_deviation > GOOD_DEVIATION:

@@ -71,13 +71,13 @@ def clock_step(lags: Sequence[WindowLag]) -> tuple[float, float] | None:
     time = time - time.mean()
     plain = np.stack([np.ones_like(time), time], axis=1)
     without, _ = _robust_line(plain, lag, deviation)
-    best = None
+    best: tuple[float, float, float] | None = None
     for k in range(2, len(lags) - 1):
         after = (np.arange(len(lags)) >= k).astype(float)
         cost, solution = _robust_line(np.column_stack([plain, after]), lag, deviation)
         if best is None or cost < best[0]:
             best = (cost, (lags[k - 1].time + lags[k].time) / 2, float(solution[2]))
-    if without - best[0] < SURE or abs(best[2]) < SMALLEST_STEP:
+    if best is None or without - best[0] < SURE or abs(best[2]) < SMALLEST_STEP:
         return None
     return best[1], best[2]
 

@@ -97,7 +97,7 @@ def _instant(state, w, p):
 def _dynamics(base: Model, places: list[_Place], tail: int):
     """slips(at), forces(slip_front, slip_rear, at) and motion(force_front, force_rear, at) of the dynamic part."""
     if base.axles is None:
-        axles, lift = linear_tyre.MODEL.axles, _lift(places)
+        lift, axles = _lift(places), linear_tyre.AXLES
         index, (begin, end) = lift.index, lift.given
 
         def own(at):

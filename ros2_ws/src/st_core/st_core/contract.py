@@ -200,9 +200,10 @@ def _path(model: Model, vehicle: VehicleParameters, speed: float = 12.0, side: f
 
 def _batched(model: Model, vehicle: VehicleParameters) -> np.ndarray:
     """(speeds, STEPS + 1, 6) in one numpy pass."""
-    every = [np.tile(row, (len(SPEEDS), 1)) for row in _course(1.0, 0.8)]
+    angle, acceleration = (np.tile(row, (len(SPEEDS), 1)) for row in _course(1.0, 0.8))
     signals = {name: np.tile(row, (len(SPEEDS), 1)) for name, row in _signals(model).items()}
-    return predict_batch(model, vehicle, np.array([_start(v) for v in SPEEDS]), *every, STEP * STEPS, STEP, signals)
+    return predict_batch(model, vehicle, np.array([_start(v) for v in SPEEDS]), angle, acceleration, STEP * STEPS,
+                         STEP, signals)
 
 
 def _lanes(model: Model, vehicle: VehicleParameters) -> np.ndarray:
@@ -213,8 +214,8 @@ def _lanes(model: Model, vehicle: VehicleParameters) -> np.ndarray:
     angle, acceleration = (np.repeat(row, columns) for row in _course(1.0, 0.8))
     signals = [np.repeat(row, columns) for row in _signals(model).values()]
     w = np.array([np.broadcast_to(f, angle.shape) for f in model.inputs(angle, acceleration, p, *signals)])
-    begin = model.start_state(tuple(np.array([_start(v) for v in speeds]).T), tuple(w[:, :columns]), p)
-    begin = np.array([np.broadcast_to(row, columns) for row in begin])
+    state = model.start_state(tuple(np.array([_start(v) for v in speeds]).T), tuple(w[:, :columns]), p)
+    begin = np.array([np.broadcast_to(row, columns) for row in state])
     last = backend.advance(model, p, begin, w, np.arange(2 * STEPS + 1) * columns, STEP, np.array([STEPS]))
     return last[0, :, :len(SPEEDS)].T
 
@@ -228,14 +229,15 @@ def _symbolic(model: Model, vehicle: VehicleParameters) -> np.ndarray:
     tail = [[row[0] for row in _signals(model).values()]] if model.signals else []
     grid = list(zip(*_course(1.0, 0.8), strict=True))
 
-    def rates(state, u, _):
+    def rates(state: tuple, u: tuple, _: None) -> tuple:
         return tuple(np.asarray(built.dynamics(list(state), list(u), *tail)).ravel().tolist())
 
     ends = []
     for speed in SPEEDS:
         state = tuple(np.asarray(built.start(list(_start(speed)), list(grid[0]), *tail)).ravel().tolist())
         for k in range(STEPS):
-            state = rk4_step(rates, state, *grid[2 * k:2 * k + 3], None, STEP)
+            begin, middle, end = grid[2 * k:2 * k + 3]
+            state = rk4_step(rates, state, begin, middle, end, None, STEP)
         ends.append(state[:6])
     return np.array(ends)
 

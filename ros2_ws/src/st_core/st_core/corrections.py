@@ -8,6 +8,7 @@ Checked by: test_corrections.py.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -130,9 +131,9 @@ def _phrase(channel: str, correction: Correction) -> str:
 
 def _ins_corrected(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveLog:
     group = {name: pair for pair, names in _PAIRS.items() for name in names}
-    parts: dict[str, np.ndarray] = {}
+    parts: dict[str, Any] = {}
     for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS):
-        steps = [corrections[key] for key in (name, group.get(name)) if key in corrections]
+        steps = [corrections[key] for key in (name, group.get(name, "")) if key in corrections]
         values = getattr(log, name)
         if not steps or values is None:
             continue
@@ -153,7 +154,7 @@ def _ins_corrected(log: DriveLog, corrections: Mapping[str, Correction]) -> Driv
 def _turned(log: DriveLog, angle: float) -> DriveLog:
     if not angle:
         return log
-    parts = {"yaw": log.yaw + angle}
+    parts: dict[str, Any] = {"yaw": log.yaw + angle}
     for kind in ("velocity", "acceleration"):
         x, y = getattr(log, f"{kind}_x"), getattr(log, f"{kind}_y")
         if x is not None and y is not None:

@@ -13,6 +13,7 @@ from .filtering import NANOSECOND
 from .model_view import ModelView
 from .models import MODELS, Model, get_model
 from .prediction import PredictionSettings, predict
+from .timeseries import TimeSeries
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 
@@ -47,7 +48,8 @@ class Score:
     yaw_mean: float
 
 
-def position_errors(trajectory: Trajectory, x, y, yaw, cg_to_ins_x: float, cg_to_ins_y: float = 0.0):
+def position_errors(trajectory: Trajectory, x: np.ndarray, y: np.ndarray, yaw: np.ndarray, cg_to_ins_x: float,
+                    cg_to_ins_y: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors (longitudinal [m], lateral [m], yaw [rad]) of each point; x, y [m], yaw [rad]: the measured INS point.
 
         (e_lon, e_lat) = R(-yaw_measured) (p_predicted - p_measured),  p at the INS point
@@ -59,7 +61,8 @@ def position_errors(trajectory: Trajectory, x, y, yaw, cg_to_ins_x: float, cg_to
     return pose_errors(predicted_x, predicted_y, t.yaw, x, y, yaw)
 
 
-def pose_errors(predicted_x, predicted_y, predicted_yaw, x, y, yaw):
+def pose_errors(predicted_x: np.ndarray, predicted_y: np.ndarray, predicted_yaw: np.ndarray, x: np.ndarray,
+                y: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As `position_errors`, of what the INS would show against what it showed."""
     longitudinal, lateral = frames.map_to_body(predicted_x - x, predicted_y - y, yaw)
     return longitudinal, lateral, frames.wrap_angle(predicted_yaw - yaw)
@@ -194,8 +197,10 @@ class Evaluator:
             known = inputs if view.plain else view.measured(times)
             again = predict(view.model, self.vehicle, pending.start, known, steps * step, step)
             issued = pending.trajectory
-            for mode, trajectory, scored, reason in (("forecast", issued, unbroken, jump or no_position),
-                                                     ("hindsight", again, unbroken & scorable, jump or no_inputs)):
+            ways: tuple[tuple[Mode, Trajectory, np.ndarray, str], ...] = (
+                ("forecast", issued, unbroken, jump or no_position),
+                ("hindsight", again, unbroken & scorable, jump or no_inputs))
+            for mode, trajectory, scored, reason in ways:
                 shown = view.shown(trajectory)
                 errors = [np.where(scored, e, math.nan) for e in pose_errors(shown.x, shown.y, shown.yaw, *measured)]
                 scores.append(make_score(pending.model, mode, start_ns, step, errors, reason))
@@ -210,7 +215,7 @@ class Evaluator:
         return min(within), f"INS: {self.history.ins.breaks[min(within)]} at {after:.3f} s of the horizon"
 
     @staticmethod
-    def _why(name: str, series, times: np.ndarray, values: np.ndarray, start_ns: int) -> str:
+    def _why(name: str, series: TimeSeries, times: np.ndarray, values: np.ndarray, start_ns: int) -> str:
         unknown = np.flatnonzero(~np.isfinite(values))
         if not len(unknown):
             return ""

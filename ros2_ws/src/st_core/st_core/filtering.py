@@ -83,7 +83,8 @@ def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
     return filtered, derivative
 
 
-def _causal(times_ns, values, cutoff, maximum_gap):
+def _causal(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
+            maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
     # `advance` sample by sample, to the last bit; what does not depend on the sample before is worked out beforehand.
     spacings_ns = np.diff(times_ns)
     different, which = np.unique(spacings_ns, return_inverse=True)
@@ -91,13 +92,13 @@ def _causal(times_ns, values, cutoff, maximum_gap):
     drops = np.array([-math.expm1(-value) for value in x.tolist()])
     pull = (1.0 - drops / x)[which] * (values[1:] - values[:-1])
     begins = spacings_ns * NANOSECOND > maximum_gap
-    filtered = values[:1].tolist()
-    last = filtered[0] if filtered else math.nan
+    course = values[:1].tolist()
+    last = course[0] if course else math.nan
     for drop, before, more, now, fresh in zip(drops[which].tolist(), values[:-1].tolist(), pull.tolist(),
                                               values[1:].tolist(), begins.tolist(), strict=True):
         last = now if fresh else last + drop * (before - last) + more
-        filtered.append(last)
-    filtered = np.array(filtered, float)
+        course.append(last)
+    filtered = np.array(course, float)
     derivative = np.full(len(values), np.nan)
     derivative[1:] = np.where(begins, np.nan, (filtered[1:] - filtered[:-1]) / (spacings_ns * NANOSECOND))
     return filtered, derivative

@@ -7,28 +7,28 @@ import math
 
 import numpy as np
 
-from .types import InsSample, VehicleState
+from .types import InsSample, Number, VehicleState
 
 TWO_PI = 2.0 * math.pi
 
 
-def wrap_angle(angle):
+def wrap_angle(angle: Number) -> Number:
     """The same angle in [-pi, pi) [rad]; NaN stays NaN."""
     return (angle + math.pi) % TWO_PI - math.pi
 
 
-def body_to_map(x, y, yaw):
+def body_to_map(x: Number, y: Number, yaw: Number) -> tuple[Number, Number]:
     """Map components of a body vector: rotation by yaw counter-clockwise."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
     return x * cosine - y * sine, x * sine + y * cosine
 
 
-def map_to_body(x, y, yaw):
+def map_to_body(x: Number, y: Number, yaw: Number) -> tuple[Number, Number]:
     """Forward and left components of a map vector: rotation by -yaw."""
     return map_to_axes(x, y, np.cos(yaw), np.sin(yaw))
 
 
-def map_to_axes(x, y, cosine, sine):
+def map_to_axes(x: Number, y: Number, cosine: Number, sine: Number) -> tuple[Number, Number]:
     """`map_to_body` where cosine and sine of the yaw are known already."""
     return x * cosine + y * sine, y * cosine - x * sine
 
@@ -66,13 +66,15 @@ def cg_to_ins(state: VehicleState, time_ns: int, cg_to_ins_x: float, cg_to_ins_y
     )
 
 
-def cg_to_ins_position(x, y, yaw, cg_to_ins_x, cg_to_ins_y=0.0):
+def cg_to_ins_position(x: Number, y: Number, yaw: Number, cg_to_ins_x: Number,
+                       cg_to_ins_y: Number = 0.0) -> tuple[Number, Number]:
     """Map position [m] of the INS point, (x, y) each like the input, for CG positions x, y [m] and yaw [rad]."""
     forward, left = body_to_map(cg_to_ins_x, cg_to_ins_y, yaw)
     return x + forward, y + left
 
 
-def ins_to_cg_acceleration(acceleration_x, acceleration_y, yaw_rate, yaw_acceleration, cg_to_ins_x, cg_to_ins_y=0.0):
+def ins_to_cg_acceleration(acceleration_x: Number, acceleration_y: Number, yaw_rate: Number, yaw_acceleration: Number,
+                           cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> tuple[Number, Number]:
     """Acceleration at the CG [m/s^2], body axes, from the one at the INS point.
 
         a_x,cg = a_x,ins + r^2 d_x + r_dot d_y,    a_y,cg = a_y,ins - r_dot d_x + r^2 d_y

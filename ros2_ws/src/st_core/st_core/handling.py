@@ -1,4 +1,4 @@
-"""Closed forms of the linear single-track car: steady state, stability, and the step a fixed-step integrator allows."""
+"""Closed forms of the linear single-track car: steady state and stability."""
 
 import math
 
@@ -42,14 +42,3 @@ def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.
                    -(l_f**2 * front + l_r**2 * rear) / (car.yaw_inertia * v)]])
     ratio = speed / v
     return a, ratio * np.array([front / car.mass, l_f * front / car.yaw_inertia])
-
-
-def rk4_growth(speed: float, car: VehicleParameters, step: float) -> float:
-    """Largest growth per step of the linear lateral dynamics under RK4 [1]; above 1 the simulation is unstable.
-
-        |1 + z + z^2/2 + z^3/6 + z^4/24|,  z = step * eigenvalue of A
-
-    speed [m/s] and minimum_slip_speed as in `linear_system`; step [s].
-    """
-    z = step * np.linalg.eigvals(linear_system(speed, car)[0])
-    return float(np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))).max())

@@ -25,7 +25,7 @@ def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step:
 
 
 def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
-             step: float) -> tuple:
+             step: Any) -> tuple:
     """One step; w at its start, middle and end. Any number of states."""
     half, sixth = 0.5 * step, step / 6.0
     a = derivative(state, w_start, p)
@@ -35,7 +35,8 @@ def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, 
     return tuple([s + sixth * (i + 2.0 * (j + k) + m) for s, i, j, k, m in zip(state, a, b, c, d, strict=True)])
 
 
-def _step_of_six(derivative, state, w_start, w_middle, w_end, p, step):
+def _step_of_six(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
+                 step: float) -> tuple:
     # rk4_step written out: the live predictor spends its time here, and this is twice as fast on floats.
     half, sixth = 0.5 * step, step / 6.0
     s0, s1, s2, s3, s4, s5 = state

@@ -45,7 +45,7 @@ class DriveLog:
     acceleration_x: np.ndarray | None = None
     acceleration_y: np.ndarray | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for base, signals in (
             ("ins_time_ns", (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)),
             ("steering_time_ns", ("road_wheel_angle", "steering_wheel_angle")),
@@ -68,7 +68,7 @@ class DriveLog:
                 self._keep(signal, value, float)
 
     def _keep(self, field: str, value: np.ndarray, dtype: type) -> None:
-        view = np.ascontiguousarray(value, dtype=dtype).view()
+        view: np.ndarray = np.ascontiguousarray(value, dtype=dtype).view()
         view.flags.writeable = False
         object.__setattr__(self, field, view)
 

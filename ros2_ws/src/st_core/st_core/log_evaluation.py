@@ -53,7 +53,7 @@ class EvaluationSettings:
     acceleration: Acceleration = "causal"
     inputs: Literal["interpolate", "hold"] = "interpolate"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not 0.001 <= self.interval <= 3600.0:
             raise ConfigurationError(f"interval: {self.interval:g} s is outside 0.001 to 3600 s")
         for key, choices in (("acceleration", ("causal", "zero_phase")), ("inputs", ("interpolate", "hold"))):
@@ -158,17 +158,17 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     Source: paper, section on the comparison. Checked by: test_log_evaluation.py, against the live classes.
     """
     settings = settings or EvaluationSettings()
-    models = [get_model(model) for model in models]
+    chosen = [get_model(model) for model in models]
     signals = log if isinstance(log, LogSignals) else settings.signals(log)
     log = signals.log
     origin = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     wanted = regular_starts(log, settings.interval) if starts_ns is None else np.asarray(starts_ns, np.int64)
     starts, skipped = usable_starts(signals, vehicle, wanted, settings.prediction.minimum_speed)
     horizon = settings.prediction.step * np.arange(settings.prediction.steps + 1)
-    collected = {(model.name, mode): _Collector(len(starts), horizon) for model in models for mode in MODES}
+    collected = {(model.name, mode): _Collector(len(starts), horizon) for model in chosen for mode in MODES}
     conditions = {name: np.full(len(starts), np.nan) for name in CONDITIONS}
     reasons: dict[str, int] = {}
-    for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
+    for rows, block in evaluate_blocks(chosen, vehicle, signals, starts, settings):
         for name, values in block.conditions.items():
             conditions[name][rows] = values
         for key, errors in block.errors.items():
@@ -179,8 +179,8 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
             watch(starts[rows], block)
         if progress:
             progress(rows.stop, len(starts))
-    errors = {key: collector.result() for key, collector in collected.items()}
-    return LogEvaluation(log.name, settings, origin, starts, skipped, reasons, conditions, errors, horizon)
+    results = {key: collector.result() for key, collector in collected.items()}
+    return LogEvaluation(log.name, settings, origin, starts, skipped, reasons, conditions, results, horizon)
 
 
 def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
@@ -241,7 +241,8 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
             yield rows, made.result()
 
 
-def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
+def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
+                    settings: EvaluationSettings) -> Block:
     step, steps = settings.prediction.step, settings.prediction.steps
     half_steps = np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
     instants, place = _instants(starts_ns, half_steps)
@@ -251,14 +252,15 @@ def _evaluate_block(models, vehicle, signals, starts_ns, settings) -> Block:
     measured_there = [values[place[::2]].T for values in (x, y, yaw, np.cos(yaw), np.sin(yaw))]
     speed, yaw_rate, acceleration, angle = (v[place].T for v in (*others, signals.road_wheel_angle_at(instants)))
     measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
-    trajectories = {}
+    trajectories: dict[tuple[str, Mode], np.ndarray] = {}
     for model in models:
         trajectories[model.name, "hindsight"] = (
             measured.predict(model, vehicle).states if settings.inputs == "interpolate"
             else predict_held_per_step(model, vehicle, signals, starts_ns, times[:, ::2], step))
         trajectories[model.name, "forecast"] = held.predict(model, vehicle).states
-    errors = {(model.name, mode): _reading_errors(model, vehicle, trajectories[model.name, mode], *measured_there)
-              for model in models for mode in MODES}
+    errors: dict[tuple[str, Mode], np.ndarray] = {
+        (model.name, mode): _reading_errors(model, vehicle, trajectories[model.name, mode], *measured_there)
+        for model in models for mode in MODES}
     known = InputSequence(angle, acceleration).known_so_far
     for model in models:
         errors[model.name, "hindsight"][~known[:, ::2]] = np.nan
@@ -287,8 +289,8 @@ def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, 
     return starts_ns[0] + half * np.arange(span // half + 1), np.arange(len(after_ns))[:, None] + from_first // half
 
 
-def _reading_errors(model: Model, vehicle: VehicleParameters, trajectories: np.ndarray, x, y, yaw, cosine,
-                    sine) -> np.ndarray:
+def _reading_errors(model: Model, vehicle: VehicleParameters, trajectories: np.ndarray, x: np.ndarray,
+                    y: np.ndarray, yaw: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
     """(n, points, 3) errors of trajectories (n, points, 6): what the INS would show minus what it showed.
 
     x, y [m], yaw [rad] with its cosine and sine: measured at the INS point, (n, points). Axes and signs as

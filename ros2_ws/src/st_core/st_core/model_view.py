@@ -43,7 +43,7 @@ class ModelView:
         self._vehicle = vehicle
         self.plain = not isinstance(model, AugmentedModel)
         self.has_memory = has_memory(model)
-        self._has_sensors = not self.plain and model.has_sensors
+        self._has_sensors = isinstance(model, AugmentedModel) and model.has_sensors
         self._history = shared.like() if self._has_sensors else shared
         self.ahead_ns = ahead_ns(model)
 

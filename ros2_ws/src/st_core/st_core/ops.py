@@ -45,8 +45,9 @@ def _array_cos(x):
     return (1.0 - t) / (1.0 + t)
 
 
-_NUMPY = {"sin": _array_sin, "cos": _array_cos, "tan": np.tan, "atan": np.arctan, "sqrt": np.sqrt, "sign": np.sign,
-          "absolute": np.abs, "maximum": np.maximum, "minimum": np.minimum}
+_NUMPY: dict[str, Callable] = {
+    "sin": _array_sin, "cos": _array_cos, "tan": np.tan, "atan": np.arctan, "sqrt": np.sqrt, "sign": np.sign,
+    "absolute": np.abs, "maximum": np.maximum, "minimum": np.minimum}
 NAMES = tuple(_NUMPY)
 _registered: dict[type, Mapping[str, Callable]] = {}
 

@@ -20,7 +20,7 @@ class _Loader(yaml.SafeLoader):
         super().__init__(text)
         self._levels = 0
 
-    def compose_node(self, parent, index):
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         event = self.peek_event()
         line = event.start_mark.line + 1
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
@@ -34,7 +34,7 @@ class _Loader(yaml.SafeLoader):
         self._levels -= 1
         return node
 
-    def construct_mapping(self, node, deep=False):
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         seen = set()
         for key_node, _ in node.value:
             line = key_node.start_mark.line + 1
@@ -50,7 +50,7 @@ class _Loader(yaml.SafeLoader):
             seen.add(key)
         return super().construct_mapping(node, deep)
 
-    def construct_scalar_checked(self, node):
+    def construct_scalar_checked(self, node: yaml.ScalarNode) -> Any:
         """Numbers, dates and the like: PyYAML answers to a malformed one with whatever its conversion raises."""
         try:
             value = yaml.SafeLoader.yaml_constructors[node.tag](self, node)

@@ -46,7 +46,7 @@ class PredictionSettings:
     maximum_gap: float = 0.1
     filter_cutoff: float = 5.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         limits = {"horizon": (0.01, 60.0, "s"), "step": (0.001, 1.0, "s"), "minimum_speed": (0.0, 50.0, "m/s"),
                   "stale_after": (0.001, 10.0, "s"), "maximum_gap": (0.001, 10.0, "s"),
                   "filter_cutoff": (0.01, 1000.0, "Hz")}
@@ -260,6 +260,7 @@ class Predictor:
         if inputs is None:
             return Skip("stale", "INS: forward acceleration not known yet, one sample since a gap")
         sample = self.history.ins_at(time_ns)
+        assert sample is not None  # known where the inputs are
         state = frames.ins_to_cg(sample, self.vehicle.cg_to_ins_x, self.vehicle.cg_to_ins_y)
         speed = abs(state.velocity_x)
         if speed < self.settings.minimum_speed:
@@ -267,7 +268,7 @@ class Predictor:
         return Start(time_ns, state, inputs)
 
     def _newest_common(self) -> int | None:
-        time_ns: int | None = min(self.history.ins.newest, self.history.steering.newest)
+        time_ns = self._newest_of_both()
         while time_ns is not None:
             both = self.history.ins.known_until(time_ns)
             both = None if both is None else self.history.steering.known_until(both)
@@ -276,11 +277,15 @@ class Predictor:
             time_ns = both
         return None
 
+    def _newest_of_both(self) -> int | None:
+        """Until when both go on [ns]."""
+        ins, steering = self.history.ins.newest, self.history.steering.newest
+        return None if ins is None or steering is None else min(ins, steering)
+
     def _why_apart(self, now_ns: int, time_ns: int | None) -> str:
-        ins, steering = self.history.ins, self.history.steering
-        wanted = min(ins.newest, steering.newest)
-        for name, series in (("INS", ins), ("steering", steering)):
-            if series.known_until(wanted) != wanted:
+        wanted = self._newest_of_both()
+        for name, series in (("INS", self.history.ins), ("steering", self.history.steering)):
+            if wanted is not None and series.known_until(wanted) != wanted:
                 old = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
                 return f"{name}: {series.why_unknown(wanted)} at the newest common instant{old}"
         return "INS and steering: no common instant"
@@ -290,9 +295,8 @@ class Predictor:
         if model not in self._views:
             raise ConfigurationError(f"model {model!r} is not configured; there are {', '.join(self._views)}")
         view, settings = self._views[model], self.settings
-        state, inputs = start.state, start.inputs
-        if not view.plain:
-            state, inputs = view.start(start.time_ns, settings.steps, settings.step)
+        state, inputs = ((start.state, start.inputs) if view.plain
+                         else view.start(start.time_ns, settings.steps, settings.step))
         if model in self._runners:
             return self._runners[model](state, inputs)
         return predict(view.model, self.vehicle, state, inputs, settings.horizon, settings.step)

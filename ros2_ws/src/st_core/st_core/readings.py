@@ -36,7 +36,7 @@ def corrected_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
 
     maximum_gap [s]: memory starts afresh after a longer one.
     """
-    if not has_memory(model) or not len(time_ns):
+    if not isinstance(model, AugmentedModel) or not model.has_memory or not len(time_ns):
         return time_ns, angle
     seconds = (time_ns - time_ns[0]) * NANOSECOND
     begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
@@ -71,7 +71,7 @@ def held_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns:
 
 def ahead_ns(model: Model) -> int:
     """How far ahead the steering must be known [ns] for the angle of the wheels: > 0 where its stamps are late."""
-    if not has_memory(model):
+    if not isinstance(model, AugmentedModel) or not model.has_memory:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
     return max(0, round(-float(time[0]) / NANOSECOND))
@@ -120,7 +120,14 @@ def _corrected(model: AugmentedModel, log: DriveLog) -> Measured:
 
 def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
              p: Any = None) -> Measured:
-    """What the INS shows while the car is in `states`: at the INS point, sensor effects included.
+    """What the INS shows while the car is in `states`: `true_readings` with the sensor effects."""
+    true = true_readings(model, vehicle, states, w, p)
+    return model.observe(true) if isinstance(model, AugmentedModel) else true
+
+
+def true_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
+                  p: Any = None) -> Measured:
+    """What a faultless INS would show while the car is in `states`, at the INS point.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
     w, p: the model's inputs there and its parameters, for the accelerations; without them those are NaN, and that in
@@ -141,6 +148,5 @@ def readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple |
         yaw_acceleration = model.rhs(states, w, p)[5]
         a_x, a_y = (a_x - yaw_rate * yaw_rate * dx - yaw_acceleration * dy,
                     a_y + yaw_acceleration * dx - yaw_rate * yaw_rate * dy)
-    true = Measured(x_ins, y_ins, yaw, velocity_x - yaw_rate * dy, velocity_y + yaw_rate * dx, yaw_rate, a_x, a_y,
+    return Measured(x_ins, y_ins, yaw, velocity_x - yaw_rate * dy, velocity_y + yaw_rate * dx, yaw_rate, a_x, a_y,
                     yaw_acceleration)
-    return model.observe(true) if isinstance(model, AugmentedModel) else true

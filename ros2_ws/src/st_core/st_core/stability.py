@@ -118,7 +118,7 @@ def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Ite
     if key in _said:
         return
     factors = {float(v): growth(model, vehicle, v, step) for v in speeds}
-    worst = max(factors, key=factors.get, default=None)
+    worst = max(factors, key=factors.__getitem__, default=None)
     if worst is None or factors[worst] <= 1.0:
         return
     _said.add(key)

@@ -6,7 +6,7 @@ between starts. Then neighbouring starts are neighbours in memory at every insta
 at odd times get instants of their own in the same layout.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,7 +91,8 @@ def _runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, i
     return runs
 
 
-def _shared(starts_ns, instants_ns, lanes, runs) -> Iterator[Block]:
+def _shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
+            runs: Sequence[tuple[slice, int, int]]) -> Iterator[Block]:
     """Runs one after the other in a block: columns between them, as many as a window reaches, are nobody's."""
     pieces = []
     for rows, spacing, cover in runs:
@@ -132,7 +133,7 @@ def _joined(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: in
                  (k % spacing) * indices + k // spacing, columns, spacing)
 
 
-def _own(starts_ns, instants_ns, lanes) -> Iterator[Block]:
+def _own(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
     count = len(instants_ns)
     size = _padded(max(min(OWN_BLOCK // count, SHARED_BLOCK), 1), lanes)
     for number, first in enumerate(range(0, len(starts_ns), size)):

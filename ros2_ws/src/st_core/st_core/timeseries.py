@@ -87,13 +87,14 @@ class TimeSeries:
         if not np.isfinite(row).all():
             self.counters.invalid += 1
             return None, False
-        if len(self) and time_ns <= self.newest:
-            return self._add_old(time_ns, row)
+        newest = self.newest
+        if newest is not None and time_ns <= newest:
+            return self._add_old(newest, time_ns, row)
         self._late.clear()
         return self._insert(len(self), time_ns, row), False
 
-    def _add_old(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
-        if self.newest - time_ns > REORDER_WINDOW_NS:
+    def _add_old(self, newest: int, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
+        if newest - time_ns > REORDER_WINDOW_NS:
             return self._add_late(time_ns, row)
         position = int(np.searchsorted(self.times, time_ns))
         if self.times[position] == time_ns:

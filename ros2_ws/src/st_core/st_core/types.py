@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from .errors import StCoreError
 STATE_NAMES = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
 STATE_UNITS = ("m", "m", "m/s", "m/s", "rad", "rad/s")
 
+Number: TypeAlias = Any
+"""A float or an array of them: what is made of it is of the same kind."""
 StateTuple = tuple[float, float, float, float, float, float]
 
 
@@ -68,7 +70,7 @@ class Trajectory:
     step: float
     states: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.states.ndim != 2 or self.states.shape[1] != len(STATE_NAMES):
             raise StCoreError(f"a trajectory is (points, {len(STATE_NAMES)}), not {self.states.shape}")
 

@@ -11,18 +11,23 @@ from typing import Any
 from .errors import ConfigurationError
 from .provenance import KEYS as PROVENANCE_KEYS
 from .provenance import Provenance, read_provenance
+from .types import Number
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
 from .yaml_text import check_keys, load, number, quoted
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One key of the file: allowed units with their factor to SI, and limits in SI (inclusive)."""
+    """One key of the file: allowed units with their factor to SI, and limits in SI (inclusive).
+
+    required: the file must state it. usual: SI, what is taken where the file may leave it out and does.
+    """
 
     units: Mapping[str, float]
     minimum: float
     maximum: float
     required: bool = True
+    usual: float = math.nan
 
     @property
     def si_unit(self) -> str:
@@ -36,7 +41,20 @@ def _quantity(unit: str, minimum: float, maximum: float, required: bool = True) 
     return Quantity({unit: 1.0}, minimum, maximum, required)
 
 
+def _optional(unit: str, minimum: float, maximum: float, usual: float) -> Quantity:
+    return Quantity({unit: 1.0}, minimum, maximum, required=False, usual=usual)
+
+
 # Limits are wide on purpose: they catch a wrong unit or a slipped digit, from a go-kart to a loaded truck.
+FOR_EFFECTS = {
+    "track_width": _optional("m", 0.3, 4.0, usual=1.54),
+    "drive_front": _optional("1", 0.0, 1.0, usual=1.0),
+    "brake_front": _optional("1", 0.0, 1.0, usual=0.65),
+    "load_transfer_front": _optional("1", 0.0, 1.0, usual=0.55),
+    "side_area": _optional("m^2", 0.1, 60.0, usual=2.5),
+    "side_force_arm": _optional("m", -5.0, 5.0, usual=0.25),
+}
+"""What only some effects need to know of the car: without it a passenger car with front-wheel drive is taken."""
 VEHICLE_QUANTITIES = {
     "mass": _quantity("kg", 50.0, 60000.0),
     "yaw_inertia": _quantity("kg m^2", 10.0, 1.0e6),
@@ -52,6 +70,7 @@ VEHICLE_QUANTITIES = {
     "minimum_slip_speed": _quantity("m/s", 0.1, 20.0),
     "length": _quantity("m", 0.5, 30.0),
     "width": _quantity("m", 0.3, 4.0),
+    **FOR_EFFECTS,
 }
 TYRE_QUANTITIES = {
     "nominal_load": _quantity("N", 100.0, 1.0e5),
@@ -80,8 +99,11 @@ class VehicleParameters:
     the INS point seen from the CG, forward and left [m]; behind the CG is negative. steering_ratio [1];
     steering_wheel_offset [rad]: reading of the steering wheel sensor when driving straight, left +.
     cornering_stiffness_front/_rear: per axle, > 0 [N/rad]. minimum_slip_speed: v_eps [m/s]. tyre_front, tyre_rear: one
-    tyre each, lambda_ky filled in. length, width [m]: of the body, for drawing. sources: where each value comes from,
-    by key ("tyre_front.p_cy1" for the tyres). provenance: of the values that were identified, by key.
+    tyre each, lambda_ky filled in. length, width [m]: of the body, for drawing. track_width [m]: both axles.
+    drive_front, brake_front: share of the drive and of the brake force on the front axle [1], drive 0 for rear-wheel
+    drive. load_transfer_front: share of the lateral load transfer the front axle takes [1]. side_area [m^2]: side force
+    coefficient times area; side_force_arm [m]: its centre ahead of the CG. sources: where each value comes from, by key
+    ("tyre_front.p_cy1" for the tyres). provenance: of the values that were identified, by key.
 
     Raises ConfigurationError, naming the key and the limit, for a value out of bounds or lengths that contradict.
     """
@@ -103,10 +125,16 @@ class VehicleParameters:
     width: float
     tyre_front: MagicFormula
     tyre_rear: MagicFormula
+    track_width: float = FOR_EFFECTS["track_width"].usual
+    drive_front: float = FOR_EFFECTS["drive_front"].usual
+    brake_front: float = FOR_EFFECTS["brake_front"].usual
+    load_transfer_front: float = FOR_EFFECTS["load_transfer_front"].usual
+    side_area: float = FOR_EFFECTS["side_area"].usual
+    side_force_arm: float = FOR_EFFECTS["side_force_arm"].usual
     sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check_all("", self, VEHICLE_QUANTITIES)
         if not self.cg_to_front_axle < self.wheelbase:
             raise ConfigurationError(f"cg_to_front_axle: {self.cg_to_front_axle:g} m is not below wheelbase "
@@ -129,11 +157,11 @@ class VehicleParameters:
         """m g l_f / l / 2 [N]: one rear tyre at rest."""
         return 0.5 * self.mass * GRAVITY * self.cg_to_front_axle / self.wheelbase
 
-    def road_wheel_angle(self, steering_wheel_angle):
+    def road_wheel_angle(self, steering_wheel_angle: Number) -> Number:
         """delta = (measured - offset) / ratio [rad], left +, from the measured steering wheel angle [rad], left +."""
         return (steering_wheel_angle - self.steering_wheel_offset) / self.steering_ratio
 
-    def steering_wheel_angle(self, road_wheel_angle):
+    def steering_wheel_angle(self, road_wheel_angle: Number) -> Number:
         """What the steering wheel sensor reads [rad] at a road wheel angle [rad]: the inverse of `road_wheel_angle`."""
         return road_wheel_angle * self.steering_ratio + self.steering_wheel_offset
 
@@ -156,13 +184,13 @@ class VehicleParameters:
         if not isinstance(document, dict):
             raise ConfigurationError("not a list of `key: {value, unit, source}`; see config/vehicle/leaf.yaml")
         keys = ["name", *VEHICLE_QUANTITIES, *TYRES]
-        check_keys("", document, keys, required=keys)
+        check_keys("", document, keys, required=[key for key in keys if key not in FOR_EFFECTS])
         name = document["name"]
         if not isinstance(name, str) or not name.strip():
             raise ConfigurationError(f"name: {name!r} is not a text; write the name of the car")
         notes = _Notes()
-        values = _read("", document, VEHICLE_QUANTITIES, notes)
-        tyres = {}
+        values: dict[str, Any] = _read("", document, VEHICLE_QUANTITIES, notes)
+        tyres: dict[str, Any] = {}
         for tyre in TYRES:
             section = document[tyre]
             if not isinstance(section, dict):
@@ -205,8 +233,10 @@ class VehicleParameters:
 
     @cached_property
     def hash(self) -> str:
-        """sha256 (hex) of all values in SI; name and sources do not enter."""
-        values = {key: getattr(self, key) for key in VEHICLE_QUANTITIES}
+        """sha256 (hex) of all values in SI; name and sources do not enter, nor what is as usual where the file may
+        leave it out."""
+        values = {key: getattr(self, key) for key, quantity in VEHICLE_QUANTITIES.items()
+                  if getattr(self, key) != quantity.usual}
         values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}
         text = json.dumps({key: float(value).hex() for key, value in sorted(values.items())})
         return hashlib.sha256(text.encode()).hexdigest()

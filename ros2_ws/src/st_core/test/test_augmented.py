@@ -47,12 +47,28 @@ def test_a_lift_opens_the_effects_of_the_kind_it_leads_to(leaf):
                                rtol=1e-12, atol=1e-12)
 
 
-def test_constants_of_the_car_may_be_left_out_or_given(leaf):
-    short = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0}})
-    whole = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0, "track": 1.54, "front": 0.55}})
+def test_parameters_nobody_fits_may_be_left_out_or_given(leaf):
+    short = augment("nonlinear", {"roll_steer": {"gradient": 0.001}})
+    whole = augment("nonlinear", {"roll_steer": {"gradient": 0.001, "frequency": 2.0, "damping": 0.4}})
     assert short.values == whole.values
-    narrow = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0, "track": 1.2}})
-    assert not np.allclose(predict(narrow, leaf, STATE, HELD).states, predict(short, leaf, STATE, HELD).states)
+    slow = augment("nonlinear", {"roll_steer": {"gradient": 0.001, "frequency": 1.0}})
+    assert not np.allclose(predict(slow, leaf, STATE, HELD).states, predict(short, leaf, STATE, HELD).states)
+
+
+@pytest.mark.parametrize(("effect", "key", "value"), [
+    ({"lateral_load_transfer": {"share": 1.0}}, "track_width", 1.3),
+    ({"lateral_load_transfer": {"share": 1.0}}, "load_transfer_front", 0.7),
+    ({"steered_drive_force": {"share": 1.0}}, "drive_front", 0.0),
+    ({"combined_slip": {"share": 1.0}}, "drive_front", 0.0),
+    ({"crosswind": {"wind_x": 0.0, "wind_y": 9.0}}, "side_area", 5.0),
+    ({"crosswind": {"wind_x": 0.0, "wind_y": 9.0}}, "side_force_arm", -0.3),
+])
+def test_constants_come_from_the_car(leaf, effect, key, value):
+    other, power = replace(leaf, **{key: value}), ControlInput(0.1, 1.5)
+    paths = [predict(augment("nonlinear", effect), car, STATE, power).states for car in (leaf, other)]
+    assert np.abs(paths[0] - paths[1]).max() > 1e-3
+    bare = [predict("nonlinear", car, STATE, power).states for car in (leaf, other)]
+    np.testing.assert_array_equal(*bare)  # nothing else reads it
 
 
 def test_free_parameters_as_a_vector():
@@ -62,7 +78,7 @@ def test_free_parameters_as_a_vector():
                      ("roll_steer", "gradient")]
     assert model.vector.tolist() == [1.0, 5.0, 0.8, 0.0005]
     other = model.with_vector([2.0, -3.0, 0.9, 0.001])
-    assert other.vector.tolist() == [2.0, -3.0, 0.9, 0.001] and other.values["crosswind"]["arm"] == 0.25
+    assert other.vector.tolist() == [2.0, -3.0, 0.9, 0.001]
     assert model.vector.tolist() == [1.0, 5.0, 0.8, 0.0005]
     with pytest.raises(ConfigurationError, match="effect friction: factor"):
         model.with_vector([2.0, -3.0, 9.0, 0.001])

@@ -180,7 +180,8 @@ def test_both_axles_softer_are_one_and_the_other(leaf, base):
 
 @DYNAMIC
 def test_wind_from_the_right_pushes_to_the_left_and_is_felt(leaf, base):
-    wind, area, arm = 0.02, 2.5, 0.25  # heading east, wind towards north; so weak that slip stays small
+    wind = 0.02  # heading east, wind towards north; so weak that slip stays small
+    area, arm = leaf.side_area, leaf.side_force_arm
     model = augment(base, {"crosswind": {"wind_x": 0.0, "wind_y": wind}})
     force = 0.5 * 1.2 * area * SPEED * wind
     p = model.parameters(leaf)
@@ -234,8 +235,8 @@ SLIDING = (0.0, 0.0, 12.0, -0.9, 0.0, 0.1)
 
 
 def test_lateral_load_transfer_takes_the_curvature_of_the_tyre(leaf):
-    share, track, front_part = 0.3, 1.54, 0.55
-    model = augment("nonlinear", {"lateral_load_transfer": {"share": share, "track": track, "front": front_part}})
+    share, track, front_part = 0.3, leaf.track_width, leaf.load_transfer_front
+    model = augment("nonlinear", {"lateral_load_transfer": {"share": share}})
     plain = forces_in_rhs(MODELS["nonlinear"], leaf, SLIDING)
     moved = share * sum(plain) * leaf.cg_height / track
     p = nonlinear_tyre.parameters(leaf)
@@ -256,8 +257,8 @@ def test_lateral_load_transfer_takes_the_curvature_of_the_tyre(leaf):
 def test_lateral_load_transfer_turns_the_car_like_four_wheels(leaf):
     """Moment of the four tyre forces about the CG, each turned with its wheel, against yaw_rate_dot of the model."""
     angle, state = 0.3, (0.0, 0.0, 6.0, -0.1, 0.0, 0.55)
-    track, front_part = 1.54, 0.55
-    model = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0, "track": track, "front": front_part}})
+    track, front_part = leaf.track_width, leaf.load_transfer_front
+    model = augment("nonlinear", {"lateral_load_transfer": {"share": 1.0}})
     p = nonlinear_tyre.parameters(leaf)
     axles, w = MODELS["nonlinear"].axles, MODELS["nonlinear"].inputs(angle, 0.0, p)
     slips = axles.slip_angles(state, w, p)

@@ -5,12 +5,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core.identification.moments import Moments, moments_of
+from st_core.identification.moments import Moments
 from st_core.identification.recursive import NAMES, RecursiveIdentifier
 from st_core.types import InsSample
 from winding_road import Truth, winding_road
 
 TRUTH = Truth(math.radians(-4.0), 16.6, 0.85)
+
+
+def moments_of(times_ns, rows, car):
+    """Of a whole drive; rows: v_x, v_y, r at the INS point, hand wheel."""
+    moments = Moments(car)
+    for time, (v_x, v_y, r, hand) in zip(times_ns.tolist(), rows.tolist(), strict=True):
+        moments.add_ins(InsSample(time, math.nan, math.nan, math.nan, v_x, v_y, r))
+        moments.add_steering(time, hand)
+        yield from moments.take()
 
 
 def track(car, rows, tracker=None):

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from st_core.errors import ConfigurationError
 from st_core.provenance import Provenance
-from st_core.vehicle import TYRE_QUANTITIES, VEHICLE_QUANTITIES, VehicleParameters
+from st_core.vehicle import FOR_EFFECTS, TYRE_QUANTITIES, VEHICLE_QUANTITIES, VehicleParameters
 from support import KEPT, ROOT
 
 LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
@@ -70,13 +70,26 @@ def test_hash_depends_on_every_value_and_on_no_text(leaf):
     hashes = {leaf.hash}
     for key in VEHICLE_QUANTITIES:
         value = getattr(leaf, key)
-        hashes.add(replace(leaf, **{key: value * 1.0001 if value else 1e-6}).hash)
+        hashes.add(replace(leaf, **{key: value * 0.9999 if value else 1e-6}).hash)
     for name in ("tyre_front", "tyre_rear"):
         tyre = getattr(leaf, name)
         for key in TYRE_QUANTITIES:
             value = getattr(tyre, key)
-            hashes.add(replace(leaf, **{name: tyre._replace(**{key: value * 1.0001 if value else 1e-6})}).hash)
+            hashes.add(replace(leaf, **{name: tyre._replace(**{key: value * 0.9999 if value else 1e-6})}).hash)
     assert len(hashes) == 1 + len(VEHICLE_QUANTITIES) + 2 * len(TYRE_QUANTITIES)
+
+
+def test_what_only_effects_need_may_be_left_out(leaf):
+    text = "".join(line for line in LEAF.splitlines(keepends=True) if line.partition(":")[0] not in FOR_EFFECTS)
+    short = VehicleParameters.from_yaml(text)
+    assert short == leaf and short.hash == leaf.hash  # the Leaf is as usual
+    assert VehicleParameters.from_yaml(short.to_yaml()).hash == leaf.hash
+    driven = VehicleParameters.from_yaml(text + 'drive_front: {value: 0, unit: "1", source: "rear-wheel drive"}\n')
+    assert driven.drive_front == 0.0 and driven.hash != leaf.hash
+
+
+def test_the_genesis_is_driven_by_its_rear_wheels(car):
+    assert car.drive_front == {"Nissan Leaf ZE0": 1.0, "Hyundai Genesis": 0.0}[car.name]
 
 
 NOTES = 'uncertainty: 0.8, method: "four scales", data: "a.csv", date: 2026-05-01'

@@ -23,22 +23,7 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
     if outcome.interrupted and not outcome.statuses:
         console.print("ended before anything was sent or recorded")
         return 130
-    if outcome.problem:
-        console.print(f"[red]{escape(outcome.problem)}[/red]", highlight=False, soft_wrap=True)
-    for name, times in outcome.restarts.items():
-        console.print(
-            f"[yellow]{name} was started again, {times} times; its recordings go on beside the first one (bag_2, "
-            "errors_2), and `st recover` mends what was cut off[/yellow]", soft_wrap=True
-        )
-    failed = {name: status for name, status in outcome.statuses.items() if status}
-    if failed:
-        console.print(
-            "[red]ended with an error: "
-            + ", ".join(f"{n} (status {s})" for n, s in failed.items())
-            + f"; see {escape(str(folder / 'logs'))}[/red]",
-            highlight=False,
-            soft_wrap=True,
-        )
+    _say_what_went_wrong(folder, outcome, console)
     with console.status("reading the recordings, drawing"):
         try:
             results = read_results(folder)
@@ -65,3 +50,22 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
         console.print("[yellow]nothing was scored: shorter than a horizon, or an input was missing[/yellow]")
         console.print(escape(outcome.health.rstrip()), highlight=False, soft_wrap=not console.is_terminal)
     return 0 if outcome.ok and (scored or outcome.interrupted) else 1
+
+
+def _say_what_went_wrong(folder: Path, outcome: Outcome, console: Console) -> None:
+    if outcome.problem:
+        console.print(f"[red]{escape(outcome.problem)}[/red]", highlight=False, soft_wrap=True)
+    for name, times in outcome.restarts.items():
+        console.print(
+            f"[yellow]{name} was started again, {times} times; its recordings go on beside the first one (bag_2, "
+            "errors_2), and `st recover` mends what was cut off[/yellow]", soft_wrap=True
+        )
+    failed = {name: status for name, status in outcome.statuses.items() if status}
+    if failed:
+        console.print(
+            "[red]ended with an error: "
+            + ", ".join(f"{n} (status {s})" for n, s in failed.items())
+            + f"; see {escape(str(folder / 'logs'))}[/red]",
+            highlight=False,
+            soft_wrap=True,
+        )

@@ -23,6 +23,7 @@ HINTS = {
     "cg_to_front_axle": "wheelbase * load of the rear axle / mass",
     "cg_to_ins_x": "tape, from the CG to the unit's measurement point; behind the CG is negative",
     "steering_ratio": "turntables, mean of both front wheels",
+    "drive_front": "1: front-wheel drive, 0: rear-wheel drive, between: the front axle's share of all-wheel drive",
     "cornering_stiffness_front": "a comparable car to begin with, then identified",
     "cornering_stiffness_rear": "a comparable car to begin with, then identified",
 }
@@ -64,8 +65,7 @@ steering_latency: 0.0    # s, from the turn of the wheel to the frame in the log
 """
 VEHICLE = """\
 # Every value carries its unit and where it comes from; FILL_IN is what only you know: value and source.
-# The other values are assumed and fair to begin with. Track width and driven axle are not here: nothing reads them.
-# The side area is a parameter of the effect crosswind and stands in a model file.
+# The other values are assumed and fair to begin with.
 name: FILL_IN
 """
 

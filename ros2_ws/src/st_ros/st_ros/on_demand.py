@@ -24,4 +24,5 @@ class OnDemand:
         return self._wanted
 
     def publish(self, message: Any) -> None:
-        self._publisher.publish(message)
+        if self._publisher is not None:
+            self._publisher.publish(message)

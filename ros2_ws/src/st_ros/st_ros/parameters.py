@@ -104,7 +104,7 @@ def read_yaml_parameters(path: Path, node_name: str) -> dict[str, Any]:
 
 
 def _origin(node: Node) -> str:
-    arguments = list(node.context._cli_args) if getattr(node.context, "_cli_args", None) else _process_arguments()
+    arguments = list(getattr(node.context, "_cli_args", None) or _process_arguments())
     files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
     return f"{files[-1]}: " if files else ""
 

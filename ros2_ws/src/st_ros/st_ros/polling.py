@@ -61,7 +61,7 @@ class PolledSubscription:
         for message, info in self._waiting(limit):
             yield message, info["received_timestamp"], info["publication_sequence_number"]
 
-    def _waiting(self, limit: int) -> Iterator[tuple[Any, dict[str, int | None]]]:
+    def _waiting(self, limit: int) -> Iterator[tuple[Any, dict[str, Any]]]:
         for _ in range(limit):
             taken = self._take(*self._arguments)
             if taken is None:

@@ -13,6 +13,7 @@ from canedge_bridge.decode import Decoder
 from .geodesy import Origin
 from .sensors import InsReading, WheelSpeeds
 
+STEERING_MESSAGE = "Leaf_Steering"
 VEHICLE_BUS, INS_BUS = 1, 2
 """CANedge channels: the car on the first, the INS on the second. On a live bus both share one channel."""
 
@@ -77,7 +78,7 @@ class CanWire:
         The rate goes out without a sign, as on the car; its scale is not known, 4 deg/s is made up.
         """
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
-        return [self._own("Leaf_Steering", {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
+        return [self._own(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
 
     def wheel_speeds(self, speeds: WheelSpeeds) -> list[Frame]:
         front_left, front_right, rear_left, rear_right = speeds.wheels

@@ -16,7 +16,7 @@ from .errors import SimulationError
 GRAVITY = 9.81
 """m/s^2, as everywhere in the suite."""
 
-# Not in the vehicle file because no prediction model has them. Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear.
+# Of the virtual car, whatever file its other data come from. Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear.
 TRACK_WIDTH = 1.54
 """m, both axles."""
 

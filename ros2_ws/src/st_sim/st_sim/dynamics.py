@@ -154,7 +154,8 @@ def air_force(
     return 0.5 * AIR_DENSITY * felt * drag_area * along, side
 
 
-def derivative(
+# long: one set of equations over two dozen shared symbols, twice in every step of 2 ms.
+def derivative(  # noqa: PLR0915
     s: Sequence[float], rack_target: float, drive_force: float, here: tuple, c: Constants
 ) -> tuple[tuple, tuple]:
     """Time derivative of the state, and what `Forces` keeps of it.

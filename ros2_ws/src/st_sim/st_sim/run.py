@@ -15,7 +15,7 @@ from typing import NoReturn
 
 from canedge_bridge.decode import Decoder
 
-from .can_wire import CanWire
+from .can_wire import STEERING_MESSAGE, CanWire
 from .car import Car, read_car
 from .drive import RecordedDrive
 from .errors import SimulationError
@@ -119,12 +119,13 @@ class _Run:
 
 
 def _bus(options: argparse.Namespace) -> tuple[Path, Path]:
-    """DBC and signal table: those beside the vehicle file, else those of --config."""
+    """DBC and signal table of the Leaf, whatever car drives: those beside the vehicle file, else those of --config."""
     folder = options.vehicle.resolve().parent
     config = options.config or options.vehicle.absolute().parents[1]
     for dbc, signals in ((folder / "can.dbc", folder / "signals.yaml"),
                          (config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml")):
-        if dbc.exists() and signals.exists() and (options.config is None or dbc.is_relative_to(config)):
+        here = dbc.exists() and signals.exists() and (options.config is None or dbc.is_relative_to(config))
+        if here and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
     raise SimulationError(f"--config {config}: has no can/leaf_ze0.dbc and can/leaf_ze0.yaml; give the folder that has")
 

@@ -154,24 +154,6 @@ def _circle(lateral_acceleration: float, radius: float = 11.5) -> Plan:
     return RoadPlan([Piece(2 * math.pi * radius, 1 / radius, 1 / radius, speed)])
 
 
-def _figure_eight(radius: float = 11.5, loop_deg: float = 240.0, blend: float = 6.0, speed: float = 4.0) -> Plan:
-    """Left loop, straight, right loop, straight; the straights are as long as it takes to close.
-
-    Chord / |cos(loop / 2)|.
-    """
-    end = Path(turn(radius, loop_deg, speed, blend)).pose(
-        Path(turn(radius, loop_deg, speed, blend)).length * (1 - 1e-12)
-    )
-    length = math.hypot(end.x, end.y) / abs(math.cos(math.radians(loop_deg / 2)))
-    pieces = [
-        *turn(radius, loop_deg, speed, blend),
-        *straight(length, speed),
-        *turn(radius, -loop_deg, speed, blend),
-        *straight(length, speed),
-    ]
-    return RoadPlan(pieces, start=-length / 2)
-
-
 def _u_turns() -> Plan:
     """Right, left, left; turned by 180 deg after that, so two rounds close."""
     return RoadPlan(
@@ -211,17 +193,17 @@ def _circle_to_rest() -> Plan:
     )
 
 
+SUGGESTED = {m.name: (partial(plan_of, m), m.meaning) for m in CATALOGUE}
 SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
-    "S1": (_figure_eight, "figure eight at 4 m/s, R = 11.5 m"),
+    "S1": SUGGESTED["S1"],
     "S2": (lambda: _circle(1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),
     "S3": (lambda: _circle(3.77), "left circle, R = 11.5 m, 3.8 m/s^2"),
     "S4": (lambda: _circle(6.37), "left circle, R = 11.5 m, 6.4 m/s^2"),
     "S5": (_circle_to_rest, "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, pull away, again"),
     "S6": (_u_turns, "U-turns right, left, left with straights, 4 to 6 m/s"),
     "S7": (_roundabout, "16 m/s, slightly right, brake to 5 m/s, 450 deg roundabout, back to 16 m/s"),
-    **{m.name: (partial(plan_of, m), m.meaning) for m in CATALOGUE if m.name != "S1"},
+    **SUGGESTED,
 }
-"""S1 of the catalogue is the paper's; the road here is the one that goes with the paper's table."""
 
 
 def load(name: str) -> Plan:

@@ -219,6 +219,16 @@ def test_signal_closes_the_files_of_file_mode(tmp_path):
     assert (tmp_path / "run.log").read_text().endswith("\n")
 
 
+def test_another_car_drives_on_the_bus_of_the_leaf(tmp_path):
+    """The folder of a car of one's own has a DBC of its own, which the virtual car cannot send."""
+    (tmp_path / "vehicle.yaml").write_text(LEAF.read_text())
+    (tmp_path / "can.dbc").write_text(DBC.read_text().replace("Leaf_Steering", "Mine"))
+    (tmp_path / "signals.yaml").write_text(SIGNALS.read_text().replace("Leaf_Steering", "Mine"))
+    words = ["--vehicle", str(tmp_path / "vehicle.yaml"), "--to-files", str(tmp_path / "run"), "--duration", "1"]
+    assert run.main([*words, "--config", str(ROOT / "config")]) == 0
+    assert (tmp_path / "run" / "run.log").stat().st_size > 10_000
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

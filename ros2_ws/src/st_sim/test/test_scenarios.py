@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from st_core.manoeuvres import CATALOGUE
 from st_sim.car import read_car
 from st_sim.driver import FASTEST_HAND
 from st_sim.errors import SimulationError
@@ -69,14 +68,6 @@ def test_s1_figure_eight():
     path = load("S1").path
     end = path.pose(path.length * 5)
     assert math.hypot(end.x, end.y) < 0.05 and end.yaw == pytest.approx(0.0, abs=1e-9)
-
-
-def test_s1_of_the_catalogue_is_the_papers():
-    one, path = next(m for m in CATALOGUE if m.name == "S1"), load("S1").path
-    assert one.period * one.speed == pytest.approx(path.length, abs=0.01)
-    for time in np.arange(0.0, one.period, 0.05):
-        road = path.curvature(load("S1").start + time * one.speed)
-        assert one.curvature(time) == pytest.approx(road, abs=1e-3)
 
 
 def test_s5_right_circle_to_rest_and_on():

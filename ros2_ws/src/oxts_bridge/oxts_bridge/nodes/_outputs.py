@@ -76,12 +76,13 @@ class Outputs:
             self._node.destroy_publisher(publisher)
 
     def raw(self, received: Received, now: float) -> None:
-        if self._out["ncom"].wanted(now):
+        if received.received_ns is not None and self._out["ncom"].wanted(now):
             self._out["ncom"].publish(self._ncom.make(received.received_ns, received.raw))
 
     def time_reference(self, received: Received, now: float) -> None:
-        if received.utc_ns is not None and self._out["time_reference"].wanted(now):
-            self._out["time_reference"].publish(self._time_reference.make(received.received_ns, received.utc_ns))
+        received_ns, utc_ns = received.received_ns, received.utc_ns
+        if received_ns is not None and utc_ns is not None and self._out["time_reference"].wanted(now):
+            self._out["time_reference"].publish(self._time_reference.make(received_ns, utc_ns))
 
     def motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy, now: float) -> None:
         """Odometry, transform and velocity; position: in the map frame, None until there is one."""
@@ -132,8 +133,9 @@ class Outputs:
     def static_transforms(self, stamp_ns: int) -> None:
         if self._tf_static is not None:
             s = self._settings
+            x, y, z = map(float, s.base_to_ins)
             self._tf_static.publish(
                 convert.static_transforms(
-                    stamp_ns, s.map_frame, s.odom_frame, s.base_frame, s.ins_frame, tuple(map(float, s.base_to_ins))
+                    stamp_ns, s.map_frame, s.odom_frame, s.base_frame, s.ins_frame, (x, y, z)
                 )
             )

@@ -122,8 +122,8 @@ def say_whose(verb: str, file: Path | str) -> None:
     """One line where nobody named a car and the Leaf was taken."""
     from st_recordings.car import names
 
-    if Path(file).resolve() == LEAF.resolve():
-        typer.echo(f"st {verb}: no car was named: the Leaf's file {LEAF} is used; --car names another "
+    if Path(file).resolve().parent == LEAF.resolve().parent:
+        typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; --car names another "
                    f"({', '.join(names())}, or a folder)", err=True)
 
 

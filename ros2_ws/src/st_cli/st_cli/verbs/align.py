@@ -5,7 +5,7 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, Dbc, InsCanLatency, Signals, whose
+from ._options import CarName, Dbc, InsCanLatency, Signals, say_whose, whose
 
 VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 
@@ -48,6 +48,8 @@ def align(
         raise typer.Exit(2) from None
     for warning in pair.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+    if car is None and dbc is None:
+        say_whose("align", pair.dbc)
     alignment = pair.alignment
     report(pair, console)
     about = {**about_alignment(alignment), "ins_can_latency": pair.latency}

@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
-from st_recordings.paths import config
+
+from ._options import LEAF, CarName, VehicleFile, say_whose, whose
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,9 +21,8 @@ HOOK_WORDS = {
 def effects(
     what: str = typer.Argument("list", help="list, or check."),
     files: list[Path] = typer.Argument(None, help="check: effect files (.py); all of the library without one."),
-    vehicle: Path | None = typer.Option(
-        None, help="check: vehicle file; default config/vehicle/leaf.yaml.", exists=True, dir_okay=False
-    ),
+    car: CarName = None,
+    vehicle: VehicleFile = None,
     own: Path | None = typer.Option(
         None, "--effects", help="list: folder of own effects to list too.", exists=True, file_okay=False
     ),
@@ -36,6 +36,7 @@ def effects(
     from st_core.effects import load_folder
     from st_core.errors import StCoreError
     from st_core.vehicle import VehicleParameters
+    from st_recordings.runs.errors import RunError
 
     if what not in ("list", "check"):
         typer.echo(f"st effects: {what!r} is neither list nor check", err=True)
@@ -46,10 +47,13 @@ def effects(
         if what == "list":
             _listed(Console())
             return
-        file = vehicle or config("vehicle/leaf.yaml")
-        car = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
-        kept = _checked(files or (), car, Console())
-    except (StCoreError, OSError, UnicodeDecodeError) as error:
+        named = whose(car, vehicle)[0]
+        file = named or LEAF
+        parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        kept = _checked(files or (), parameters, Console())
+        if named is None:
+            say_whose("effects", file)
+    except (RunError, StCoreError, OSError, UnicodeDecodeError) as error:
         typer.echo(f"st effects: {error}", err=True)
         raise typer.Exit(2) from None
     raise typer.Exit(0 if kept else 1)
@@ -57,13 +61,13 @@ def effects(
 
 def _listed(console: "Console") -> None:
     from rich.table import Column, Table
-    from st_core.effects import EFFECTS
+    from st_core.effects import EFFECTS, twins_of
 
     table = Table(Column("effect", no_wrap=True), "kind", "where", "acts on", "hard to tell from", "needs", box=None)
     for name, effect in sorted(EFFECTS.items(), key=lambda item: (item[1].kind, item[0])):
         hooks = dict.fromkeys(word for hook, word in HOOK_WORDS.items() if getattr(effect, hook))
         inputs = ", ".join((*hooks, *(f"signal {s}" for s in effect.signals)))
-        table.add_row(name, effect.kind, effect.slot, inputs, ", ".join(effect.twins) or "-",
+        table.add_row(name, effect.kind, effect.slot, inputs, ", ".join(sorted(twins_of(name))) or "-",
                       ", ".join(effect.needs) or "-")
     console.print(table)
 

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Literal
 
 import typer
-from st_recordings.paths import config
 
-from ._options import CarName, VehicleFile, whose
+from ._options import LEAF, CarName, VehicleFile, say_whose, whose
 
 
 def export(
@@ -39,15 +38,18 @@ def export(
     from st_offline.model_export import load_model
 
     try:
-        file = whose(car, vehicle)[0] or config("car/leaf/vehicle.yaml")
+        named = whose(car, vehicle)[0]
+        file = named or LEAF
         parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
         if effects is not None:
             load_folder(str(effects.absolute()))
-        chosen, parameters = load_model(model, parameters, str(file))
+        chosen, its = load_model(model, parameters, str(file))
         folder = new_folder(output, "export")
-        written = write(chosen, parameters, folder, kind, substeps, free)
+        written = write(chosen, its, folder, kind, substeps, free)
     except (OSError, RunError, StCoreError, UnicodeDecodeError) as error:
         typer.echo(f"st export: {error}", err=True)
         raise typer.Exit(2) from None
+    if named is None and its is parameters:
+        say_whose("export", file)
     for path in written:
         typer.echo(path)

@@ -4,13 +4,15 @@ from pathlib import Path
 
 import typer
 
-from ._options import say_whose_bag
+from ._options import CarName, say_whose_bag, whose
 
 
 def view(
     recording: Path = typer.Argument(..., help="Folder of a run, a bag, or a saved view (.rrd).", exists=True),
+    car: CarName = None,
     vehicle: Path | None = typer.Option(
-        None, help="Vehicle file, for the outline; default the one in the recording.", exists=True, dir_okay=False
+        None, help="Vehicle file, for the outline; default that of --car, else the one in the recording.", exists=True,
+        dir_okay=False
     ),
     save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
 ) -> None:
@@ -26,6 +28,7 @@ def view(
 
     console = Console()
     try:
+        vehicle = whose(car, vehicle)[0]
         window = Window(page=not save, save=save)
         with tempfile.TemporaryDirectory(prefix="st-view-") as name:
             file = recording

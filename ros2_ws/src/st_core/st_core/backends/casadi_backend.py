@@ -7,7 +7,7 @@ Checked by: test_casadi_backend.py.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,8 +23,9 @@ from ..models import Model, get_model
 from ..types import STATE_NAMES, STATE_UNITS
 from ..vehicle import VehicleParameters
 
-_FUNCTIONS = {"sin": casadi.sin, "cos": casadi.cos, "tan": casadi.tan, "atan": casadi.atan, "sqrt": casadi.sqrt,
-              "sign": casadi.sign, "absolute": casadi.fabs, "maximum": casadi.fmax, "minimum": casadi.fmin}
+_FUNCTIONS: dict[str, Callable] = {
+    "sin": casadi.sin, "cos": casadi.cos, "tan": casadi.tan, "atan": casadi.atan, "sqrt": casadi.sqrt,
+    "sign": casadi.sign, "absolute": casadi.fabs, "maximum": casadi.fmax, "minimum": casadi.fmin}
 for _kind in (casadi.SX, casadi.MX, casadi.DM):
     ops.register(_kind, _FUNCTIONS)
 
@@ -110,10 +111,10 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
     w = model.inputs(*casadi.vertsplit(u), chosen, *symbols[len(free):])
 
     rates = casadi.vertcat(*model.rhs(tuple(casadi.vertsplit(x)), w, chosen))
-    after = tuple(casadi.vertsplit(x))
+    state = tuple(casadi.vertsplit(x))
     for _ in range(substeps):
-        after = rk4_step(model.rhs, after, w, w, w, chosen, h / substeps)
-    after = casadi.vertcat(*after)
+        state = rk4_step(model.rhs, state, w, w, w, chosen, h / substeps)
+    after = casadi.vertcat(*state)
     six = casadi.SX.sym("x_six", len(STATE_NAMES))
     begin = casadi.vertcat(*model.start_state(tuple(casadi.vertsplit(six)), w, chosen))
 
@@ -134,8 +135,11 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
 
 def free_parameters(model: str | Model) -> dict[str, Variable]:
     """What `build` can leave free in a model, by name."""
+    model = get_model(model)
+    if not isinstance(model, AugmentedModel):
+        return {}
     return {f"{e.name}.{q.name}": Variable(f"{e.name}.{q.name}", q.unit, *q.bounds, model.values[e.name][q.name])
-            for e in _acting(get_model(model)) for q in e.parameters}
+            for e in _acting(model) for q in e.parameters}
 
 
 def _acting(model: Model) -> tuple[type[Effect], ...]:

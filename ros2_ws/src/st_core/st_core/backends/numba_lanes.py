@@ -9,7 +9,8 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
-from typing import Any
+from types import FunctionType
+from typing import Any, cast
 
 import llvmlite.binding
 import numba
@@ -91,7 +92,7 @@ def _skeleton(p: tuple, numbers: list[float]) -> tuple:
 def _compile(model: Model, shape, fields: int, states: int):
     kernel = _prepared(model, shape, fields, states)
     try:
-        made_of = structure.fingerprint(model.rhs, STOP)
+        made_of = structure.fingerprint(cast(FunctionType, model.rhs), STOP)
         numba_cache.enable(kernel, f"{made_of} {shape} {fields} {states}")
     except structure.Unnamed:
         pass  # compiled in every process
@@ -115,7 +116,7 @@ def uncached(model: Model, shape, fields: int, states: int):
 
 
 def _prepared(model: Model, shape, fields: int, states: int):
-    for function in structure.reachable(model.rhs, STOP):
+    for function in structure.reachable(cast(FunctionType, model.rhs), STOP):
         if function not in _inlined:
             _inlined.add(inline(function))
     return _make(model.rhs, _parameters(shape), _load(fields), _load(states), _scratch(states * LANES))

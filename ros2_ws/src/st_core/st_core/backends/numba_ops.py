@@ -8,6 +8,7 @@ Checked by: test_backends.py.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numba.core import types
@@ -17,7 +18,7 @@ from .. import ops
 
 # Without nnan and ninf: logs hold NaN, and NaN has to come out. Flags do not spread to callees: every helper has them.
 FLAGS = ("contract", "nsz", "arcp")
-OPTIONS = {"fastmath": set(FLAGS), "error_model": "numpy", "forceinline": True}
+OPTIONS: Any = {"fastmath": set(FLAGS), "error_model": "numpy", "forceinline": True}
 
 SIGN = np.int64(-(2**63))
 MAGNITUDE = np.int64(2**63 - 1)

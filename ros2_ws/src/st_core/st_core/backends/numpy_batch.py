@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..integrate import rk4_step
+from ..integrate import Derivative, rk4_step
 from ..models import Model
 from ..types import STATE_NAMES
 
@@ -24,7 +24,8 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
     return out
 
 
-def _advance(rhs, p, start, w, offsets, step, points, out):
+def _advance(rhs: Derivative, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
+             points: np.ndarray, out: np.ndarray) -> None:
     count = start.shape[1]
     wanted = {int(point): row for row, point in enumerate(points)}
     state = tuple(np.ascontiguousarray(start))

@@ -147,12 +147,14 @@ class Bands:
             raise ConfigurationError("hash: the content was changed since it was made; calibrate anew")
         settings = document["settings"]
         time = times(settings["horizon"], settings["step"])
-        bands, hashes = {}, {}
+        bands: dict[Question, Band] = {}
+        hashes = {}
         for model, entry in document["bands"].items():
             hashes[model] = str(entry["configuration_hash"])
             for mode in (m for m in MODES if m in entry):
                 bands[model, mode] = _band(entry[mode], time)
-        seen = Seen(np.array(document["seen"]["starts"], int), tuple(map(float, document["seen"]["most"])))
+        slowest, fastest = map(float, document["seen"]["most"])
+        seen = Seen(np.array(document["seen"]["starts"], int), (slowest, fastest))
         return cls(document["vehicle"]["name"], document["vehicle"]["hash"], settings, document["recordings"],
                    int(document["runs"]), seen, bands, hashes)
 

@@ -15,7 +15,7 @@ drawn with a known scale.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -70,8 +70,9 @@ class Scale:
     floor: np.ndarray
     time: np.ndarray
     knots: np.ndarray
+    _between: np.ndarray = field(init=False, repr=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "_between", interpolation(self.knots, self.time))
 
     def __call__(self, conditions: np.ndarray) -> np.ndarray:

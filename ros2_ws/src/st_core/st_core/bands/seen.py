@@ -17,8 +17,9 @@ CELLED = {"speed": SPEED, "lateral_acceleration": LATERAL_ACCELERATION}
 
 def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row and column (n,) of conditions (n, 4): numbers of their bins of speed and lateral acceleration."""
-    return tuple(np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
-                 for name, edges in CELLED.items())
+    row, column = (np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
+                   for name, edges in CELLED.items())
+    return row, column
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,17 +68,17 @@ def share_squares(model: Model, vehicle: VehicleParameters, signals: LogSignals,
     for key, (low, high) in _cars(vehicle).items():
         ends[PARAMETERS, key] = path(_read_again(signals, low, settings), model, low), \
             path(_read_again(signals, high, settings), model, high)
-    for key, (low, high) in _models(model, intervals or {}).items():
-        ends[PARAMETERS, key] = path(signals, low, vehicle), path(signals, high, vehicle)
+    for key, (less, more) in _models(model, intervals or {}).items():
+        ends[PARAMETERS, key] = path(signals, less, vehicle), path(signals, more, vehicle)
     noise = white_noise(signals.log)
     for name, sigma in noise.items():
         ends[SENSORS, f"{name} at the start"] = (
             path(_moved(signals, name, -sigma, settings), model, vehicle),
             path(_moved(signals, name, sigma, settings), model, vehicle))
     squares: dict[Cause, np.ndarray] = {}
-    for cause, (low, high) in ends.items():
-        moved = np.stack([*map_to_body(0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), base[2]),
-                          wrap_angle(high[2] - low[2]) * 0.5], axis=-1)[complete]
+    for cause, (one, other) in ends.items():
+        moved = np.stack([*map_to_body(0.5 * (other[0] - one[0]), 0.5 * (other[1] - one[1]), base[2]),
+                          wrap_angle(other[2] - one[2]) * 0.5], axis=-1)[complete]
         if (moved != 0.0).any():
             squares[cause] = np.square(moved).sum(axis=0)
     place = 0.5 * (noise["x"] ** 2 + noise["y"] ** 2)
@@ -137,7 +137,8 @@ def _models(model: Model, intervals: Intervals) -> dict[str, tuple[Model, Model]
         # To one side only where the other is out of bounds: the difference is then as large as the whole.
         pair = [float(np.clip(value + side * sigma, *bounds)) for side in (-1.0, 1.0)]
         if pair[0] < pair[1]:
-            found[f"{effect}.{name}"] = tuple(model.with_values({effect: {name: end}}) for end in pair)
+            low_end, high_end = (model.with_values({effect: {name: end}}) for end in pair)
+            found[f"{effect}.{name}"] = low_end, high_end
     return found
 
 

@@ -49,6 +49,7 @@ def _one_yaw(found: list[Finding]) -> list[Finding]:
     if not {"yaw_convention", "yaw_offset"} <= told.keys():
         return found
     clockwise, offset = told["yaw_convention"], told.pop("yaw_offset")
+    assert clockwise.cure and offset.cure  # both are made with one
     correct = dict(clockwise.cure.entry["correct"]["yaw"])
     correct["add"] += offset.cure.entry["correct"]["yaw"]["add"]
     text = f"{clockwise.text.partition(':')[0]}, and not from north: yaw is from east, counter-clockwise"
@@ -264,8 +265,10 @@ def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
         return motion.with_(velocity_x=-motion.velocity_x), _error(
             "velocity_x_scale", ("velocity_x",), "velocity_x counts the other way (forward is positive)", -1.0, cure)
     exact = quarter if abs(angle - quarter) < 0.1 else angle
-    words = {1: ": is it counted from north?", -1: ": is it counted from north or south?",
-             2: ": does it point backwards?", -2: ": does it point backwards?"}.get(round(exact / (np.pi / 2), 3), "")
+    turns: dict[float, str] = {
+        1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
+        2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
+    words = turns.get(round(exact / (np.pi / 2), 3), "")
     text = f"yaw is {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) off the direction in which positions move{words}"
     cure = Cure("run.yaml", f"correct: {{yaw: {{add: {-exact:.6g}}}}}", {"correct": {"yaw": {"add": -float(exact)}}})
     finding = replace(_error("yaw_offset", ("yaw",), text, angle, cure), unit="rad")

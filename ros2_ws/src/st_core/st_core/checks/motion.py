@@ -2,6 +2,7 @@
 told once. Nothing of it leaves the checks."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class Motion:
                    log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start) * NANOSECOND,
                    log.road_wheel_angle, log.acceleration_x, log.acceleration_y)
 
-    def with_(self, **changes) -> "Motion":
+    def with_(self, **changes: Any) -> "Motion":
         return replace(self, **changes)
 
     def where(self, keep: np.ndarray) -> "Motion":

@@ -125,6 +125,8 @@ def stuck(motion: Motion, known: Mapping[str, Channel]) -> list[Finding]:
     told = []
     for name in known:
         time, row = _series(motion, name)
+        if row is None:
+            continue
         told += _held(name, time, row) or _frozen(name, time, row, motion, known[name].resolution)
     return merged(told)
 

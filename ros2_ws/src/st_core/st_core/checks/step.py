@@ -27,18 +27,18 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
     Its value is the minimum_slip_speed [m/s] that cures it, as printed; where none does, the step [s].
     Checked by: test_checks_step.py.
     """
-    models = [get_model(model) for model in models]
+    chosen = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)
     if not len(speed):
         return None
     speeds = np.linspace(speed.min(), speed.max(), SPEEDS)
-    factors = {model.name: np.array([growth(model, vehicle, v, step) for v in speeds]) for model in models}
+    factors = {model.name: np.array([growth(model, vehicle, v, step) for v in speeds]) for model in chosen}
     guilty = [name for name, factor in factors.items() if factor.max() > 1.0]
     if not guilty:
         return None
     unstable = np.interp(speed, speeds, np.max(list(factors.values()), axis=0)) > 1.0
     touched = speed[unstable] if unstable.any() else speed[:1]
-    value, unit, cure = _cure(models, vehicle, speeds.tolist(), step)
+    value, unit, cure = _cure(chosen, vehicle, speeds.tolist(), step)
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(guilty)} model of "
             f"{vehicle.name} at {touched.min():.1f} to {touched.max():.1f} m/s: the lateral motion comes out wrong")
     return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit,

@@ -4,12 +4,12 @@ Drives are imitated on the errors themselves: those the answer leaves, with the 
 plus what the effect would change. The same tests then say whether it is found.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import stats
 
-from ..effects import get_effect
+from ..effects import twins_of
 from .evidence import FLIPS, Scores, chance, left_over, score
 from .fit import Fit, Problem
 from .limits import Limits
@@ -56,7 +56,7 @@ def _asked(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) -> 
     return max(asked, limits.beside) if left_over(problem, rows) > limits.left else asked
 
 
-def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick) -> Certificate:
+def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
     """The test of a forward step on imitated drives, DRAWS of each size of each effect and FLIPS / 4 without any."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))
@@ -106,7 +106,7 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
     if not sure or share < asked:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.doubt) * gains[best].sum()
-            or (e in get_effect(best).twins and gains[e].sum() > limits.rival * gains[best].sum())]
+            or (e in twins_of(best) and gains[e].sum() > limits.rival * gains[best].sum())]
 
 
 def _held_out(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:

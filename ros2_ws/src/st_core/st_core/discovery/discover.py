@@ -93,7 +93,9 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _Work:
-    def __init__(self, runs, vehicle, base, reference, settings, progress, identities, parallel):
+    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
+                 reference: Sequence[DriveLog], settings: DiscoverySettings, progress: Progress | None,
+                 identities: Sensors, parallel: int):
         self.vehicle, self.settings, self.limits = vehicle, settings, settings.limits
         self._progress, self._count = progress, 0
         self.warnings: list[str] = []
@@ -112,17 +114,8 @@ class _Work:
 
     def result(self) -> Discovery:
         settings, space, limits = self.settings, self.space, self.limits
-        start, prior, between, by_column = space.null, None, 0.0, noise.floor(self.windows)
-        if self.reference:
-            healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
-            start, prior, between = healthy.vector, healthy.prior, healthy.gain
-            # What nothing describes in the healthy car either is no change of it.
-            by_column = {c: max(by_column[c], float(v))
-                         for c, v in zip(self.windows.columns, healthy.left, strict=True)}
-            by_column["position_5s"] = healthy.position
-        loss = Loss(Errors(self.windows, space, self.threads), start)
-        self.problem = problem = Problem(loss, start, self.windows.block, prior,
-                                         np.array([by_column[c] for c in self.windows.columns]), between)
+        self.problem, by_column = self._problem()
+        problem = self.problem
         self._say_little(problem)
         parts = levels(self.windows)
         search = Search(problem, limits, parts, self.sensors, settings.seed, self._tick("searching"))
@@ -141,7 +134,7 @@ class _Work:
         lines = waterfall.budget(problem, base, found.fit, next((fit for _, fit in bound), None), ends)
         told = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
                 if settings.certify else certificate.predicted(problem, found.fit, found.scores, limits))
-        stated = {name for e in (*effects, *minor) for name in (e.name, *e.alternatives)}
+        stated = {*(name for e in effects for name in (e.name, *e.alternatives)), *(e.name for e in minor)}
         driven = self._catalogue(found, effects)
         untestable = self._untestable(told, stated, driven)
         seen = 1.0 - sum(n.name in space.hypotheses for n in untestable) / len(space.hypotheses)
@@ -164,6 +157,21 @@ class _Work:
 
     # What goes in
 
+    def _problem(self) -> tuple[Problem, dict[str, float]]:
+        """What is searched, from the fit to the reference if there is one, and the noise of every column."""
+        settings, space = self.settings, self.space
+        start, prior, between, by_column = space.null, None, 0.0, noise.floor(self.windows)
+        if self.reference:
+            healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
+            start, prior, between = healthy.vector, healthy.prior, healthy.gain
+            # What nothing describes in the healthy car either is no change of it.
+            by_column = {c: max(by_column[c], float(v))
+                         for c, v in zip(self.windows.columns, healthy.left, strict=True)}
+            by_column["position_5s"] = healthy.position
+        loss = Loss(Errors(self.windows, space, self.threads), start)
+        return Problem(loss, start, self.windows.block, prior,
+                       np.array([by_column[c] for c in self.windows.columns]), between), by_column
+
     def _usable(self, runs: Sequence[DriveLog], what: str) -> list[DriveLog]:
         needed = self.settings.horizon + 2.0 * MARGIN_NS * 1e-9 + 0.5
         good = [run for run in runs if run.overlap >= needed]
@@ -185,7 +193,7 @@ class _Work:
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
     def _by_sensors(self, identities: Sensors) -> dict[str, tuple[float, float, float]]:
-        return {f"{effect}.{p.name}": tuple(identities[p.identity]) for effect in self.space.hypotheses
+        return {f"{effect}.{p.name}": identities[p.identity] for effect in self.space.hypotheses
                 for p in get_effect(effect).parameters if p.identity and p.identity in identities}
 
     def _say_little(self, problem: Problem) -> None:
@@ -257,7 +265,7 @@ class _Work:
         rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
                                             key=lambda r: (alternative(r, self.limits).rule == "alternative", r.share))}
         for name in space.hypotheses:
-            values = space.values(name, found.fit.vector)
+            values: Mapping[str, float] = space.values(name, found.fit.vector)
             if name in found.evidence:
                 verdict, gain = named[name], found.evidence[name].gain
             elif name in found.refused:

@@ -163,7 +163,7 @@ class Problem:
         return ((np.minimum(s.low - vector, 0.0) / s.scale)[which], (np.maximum(s.high - vector, 0.0) / s.scale)[which])
 
     def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
-              windows=slice(None)) -> np.ndarray:
+              windows: slice | np.ndarray = slice(None)) -> np.ndarray:
         """(a,) the step from `vector` to the best point of a quadratic by window; within the bounds."""
         best_step = self.stepper(names, vector, which)
         return best_step(q.hessian[windows].sum(axis=0), q.gradient[windows].sum(axis=0))

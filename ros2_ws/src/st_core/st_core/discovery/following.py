@@ -59,8 +59,8 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
     return Catalogue(result)
 
 
-def apart(h: np.ndarray, problem: Problem, fit: Fit, rest: Sequence[str], first: str, second: str,
-          values: np.ndarray, design: float) -> tuple[float, float]:
+def apart(h: np.ndarray, problem: Problem, rest: Sequence[str], first: str, second: str, values: np.ndarray,
+          design: float) -> tuple[float, float]:
     """(cosine of the signatures, what `second` leaves of `first` in standard deviations) under a curvature. values:
     (p,) deviation of `first` from its null in usual sizes."""
     own, other = problem.space.indices(first), problem.space.indices(second)
@@ -84,7 +84,7 @@ def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], des
         rest = tuple(n for n in fit.names if n != effect.name)
         for other in effect.alternatives:
             said.append(Separability(effect.name, other,
-                                     *apart(h, problem, fit, rest, effect.name, other, values, design)))
+                                     *apart(h, problem, rest, effect.name, other, values, design)))
     return tuple(said)
 
 
@@ -101,8 +101,8 @@ def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven
         strengths = {}
         for first, second in pairs:
             rest = tuple(n for n in fit.names if n != first)
-            strengths[first, second] = apart(h + more, problem, fit, rest, first, second, values, design)[1]
-        pair = min(strengths, key=strengths.get)
+            strengths[first, second] = apart(h + more, problem, rest, first, second, values, design)[1]
+        pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
     name = max(weakest, key=lambda n: weakest[n][0], default="")
     if not name or weakest[name][0] < TOLD:
@@ -123,7 +123,7 @@ def shows(problem: Problem, effect: str, driven: Catalogue) -> str:
         if len(others):
             left = left - h[np.ix_(own, others)] @ inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, own)]
         strength[name] = float(np.diag(left).max())
-    return max(strength, key=strength.get, default="")
+    return max(strength, key=strength.__getitem__, default="")
 
 
 def _curvature(problem: Problem, fit: Fit) -> np.ndarray:

@@ -37,12 +37,12 @@ class Limits:
     negligible: float = 0.01
     rival: float = 0.5
     bound: float = 0.05
-    beside: float = 0.2
+    beside: float = 0.3
     left: float = 2.0
     shown: float = 0.8
     most: int = 16
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in fields(self):
             if not getattr(self, field.name) > 0:
                 raise ConfigurationError(f"limit {field.name}: {getattr(self, field.name)!r} is not above 0")

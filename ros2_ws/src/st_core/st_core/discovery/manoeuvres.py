@@ -7,10 +7,10 @@ from ..handling import understeer_coefficient
 from ..log import DriveLog
 from ..manoeuvres import CATALOGUE, Manoeuvre
 from ..prediction import predict
-from ..readings import corrected_steering, readings
+from ..readings import corrected_steering, true_readings
 from ..types import InputSequence, VehicleState
 from ..vehicle import VehicleParameters
-from .windows import STEP, MotionOnly, added_acceleration
+from .windows import STEP, added_acceleration
 
 PERIOD = STEP / 2
 """s, of the simulated log."""
@@ -36,7 +36,7 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
     wheels = np.interp(times_ns, *corrected_steering(model, times_ns, angle, 0.1))
     path = predict(model, vehicle, start, InputSequence(wheels, forward), (lead + steps) * PERIOD, PERIOD)
     states = tuple(path.states[lead:].T)
-    true = readings(MotionOnly(model), vehicle, states)
+    true = true_readings(model, vehicle, states)
     a_y = np.gradient(true.velocity_y, PERIOD) + true.velocity_x * true.yaw_rate
     kept = slice(2 * lead, None, 2)
     felt = added_acceleration(model, vehicle, states, wheels[kept], forward[kept])

@@ -1,6 +1,6 @@
 """A healthy car from reference drives: where the search starts, and how firmly everything else is held there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -37,7 +37,7 @@ class Healthy:
 
 
 def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
-          threads: int, tick) -> "Healthy":
+          threads: int, tick: Callable[[], None]) -> "Healthy":
     """A healthy car from its drives.
 
     The curvature is what reference drives say of a new drive of the same car: their own, over what windows that depend
@@ -114,7 +114,8 @@ def textbook(space: Space) -> np.ndarray:
     return vector
 
 
-def _fitted(loss: Loss, space: Space, windows: Windows, held: np.ndarray, vector: np.ndarray, tick) -> np.ndarray:
+def _fitted(loss: Loss, space: Space, windows: Windows, held: np.ndarray, vector: np.ndarray,
+            tick: Callable[[], None]) -> np.ndarray:
     """Everything at once from a vector, the scale of the loss renewed, until nothing moves."""
     for _ in range(ROUNDS):
         tick()

@@ -271,7 +271,7 @@ class Discovery:
 
 def plain(value: Any) -> Any:
     """Dataclasses, mappings, tuples and NumPy numbers as dicts, lists and numbers."""
-    if is_dataclass(value):
+    if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}

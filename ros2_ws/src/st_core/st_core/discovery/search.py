@@ -27,8 +27,8 @@ Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 @dataclass
 class Found:
     """fit: the answer. order: names as they came in. evidence, without: of each of them, the fit without it. refused:
-    what was tried on top of it, with the verdict. rivals: in the place of each. scores: of the library on top of it.
-    near: other sets that are worse by less than what no effect describes."""
+    what was tried on top of it, with the verdict. rivals: in the place of each. known: scores of the library on top of
+    it. near: other sets that are worse by less than what no effect describes."""
 
     fit: Fit
     order: list[str]
@@ -36,8 +36,13 @@ class Found:
     without: dict[str, Fit] = field(default_factory=dict)
     refused: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
-    scores: Scores | None = None
+    known: Scores | None = None
     near: list[Near] = field(default_factory=list)
+
+    @property
+    def scores(self) -> Scores:
+        assert self.known is not None, "a step is looked for, or evidence taken, only with the scores"
+        return self.known
 
 
 class Search:
@@ -55,7 +60,8 @@ class Search:
         """The best of three starts: nothing; what that found and all physics at once; everything at once."""
         p = self.problem
         first = self._from(p.fit((), p.everything(p.start)))
-        answers = [first]
+        assert first is not None  # there has been no other start
+        answers: list[Found | None] = [first]
         physics = [n for n in p.space.hypotheses if get_effect(n).kind == "physics"]
         for names in ([*first.fit.names, *physics], [n for n in p.space.hypotheses if not get_effect(n).members]):
             start = self._pruned(first.fit.vector, list(dict.fromkeys(names)))
@@ -75,7 +81,8 @@ class Search:
 
     def _from(self, fit: Fit, anew: bool = False) -> Found | None:
         """Steps until nothing is accepted; None where they lead to a set another start has been at, if not `anew`."""
-        found, here = Found(fit, list(fit.names)), set()
+        found = Found(fit, list(fit.names))
+        here: set[frozenset[str]] = set()
         while True:
             key = frozenset(found.fit.names)
             if key in self._seen - here and not anew:
@@ -89,7 +96,7 @@ class Search:
                 return found
             found.fit = self._renewed(self._backward(added, found.scores))
             found.order = [n for n in dict.fromkeys((*found.order, *added.names)) if n in found.fit.names]
-            found.scores = None
+            found.known = None
 
     def _renewed(self, fit: Fit) -> Fit:
         """At the scale of its own errors."""
@@ -99,7 +106,7 @@ class Search:
     def _cleaned(self, fit: Fit) -> Fit:
         """Without the effects that fail the test, weakest first."""
         while fit.names:
-            found = Found(fit, list(fit.names), scores=self._scores(fit))
+            found = Found(fit, list(fit.names), known=self._scores(fit))
             weakest = self._measured(found, self.limits.worth)
             if not weakest:
                 break
@@ -132,7 +139,7 @@ class Search:
         """The best effect more that is accepted; None if there is none."""
         p, limits = self.problem, self.limits
         self.tick()
-        found.scores = found.scores or self._scores(found.fit)
+        found.known = found.known or self._scores(found.fit)
         gains = found.scores.gains
         least = max(limits.negligible * p.number, NEAR * max(g.sum() for g, _ in gains.values()))
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum()) if gains[e][0].sum() > NEAR * least]
@@ -214,7 +221,7 @@ class Search:
         p = self.problem
         while len(fit.names) > 1:
             promised = {n: self._promised(fit, n) for n in fit.names}
-            weakest = min(promised, key=promised.get)
+            weakest = min(promised, key=promised.__getitem__)
             if promised[weakest] > 3.0 * self.limits.worth * p.number:
                 return fit
             without = self._less(fit, weakest)
@@ -259,7 +266,7 @@ class Search:
         while names:
             now = cost(names)
             missed = {n: cost([m for m in names if m != n]) - now for n in names}
-            weakest = min(missed, key=missed.get)
+            weakest = min(missed, key=missed.__getitem__)
             if missed[weakest] > self.limits.worth * p.number and len(names) <= self.limits.most:
                 break
             names.remove(weakest)
@@ -276,6 +283,7 @@ class Search:
             if better is None:
                 return found
             further = self._from(self._renewed(better), anew=True)
+            assert further is not None  # begun anew
             further.order = [n for n in dict.fromkeys((*found.order, *further.fit.names)) if n in further.fit.names]
             found = further
         return self._held(found)
@@ -292,7 +300,7 @@ class Search:
         """Fill in `evidence` and `without`. The weakest effect that fails the test; "" if none does. sure: of the size
         of the errors; an effect whose leaving out surely costs three times that is not refitted without."""
         p = self.problem
-        found.scores = found.scores or self._scores(found.fit)
+        found.known = found.known or self._scores(found.fit)
         found.evidence, found.without = {}, {}
         for name in found.fit.names:
             promised = self._promised(found.fit, name) / p.number

@@ -34,7 +34,7 @@ class DiscoverySettings:
     where: bool = True
     noise: Mapping[str, float] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for channel in (*self.channels, *(self.noise or {})):
             if channel not in CHANNELS:
                 raise ConfigurationError(f"channels: {channel!r} is none of {', '.join(CHANNELS)}")

@@ -60,7 +60,7 @@ class Space:
 
     def at(self, vector: np.ndarray) -> AugmentedModel:
         """The model at a vector; what is out of bounds is taken back to them."""
-        return self.model.with_vector(self.inside(vector)[:-1])
+        return self.model.with_vector(self.inside(vector)[:-1].tolist())
 
     def inside(self, vector: np.ndarray) -> np.ndarray:
         return np.clip(vector, self.low, self.high)

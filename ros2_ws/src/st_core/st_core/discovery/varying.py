@@ -14,6 +14,7 @@ from ..effects import get_effect
 from .evidence import Evidence, falls, inverse, shares
 from .fit import Fit, Problem
 from .levels import Level
+from .loss import Quadratic
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ def _design(problem: Problem, part: np.ndarray, seen: list, g: np.ndarray, hh: n
     return max(2.0 * float(np.trace(inverse(hh.sum(axis=0)) @ blocks.T @ blocks)) / g.shape[1], 1.0)
 
 
-def _one(problem: Problem, fit: Fit, q, effect: str, name: str, level: Level, tests: int):
+def _one(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, level: Level,
+         tests: int) -> Varying | None:
     own = problem.space.indices(effect)
     rest = np.setdiff1d(problem.which(fit.names) if problem.prior is None else problem.space.indices(*fit.names), own)
     h = q.hessian.sum(axis=0)

@@ -52,8 +52,8 @@ class Ends:
         number = np.maximum(self._weights @ count, 1)
         fall = turn(self._weights @ sums[0] / number) - turn(self._weights @ sums[1] / number)
         low, high = np.quantile(fall, (0.025, 0.975))
-        whole = [float(turn(v[known].mean())) for v in (before, after)]
-        return Change(*whole, (float(low), float(high)), UNITS[channel])
+        base, augmented = (float(turn(v[known].mean())) for v in (before, after))
+        return Change(base, augmented, (float(low), float(high)), UNITS[channel])
 
     def by_run(self, values: np.ndarray) -> dict[str, float]:
         return {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
@@ -137,7 +137,7 @@ def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[
         if channel != "position_5s":
             old, new = ({n: float(np.sqrt(v)) for n, v in values.items()} for values in (old, new))
         noise = floor.get(channel, 0.0)
-        worst = max(new, key=new.get, default="")
+        worst = max(new, key=new.__getitem__, default="")
         result[channel] = Gap(change.base, change.augmented, change.interval, change.unit, noise, worst,
                               new.get(worst, 0.0), tuple(n for n in new if new[n] > old[n] + noise))
     return result

@@ -135,7 +135,9 @@ def _range_statement(group: Sequence[BinExcess], mine: Sequence[BinExcess], whol
         return WhereStatement(whole.channel, f"{group[0].range.label} turns" if group[0].range.label != "straight"
                               else "straight driving", group[0].excess, group[0].interval)
     unit = group[0].range.label.rsplit(" ", 1)[1]
-    condition = words(quantity, unit, group[0].range.low, group[-1].range.high)
+    low, high = group[0].range.low, group[-1].range.high
+    assert low is not None and high is not None  # of all but the directions
+    condition = words(quantity, unit, low, high)
     sides = {b.range.label: b for b in mine if b.range.quantity == "direction" and b.range.label != "straight"}
     if quantity in SIDED and group[0].range.low and len(sides) == 2 and all(b.significant for b in sides.values()):
         condition += ", both directions"

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,9 @@ from ..errors import StCoreError
 from ..filtering import NANOSECOND
 from ..log import DriveLog
 from ..log_signals import LogSignals, same
-from ..readings import readings
+from ..models import Model
+from ..readings import true_readings
+from ..start_grid import Block
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
@@ -61,7 +64,7 @@ class Signals(LogSignals):
         other.log = log
         return other
 
-    def _between(self, times, wanted):
+    def _between(self, times: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, ...]:
         # Both arrays are kept as well, so that no others are ever at their place in memory.
         key = _memory(times), _memory(wanted)
         known = self._places.pop(key, None) or (times, wanted, super()._between(times, wanted))
@@ -72,22 +75,22 @@ class Batch(LogBatch):
     """A LogBatch for thousands of fits: the step is checked once by who makes it. The recording, and what depends on
     the inputs alone, is kept for models that make the same of it, as most do that a fit tries one after the other."""
 
-    def __init__(self, *arguments, **options):
+    def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
         self._recordings: OrderedDict[tuple, Recording] = OrderedDict()
         self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()
 
-    def recording(self, model):
+    def recording(self, model: Any) -> Recording:
         key = model.measuring
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
 
-    def _table(self, block, values, model, p):
+    def _table(self, block: Block, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
         # The values are kept as well, so that no others are ever at their place in memory.
         key = (block.number, model.inputs, model.looked_at(p), *map(id, values))
         known = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
         return _remember(self._tables, key, known)[1]
 
-    def _count_substeps(self, model, vehicle):
+    def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> Any:
         return self._substeps
 
 
@@ -96,7 +99,7 @@ def _memory(array: np.ndarray) -> tuple:
     return array.ctypes.data, array.shape, array.strides
 
 
-def _remember(kept: OrderedDict, key: tuple, value, most: int = REMEMBERED):
+def _remember(kept: OrderedDict, key: tuple, value: Any, most: int = REMEMBERED) -> Any:
     kept[key] = value
     while len(kept) > most:
         kept.popitem(last=False)
@@ -180,7 +183,7 @@ class Windows:
 
     def measured_at(self, times: np.ndarray, *names: str) -> tuple[np.ndarray, ...]:
         """What was measured at any times [ns] of the common clock."""
-        return self._batch.signals.ins_at(times, *names)
+        return tuple(self._batch.signals.ins_at(times, *names))
 
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
         log, width = self.joined, round(2 * STEP / NANOSECOND)
@@ -235,7 +238,7 @@ class Windows:
         """
         states = self._batch.predict(model, self.vehicle).states
         with np.errstate(all="ignore"):
-            shown = readings(MotionOnly(model), self.vehicle, tuple(np.moveaxis(states, -1, 0)))
+            shown = true_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
             before, true, after = (Measured(*(value[:, i] for value in shown)) for i in self._around)
             turning = [e.velocity_x * e.yaw_rate for e in (before, true, after)]
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
@@ -246,21 +249,21 @@ class Windows:
                                  yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP))
             return model.observe(true)
 
-    def _felt(self, model: AugmentedModel, states: np.ndarray):
+    def _felt(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
         """What an accelerometer shows on top of the motion [m/s^2]."""
         if not any(e.felt for e in model.active):
             return 0.0
         recording = self._batch.recording(model)
         if "points" not in recording.sampled:
             signals = recording.signals
-            recording.sampled["points"] = (signals.road_wheel_angle_at(self._times),
-                                           *signals.ins_at(self._times, "velocity_x_dot"))
+            acceleration, = signals.ins_at(self._times, "velocity_x_dot")
+            recording.sampled["points"] = signals.road_wheel_angle_at(self._times), acceleration
         return added_acceleration(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)),
                                   *recording.sampled["points"])
 
 
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
-                       acceleration: np.ndarray):
+                       acceleration: np.ndarray) -> np.ndarray | float:
     """a_y an accelerometer at the CG shows on top of the motion [m/s^2]; states: the six, arrays as the inputs."""
     # Only those effects that are felt, and what changes the inputs they look at.
     model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.felt or e.inputs)))
@@ -270,13 +273,6 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
     p = model.parameters(vehicle)
     extra = [np.zeros(np.shape(angle))] * len(model.extra_states)
     return added((*states, *extra), model.inputs(angle, acceleration, p), p)[1]
-
-
-class MotionOnly:
-    """A model as `readings` sees it, with the sensors left out: they are applied last."""
-
-    def __init__(self, model: AugmentedModel):
-        self.effective_vehicle = model.effective_vehicle
 
 
 def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
@@ -294,7 +290,8 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
     return DriveLog(name="all runs", **times, **parts), offsets
 
 
-def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float, settings: DiscoverySettings):
+def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
+            settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Instants, run and seconds into the run of all windows driven faster than SLOWEST."""
     length = round(horizon / NANOSECOND)
     usable = sum(max(run.overlap - horizon, 0.0) for run in runs)

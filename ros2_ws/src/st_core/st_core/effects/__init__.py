@@ -19,6 +19,7 @@ from ._base import (
     get_effect,
     register,
     source_file,
+    twins_of,
 )
 from ._loading import load_file, load_folder
 
@@ -27,4 +28,4 @@ for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
         importlib.import_module(f"{__name__}.{_module}")
 
 __all__ = ["ANY", "CHANNELS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "Effect", "Instant", "Measured",
-           "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register", "source_file"]
+           "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register", "source_file", "twins_of"]

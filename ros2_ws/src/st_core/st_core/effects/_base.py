@@ -131,7 +131,8 @@ class Effect:
         observe(measured, theta) -> Measured: what the sensors make of the truth; correct(measured, theta): back again
 
     name: unique. physics: the equation in a line, sign included. excited_by: driving that shows it. twins: effects it
-    is hard to tell from. applies_to: kinds of model. lifts: (from, to) for an effect that turns one kind into another.
+    is hard to tell from, named by one of the two at least. applies_to: kinds of model. lifts: (from, to) for an effect
+    that turns one kind into another.
     extra_units: of the extra states, for those who export the model.
     kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: those of CHANNELS without
     any one of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
@@ -209,7 +210,7 @@ def _enter(effect: type[Effect], registry: dict[str, type[Effect]]) -> None:
         _check(effect)
     except ConfigurationError as error:
         raise ConfigurationError(f"effect {name}: {error}") from None
-    theta = namedtuple("Theta", [p.name for p in effect.parameters] + ["car"], module=effect.__module__)
+    theta = namedtuple("Theta", [p.name for p in effect.parameters] + ["car"], module=effect.__module__)  # type: ignore[misc]  # names are known at run time only
     theta.__qualname__ = f"{effect.__qualname__}.Theta"  # pickled by this path: compiled kernels are cached by type
     effect.Theta = theta
     if effect.fold is None and effect.vehicle:
@@ -218,6 +219,17 @@ def _enter(effect: type[Effect], registry: dict[str, type[Effect]]) -> None:
 
 
 def _check(effect: type[Effect]) -> None:
+    """Raises ConfigurationError for what is missing, unknown or contradicts something else."""
+    _check_attributes(effect)
+    _check_words(effect)
+    _check_names(effect)
+    _check_parameters(effect)
+    _check_pairs(effect)
+    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in PASSIVE):
+        raise ConfigurationError("it has no hook, so it changes nothing")
+
+
+def _check_attributes(effect: type[Effect]) -> None:
     for key, value in vars(effect).items():
         if key.startswith("_"):
             continue
@@ -226,6 +238,9 @@ def _check(effect: type[Effect]) -> None:
             raise ConfigurationError(f"unknown attribute {key}{f', did you mean {near[0]}?' if near else ''}")
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
             raise ConfigurationError(f"{key} must be a @staticmethod")
+
+
+def _check_words(effect: type[Effect]) -> None:
     for key in ("physics", "excited_by"):
         if not str(getattr(effect, key, "")).strip():
             raise ConfigurationError(f"{key} is not given")
@@ -234,6 +249,11 @@ def _check(effect: type[Effect]) -> None:
             raise ConfigurationError(f"{key} is not given; it is one of {', '.join(known)}")
         if getattr(effect, key) not in known:
             raise ConfigurationError(f"{key} {getattr(effect, key)!r} is none of {', '.join(known)}")
+    if not effect.applies_to or not effect.applies_to <= ANY:
+        raise ConfigurationError(f"applies_to must name some of {', '.join(KINDS)}")
+
+
+def _check_names(effect: type[Effect]) -> None:
     for key in ("twins", "needs", "members"):
         if not isinstance(getattr(effect, key), tuple):
             raise ConfigurationError(f"{key} must be a tuple of names, also of one: (\"name\",)")
@@ -241,13 +261,17 @@ def _check(effect: type[Effect]) -> None:
         raise ConfigurationError(f"needs must name some of {', '.join(CHANNELS)}")
     if effect.members and (len(set(effect.members)) < 2 or effect.name in effect.members):
         raise ConfigurationError("members must name two other effects or more")
+
+
+def _check_parameters(effect: type[Effect]) -> None:
     names = [p.name for p in getattr(effect, "parameters", ())]
     if not any(p.fit for p in getattr(effect, "parameters", ())):
         raise ConfigurationError("no parameter that can be fitted")
     if len(set(names)) != len(names) or "car" in names:
         raise ConfigurationError(f"parameters {', '.join(names)}: a name is taken twice, or is car")
-    if not effect.applies_to or not effect.applies_to <= ANY:
-        raise ConfigurationError(f"applies_to must name some of {', '.join(KINDS)}")
+
+
+def _check_pairs(effect: type[Effect]) -> None:
     if bool(effect.extra_states) != (effect.rates is not None):
         raise ConfigurationError("extra_states and rates go together")
     if effect.extra_units and len(effect.extra_units) != len(effect.extra_states):
@@ -256,8 +280,6 @@ def _check(effect: type[Effect]) -> None:
         raise ConfigurationError("prepare and prepared, the names of what it returns, go together")
     if (effect.observe is None) != (effect.correct is None):
         raise ConfigurationError("observe and correct go together")
-    if effect.lifts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in PASSIVE):
-        raise ConfigurationError("it has no hook, so it changes nothing")
 
 
 def source_file(effect: type[Effect]) -> str:
@@ -274,6 +296,11 @@ def get_effect(name: str) -> type[Effect]:
         hint = f", did you mean {near[0]}?" if near else ""
         raise ConfigurationError(f"unknown effect {name!r}{hint}; known are {', '.join(sorted(EFFECTS))}")
     return EFFECTS[name]
+
+
+def twins_of(name: str) -> frozenset[str]:
+    """Names of the effects that are hard to tell from one: those it names, and those that name it."""
+    return frozenset(get_effect(name).twins) | {other for other, effect in EFFECTS.items() if name in effect.twins}
 
 
 def applicable(kind: str) -> tuple[str, ...]:

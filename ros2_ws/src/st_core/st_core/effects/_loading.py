@@ -1,10 +1,11 @@
 """Effects of the user: every module of a folder. The import system does the looking and reading."""
 
+import difflib
 import hashlib
 import importlib
 import pkgutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.machinery import FileFinder
 from types import ModuleType
 
@@ -20,7 +21,7 @@ def load_folder(path: str) -> tuple[str, ...]:
     """
     finder, package = _package(path)
     if package not in sys.modules:
-        names = sorted(name for name, _ in pkgutil.iter_importer_modules(finder) if not name.startswith("_"))
+        names = _modules(finder)
         if not names:
             raise ConfigurationError(f"{finder.path}: holds no effect, that is no *.py")
         _load(finder, package, names)
@@ -35,6 +36,11 @@ def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
     finder, package = _package(folder)
     _load(finder, package, [name])
     return tuple(effect for effect in EFFECTS.values() if effect.__module__ == f"{package}.{name}")
+
+
+def _modules(finder: FileFinder) -> list[str]:
+    found = pkgutil.iter_importer_modules(finder)  # type: ignore[attr-defined]  # public, but not in the stubs
+    return sorted(name for name, _ in found if not name.startswith("_"))
 
 
 def _package(path: str) -> tuple[FileFinder, str]:
@@ -54,12 +60,24 @@ def _load(finder: FileFinder, package: str, names: Sequence[str]) -> None:
     try:
         for name in names:
             _import(f"{package}.{name}", f"{finder.path}/{name}.py")
+        _check_others(set(EFFECTS) - known, {*EFFECTS, *_modules(finder)}, finder.path)
     except ConfigurationError:
         for name in set(EFFECTS) - known:
             del EFFECTS[name]
         for name in [m for m in sys.modules if m == package or m.startswith(package + ".")]:
             del sys.modules[name]
         raise
+
+
+def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> None:
+    """Other effects that effects speak of; one in a file of the folder that is not loaded is called as its file is."""
+    for name in sorted(names):
+        for key in ("twins", "members"):
+            for other in getattr(EFFECTS[name], key):
+                if other not in known:
+                    near = difflib.get_close_matches(other, known, n=1)
+                    raise ConfigurationError(f"{folder}: effect {name}: {key}: there is no effect {other}"
+                                             f"{f', did you mean {near[0]}?' if near else ''}")
 
 
 def _import(module: str, file: str) -> None:

@@ -28,4 +28,5 @@ def affine(earlier: Maps, later: Maps) -> Maps:
 
 def clamp(earlier: Maps, later: Maps) -> Maps:
     """Of maps y -> min(max(y, low), high), given as (low, high) with low <= high."""
-    return tuple(np.minimum(np.maximum(limit, later[0]), later[1]) for limit in earlier)
+    low, high = (np.minimum(np.maximum(limit, later[0]), later[1]) for limit in earlier)
+    return low, high

@@ -12,13 +12,13 @@ from ..models.nonlinear_tyre import axle_loads, parameters
 from ..ops import minimum, sqrt
 from ..tyres import magic_formula_peak
 from ._base import Effect, Parameter, register
-from ._drive import BRAKE_FRONT, DRIVE_FRONT, axle_drive_forces
+from ._drive import Drive, axle_drive_forces, drive_of
 
 LARGEST = 0.98**2
 
 
 class Car(NamedTuple):
-    mass: float
+    drive: Drive
     tyres: TyreParameters
 
 
@@ -40,13 +40,11 @@ class CombinedSlip(Effect):
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: the whole ellipse",
                   source="theory: 1"),
-        DRIVE_FRONT,
-        BRAKE_FRONT,
     )
 
     @staticmethod
     def constants(vehicle):
-        return Car(vehicle.mass, parameters(vehicle))
+        return Car(drive_of(vehicle), parameters(vehicle))
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
@@ -58,5 +56,5 @@ class CombinedSlip(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         front, rear = forces(slip_front, slip_rear, at)
-        drive_front, drive_rear = axle_drive_forces(front, at, theta, theta.car.mass)
+        drive_front, drive_rear = axle_drive_forces(front, at, theta.car.drive)
         return front * left(drive_front, given[0], theta.share), rear * left(drive_rear, given[1], theta.share)

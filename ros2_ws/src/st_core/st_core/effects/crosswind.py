@@ -1,6 +1,7 @@
 """Steady wind over ground: side force of the moving air less that of still air, ahead of the CG.
 
-    F_y = rho / 2 side_area (|u| u_y - |u_0| u_y0),   M_z = arm F_y,   u = wind - velocity in body axes, u_0 = -velocity
+    F_y = rho / 2 side_area (|u| u_y - |u_0| u_y0),   M_z = side_force_arm F_y,
+    u = wind - velocity in body axes, u_0 = -velocity
 
 Drag is in the measured v_x_dot already.
 """
@@ -17,6 +18,8 @@ TINY = 1.0e-6  # (m/s)^2; the root has a slope everywhere
 class Car(NamedTuple):
     mass: float
     yaw_inertia: float
+    side_area: float
+    side_force_arm: float
 
 
 def pressure(along, across):
@@ -27,7 +30,7 @@ def pressure(along, across):
 @register
 class Crosswind(Effect):
     name = "crosswind"
-    physics = "side force rho/2 side_area abs(u) u_y at `arm` ahead of the CG, u the air relative to the car"
+    physics = "side force rho/2 side_area abs(u) u_y at side_force_arm ahead of the CG, u the air relative to the car"
     excited_by = "straight driving in two directions; two speeds tell it from a steering offset"
     kind, slot = "surroundings", "body"
     twins = ("steering_offset", "road_slope", "road_bank", "lateral_acceleration_bias")
@@ -36,21 +39,17 @@ class Crosswind(Effect):
                   source="gale 20 m/s"),
         Parameter("wind_y", "m/s", null=0.0, initial=5.0, bounds=(-30.0, 30.0), odd=True,
                   meaning="towards map y (north)", source="gale 20 m/s"),
-        Parameter("side_area", "m^2", null=2.5, initial=2.5, bounds=(0.5, 20.0), fit=False,
-                  meaning="side force coefficient times side area", source="about half the flank of a passenger car"),
-        Parameter("arm", "m", null=0.25, initial=0.25, bounds=(-1.5, 1.5), fit=False,
-                  meaning="centre of the side force ahead of the CG", source="passenger cars 0.1-0.5 m"),
     )
 
     @staticmethod
     def constants(vehicle):
-        return Car(vehicle.mass, vehicle.yaw_inertia)
+        return Car(vehicle.mass, vehicle.yaw_inertia, vehicle.side_area, vehicle.side_force_arm)
 
     @staticmethod
     def acceleration(at, given, theta):
         cosine, sine = cos(at.yaw), sin(at.yaw)
         along = theta.wind_x * cosine + theta.wind_y * sine - at.velocity_x
         across = theta.wind_y * cosine - theta.wind_x * sine - at.velocity_y
-        force = 0.5 * AIR_DENSITY * theta.side_area * (
+        force = 0.5 * AIR_DENSITY * theta.car.side_area * (
             pressure(along, across) - pressure(-at.velocity_x, -at.velocity_y))
-        return 0.0 * force, force / theta.car.mass, theta.arm * force / theta.car.yaw_inertia
+        return 0.0 * force, force / theta.car.mass, theta.car.side_force_arm * force / theta.car.yaw_inertia

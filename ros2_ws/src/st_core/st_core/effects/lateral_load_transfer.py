@@ -10,11 +10,20 @@ of any other change of the axle force. The steered wheels push unequally along t
 A single track has no width to hold that moment; it is written as a pair of opposite axle forces.
 """
 
+from typing import NamedTuple
+
+from ..models.nonlinear_tyre import Parameters as TyreParameters
 from ..models.nonlinear_tyre import axle_loads
 from ..models.nonlinear_tyre import parameters as tyre_parameters
 from ..ops import sin, tan
 from ..tyres import magic_formula_coefficients, magic_formula_force
 from ._base import Effect, Parameter, register
+
+
+class Car(NamedTuple):
+    tyres: TyreParameters
+    track_width: float
+    load_transfer_front: float
 
 
 def tyre_force(slip, load, tyre):
@@ -43,29 +52,25 @@ class LateralLoadTransfer(Effect):
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="of m a_y h / track",
                   source="theory: 1"),
-        Parameter("track", "m", null=1.54, initial=1.54, bounds=(0.5, 2.6), fit=False, meaning="both axles",
-                  source="Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear"),
-        Parameter("front", "1", null=0.55, initial=0.55, bounds=(0.0, 1.0), fit=False,
-                  meaning="part the front axle takes", source="roll stiffness of passenger cars 0.5-0.65 in front"),
     )
 
     @staticmethod
     def constants(vehicle):
-        return tyre_parameters(vehicle)
+        return Car(tyre_parameters(vehicle), vehicle.track_width, vehicle.load_transfer_front)
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
-        front, rear = axle_loads(velocity_x_dot, theta.car)
+        front, rear = axle_loads(velocity_x_dot, theta.car.tyres)
         return 0.5 * front, 0.5 * rear
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         front, rear = forces(slip_front, slip_rear, at)
-        car = theta.car
-        moved = theta.share * (front + rear) * car.cg_height / theta.track
-        outer, inner = pair(slip_front, given[0], theta.front * moved, car.tyre_front)
-        outer_rear, inner_rear = pair(slip_rear, given[1], (1.0 - theta.front) * moved, car.tyre_rear)
-        couple = 0.5 * theta.track * (outer - inner) / (car.cg_to_front_axle + car.cg_to_rear_axle)
+        car, track, part = theta.car.tyres, theta.car.track_width, theta.car.load_transfer_front
+        moved = theta.share * (front + rear) * car.cg_height / track
+        outer, inner = pair(slip_front, given[0], part * moved, car.tyre_front)
+        outer_rear, inner_rear = pair(slip_rear, given[1], (1.0 - part) * moved, car.tyre_rear)
+        couple = 0.5 * track * (outer - inner) / (car.cg_to_front_axle + car.cg_to_rear_axle)
         # The equations of motion take the front force times cos delta.
         return (front + outer + inner - 2.0 * tyre_force(slip_front, given[0], car.tyre_front)
                 - couple * tan(at.road_wheel_angle),

@@ -5,7 +5,7 @@ The single-track models of the paper leave it out: their forward acceleration is
 
 from ..ops import tan
 from ._base import Effect, Parameter, register
-from ._drive import BRAKE_FRONT, DRIVE_FRONT, axle_drive_forces
+from ._drive import axle_drive_forces, drive_of
 
 
 @register
@@ -18,17 +18,15 @@ class SteeredDriveForce(Effect):
     order = 85
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: all of it", source="theory: 1"),
-        DRIVE_FRONT,
-        BRAKE_FRONT,
     )
 
     @staticmethod
     def constants(vehicle):
-        return vehicle.mass
+        return drive_of(vehicle)
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         front, rear = forces(slip_front, slip_rear, at)
-        drive_front, _ = axle_drive_forces(front, at, theta, theta.car)
+        drive_front, _ = axle_drive_forces(front, at, theta.car)
         # In wheel axes: the equations of motion take the front force times cos delta.
         return front + theta.share * drive_front * tan(at.road_wheel_angle), rear

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 from ..provenance import Provenance
 from ..vehicle import DERIVED, TYRES, VehicleParameters
@@ -29,8 +30,8 @@ def apply(vehicle: VehicleParameters, found: Iterable[Identification], date: str
             sources[key] = f"st identify {identification.what}{doubt}"
             spread = estimate.standard_uncertainty if math.isfinite(estimate.standard_uncertainty) else None
             provenance[key] = Provenance(spread, estimate.method, ", ".join(estimate.runs), date)
-    own = {key: value for key, value in values.items() if "." not in key}
-    tyres = {}
+    own: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
+    tyres: dict[str, Any] = {}
     for tyre in TYRES:
         changes = {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{tyre}.")}
         tyres[tyre] = getattr(vehicle, tyre)._replace(**changes)

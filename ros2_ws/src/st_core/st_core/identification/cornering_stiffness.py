@@ -119,7 +119,8 @@ def _coverage(runs: Sequence[RunSamples], masks: Sequence[np.ndarray]) -> tuple[
             coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES, [c[1] for c in chosen], interval, 1.0, 3))
 
 
-def _axle(runs, masks, vehicle, index: int, settings: StiffnessSettings) -> AxleSamples:
+def _axle(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehicle: VehicleParameters, index: int,
+          settings: StiffnessSettings) -> AxleSamples:
     columns: list[list[np.ndarray]] = [[], [], [], []]
     for number, (run, mask) in enumerate(zip(runs, masks, strict=True)):
         slip, force = slip_angles(run, vehicle)[index], axle_forces(run, vehicle)[index]
@@ -134,7 +135,8 @@ def _axle(runs, masks, vehicle, index: int, settings: StiffnessSettings) -> Axle
     return samples
 
 
-def _regress(axles, settings, count, seed):
+def _regress(axles: Sequence[AxleSamples], settings: StiffnessSettings, count: int,
+             seed: int) -> tuple[np.ndarray, resampling.Drawn]:
     """Slopes (2,) and their bootstrap; both axles drawn together."""
     both = np.concatenate([a.run_of for a in axles]), np.concatenate([a.time for a in axles])
     pieces = resampling.pieces(*both)
@@ -145,7 +147,7 @@ def _regress(axles, settings, count, seed):
         totals.append(np.stack([np.bincount(own, column, len(pieces)) for column in moments.T], axis=1))
     slopes = np.array([_slope(t.sum(axis=0), settings.through_origin) for t in totals])
 
-    def estimate(weights):
+    def estimate(weights: np.ndarray) -> np.ndarray:
         return np.stack([_slope((weights @ t).T, settings.through_origin) for t in totals], axis=1)
 
     return slopes, resampling.bootstrap(estimate, pieces, count, seed)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import f as fisher
 
 Residuals = Callable[[np.ndarray], np.ndarray]
@@ -79,7 +79,8 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
     return CurveFit(found.x, covariance, found.fun, scatter, freedom, low, high)
 
 
-def _solve(residuals: Residuals, start: Sequence[float], low: np.ndarray, high: np.ndarray, exact: float, most: int):
+def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray, exact: float,
+           most: int) -> OptimizeResult:
     inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
     return least_squares(residuals, inside, _jacobian(residuals, high), (low, high), x_scale="jac", xtol=0.1 * exact,
                          ftol=exact, gtol=1e-12, max_nfev=most)

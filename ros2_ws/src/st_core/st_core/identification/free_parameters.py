@@ -2,14 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from ..augmented import AugmentedModel, augment
+from ..effects.steering_delay import SteeringDelay
+from ..effects.steering_offset import SteeringOffset
+from ..effects.steering_ratio import SteeringRatio
+from ..effects.tyre_relaxation import TyreRelaxation
 from ..models import Model
 from ..tyres import stiffness_scale
 from ..vehicle import VehicleParameters
 from .result import IdentificationError
 
-MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", "steering_delay", "tyre_relaxation"
+MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 
 
 @dataclass(frozen=True)
@@ -81,33 +88,34 @@ class Applied:
     def __init__(self, vehicle: VehicleParameters, base: str | Model, names: Sequence[str]):
         check_names(names)
         self.vehicle, self.names = vehicle, tuple(names)
-        effects = {"steering_ratio": {"factor": 1.0}, "steering_offset": {"angle": 0.0}}
+        effects = {SteeringRatio.name: {"factor": 1.0}, SteeringOffset.name: {"angle": 0.0}}
         if DELAY in names:
-            effects["steering_delay"] = {"time": 0.0}
+            effects[DELAY] = {"time": 0.0}
         if RELAXATION in names:
-            effects["tyre_relaxation"] = {"length": 0.0}
+            effects[RELAXATION] = {"length": 0.0}
         self._model = augment(base, effects)
 
-    def __call__(self, values: Sequence[float]) -> tuple[AugmentedModel, VehicleParameters, float]:
+    def __call__(self, values: Sequence[float] | np.ndarray) -> tuple[AugmentedModel, VehicleParameters, float]:
         """(model, car, ins_misalignment [rad]) for values of `names`, SI."""
         given, file = dict(zip(self.names, map(float, values), strict=True)), self.vehicle
         car = with_stiffness(file, given.get("cornering_stiffness_front", file.cornering_stiffness_front),
                              given.get("cornering_stiffness_rear", file.cornering_stiffness_rear))
-        car = replace(car, **{name: given[name] for name in ("yaw_inertia", "cg_to_ins_x") if name in given})
+        car = replace(car, yaw_inertia=given.get("yaw_inertia", car.yaw_inertia),
+                      cg_to_ins_x=given.get("cg_to_ins_x", car.cg_to_ins_x))
         ratio = given.get("steering_ratio", file.steering_ratio)
         offset = given.get("steering_wheel_offset", file.steering_wheel_offset)
-        effects = {"steering_ratio": {"factor": ratio / file.steering_ratio},
-                   "steering_offset": {"angle": (file.steering_wheel_offset - offset) / ratio}}
+        effects = {SteeringRatio.name: {"factor": ratio / file.steering_ratio},
+                   SteeringOffset.name: {"angle": (file.steering_wheel_offset - offset) / ratio}}
         if DELAY in given:
-            effects["steering_delay"] = {"time": given[DELAY]}
+            effects[DELAY] = {"time": given[DELAY]}
         if RELAXATION in given:
-            effects["tyre_relaxation"] = {"length": given[RELAXATION]}
+            effects[RELAXATION] = {"length": given[RELAXATION]}
         return self._model.with_values(effects), car, given.get(MISALIGNMENT, 0.0)
 
 
 def identified_vehicle(vehicle: VehicleParameters, values: Mapping[str, float]) -> VehicleParameters:
     """The vehicle file's car with new values (SI) of any of its parameters; lambda_ky follows the stiffnesses."""
-    own = {name: value for name, value in values.items() if hasattr(vehicle, name)}
+    own: dict[str, Any] = {name: value for name, value in values.items() if hasattr(vehicle, name)}
     car = replace(vehicle, **{n: v for n, v in own.items() if not n.startswith("cornering_stiffness")})
     return with_stiffness(car, own.get("cornering_stiffness_front", vehicle.cornering_stiffness_front),
                           own.get("cornering_stiffness_rear", vehicle.cornering_stiffness_rear))

@@ -24,7 +24,7 @@ from ..vehicle import VehicleParameters
 from . import resampling
 from .coverage import SPEED_EDGES, coverage, require
 from .free_parameters import MISALIGNMENT
-from .result import Coverage, Estimate, Identification, Status, strong_correlations
+from .result import Coverage, Estimate, Identification, Status, correlation_of, strong_correlations
 from .run_samples import RunSamples, prepared, run_samples
 
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
@@ -59,11 +59,11 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters, 
                            f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
                  _estimate(MISALIGNMENT, -theta[0], drawn, 0, 1.0, "rad", used,
                            f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", 0.005)]
-    correlation = resampling.correlation_of(covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
-    together = resampling.correlation_of(covariance)[1:, 1:]
+    correlation = correlation_of(covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
+    together = correlation_of(covariance)[1:, 1:]
     warnings = [*noticed, *strong_correlations(["lever arm", "rear slip"], together),
                 _stiffness_words(theta[2], covariance[2, 2], vehicle)]
-    across_estimate = _across(time, speed, rate, angle, pieces, vehicle, used, bootstrap, seed)
+    across_estimate = _across(speed, rate, angle, pieces, vehicle, used, bootstrap, seed)
     if isinstance(across_estimate, str):
         warnings.append(across_estimate)
     else:
@@ -102,13 +102,14 @@ def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> n
                      run.velocity_y[where] + rate * vehicle.cg_to_ins_x, rate, run.road_wheel_angle[where]], axis=1)
 
 
-def _solve(pieces: resampling.Pieces, regressors: np.ndarray, wanted: np.ndarray, count: int, seed: int):
+def _solve(pieces: resampling.Pieces, regressors: np.ndarray, wanted: np.ndarray, count: int,
+           seed: int) -> tuple[np.ndarray, resampling.Drawn, np.ndarray]:
     """Least squares (p,), its bootstrap over pieces, and what is left over (n,)."""
     squares = pieces.sums(regressors[:, :, None] * regressors[:, None, :])
     pulls = pieces.sums(regressors * wanted[:, None])
     theta = np.linalg.solve(squares.sum(axis=0), pulls.sum(axis=0))
 
-    def estimate(weights):
+    def estimate(weights: np.ndarray) -> np.ndarray:
         # A draw may hold no bend at all; a millionth of the whole keeps it solvable and counts for nothing otherwise.
         return np.linalg.solve(np.tensordot(weights, squares, 1) + 1e-6 * squares.sum(axis=0),
                                (weights @ pulls + 1e-6 * pulls.sum(axis=0))[:, :, None])[:, :, 0]
@@ -116,7 +117,8 @@ def _solve(pieces: resampling.Pieces, regressors: np.ndarray, wanted: np.ndarray
     return theta, resampling.bootstrap(estimate, pieces, count, seed), wanted - regressors @ theta
 
 
-def _across(time, speed, rate, angle, pieces, vehicle, used, count, seed) -> Estimate | str:
+def _across(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, pieces: resampling.Pieces,
+            vehicle: VehicleParameters, used: tuple[str, ...], count: int, seed: int) -> Estimate | str:
     curvature = rate / speed
     seconds = [float(np.count_nonzero(side * curvature > TIGHT)) * EVERY for side in (1.0, -1.0)]
     if min(seconds) < TIGHT_SECONDS:
@@ -135,7 +137,8 @@ def _across(time, speed, rate, angle, pieces, vehicle, used, count, seed) -> Est
                      "left of the CG, from bends to both sides", 0.1)
 
 
-def _estimate(name, value, drawn: resampling.Drawn, index, factor, unit, used, words, acceptable) -> Estimate:
+def _estimate(name: str, value: float, drawn: resampling.Drawn, index: int, factor: float, unit: str,
+              used: tuple[str, ...], words: str, acceptable: float) -> Estimate:
     uncertainty = float(abs(factor) * np.sqrt(drawn.covariance[index, index]))
     found: Status = "identified" if uncertainty < acceptable else (
         "doubtful" if uncertainty < 5.0 * acceptable else "unidentifiable")

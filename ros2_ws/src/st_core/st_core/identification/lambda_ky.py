@@ -14,9 +14,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ..tyres import magic_formula_stiffness, stiffness_scale
+from ..tyres import MagicFormula, magic_formula_stiffness, stiffness_scale
 from ..vehicle import TYRES, VehicleParameters
-from .result import Estimate, Identification, IdentificationError, symmetric_interval
+from .result import Estimate, Identification, IdentificationError, Status, symmetric_interval
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) 
                  "the rest is compliance of steering and suspension.") if value < 1.0 else (
                  f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
                  "no compliance makes an axle stiffer than its tyres, so surface, temperature or inflation differ.")
-        status = "identified" if value <= 1.0 + 2.0 * relative else "doubtful"
+        status: Status = "identified" if value <= 1.0 + 2.0 * relative else "doubtful"
         runs = tuple(filter(None, (known.data, table.name if table else "")))
         method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
         estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", spread, symmetric_interval(value, spread), method,
@@ -68,7 +68,7 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) 
     return Identification("lambda", tuple(estimates), used, (), None, (), tuple(warnings), figure)
 
 
-def _load_sensitivity(load: float, tyre) -> float:
+def _load_sensitivity(load: float, tyre: MagicFormula) -> float:
     """d ln K / d ln F_z [1]."""
     step = 1e-4
     up, down = (math.log(abs(magic_formula_stiffness(load * (1.0 + sign * step), tyre))) for sign in (1.0, -1.0))

@@ -23,9 +23,9 @@ import numpy as np
 
 from ..tyres import MagicFormula, magic_formula_coefficients, magic_formula_force, magic_formula_stiffness
 from ..vehicle import TYRE_QUANTITIES
-from .curve_fit import CurveFit, fit_curve, profile_interval
+from .curve_fit import CurveFit, Interval, Residuals, fit_curve, profile_interval
 from .plank_table import FlatPlank, check, load_levels, slip_coverage
-from .result import Estimate, Identification, bound_hit, correlation_of, strong_correlations
+from .result import Estimate, Identification, Status, bound_hit, correlation_of, strong_correlations
 
 SHIFT = "slip_shift"
 # Below p_ky4 = 1 the stiffness would never reach its largest value p_ky1 F_z0, and p_ky1 would lose its meaning; above
@@ -70,7 +70,8 @@ class TyreFit:
 
 def force(table_load: np.ndarray, slip: np.ndarray, tyre: MagicFormula) -> np.ndarray:
     """F_y (n,) of one tyre at loads [N] and slip angles [rad]."""
-    return magic_formula_force(slip, *magic_formula_coefficients(table_load, tyre), tyre)
+    stiffness_factor, peak, curvature = magic_formula_coefficients(table_load, tyre)
+    return magic_formula_force(slip, stiffness_factor, peak, curvature, tyre)
 
 
 def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
@@ -83,7 +84,8 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     base = start._replace(lambda_ky=1.0, lambda_cy=1.0, lambda_muy=1.0)
     nominal = int(np.argmin(np.abs(levels - start.nominal_load)))
     first = _nominal(_rows(data, level == nominal), base)
-    staged, names = first, (*NOMINAL, "p_ky1", SHIFT)
+    staged = first
+    names: tuple[str, ...] = (*NOMINAL, "p_ky1", SHIFT)
     if len(levels) > 1:
         free = ("p_dy2", "p_ey2", "p_ky2") + (("p_ky4",) if len(levels) > 2 else ())
         staged = _load_dependency(data, first, free)
@@ -112,7 +114,7 @@ def magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
         value, spread = float(fit.values[k]), (interval.high - interval.low) / 3.92
         open_ends = interval.lower_open + interval.upper_open
         words = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
-        status = "identified"
+        status: Status = "identified"
         if fit.at_bound(k):
             words.append(bound_hit(key, value, (float(fit.lower[k]), float(fit.upper[k]))))
             status = "doubtful"
@@ -178,7 +180,7 @@ def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) 
     return fit_curve(_residuals(data, starts[0], names), first, low, high)
 
 
-def _residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]):
+def _residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Residuals:
     def residuals(values: np.ndarray) -> np.ndarray:
         columns = np.moveaxis(values, -1, 0)[..., None]
         return force(data.load, data.slip + columns[-1], _with(start, names, columns)) - data.force
@@ -205,7 +207,7 @@ def _rows(data: FlatPlank, rows: np.ndarray) -> FlatPlank:
     return replace(data, load=data.load[rows], slip=data.slip[rows], force=data.force[rows])
 
 
-def _open_end(interval) -> str:
+def _open_end(interval: Interval) -> str:
     return f"{interval.low:g}" if interval.lower_open else f"{interval.high:g}"
 
 

@@ -5,7 +5,6 @@ the central differences of its neighbours' averages, so all quantities of a mome
 before the newest. Checked by: test_recursive.py.
 """
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -48,10 +47,10 @@ class Moments:
 
     def take(self) -> Iterator[Moment]:
         """Moments that are complete by now, oldest first."""
-        if self._ins.newest is None or self._steering.newest is None:
+        if not len(self._ins) or not len(self._steering):
             return
-        newest = min(self._ins.newest, self._steering.newest)
-        oldest = max(self._ins.oldest, self._steering.oldest)
+        newest = int(min(self._ins.times[-1], self._steering.times[-1]))
+        oldest = int(max(self._ins.times[0], self._steering.times[0]))
         if self._next is None or self._next < oldest:
             self._start_over()
             self._next = -(-oldest // GRID_NS) * GRID_NS
@@ -82,12 +81,3 @@ class Moments:
         self._next = None
         self._points.clear()
         self._blocks.clear()
-
-
-def moments_of(times_ns: np.ndarray, rows: np.ndarray, vehicle: VehicleParameters) -> Iterator[Moment]:
-    """Moments of a whole drive: times (n,) [ns]; rows (n, 4): v_x, v_y, r at the INS point, hand wheel."""
-    moments = Moments(vehicle)
-    for time, (v_x, v_y, r, hand) in zip(times_ns.tolist(), rows.tolist(), strict=True):
-        moments.add_ins(InsSample(time, math.nan, math.nan, math.nan, v_x, v_y, r))
-        moments.add_steering(time, hand)
-        yield from moments.take()

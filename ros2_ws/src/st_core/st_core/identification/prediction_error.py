@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from ..batch import LogBatch
 from ..filtering import NANOSECOND
@@ -85,7 +85,7 @@ class Fit:
         squares = pieces.sums(self.jacobian[:, :, None] * self.jacobian[:, None, :])
         pulls = pieces.sums(self.jacobian * self.residuals[:, None])
 
-        def estimate(weights):
+        def estimate(weights: np.ndarray) -> np.ndarray:
             steps = np.linalg.solve(np.tensordot(weights, squares, 1), np.tensordot(weights, pulls, 1)[:, :, None])
             return self.values - steps[:, :, 0]
 
@@ -128,12 +128,12 @@ class PredictionError:
         """Mean of curvature^2 [1/m^2] over the residuals, weighted by lateral acceleration^2, as a stiffness is."""
         return self._drives.curvature_square()
 
-    def residuals(self, values: Sequence[float]) -> np.ndarray:
+    def residuals(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
         """(m, 2): yaw rate [rad/s] and lateral velocity at the INS [m/s], predicted minus measured."""
         model, car, misalignment = self._apply(values)
         return self._drives.residuals(model, car, misalignment)
 
-    def fit(self, start: Sequence[float] | None = None, noise: np.ndarray | None = None,
+    def fit(self, start: Sequence[float] | np.ndarray | None = None, noise: np.ndarray | None = None,
             fixed: Sequence[int] = (), weights: Sequence[float] | None = None) -> Fit:
         """Least squares, again and again: with the residuals at the start's parameters as noise, then with those left
         over, until these stay as they are, so that the start does not decide how yaw rate counts against velocity.
@@ -146,16 +146,14 @@ class PredictionError:
         counted = np.sqrt(np.ones(len(self.starts)) if weights is None else np.asarray(weights, float))[self.run_of]
         evaluations, rounds = 0, 1 if noise is not None else MOST_ROUNDS
         noise = _size(self.residuals(values)) if noise is None else noise
-        solution = None
-        for _ in range(rounds):
-            if solution is not None:
-                before, noise = noise, _size(solution.fun.reshape(-1, 2) * noise)
-                if np.abs(noise / before - 1.0).max() < SETTLED:
-                    noise = before
-                    break
+        for number in range(rounds):
             solution = self._solve(values, free, noise, counted)
             values[free] = solution.x * self._scale[free]
             evaluations += solution.nfev + len(free) * solution.njev
+            left = _size(solution.fun.reshape(-1, 2) * noise)
+            if number + 1 == rounds or np.abs(left / noise - 1.0).max() < SETTLED:
+                break
+            noise = left
         lower, upper = self._limits.T
         near = 1e-3 * (upper - lower)
         bound = tuple(n for i, n in enumerate(self.names)
@@ -163,10 +161,10 @@ class PredictionError:
         return Fit(self.names, values, solution.fun, solution.jac / self._scale[free], noise,
                    np.repeat(self.run_of, 2), np.repeat(self.time, 2), evaluations, bound)
 
-    def _solve(self, values, free, noise, counted):
+    def _solve(self, values: np.ndarray, free: np.ndarray, noise: np.ndarray, counted: np.ndarray) -> OptimizeResult:
         latest: dict[bytes, np.ndarray] = {}
 
-        def weighted(x):
+        def weighted(x: np.ndarray) -> np.ndarray:
             key = x.tobytes()
             if key not in latest:
                 trial = values.copy()
@@ -175,7 +173,7 @@ class PredictionError:
                 latest[key] = (self.residuals(trial) / noise * counted[:, None]).ravel()
             return latest[key]
 
-        def jacobian(x):
+        def jacobian(x: np.ndarray) -> np.ndarray:
             # Forward, by a thousandth of a usual change: a dead time is only felt from nanoseconds on.
             steps = np.where(x + DIFFERENCE <= bounds[1], DIFFERENCE, -DIFFERENCE)
             here = weighted(x)
@@ -224,7 +222,7 @@ class _Drives:
         weights = np.square(self._speed * self._yaw_rate)
         return float(np.average(np.square(self._yaw_rate / self._speed), weights=weights))
 
-    def residuals(self, model, car, misalignment: float) -> np.ndarray:
+    def residuals(self, model: Model, car: VehicleParameters, misalignment: float) -> np.ndarray:
         with warnings.catch_warnings():
             # Of slow starts, which are not used.
             warnings.simplefilter("ignore", StepTooLongWarning)

@@ -7,12 +7,10 @@ import numpy as np
 from ..augmented import AugmentedModel
 from ..log import DriveLog
 from ..models import Model, get_model
-from ..vehicle import VehicleParameters
-from . import resampling
 from .coverage import ACCELERATION_EDGES, SPEED_EDGES, coverage
 from .free_parameters import FREE
 from .prediction_error import Fit, PredictionError
-from .result import Coverage, Estimate, Identification, Status, strong_correlations
+from .result import Coverage, Estimate, Identification, Status, correlation_of, strong_correlations
 
 LARGEST_RELATIVE = 0.1
 """Standard uncertainty over value from which on a stiffness, ratio or inertia is doubtful; five times that: none."""
@@ -33,7 +31,7 @@ def identification(what: str, problem: PredictionError, fit: Fit, method: str, r
     covariance += np.diag([beside.get(name, 0.0) ** 2 for name in fit.names])
     chosen = [fit.names.index(name) for name in reported]
     covariance_chosen = covariance[np.ix_(chosen, chosen)]
-    correlation_all = resampling.correlation_of(covariance)
+    correlation_all = correlation_of(covariance)
     uncertainty = np.sqrt(np.diag(covariance))
     runs = tuple(name for name, starts in problem.starts.items() if starts)
     estimates = tuple(
@@ -50,7 +48,7 @@ def identification(what: str, problem: PredictionError, fit: Fit, method: str, r
     warnings = [*strong_correlations(fit.names, correlation_all), *others]
     figure = {"residuals": fit.residuals.reshape(-1, 2) * fit.noise, "residual_run": fit.run_of[::2],
               "residual_time": fit.time[::2], "names": fit.names, "bootstrap": drawn.values, "noise": fit.noise}
-    return Identification(what, estimates, runs, tuple(rejected), resampling.correlation_of(covariance_chosen),
+    return Identification(what, estimates, runs, tuple(rejected), correlation_of(covariance_chosen),
                           tuple(covered), tuple(warnings), figure)
 
 
@@ -95,7 +93,7 @@ def described(base: str | Model) -> str:
     return f"{get_model(base).name} tyres"
 
 
-def driving_coverage(logs: Sequence[DriveLog], vehicle: VehicleParameters, needs: Mapping[str, tuple[float, int]],
+def driving_coverage(logs: Sequence[DriveLog], needs: Mapping[str, tuple[float, int]],
                      minimum_speed: float) -> tuple[Coverage, ...]:
     """Speed and lateral acceleration v_x r of all driving above a speed [m/s].
 

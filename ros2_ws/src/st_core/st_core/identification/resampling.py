@@ -99,8 +99,9 @@ def pieces(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarra
         return Pieces(number, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
     keys = np.stack((run_of, np.floor(np.asarray(time) / BLOCK).astype(np.int64)), axis=1)
     found, piece = np.unique(keys, axis=0, return_inverse=True)
-    return Pieces(piece.ravel(), *found.T, f"{len(found)} blocks of {BLOCK:g} s from {len(runs)} "
-                                           f"run{'s' if len(runs) > 1 else ''}")
+    run, block = found.T
+    return Pieces(piece.ravel(), run, block, f"{len(found)} blocks of {BLOCK:g} s from {len(runs)} "
+                                             f"run{'s' if len(runs) > 1 else ''}")
 
 
 def bootstrap(estimator: Callable[[np.ndarray], np.ndarray], of: Pieces, count: int, seed: int) -> Drawn:

@@ -69,7 +69,7 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0, 
     rolling body or a banked road holds g sin(roll) too. Both are moved to the CG (`frames.ins_to_cg_acceleration`).
     Raises IdentificationError for a drive without common measurements, or without the accelerometer asked for.
     """
-    def smooth(time_ns, values):
+    def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, maximum_gap, "zero_phase")
 
     if log.overlap <= 2.0 * EDGE:
@@ -84,7 +84,7 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0, 
     elif log.acceleration_y is None:
         raise IdentificationError(f"{log.name}: no accelerometer was recorded; use the acceleration from velocity")
     else:
-        a_y = _where_there(log, smooth, maximum_gap)
+        a_y = _where_there(log.ins_time_ns, log.acceleration_y, smooth, maximum_gap)
     _, a_y = ins_to_cg_acceleration(0.0, a_y, yaw_rate, yaw_acceleration, d_x, d_y)
 
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
@@ -97,13 +97,12 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0, 
     return RunSamples(log.name, *(column[known] for column in columns))
 
 
-def _where_there(log: DriveLog, smooth: Callable, maximum_gap: float) -> np.ndarray:
+def _where_there(time_ns: np.ndarray, recorded: np.ndarray, smooth: Callable, maximum_gap: float) -> np.ndarray:
     """acceleration_y behind the filter; NaN where it was not recorded and where the filter is not settled."""
-    there = np.flatnonzero(np.isfinite(log.acceleration_y))
-    time_ns, result = log.ins_time_ns[there], np.full(len(log.acceleration_y), np.nan)
+    there, result = np.flatnonzero(np.isfinite(recorded)), np.full(len(recorded), np.nan)
     if len(there):
-        filtered, _ = smooth(time_ns, log.acceleration_y[there])
-        result[there] = np.where(_inside(time_ns, maximum_gap), filtered, np.nan)
+        filtered, _ = smooth(time_ns[there], recorded[there])
+        result[there] = np.where(_inside(time_ns[there], maximum_gap), filtered, np.nan)
     return result
 
 

@@ -9,7 +9,7 @@ in windows with a steady hand. The first rests on the gyro, the second on the he
 worn tyres turn the steering wheel in both. Checked by: test_identification_driving.py.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -100,7 +100,8 @@ def _windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) 
     return np.array(rows).reshape(-1, 2)
 
 
-def _estimate(name, value, drawn: resampling.Drawn, method, used, basis) -> Estimate:
+def _estimate(name: str, value: float, drawn: resampling.Drawn, method: str, used: Mapping[str, int],
+              basis: str) -> Estimate:
     uncertainty = float(np.sqrt(drawn.covariance[0, 0]))
     degrees, spread = np.rad2deg(value), np.rad2deg(uncertainty)
     return Estimate(name, float(value), "rad", uncertainty, drawn.interval(0, value, uncertainty),

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as fisher
 
-from .result import Coverage, Estimate, Identification, IdentificationError, quantity, symmetric_interval
+from ..vehicle import VEHICLE_QUANTITIES
+from .result import Coverage, Estimate, Identification, IdentificationError, symmetric_interval
 from .straight_line import Line, fit_line
 
 FEWEST_ROWS = 5
@@ -44,7 +45,7 @@ def steering_ratio(data: Turntable) -> Identification:
     _check(data)
     mean = 0.5 * (data.left + data.right)
     line = fit_line(data.hand, mean, data.sweeps)
-    limits = quantity("steering_ratio")
+    limits = VEHICLE_QUANTITIES["steering_ratio"]
     ratio = 1.0 / line.slope if line.slope else math.inf
     if not (limits.minimum <= ratio <= limits.maximum):
         hint = ("hand wheel and road wheels turn against each other: left is positive in every column" if ratio < 0.0

@@ -39,7 +39,7 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *NUISANCE)))
     logs, noticed = prepared(logs, vehicle)
     needs = NEEDS | ({"speed": (5.0, 2)} if "steering_ratio" in names else {})
-    covered = driving_coverage(logs, vehicle, needs, settings.minimum_speed)
+    covered = driving_coverage(logs, needs, settings.minimum_speed)
     require(covered, "Drive bends to both sides, at two speeds or more, with 1 to 4 m/s^2 across.")
     problem = PredictionError(logs, vehicle, names, base, settings)
     fit = problem.fit()

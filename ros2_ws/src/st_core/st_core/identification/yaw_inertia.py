@@ -45,7 +45,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
     runs = [run_samples(log, vehicle, cutoff=5.0) for log in logs]
     interval = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
-    covered = (*driving_coverage(logs, vehicle, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)},
+    covered = (*driving_coverage(logs, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)},
                                  settings.minimum_speed),
                coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, interval, 0.5, 5))
     require(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")

@@ -60,4 +60,5 @@ def rhs(state, w, p: Parameters):
                   linear_force(slip_rear, p.cornering_stiffness_rear), cosine, velocity_x_dot, p)
 
 
-MODEL = Model("linear", parameters, inputs, rhs, axles=Axles(slip_angles, forces, motion_of))
+AXLES = Axles(slip_angles, forces, motion_of)
+MODEL = Model("linear", parameters, inputs, rhs, axles=AXLES)

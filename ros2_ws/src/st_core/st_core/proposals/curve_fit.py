@@ -1,18 +1,23 @@
 """One law fitted through the simulator beside everything that was found."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..augmented import AugmentedModel
 from ..discovery.fit import Problem, Slopes
 from ..discovery.loss import Errors, Loss, Quadratic
+from ..discovery.settings import DiscoverySettings
 from ..discovery.space import GAIN, Space
 from ..discovery.windows import Windows
 from ..effects import get_effect
-from ..effects._law import COUNT
+from ..effects._law import COUNT, Law
+from ..log import DriveLog
+from ..vehicle import VehicleParameters
 from .places import Candidate, run_time
 
-LAW = "law"  # the kind of law the places in the vector are looked up of; they are the same for all kinds
+LAW = Law.name  # the kind of law the places in the vector are looked up of; they are the same for all kinds
 SMOOTH = (0.003, 0.03, 0.3)  # penalty on second differences, shares of the mean curvature of the coefficients
 LEVEL = 0.1  # of the penalty, on the coefficients themselves: what driving does not show stays at nothing
 SETTLED = 2e-4  # fall of the loss for each scored number: a step that gains less is the last
@@ -56,7 +61,7 @@ class Fitted:
 class RunWindows(Windows):
     """Windows whose models may ask for the time in the run."""
 
-    def __init__(self, runs, vehicle, settings):
+    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         super().__init__(runs, vehicle, settings)
         if len(self):
             time_ns = self.joined.ins_time_ns
@@ -71,7 +76,8 @@ class Laws:
     fitted with a law; car: those of the vehicle file that are not, what they can do is no evidence for a law.
     """
 
-    def __init__(self, windows: Windows, answer, gain: float, names, settings, threads: int = 1):
+    def __init__(self, windows: Windows, answer: AugmentedModel, gain: float, names: Sequence[str],
+                 settings: DiscoverySettings, threads: int = 1):
         self.windows, self.threads, self.answer, self.settings = windows, threads, answer, settings
         self.space = Space(answer, settings, (LAW,))
         self._spaces = {LAW: self.space}
@@ -106,10 +112,10 @@ class Laws:
 
     def without(self) -> Fitted:
         """No law: what was found, at its best."""
-        fit = None
+        vector = self.start
         for _ in range(ROUNDS):
-            vector = self.start if fit is None else fit.vector
             fit = self._fit(None, self.loss, self.beside, 0.0, self.slopes(vector, self.beside), vector)
+            vector = fit.vector
         return fit
 
     def slopes(self, vector: np.ndarray, which: np.ndarray) -> np.ndarray:
@@ -162,18 +168,18 @@ class Laws:
         slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
         return self._fit(candidate, loss, which, smooth, slopes, without.vector)
 
-    def _fit(self, candidate, loss: Loss, which: np.ndarray, smooth: float, slopes: np.ndarray,
+    def _fit(self, candidate: Candidate | None, loss: Loss, which: np.ndarray, smooth: float, slopes: np.ndarray,
              vector: np.ndarray | None = None) -> Fitted:
         vector = self.start.copy() if vector is None else vector.copy()
         law, scale = self.law, self.space.scale
-        penalty = None
-        for _ in range(ITERATIONS):
+        for number in range(ITERATIONS):
             if candidate:
                 slopes = np.concatenate([slopes[:-COUNT], np.nan_to_num(loss.slopes(vector, law), posinf=0.0,
                                                                         neginf=0.0)])
             q = self.quadratic(loss, loss.errors.at(vector), slopes)
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
-            penalty = self.penalty(candidate, h, smooth) if penalty is None else penalty
+            if not number:
+                penalty = self.penalty(candidate, h, smooth)
             away = ((vector - self.start) / scale)[which]
             ridge = (RIDGE * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
             step = np.linalg.solve(h + penalty + ridge, g - penalty @ away)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..discovery.levels import sites
 from ..discovery.windows import Windows, smoothed
-from ..effects._law import COUNT, INTERVALS, PLACES, bump
+from ..effects._law import COUNT, INTERVALS, PLACES, Law, LawMemory, LawTimed, bump
 from ..filtering import NANOSECOND
 from ..vehicle import VehicleParameters
 
@@ -78,8 +78,8 @@ class Candidate:
     def effect(self) -> str:
         """The kind of law it is."""
         if self.quantity == "run_time":
-            return "law_timed"
-        return "law_memory" if self.quantity in MEMORY or self.by in MEMORY else "law"
+            return LawTimed.name
+        return LawMemory.name if self.quantity in MEMORY or self.by in MEMORY else Law.name
 
     @property
     def changes_sides(self) -> bool:

@@ -1,6 +1,6 @@
 """From an answer that leaves much unexplained to the law that is missing, or to the reason why there is none."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -93,8 +93,8 @@ def _best(fits: dict[Screened, Fitted], worth: float) -> Screened:
     return min(fits, key=lambda s: float(fits[s].held_out.sum()) + (worth if s.candidate.by else 0.0))
 
 
-def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws: Laws, chances, limits: Limits, tried,
-            vehicle: VehicleParameters) -> Proposals:
+def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws: Laws, chances: Mapping[str, float],
+            limits: Limits, tried: Mapping[str, tuple[float, float]], vehicle: VehicleParameters) -> Proposals:
     fit, number = fits[best], laws.loss.number
     gain = float((without.held_out - fit.held_out).sum()) / number
     before, after = (_held_out_positions(laws, f) for f in (without, fit))
@@ -129,6 +129,7 @@ def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws:
 
 def _beside(laws: Laws, fit: Fitted) -> AugmentedModel:
     """The model without the law, at the values fitted beside it."""
+    assert fit.candidate is not None
     whole = laws.space_of(fit.candidate).at(fit.vector)
     return whole.only(e for e in whole.effects if e.name != fit.candidate.effect)
 

@@ -143,4 +143,5 @@ def _fitted(formula: Formula, count: int, at: np.ndarray, value: np.ndarray, wei
         done = least_squares(lambda p: root * (formula(at, p) - value) / size, start, x_scale=np.abs(start) + 1e-9)
         if best is None or done.cost < best.cost:
             best = done
+    assert best is not None
     return best.x

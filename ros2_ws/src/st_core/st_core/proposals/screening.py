@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -84,7 +85,7 @@ def _screen(laws: Laws, without: Fitted, base: np.ndarray, car: np.ndarray, cand
         return None
     q_all = laws.quadratic(loss, without.rows, np.concatenate([without.slopes, car, slopes]))
     away = np.concatenate([((without.vector - laws.start) / laws.space.scale)[without.which], np.zeros(COUNT)])
-    best = None
+    best: Any = None
     for smooth in SMOOTH:
         penalty = laws.penalty(candidate, h, smooth)
         gain = float((base - laws.promised(q, penalty, away)).sum())

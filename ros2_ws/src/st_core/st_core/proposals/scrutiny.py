@@ -32,6 +32,7 @@ class Shares:
 
 def refused(laws: Laws, fit: Fitted, vehicle: VehicleParameters) -> str:
     """Why a curve is no proposal, "" where nothing speaks against it."""
+    assert fit.candidate is not None
     name = fit.candidate.name
     if np.abs(fit.coefficients).max() > (1.0 - NEAR) * HIGHEST:
         return f"the curve of {name} runs into its bound of {HIGHEST:g} usual sizes: nothing physical was found"

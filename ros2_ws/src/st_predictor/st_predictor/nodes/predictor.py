@@ -3,6 +3,7 @@
 import math
 import time
 from statistics import median
+from types import SimpleNamespace
 
 import numpy as np
 from nav_msgs.msg import Path as PathMessage
@@ -39,30 +40,12 @@ class PredictorNode(Node):
         super().__init__("predictor")
         values = parameters.declare(self, params.PREDICTOR)
         self._vehicle = params.load_vehicle(values)
-        settings = params.prediction_settings(values)
-        file = params.load_model(values, self._vehicle)
-        models = [*values.models, *([file.model()] if file else [])]
-        found = params.checked(values, lambda: [get_model(model) for model in models])
-        runners, said = compile_models(found, self._vehicle, settings) if values.compiled else ({}, "on Python floats")
-        self._core = params.checked(values, lambda: Predictor(self._vehicle, found, settings, runners))
-        self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
-        if file:
-            self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
-        own = {found[-1].name: file.hash} if file else {}
-        self._bands = PredictionBands(values, self._vehicle, {m: own.get(m, "") for m in self._core.models}, settings)
+        said = self._make_core(values)
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering, self._tell)
+        settings = self._core.settings
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
-        # Not more: after a reader was held up, Fast DDS sends all of it again. With 50, half a megabyte per topic, a
-        # recorder that had stood still for 3 s got no prediction for a minute and a half; with 10 it did after 3 s.
-        qos = QoSProfile(depth=10)
-        self._outputs: dict[str, tuple[Publisher, Publisher]] = {
-            model: (self.create_publisher(PathMessage, f"predictor/{model}/path", qos),
-                    self.create_publisher(Prediction, f"predictor/{model}/prediction", qos))
-            for model in self._core.models
-        }
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", latched)
+        self._make_publishers()
         self._counter = TickCounter()
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
         self._last_start_ns: int | None = None
@@ -83,6 +66,33 @@ class PredictorNode(Node):
             f"{', '.join(self._core.models)} of {self._vehicle.name}: {settings.horizon:g} s in steps of "
             f"{settings.step:g} s at {values.rate:g} Hz, "
             f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}; models {said}")
+
+    def _make_core(self, values: SimpleNamespace) -> str:
+        """The core with its models, their hashes and bands; returns how they are run."""
+        settings = params.prediction_settings(values)
+        file = params.load_model(values, self._vehicle)
+        models = [*values.models, *([file.model()] if file else [])]
+        found = params.checked(values, lambda: [get_model(model) for model in models])
+        runners, said = compile_models(found, self._vehicle, settings) if values.compiled else ({}, "on Python floats")
+        self._core = params.checked(values, lambda: Predictor(self._vehicle, found, settings, runners))
+        self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
+        if file:
+            self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
+        own = {found[-1].name: file.hash} if file else {}
+        self._bands = PredictionBands(values, self._vehicle, {m: own.get(m, "") for m in self._core.models}, settings)
+        return said
+
+    def _make_publishers(self) -> None:
+        # Not more: after a reader was held up, Fast DDS sends all of it again. With 50, half a megabyte per topic, a
+        # recorder that had stood still for 3 s got no prediction for a minute and a half; with 10 it did after 3 s.
+        qos = QoSProfile(depth=10)
+        self._outputs: dict[str, tuple[Publisher, Publisher]] = {
+            model: (self.create_publisher(PathMessage, f"predictor/{model}/path", qos),
+                    self.create_publisher(Prediction, f"predictor/{model}/prediction", qos))
+            for model in self._core.models
+        }
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", latched)
 
     def _tick(self) -> None:
         period_ns = round(self._period / NANOSECOND)

@@ -20,9 +20,11 @@ from .sources import find_runs
 
 @dataclass(frozen=True)
 class Pair:
-    """shared: the signals the alignment rests on, or by which it can be looked at. latency: of INS frames, in words."""
+    """dbc: by which the CAN frames were decoded. shared: the signals the alignment rests on, or by which it can be
+    looked at. latency: of INS frames, in words."""
 
     name: str
+    dbc: Path
     motion: Motion
     can: CanLog
     signals: CanSignals
@@ -44,9 +46,10 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
         ins = READERS[source.kind].read_ins(source.where)
         motion, warnings = ins.motion, ins.warnings
     can = read_can_logs(source.can)
-    signals = decode_signals(can.frames, load_signal_table(*signal_files(source, settings)))
+    dbc, table = signal_files(source, settings)
+    signals = decode_signals(can.frames, load_signal_table(dbc, table))
     alignment, shared = align_clocks(motion, signals, **clock_settings(source, settings))
-    return Pair(source.name, motion, can, signals, alignment, shared, latency_in_words(source, settings),
+    return Pair(source.name, dbc, motion, can, signals, alignment, shared, latency_in_words(source, settings),
                 (*warnings, *can.warnings))
 
 
