@@ -24,7 +24,7 @@ HOUR_PARTS, CHANGED_PARTS, KNOWN_PARTS = 450, 30, 9
 STYLES = {"ordinary": ("ORDINARY", "CIRCLE", "ORDINARY", "SWEEP", "ORDINARY", "STEPS", "WEAVE", "SLALOM",
                        "SLOW_CIRCLE"),
           "brisk": ("STEPS", "SLALOM", "SWEEP", "BRAKING", "CIRCLE")}
-"""Manoeuvres of discovery.manoeuvres. ordinary: mostly below 2.5 m/s^2 across. brisk: up to 5."""
+"""Manoeuvres of discovery.programmes. ordinary: mostly below 2.5 m/s^2 across. brisk: up to 5."""
 CHANGES = {
     "steering offset 0.005 rad": {"steering_offset": 0.005}, "steering offset 0.01 rad": {"steering_offset": 0.01},
     "steering offset 0.02 rad": {"steering_offset": 0.02}, "friction 0.7": {"friction_factor": 0.7},
@@ -87,12 +87,12 @@ def changes() -> dict[str, str]:
 
 def of_style(number: int, style: str) -> dict[str, str]:
     sys.path.insert(0, str(project_root()))
-    from bench.discovery import cars, manoeuvres
+    from bench.discovery import cars, programmes
     from bench.discovery.plants import Order, driven, vehicle_of
 
     healthy = cars.healthy_car(cars.LEAF, (SEED,)).settings
     file = vehicle_of(cars.LEAF, healthy)
-    kinds = [getattr(manoeuvres, name) for name in STYLES[style]]
+    kinds = [getattr(programmes, name) for name in STYLES[style]]
 
     def drive(kind: int, which: int, count: int, after: Mapping[str, float] | None = None) -> DriveLog:
         """count: manoeuvres. after: settings from the middle on."""

@@ -9,7 +9,7 @@ from st_core.vehicle import VehicleParameters
 MODELS = ("kinematic", "linear", "nonlinear")
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
-RUNS, STARTS = 12, 1000
+RUNS, STARTS = 12, 4000
 MOST = (26.0, 8.0, 6.0, 1.0)
 """Of the conditions drawn: m/s, m/s^2, m/s^2, rad/s."""
 
@@ -22,6 +22,7 @@ def drawn_bands(vehicle: VehicleParameters) -> Bands:
         errors = (0.1 * draw.standard_normal((STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
         runs.append(RunSamples(f"run {number}", draw.uniform(0.0, MOST, (STARTS, 4)), {question: errors}))
     band, settings = calibrate(runs, question, TIME), SETTINGS.as_dict()
-    return Bands(vehicle.name, vehicle.hash, settings, {}, RUNS, Seen.of([run.conditions for run in runs]),
+    seen = Seen.of([run.conditions for run in runs])
+    return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, seen,
                  {(model, mode): band for model in MODELS for mode in MODES},
                  {model: configuration_of(vehicle, settings, "") for model in MODELS})

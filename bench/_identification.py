@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 from discovery.compiled import Recording, drive
-from discovery.manoeuvres import DT, Builder
+from discovery.programmes import DT, Builder
 from discovery.sensing import log_of
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters

@@ -136,11 +136,11 @@ class World:
     off: Mapping[str, float]
 
     def drive(self, name: str, number: int, settings: Mapping[str, float], kind: str | None = None) -> DriveLog:
-        """kind: manoeuvre of bench.discovery.manoeuvres, three times; None: mixed."""
-        from bench.discovery import cars, manoeuvres
+        """kind: manoeuvre of bench.discovery.programmes, three times; None: mixed."""
+        from bench.discovery import cars, programmes
         from bench.discovery.plants import Order, driven
 
-        parts = None if kind is None else (getattr(manoeuvres, kind),) * 3
+        parts = None if kind is None else (getattr(programmes, kind),) * 3
         return driven(cars.LEAF, self.file, Order(f"{name} {number}", (SEED, *name.encode(), number), settings, parts))
 
     def samples(self, name: str, count: int, settings: Mapping[str, float], kind: str | None = None) -> Runs:

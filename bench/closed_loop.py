@@ -79,7 +79,7 @@ def _draw(before: dict, after: dict) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from st_predictor.style import MODEL_COLOUR, RC
+    from st_predictor.palette import MODEL_COLOUR, RC
 
     with plt.rc_context(RC):
         figure, axis = plt.subplots(figsize=(6.5, 2.4))

@@ -12,8 +12,8 @@ from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.fit import Problem
 from st_core.discovery.loss import Loss
-from st_core.discovery.manoeuvres import CATALOGUE, drive
 from st_core.discovery.space import Space
+from st_core.discovery.suggested_drive import CATALOGUE, drive
 from st_core.discovery.windows import COLUMNS
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters

@@ -11,7 +11,7 @@ import numpy as np
 from st_core.effects import EFFECTS, applicable
 from st_sim.settings import Settings
 
-from . import manoeuvres as m
+from . import programmes as m
 from .cars import LEAF, PLANTS, HealthyCar, has, healthy_car
 from .effects import BY_NAME, FOREIGN, KNOWN, PHYSICS, PLACES, SENSORS, Hidden, alike
 

@@ -69,7 +69,7 @@ class Options(NamedTuple):
 
 def drive_multibody(car: str, settings: Mapping[str, float], programme: Programme, seed: int,
                     later: tuple[Mapping[str, float], int] | None = None, law: Law = NO_LAW) -> Recording:
-    """A car of `multibody_car.CARS` drives a programme of `manoeuvres`, made for `nominal_car(car)`.
+    """A car of `multibody_car.CARS` drives one of the `programmes`, made for `nominal_car(car)`.
 
     settings: what is hidden, others as in HEALTHY. later: other settings from that sample on. The recording is in the
     columns of the virtual car, with roll [rad] as its lean and pitch [rad] as its squat, so that `sensing.log_of` reads

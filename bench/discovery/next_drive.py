@@ -5,7 +5,7 @@ from typing import Any
 
 from st_core.discovery import Discovery, DiscoverySettings, discover
 
-from . import manoeuvres as m
+from . import programmes as m
 from .cases import Case
 from .drives import Drives, driven_more
 from .plants import Order

@@ -11,7 +11,7 @@ from st_sim.car import Car, read_car
 from st_sim.settings import Settings
 
 from . import cars
-from . import manoeuvres as m
+from . import programmes as m
 from .compiled import NO_LAW, Programme, Stopped, drive
 from .multibody import log_multibody
 from .multibody_car import KNOWN_HERE, nominal_car

@@ -126,6 +126,34 @@ def test_packages_import_in_one_direction():
     assert offences(allowed) == []
 
 
+def graph() -> dict[str, set[str]]:
+    """Module -> modules of ours that it imports, also inside functions."""
+    modules = {".".join(p.with_suffix("").parts[1:]).removesuffix(".__init__"): p for p in python_files()}
+    def named(name: str) -> str:
+        return name if name in modules else name.rpartition(".")[0]
+
+    return {module: {named(name) for _, name in imports(path)} & modules.keys() - {module}
+            for module, path in modules.items()}
+
+
+def circles(edges: dict[str, set[str]]) -> list[str]:
+    """Modules that are reached again from themselves: what is left when leaves are taken away, from both ends."""
+    left = {module: set(targets) for module, targets in edges.items()}
+    while True:
+        imported = set().union(*left.values())
+        going = {module for module, targets in left.items() if not targets or module not in imported}
+        if not going:
+            return sorted(left)
+        left = {module: targets - going for module, targets in left.items() if module not in going}
+
+
+def test_no_file_imports_itself_by_way_of_others():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == ["b", "c"]
+    edges = graph()
+    assert "st_offline.evaluation.work" in edges["st_offline.evaluation.command"]
+    assert circles(edges) == []
+
+
 def test_virtual_car_shares_no_equations_with_the_models():
     """What is driven is the same; how a car moves is written down twice, so that an error cannot hide in both."""
     shared = ("st_core.manoeuvres",)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from st_cli.verbs.demo import SCENARIOS as OFFERED
 from st_core.augmented import augment
-from st_core.discovery.manoeuvres import CATALOGUE, drive
+from st_core.discovery.suggested_drive import CATALOGUE, drive
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
 from st_sim.dynamics import VX, YAW_RATE
@@ -17,7 +17,7 @@ from st_sim.settings import resolve
 from st_sim.simulation import SimulatedCar
 from support import ROOT
 
-from bench.discovery import compiled, manoeuvres
+from bench.discovery import compiled, programmes
 
 LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 CAR = read_car(LEAF_FILE)
@@ -60,14 +60,14 @@ def by_the_model(manoeuvre) -> np.ndarray:
 
 
 def by_the_benchmark(manoeuvre) -> np.ndarray:
-    part = manoeuvres.suggested(manoeuvre.name)
-    programme = manoeuvres.mixed(CAR, (SEED,), (part,))
-    empty = manoeuvres.Builder(CAR, np.random.default_rng(SEED), 10.0)
+    part = programmes.suggested(manoeuvre.name)
+    programme = programmes.mixed(CAR, (SEED,), (part,))
+    empty = programmes.Builder(CAR, np.random.default_rng(SEED), 10.0)
     empty.go_to(manoeuvre.speed)
     before = sum(row.shape[1] for row in empty.rows)
-    left = len(programme.hand) - before - round(manoeuvres.STRAIGHT / manoeuvres.DT)
-    assert left * manoeuvres.DT == pytest.approx(manoeuvre.duration, abs=0.03)
-    rows = compiled.drive(CAR, HEALTHY, programme, SEED).rows[before:][:round(looked_at(manoeuvre) / manoeuvres.DT)]
+    left = len(programme.hand) - before - round(programmes.STRAIGHT / programmes.DT)
+    assert left * programmes.DT == pytest.approx(manoeuvre.duration, abs=0.03)
+    rows = compiled.drive(CAR, HEALTHY, programme, SEED).rows[before:][:round(looked_at(manoeuvre) / programmes.DT)]
     return np.column_stack((rows[:, VX], rows[:, VX] * rows[:, YAW_RATE]))
 
 

@@ -11,7 +11,7 @@ from vehiclemodels.init_mb import init_mb
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
-from bench.discovery import manoeuvres as m
+from bench.discovery import programmes as m
 from bench.discovery.compiled import Programme, Stopped
 from bench.discovery.multibody import BODY_STATES, P_VY, P_VY_FRONT, P_VY_REAR, drive_multibody, log_multibody, rates
 from bench.discovery.multibody_car import (

@@ -12,7 +12,7 @@ from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve
 from st_sim.truth import Truth
 
-from bench.discovery import manoeuvres as m
+from bench.discovery import programmes as m
 from bench.discovery.compiled import DECIDE, Programme, Stopped, drive
 from bench.discovery.effects import BY_NAME, KNOWN
 from bench.discovery.plants import LEAF, NOMINAL

@@ -10,13 +10,28 @@ from .channels import TRIGGER_CHANNELS, known, trigger_nanoseconds
 from .gps_time import FIRST_MINUTE, LAST_MINUTE
 from .navigation import BY_STATUS
 from .ncom import (
+    ACCELERATION_AT,
     ACCELERATION_UNIT,
+    ALTITUDE_AT,
     ANGLE_UNIT,
+    ANGLES_AT,
+    ANGULAR_RATE_AT,
     ANGULAR_RATE_UNIT,
+    BATCH_S,
+    BATCH_S_AT,
+    CHANNEL_AT,
+    CHECKSUM_1_AT,
+    CHECKSUM_2_AT,
+    CHECKSUM_3_AT,
     INVALID_I24,
+    LATITUDE_AT,
+    LONGITUDE_AT,
+    MILLISECONDS_AT,
     PACKET_SIZE,
+    STATUS_AT,
     STRUCTURE_B,
     SYNC,
+    VELOCITY_AT,
     VELOCITY_UNIT,
     NcomError,
 )
@@ -80,7 +95,7 @@ class Columns:
 
     def batch_s(self, index: int) -> bytes:
         """The 8 status bytes of a packet."""
-        return self.raw[index, 63:71].tobytes()
+        return self.raw[index, BATCH_S].tobytes()
 
 
 def decode_file(source: str | Path | bytes) -> Columns:
@@ -109,7 +124,7 @@ def find_packets(data: bytes, counters: Counters) -> np.ndarray:
             count = min(rows, (size - at) // PACKET_SIZE)
             block = bytes_[at : at + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
             good = block[:, 0] == SYNC
-            good &= np.add.reduce(block[:, 1:71], axis=1, dtype=np.uint8) == block[:, 71]
+            good &= np.add.reduce(block[:, 1:CHECKSUM_3_AT], axis=1, dtype=np.uint8) == block[:, CHECKSUM_3_AT]
             run = count if good.all() else int(good.argmin())
             found.append(np.arange(at, at + run * PACKET_SIZE, PACKET_SIZE))
             at += run * PACKET_SIZE
@@ -119,7 +134,7 @@ def find_packets(data: bytes, counters: Counters) -> np.ndarray:
             counters.checksum_errors += data[at] == SYNC
         else:
             raw = data[at : at + PACKET_SIZE]
-            if raw[0] == SYNC and sum(raw[1:71]) & 0xFF == raw[71] and plausible(raw):
+            if raw[0] == SYNC and sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT] and plausible(raw):
                 in_step, rows = True, _FIRST_ROWS
                 continue
         in_step = False
@@ -139,15 +154,15 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     raw = _rows(data, offset)
     n = len(raw)
     buffer = raw.reshape(-1).data
-    status, channel = raw[:, 21].copy(), raw[:, 62].copy()
-    milliseconds = np.ndarray((n,), "<u2", buffer, 1, (PACKET_SIZE,)).astype(np.int64)
+    status, channel = raw[:, STATUS_AT].copy(), raw[:, CHANNEL_AT].copy()
+    milliseconds = np.ndarray((n,), "<u2", buffer, MILLISECONDS_AT, (PACKET_SIZE,)).astype(np.int64)
     has_status = _HAS_STATUS[status]
     minutes = _channel_0_minutes(buffer, n, channel, has_status)
     gps_ns, order, jumps = _times(raw, status, milliseconds, minutes)
     kind = _KIND[status]
     _trigger_times(raw, kind, gps_ns, order)
     _count(counters, raw, status, channel, has_status, order)
-    heading, pitch, roll = _i24(buffer, n, 52, ANGLE_UNIT)
+    heading, pitch, roll = _i24(buffer, n, ANGLES_AT, ANGLE_UNIT)
 
     columns = Columns(
         offset=offset,
@@ -159,12 +174,12 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         milliseconds=milliseconds,
         navigation_status=status,
         channel=channel,
-        acceleration=_i24(buffer, n, 3, ACCELERATION_UNIT),
-        angular_rate=_i24(buffer, n, 12, ANGULAR_RATE_UNIT),
-        latitude=np.ndarray((n,), "<f8", buffer, 23, (PACKET_SIZE,)).copy(),
-        longitude=np.ndarray((n,), "<f8", buffer, 31, (PACKET_SIZE,)).copy(),
+        acceleration=_i24(buffer, n, ACCELERATION_AT, ACCELERATION_UNIT),
+        angular_rate=_i24(buffer, n, ANGULAR_RATE_AT, ANGULAR_RATE_UNIT),
+        latitude=np.ndarray((n,), "<f8", buffer, LATITUDE_AT, (PACKET_SIZE,)).copy(),
+        longitude=np.ndarray((n,), "<f8", buffer, LONGITUDE_AT, (PACKET_SIZE,)).copy(),
         altitude=_altitude(buffer, n),
-        velocity_ned=_i24(buffer, n, 43, VELOCITY_UNIT),
+        velocity_ned=_i24(buffer, n, VELOCITY_AT, VELOCITY_UNIT),
         heading=heading,
         pitch=pitch,
         roll=roll,
@@ -218,13 +233,13 @@ def _i24(buffer: memoryview, n: int, at: int, unit: float) -> np.ndarray:
 
 def _altitude(buffer: memoryview, n: int) -> np.ndarray:
     with np.errstate(invalid="ignore"):  # private or empty packets may hold signalling NaN
-        return np.ndarray((n,), "<f4", buffer, 39, (PACKET_SIZE,)).astype(np.float64)
+        return np.ndarray((n,), "<f4", buffer, ALTITUDE_AT, (PACKET_SIZE,)).astype(np.float64)
 
 
 def _channel_0_minutes(buffer: memoryview, n: int, channel: np.ndarray, has_status: np.ndarray) -> np.ndarray:
     minutes = np.full(n, -1, np.int64)
     zero = np.flatnonzero((channel == 0) & has_status)
-    sent = np.ndarray((n,), "<i4", buffer, 63, (PACKET_SIZE,))[zero]
+    sent = np.ndarray((n,), "<i4", buffer, BATCH_S_AT, (PACKET_SIZE,))[zero]
     minutes[zero] = np.where((sent >= FIRST_MINUTE) & (sent <= LAST_MINUTE), sent, -1)
     return minutes
 
@@ -233,7 +248,7 @@ def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order:
     before = b""
     for i in np.flatnonzero(kind == TRIGGER):
         packet = raw[i].tobytes()
-        time = trigger_nanoseconds(packet[63:71]) if packet[62] in TRIGGER_CHANNELS else None
+        time = trigger_nanoseconds(packet[BATCH_S]) if packet[CHANNEL_AT] in TRIGGER_CHANNELS else None
         if time is None:
             kind[i] = EMPTY
         else:
@@ -244,7 +259,7 @@ def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order:
 
 def _utc_offsets(raw: np.ndarray, status: np.ndarray, channel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(packet index, offset [s]) of every valid UTC offset."""
-    byte = raw[:, 70].view(np.int8)
+    byte = raw[:, BATCH_S.stop - 1].view(np.int8)
     usable = np.isin(status, (2, 3, 4, 10)) & (channel == 16) & ((byte & 1) == 1) & (byte < 2)
     where = np.flatnonzero(usable)
     return where, byte[where].astype(np.int64) >> 1
@@ -258,9 +273,9 @@ def _count(
     has_status: np.ndarray,
     order: np.ndarray,
 ) -> None:
-    first = np.add.reduce(raw[:, 1:22], axis=1, dtype=np.uint8)
-    wrong = first != raw[:, 22]
-    wrong |= first + np.add.reduce(raw[:, 22:61], axis=1, dtype=np.uint8) != raw[:, 61]
+    first = np.add.reduce(raw[:, 1:CHECKSUM_1_AT], axis=1, dtype=np.uint8)
+    wrong = first != raw[:, CHECKSUM_1_AT]
+    wrong |= first + np.add.reduce(raw[:, CHECKSUM_1_AT:CHECKSUM_2_AT], axis=1, dtype=np.uint8) != raw[:, CHECKSUM_2_AT]
     structure_b = status == STRUCTURE_B
     counters.structure_b = int(structure_b.sum())
     counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())

@@ -21,6 +21,13 @@ SYNC = 0xE7
 PACKET_SIZE = 72
 STRUCTURE_B = 11
 
+# First bytes of the fields, as in _LAYOUT below. Each checksum is of all bytes after the sync up to it.
+MILLISECONDS_AT, ACCELERATION_AT, ANGULAR_RATE_AT, STATUS_AT, CHECKSUM_1_AT = 1, 3, 12, 21, 22
+LATITUDE_AT, LONGITUDE_AT, ALTITUDE_AT = 23, 31, 39
+VELOCITY_AT, ANGLES_AT, CHECKSUM_2_AT = 43, 52, 61
+CHANNEL_AT, BATCH_S_AT, CHECKSUM_3_AT = 62, 63, 71
+BATCH_S = slice(BATCH_S_AT, CHECKSUM_3_AT)
+
 ACCELERATION_UNIT = 1e-4
 ANGULAR_RATE_UNIT = 1e-5
 VELOCITY_UNIT = 1e-4
@@ -75,7 +82,7 @@ def decode(data: bytes) -> Packet:
     """
     if len(data) != PACKET_SIZE or data[0] != SYNC:
         raise NcomError(f"not an NCOM packet: {len(data)} bytes starting with {data[:1].hex() or 'nothing'}")
-    if data[21] == STRUCTURE_B:
+    if data[STATUS_AT] == STRUCTURE_B:
         raise NcomError("structure B packet (navigation status 11): its contents are private to the vendor")
     return decode_unchecked(data)
 
@@ -146,14 +153,15 @@ def encode(packet: Packet) -> bytes:
 
 def inner_checksums_match(data: bytes) -> bool:
     """Whether checksums 1 and 2 of a structure A packet are right (the parser counts, but accepts, wrong ones)."""
-    first = sum(data[1:22])
-    return first & 0xFF == data[22] and (first + sum(data[22:61])) & 0xFF == data[61]
+    first = sum(data[1:CHECKSUM_1_AT])
+    second = first + sum(data[CHECKSUM_1_AT:CHECKSUM_2_AT])
+    return first & 0xFF == data[CHECKSUM_1_AT] and second & 0xFF == data[CHECKSUM_2_AT]
 
 
 def _fill_checksums(data: bytearray) -> bytes:
-    data[22] = sum(data[1:22]) & 0xFF
-    data[61] = sum(data[1:61]) & 0xFF
-    data[71] = sum(data[1:71]) & 0xFF
+    data[CHECKSUM_1_AT] = sum(data[1:CHECKSUM_1_AT]) & 0xFF
+    data[CHECKSUM_2_AT] = sum(data[1:CHECKSUM_2_AT]) & 0xFF
+    data[CHECKSUM_3_AT] = sum(data[1:CHECKSUM_3_AT]) & 0xFF
     return bytes(data)
 
 

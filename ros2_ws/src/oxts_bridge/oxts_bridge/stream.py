@@ -6,7 +6,19 @@ from math import isfinite, pi
 from . import channels, gps_time
 from .gps_time import GpsClock, unix_nanoseconds
 from .navigation import BY_STATUS, MINUTE_STATUSES, Rule
-from .ncom import NAN, PACKET_SIZE, STRUCTURE_B, SYNC, Packet, decode_unchecked, inner_checksums_match
+from .ncom import (
+    CHECKSUM_1_AT,
+    CHECKSUM_2_AT,
+    CHECKSUM_3_AT,
+    NAN,
+    PACKET_SIZE,
+    STATUS_AT,
+    STRUCTURE_B,
+    SYNC,
+    Packet,
+    decode_unchecked,
+    inner_checksums_match,
+)
 
 NEW, SAME, LATE, DUPLICATE = gps_time.NEW, gps_time.SAME, gps_time.LATE, 3
 _SYNC = bytes([SYNC])
@@ -96,11 +108,12 @@ class NcomParser:
         while size - at >= PACKET_SIZE:
             if buffer[at] == SYNC:
                 raw = buffer[at : at + PACKET_SIZE]
-                first = sum(raw[1:22])
-                second = first + sum(raw[22:61])
-                if second + sum(raw[61:71]) & 0xFF == raw[71] and (self._in_step or plausible(raw)):
+                first = sum(raw[1:CHECKSUM_1_AT])
+                second = first + sum(raw[CHECKSUM_1_AT:CHECKSUM_2_AT])
+                third = second + sum(raw[CHECKSUM_2_AT:CHECKSUM_3_AT])
+                if third & 0xFF == raw[CHECKSUM_3_AT] and (self._in_step or plausible(raw)):
                     self._in_step = True
-                    inner = first & 0xFF == raw[22] and second & 0xFF == raw[61]
+                    inner = first & 0xFF == raw[CHECKSUM_1_AT] and second & 0xFF == raw[CHECKSUM_2_AT]
                     received = self._accept(raw, inner, self._consumed + at, received_ns)
                     if received is not None:
                         packets.append(received)
@@ -127,7 +140,7 @@ class NcomParser:
     def _accept(self, raw: bytes, inner: bool, offset: int, received_ns: int | None) -> Received | None:
         counters = self.counters
         counters.packets += 1
-        status = raw[21]
+        status = raw[STATUS_AT]
         if status == STRUCTURE_B:
             counters.structure_b += 1
             return None
@@ -197,7 +210,7 @@ class NcomParser:
 
 def plausible(raw: bytes) -> bool:
     """Whether 72 bytes with the right final checksum, found by searching, are to be believed."""
-    status = raw[21]
+    status = raw[STATUS_AT]
     return status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw))
 
 

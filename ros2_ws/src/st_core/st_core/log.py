@@ -131,5 +131,5 @@ class DriveLog:
         """
         if self.steering_wheel_angle is None:
             raise StCoreError(f"{self.name}: no steering wheel angle to recompute the road wheel angle from")
-        angle = (self.steering_wheel_angle - vehicle.steering_wheel_offset) / vehicle.steering_ratio
+        angle = vehicle.road_wheel_angle(self.steering_wheel_angle)
         return replace(self, road_wheel_angle=angle)

@@ -8,9 +8,9 @@ from st_core.discovery.evidence import screen
 from st_core.discovery.fit import Problem
 from st_core.discovery.following import TOLD, apart, catalogue, following, separability, shows
 from st_core.discovery.loss import Errors, Loss
-from st_core.discovery.manoeuvres import CATALOGUE
 from st_core.discovery.result import FoundEffect
 from st_core.discovery.space import Space
+from st_core.discovery.suggested_drive import CATALOGUE
 from st_core.discovery.windows import Windows
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias", "road_bank")

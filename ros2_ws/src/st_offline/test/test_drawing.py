@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from st_offline.evaluation.drawing import MOST_POINTS, Place, broken, finish, style, thinned
-from st_predictor.style import MODEL_COLOUR
+from st_predictor.palette import MODEL_COLOUR
 
 
 @pytest.fixture

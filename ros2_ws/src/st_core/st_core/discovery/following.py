@@ -10,8 +10,8 @@ from ..errors import StCoreError
 from .evidence import inverse
 from .fit import Fit, Problem
 from .loss import Errors, Loss
-from .manoeuvres import CATALOGUE, drive
 from .result import FoundEffect, NextManoeuvre, Separability
+from .suggested_drive import CATALOGUE, drive
 from .windows import Windows
 
 TIMES = 3  # each manoeuvre is driven, as ISO 7401 asks for at least

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
 from rich.table import Table
-from st_predictor.style import MODEL_COLOUR
+from st_predictor.palette import MODEL_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from .choice import Key, paid, speed_label

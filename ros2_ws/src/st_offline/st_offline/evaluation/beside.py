@@ -1,6 +1,8 @@
 """Work for a second core while this process goes on: in a forked child, which has everything without copying it."""
 
+import contextlib
 import multiprocessing
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -34,8 +36,11 @@ def beside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         yield result
     finally:
         receiver.close()
+        child.terminate()  # where nobody waits for it any more
         child.join()
 
 
 def _do(work: Callable[[], T], sender: Connection) -> None:
-    sender.send(work())
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends this
+    with contextlib.suppress(Exception):  # what fails here fails in the parent again, which says so
+        sender.send(work())

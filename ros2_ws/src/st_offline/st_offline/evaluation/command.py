@@ -17,7 +17,7 @@ from ..bands.shown import HOW_TO_GET, bands_table
 from ..bands.sums import pooled_sums
 from ..checking.document import findings_in
 from ..checking.shown import say
-from . import batch
+from . import fleet
 from .document import Choices, settings_in_words, write_results
 from .overview import finding
 from .tables import terminal_table
@@ -89,10 +89,10 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
         starts = progress.add_task("", visible=False)
         try:
             watch = _watcher(progress, starts)
-            for report in batch.reports(sources, task, workers, scheduler, watch):
+            for report in fleet.reports(sources, task, workers, scheduler, watch):
                 found[report.name] = report
                 progress.advance(runs)
-        except batch.WorkersError as error:
+        except fleet.WorkersError as error:
             raise CommandError(str(error)) from None
     return [found[source.name] for source in sources]
 

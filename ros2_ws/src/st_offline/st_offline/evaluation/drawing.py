@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
-from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR, RC
+from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 
 TEXT, GRID, BAD, WARN = "#1c2126", "#e6e6e6", "#b3261e", "#b26a00"
 # Colours as the figures have them -> style sheet variables of the page.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
-from st_predictor.style import MODEL_COLOUR
+from st_predictor.palette import MODEL_COLOUR
 
 from .drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from .tables import SHOWN_AXES, shown, values

@@ -1,79 +1,32 @@
 """The figures of one run: segments, errors over time, slip and forces, error against horizon and acceleration."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from st_core.log_evaluation import LogEvaluation, evaluate_blocks
-from st_core.log_signals import LogSignals
-from st_core.models import Model
 from st_core.readings import readings
-from st_core.vehicle import VehicleParameters
-from st_predictor.style import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
+from st_predictor.palette import MEASURED_COLOUR
 
 from .beside import beside
-from .drawing import TEXT, WIDTH, Drawn, Place, broken, finish, style, thinned
+from .drawing import TEXT, WIDTH, Drawn, broken, finish, style, thinned
+from .run_drawing import Drawing, chosen_starts, legend
+from .slip_figure import slip
 
 SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in SIDE.items()}
 NOTICEABLE = 0.5  # m; half of what is left of a lane beside a car
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """What the figures of a run are made from, and where they go. starts: times [s] to look at closely."""
-
-    evaluation: LogEvaluation
-    models: Sequence[Model]
-    vehicle: VehicleParameters
-    signals: LogSignals
-    starts: Sequence[float]
-    place: Place
-
-    @property
-    def name(self) -> str:
-        return self.evaluation.name
-
-    def colour(self, model: str) -> str:
-        return MODEL_COLOUR.get(model, TEXT)
-
-    def line(self, model: str) -> dict[str, Any]:
-        """How matplotlib draws the line of a model."""
-        return {"color": self.colour(model), "ls": MODEL_LINE.get(model, "solid")}
-
-
 def run_figures(drawing: Drawing) -> list[Drawn]:
     """All figures that this run has data for."""
     if not any(e.n_starts for e in drawing.evaluation.errors.values()):
         return []
-    from .slip_figure import slip
-
     first, others = (segments, horizon_means), (slip, error_against_horizon, error_against_acceleration)
     with style(), beside(lambda: [make(drawing) for make in others]) as rest:
         drawn = [make(drawing) for make in first] + rest()
     return [figure for figure in drawn if figure is not None]
-
-
-def complete_in_all(evaluation: LogEvaluation) -> np.ndarray:
-    """Which starts every model completed in hindsight."""
-    return np.all([e.complete for (_, mode), e in evaluation.errors.items() if mode == "hindsight"], axis=0)
-
-
-def chosen_starts(evaluation: LogEvaluation, wanted: Sequence[float], count: int = 4) -> np.ndarray:
-    """Rows of the complete starts nearest to the wanted times [s], or `count` of them spread over the run."""
-    complete = np.flatnonzero(complete_in_all(evaluation))
-    if not len(complete):
-        return complete
-    if wanted:
-        rows = [complete[np.abs(evaluation.time[complete] - t).argmin()] for t in wanted]
-    else:
-        # Not the very first and last: they say least about the drive.
-        rows = complete[np.linspace(0, len(complete) - 1, count + 2).round().astype(int)[1:-1]]
-    return np.unique(rows)
 
 
 def segments(drawing: Drawing) -> Drawn | None:
@@ -246,11 +199,3 @@ def ranking(evaluation: LogEvaluation, axis: str) -> str:
     text = f"{axis} RMSE of the horizon means: " + ", ".join(f"{m} {v:.2f} m" for v, m in values)
     ratio = values[-1][0] / max(values[0][0], 1e-6)
     return text + (f" ({ratio:.1f} times)" if len(values) > 1 and ratio > 1.15 else "")
-
-
-def legend(figure: plt.Figure, drawing: Drawing, extra: Sequence[Line2D], solid: bool = False,
-           models: Sequence[Model] | None = None) -> None:
-    """Below the figure: the models, and what else it shows. solid: whether all models are drawn as whole lines."""
-    handles = [Line2D([], [], **drawing.line(m.name) | ({"ls": "solid"} if solid else {}), label=m.name)
-               for m in (drawing.models if models is None else models)]
-    figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)

@@ -8,10 +8,10 @@ from matplotlib.lines import Line2D
 from st_core.log_evaluation import evaluate_blocks
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
-from st_predictor.style import MEASURED_COLOUR
+from st_predictor.palette import MEASURED_COLOUR
 
 from .drawing import TEXT, WIDTH, Drawn, finish
-from .run_figures import Drawing, chosen_starts, complete_in_all, legend
+from .run_drawing import Drawing, chosen_starts, complete_in_all, legend
 
 AXLES = ("front", "rear")
 

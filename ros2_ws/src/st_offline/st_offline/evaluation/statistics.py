@@ -8,7 +8,7 @@ import numpy as np
 from st_core.binning import bins
 from st_core.log_evaluation import ALL, AXES, MODES, LogEvaluation, ModelErrors
 
-from .manoeuvres import Manoeuvre, assign
+from .drive_parts import DrivePart, assign
 
 KINDS = ("mean", "max", "rmse")
 
@@ -51,7 +51,7 @@ def by_bin(evaluation: LogEvaluation) -> list[Entry]:
              "models": by_model(evaluation, b.select)} for b in bins(evaluation)]
 
 
-def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[Manoeuvre]) -> list[Entry]:
+def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[Entry]:
     """One entry for each part of the drive; a start belongs to the part that holds the middle of its horizon."""
     middles = evaluation.time + 0.5 * float(evaluation.horizon[-1])
     return [{"name": part.name, "start": part.start, "end": part.end,

@@ -26,8 +26,9 @@ from ..checking.document import documents
 from ..checking.gate import Refused, passed
 from . import statistics
 from .drawing import Drawn, Place
-from .manoeuvres import manoeuvres
-from .run_figures import Drawing, ranking, run_figures
+from .drive_parts import drive_parts
+from .run_drawing import Drawing
+from .run_figures import ranking, run_figures
 
 Progress = Callable[[int, int], None]
 
@@ -107,7 +108,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                               watch=scorer.add if scorer else None)
     marks.append(time.perf_counter())
-    parts = manoeuvres(run.log, run.labels)
+    parts = drive_parts(run.log, run.labels)
     if not any(errors.n_starts for errors in evaluation.errors.values()):
         raise RunError(source.where, _why_nothing(evaluation, run.log.overlap))
     folder = task.folder / "runs" / slug(source.name) if task.folder else None

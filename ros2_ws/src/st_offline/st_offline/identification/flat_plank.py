@@ -10,7 +10,7 @@ from st_core.identification.magic_formula import fit_tyre, magic_formula
 from st_core.identification.plank_table import FlatPlank
 from st_core.identification.result import Identification
 from st_core.vehicle import TYRES
-from st_predictor.style import MODEL_COLOUR
+from st_predictor.palette import MODEL_COLOUR
 from st_recordings.runs.errors import RunError
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style

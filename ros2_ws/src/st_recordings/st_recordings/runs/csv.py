@@ -125,7 +125,7 @@ def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehiclePara
         if vehicle is None:
             raise RunError(table.file, f"it has the steering wheel angle only (column {table.places[WHEEL].name}): the "
                            "road wheel angle needs ratio and offset of the car", "give its vehicle file")
-        columns[ROAD] = (columns[WHEEL] - vehicle.steering_wheel_offset) / vehicle.steering_ratio
+        columns[ROAD] = vehicle.road_wheel_angle(columns[WHEEL])
         return (WHEEL,)
     if WHEEL in columns and np.isnan(columns[WHEEL]).mean() > 0.5:
         notes.append(f"{table.file}: {WHEEL} (column {table.places[WHEEL].name}) holds no number in more than half of "

@@ -86,7 +86,7 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
             velocity_x=ins.velocity[0], velocity_y=ins.velocity[1], yaw_rate=ins.rate[2],
             **{name: values for name, values in accelerations.items() if mostly_known(values)},
             steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
-            road_wheel_angle=(wheel - vehicle.steering_wheel_offset) / vehicle.steering_ratio,
+            road_wheel_angle=vehicle.road_wheel_angle(wheel),
         )
     except StCoreError as error:
         raise RunError(source.where, str(error)) from None

@@ -91,7 +91,7 @@ class Serialiser:
         """wheel: steering wheel angle, sign applied [rad]."""
         layout = self._layout(STEERING, self._message(STEERING, header=self._header(""), steering_wheel_angle=0.0,
                                                       road_wheel_angle=0.0, valid=True))
-        road = (wheel - vehicle.steering_wheel_offset) / vehicle.steering_ratio
+        road = vehicle.road_wheel_angle(wheel)
         columns = {"header.stamp": time_ns, "steering_wheel_angle": wheel, "road_wheel_angle": road, "valid": valid}
         return _fixed("/vehicle/steering", STEERING, time_ns, layout.rows(len(time_ns), columns))
 

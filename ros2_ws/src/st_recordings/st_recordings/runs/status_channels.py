@@ -3,6 +3,7 @@
 import numpy as np
 from oxts_bridge.batch import Columns
 from oxts_bridge.channels import decode_channel
+from oxts_bridge.ncom import BATCH_S
 from st_core.checks import InsQuality
 
 ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),
@@ -12,7 +13,7 @@ ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc
 def sent(columns: Columns, channel: int, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """(places of the packets that carry a status channel, (n, len(names)) values as in its table, NaN = invalid)."""
     index = np.flatnonzero((columns.channel == channel) & columns.has_status)
-    batches = np.ascontiguousarray(columns.raw[index, 63:71]).view("<u8").ravel()
+    batches = np.ascontiguousarray(columns.raw[index, BATCH_S]).view("<u8").ravel()
     different, which = np.unique(batches, return_inverse=True)
     fields = [decode_channel(channel, batch.tobytes()) for batch in different.astype("<u8")]
     values = np.array([[_number(field.get(name)) for name in names] for field in fields]).reshape(-1, len(names))

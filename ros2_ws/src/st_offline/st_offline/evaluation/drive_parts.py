@@ -20,7 +20,7 @@ BEND, U_TURN, CIRCLE = np.radians([30.0, 150.0, 240.0])  # heading change from w
 
 
 @dataclass(frozen=True)
-class Manoeuvre:
+class DrivePart:
     """Part of a drive, [s] after its first INS measurement. heading_change [rad], left +."""
 
     name: str
@@ -29,14 +29,14 @@ class Manoeuvre:
     heading_change: float
 
 
-def manoeuvres(log: DriveLog, labels: Sequence[Label] = ()) -> list[Manoeuvre]:
+def drive_parts(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
     """The labelled parts if there are any, else the ones detected, in order of time."""
     if len(log.ins_time_ns) < 2:
         return []
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
     if labels:
         edges = [np.interp((part.start, part.end), time, log.yaw) for part in labels]
-        return [Manoeuvre(part.name, part.start, part.end, float(yaw[1] - yaw[0]))
+        return [DrivePart(part.name, part.start, part.end, float(yaw[1] - yaw[0]))
                 for part, yaw in zip(labels, edges, strict=True)]
     grid = np.arange(0.0, time[-1] + 0.5 * GRID, GRID)
     speed, yaw_rate, yaw = (np.interp(grid, time, v) for v in (log.velocity_x, log.yaw_rate, log.yaw))
@@ -45,11 +45,11 @@ def manoeuvres(log: DriveLog, labels: Sequence[Label] = ()) -> list[Manoeuvre]:
     for first, last in _stretches(states, round(SHORTEST / GRID)):
         turned = float(yaw[last] - yaw[first])
         gained = float(speed[last] - speed[first]) / max(grid[last] - grid[first], GRID)
-        parts.append(Manoeuvre(_name(states[first], turned, gained), float(grid[first]), float(grid[last]), turned))
+        parts.append(DrivePart(_name(states[first], turned, gained), float(grid[first]), float(grid[last]), turned))
     return parts
 
 
-def assign(parts: Sequence[Manoeuvre], middles: np.ndarray) -> list[slice]:
+def assign(parts: Sequence[DrivePart], middles: np.ndarray) -> list[slice]:
     """For each part, which of the horizons with these rising middles [s] belong to it."""
     return [slice(*np.searchsorted(middles, (part.start, part.end)).tolist()) for part in parts]
 
