@@ -66,7 +66,24 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
         name, (gain, chance) = next(iter(tried.items()))
         return Proposals(None, f"no law is sure: the best, {name}, gains {gain:.3f} held out, and something gains as "
                          f"much by chance with probability {chance:.2g}", tried, visible)
-    fits, worthy, against = {}, {}, {}
+    fits, worthy, against = _tried(laws, without, sure, vehicle, limits, tick)
+    if not worthy:
+        return Proposals(None, next(iter(against.values())), tried, visible)
+    said = _judged(best_of(worthy, limits.worth * number), fits, without, laws, chances, settings, tried, vehicle,
+                   [e.name for e in found.effects])
+    return replace(said, visible=visible)
+
+
+Fits = dict[Screened, Fitted]
+
+
+def _tried(laws: Laws, without: Fitted, sure: Sequence[Screened], vehicle: VehicleParameters, limits: Limits,
+           tick: Callable[[], None]) -> tuple[Fits, Fits, dict[Screened, str]]:
+    """Laws fitted through the simulator: those with nothing wrong about them, of them those that are worth it, and what
+    speaks against the others."""
+    fits: Fits = {}
+    worthy: Fits = {}
+    against: dict[Screened, str] = {}
     before = held_out_positions(laws, without)
     for one in to_fit(sure):
         tick()
@@ -80,11 +97,7 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
             worthy[one] = fit
         if not wrong:
             fits[one] = fit  # may be what it is, though it is not sure to be worth it by itself
-    if not worthy:
-        return Proposals(None, next(iter(against.values())), tried, visible)
-    said = _judged(best_of(worthy, limits.worth * number), fits, without, laws, chances, settings, tried, vehicle,
-                   [e.name for e in found.effects])
-    return replace(said, visible=visible)
+    return fits, worthy, against
 
 
 def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
@@ -97,7 +110,7 @@ def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
     return ""
 
 
-def _judged(best: Screened, fits: dict[Screened, Fitted], without: Fitted, laws: Laws, chances: Mapping[str, float],
+def _judged(best: Screened, fits: Fits, without: Fitted, laws: Laws, chances: Mapping[str, float],
             settings: DiscoverySettings, tried: Mapping[str, tuple[float, float]], vehicle: VehicleParameters,
             stated: Sequence[str]) -> Proposals:
     fit, limits = fits[best], settings.limits
