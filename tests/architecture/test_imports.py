@@ -155,10 +155,17 @@ def test_no_file_imports_itself_by_way_of_others():
 
 
 def test_virtual_car_shares_no_equations_with_the_models():
-    """What is driven is the same; how a car moves is written down twice, so that an error cannot hide in both."""
-    shared = ("st_core.manoeuvres",)
+    """The drives and the reading of YAML are shared; how a car moves is written down twice: no error hides in both."""
+    shared = ("st_core.manoeuvres", "st_core.plain_yaml", "st_core.errors")
     assert offences(lambda path, module: path.parts[0] != "st_sim" or module.partition(".")[0] != "st_core"
                     or module.startswith(shared)) == []
+
+
+def test_virtual_car_takes_only_the_wire_from_the_bridges():
+    wire = ("oxts_bridge.ncom", "oxts_bridge.channels", "oxts_bridge.gps_time", "canedge_bridge.decode",
+            "canedge_bridge.transport")
+    assert offences(lambda path, module: path.parts[0] != "st_sim" or not module.startswith(("oxts_b", "canedge_b"))
+                    or module.startswith(wire)) == []
 
 
 def test_ros_stays_in_nodes_converters_and_launch_files():

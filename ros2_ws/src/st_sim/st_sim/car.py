@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from canedge_bridge.table_reader import TableError, read_document
-
+from .documents import read_document
 from .errors import SimulationError
 
 GRAVITY = 9.81
@@ -92,10 +91,7 @@ class Car:
 def read_car(file: str | Path) -> Car:
     """Raises SimulationError, one line naming file and key."""
     path = Path(file)
-    try:
-        document = read_document(path)
-    except TableError as error:
-        raise SimulationError(str(error)) from None
+    document = read_document(path)
     if not isinstance(document, Mapping):
         raise SimulationError(f"{path}: not a mapping of keys to values")
     values = {key: _number(document, key, path, "") for key in _CAR_KEYS}

@@ -10,9 +10,9 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Protocol
 
-from canedge_bridge.table_reader import TableError, read_document
 from st_core.manoeuvres import CATALOGUE, Lines, Manoeuvre
 
+from .documents import read_document
 from .errors import SimulationError
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
 
@@ -216,10 +216,7 @@ def load(name: str) -> Plan:
 
 
 def _from_file(file: FilePath) -> Plan:
-    try:
-        document = read_document(file)
-    except TableError as error:
-        raise SimulationError(str(error)) from None
+    document = read_document(file)
     try:
         pieces = [piece for row in document["road"] for piece in _pieces(row)]
         if not pieces:

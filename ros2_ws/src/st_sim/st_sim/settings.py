@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from canedge_bridge.table_reader import TableError, read_document
-
+from .documents import read_document
 from .errors import SimulationError
 
 Settings = Mapping[str, float]
@@ -152,10 +151,7 @@ def overrides(settings: Settings) -> dict[str, float]:
 def _from_file(path: Path) -> dict[str, float]:
     if not path.is_file():
         raise SimulationError(f"--plant {path}: neither {' nor '.join(PRESETS)} nor a readable file")
-    try:
-        document = read_document(path)
-    except TableError as error:
-        raise SimulationError(str(error)) from None
+    document = read_document(path)
     if not isinstance(document, dict):
         raise SimulationError(f"{path}: not a mapping of settings to values")
     preset = document.pop("preset", "ideal")
