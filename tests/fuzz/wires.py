@@ -219,11 +219,11 @@ def _can_datagram(data: bytes, folder: Path) -> str:
     decoder = _decoder()
     seen: list[can.Message] = []
     receiver = Receiver(lambda: bus, lambda frame, time_ns: seen.append(frame) or decoder.decode(frame, time_ns))
-    receiver._bus, malformed = bus, bus.malformed
+    malformed = bus.malformed
     sender.send(data[:4096])
     sender.send(pack_message(MARKER))  # so that nothing has to be waited for where the input is no frame
     while not seen or seen[-1].data != MARKER.data:
-        receiver._receive()
+        receiver._receive(bus)
     status = receiver.status()
     assert status.callback_errors == 0
     assert status.frames + status.error_frames + bus.malformed - malformed == 2

@@ -220,7 +220,7 @@ def test_what_one_effect_leaves_of_another(cosine, left):
     h[one, one], h[other, other], h[one, other], h[other, one] = 9.0, 4.0, 6.0 * cosine, 6.0 * cosine
     values = np.zeros(len(problem.space))
     values[one] = 2.0
-    told = apart(h, problem, fitted(problem), (), "mass", "road_bank", values, 8.0)
+    told = apart(h, problem, (), "mass", "road_bank", values, 8.0)
     assert told[0] == pytest.approx(cosine, abs=1e-6)
     assert told[1] == pytest.approx(np.sqrt(2.0 * 4.0 * 9.0 * left / 8.0), abs=1e-3)
 
