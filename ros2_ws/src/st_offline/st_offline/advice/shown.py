@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 from rich.table import Table
 from st_predictor.palette import MODEL_COLOUR
 
@@ -78,6 +79,9 @@ def figure(costs: Mapping[Key, Cost], worths: Mapping[Key, Worth], tolerance: fl
                     axes.plot(cost, one.width[k], marker, color=colour, ms=5, mfc="none")
             axes.axhline(tolerance, color=TEXT, lw=0.7, ls=(0, (4, 3)))
             axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs a prediction")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter(NullFormatter())
         panels[0, 0].set_ylabel("across, m")
         models = list(dict.fromkeys(model for model, _ in worths))
         handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT), label=m) for m in models]
