@@ -230,10 +230,8 @@ class Steering:
 
     def _angle(self, frame: bytes) -> float:
         (signal,) = self._spec.signals
-        return signal.to_si(self._spec_database().decode(frame, decode_choices=False, scaling=True)[signal.dbc.name])
-
-    def _spec_database(self):
-        return _decoder().table.database.get_message_by_name(self._spec.name)
+        read = _decoder().table.database.get_message_by_name(self._spec.name).decode(frame, decode_choices=False)
+        return signal.gain * read[signal.dbc.name] + signal.bias
 
     def _encoded(self, angle: float, counter: int) -> bytes:
         frame = _decoder().encode(self._spec.name, {"steering_wheel_angle": angle}, counter)
