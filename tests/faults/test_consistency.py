@@ -13,7 +13,7 @@ from faults.measure import Recorded, Row, put, row
 from faults.rig import running
 
 pytestmark = [
-    pytest.mark.ros, pytest.mark.slow,
+    pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600),
     pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
 ]
 NAMES = [fault.name for fault in DRIVING]
