@@ -37,7 +37,7 @@ class Limits:
     negligible: float = 0.01
     rival: float = 0.5
     bound: float = 0.05
-    beside: float = 0.3
+    beside: float = 0.2
     left: float = 2.0
     shown: float = 0.8
     most: int = 16
