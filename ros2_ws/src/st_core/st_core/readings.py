@@ -12,7 +12,7 @@ from . import frames
 from .augmented import AugmentedModel
 from .effects import Measured
 from .filtering import NANOSECOND
-from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from .log import DriveLog
 from .models import Model
 from .types import InsSample
 from .vehicle import VehicleParameters
@@ -104,7 +104,7 @@ def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> Driv
     parts: dict[str, Any] = {}
     if model.has_sensors:
         true = _corrected(model, log)
-        parts |= {name: getattr(true, name) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
+        parts |= {name: getattr(true, name) for name in Measured._fields[:-1]
                   if getattr(log, name) is not None}
     if model.has_memory:
         time_ns, angle = corrected_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
