@@ -29,7 +29,7 @@ def live(
         None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
     ),
     realtime: bool = typer.Option(
-        False, "--realtime", help="Real-time scheduling for bridges and predictor; needs the right to (README)."
+        False, "--realtime", help="Real-time scheduling for bridges and predictor; to allow it: docs/manual/live.md."
     ),
     bands: Path | None = typer.Option(
         None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False
