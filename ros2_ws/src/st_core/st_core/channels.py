@@ -5,14 +5,11 @@ Recordings, corrections, columns of CSV files, search, figures and words look it
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from . import frames
-
-if TYPE_CHECKING:
-    from .effects import Measured
 
 SPREAD = 1.4826  # of a normal distribution: standard deviation over the median of its magnitude
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
@@ -38,8 +35,8 @@ class Channel:
     words: its name for a reader. unit: SI. smallest [unit]: resolution of an INS, errors below it are all the same.
     recorded: what a signal is that only some recordings have, for the user; DriveLog, CSV files and run.yaml then have
     it under this name. signals: of DriveLog, what it is measured by. parts: the columns it is scored in.
-    predicted(shown, true): what the sensor would show, of readings with and without the errors of the INS; None: the
-    field of its name of `shown`. errors(measured, shown): instead of measured minus predicted, one for each part.
+    predicted(shown, true): what the sensor would show, of `effects.Measured` with and without the errors of the INS;
+    None: the field of its name of `shown`. errors(measured, shown): instead of measured minus predicted, by part.
     smoothed: measured and predicted as a mean over 0.1 s. adds_up: its errors grow over the horizon.
     zero_is_none: a recording without it says 0 throughout.
     noise(way): what noise alone leaves at the end of a window, one standard deviation for each part, by identities of
@@ -53,8 +50,8 @@ class Channel:
     recorded: str = ""
     signals: tuple[str, ...] = ()
     parts: tuple[str, ...] = ()
-    predicted: Callable[["Measured", "Measured"], Any] | None = None
-    errors: Callable[[Mapping[str, np.ndarray], "Measured"], tuple[np.ndarray, ...]] | None = None
+    predicted: Callable[[Any, Any], Any] | None = None
+    errors: Callable[[Mapping[str, np.ndarray], Any], tuple[np.ndarray, ...]] | None = None
     smoothed: bool = False
     adds_up: bool = False
     zero_is_none: bool = False
@@ -73,11 +70,11 @@ class Channel:
         values = [getattr(log, name) for name in self.measured_by]
         return all(v is not None and np.isfinite(v).any() and not (self.zero_is_none and not v.any()) for v in values)
 
-    def shown(self, shown: "Measured", true: "Measured") -> Any:
+    def shown(self, shown: Any, true: Any) -> Any:
         """What the sensor would show [unit]."""
         return self.predicted(shown, true) if self.predicted else getattr(shown, self.name)
 
-    def off(self, measured: Mapping[str, np.ndarray], shown: "Measured", true: "Measured") -> tuple[np.ndarray, ...]:
+    def off(self, measured: Mapping[str, np.ndarray], shown: Any, true: Any) -> tuple[np.ndarray, ...]:
         """Measured minus predicted [unit], one for each part."""
         return self.errors(measured, shown) if self.errors else (measured[self.name] - self.shown(shown, true),)
 
@@ -86,7 +83,7 @@ class Channel:
         return self.noise(way) if self.noise else (_white(getattr(way.log, self.name)),)
 
 
-def _off_position(measured: Mapping[str, np.ndarray], shown: "Measured") -> tuple[np.ndarray, ...]:
+def _off_position(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.ndarray, ...]:
     longitudinal, lateral = frames.map_to_body(measured["x"] - shown.x, measured["y"] - shown.y, measured["yaw"])
     return lateral, longitudinal
 

@@ -3,7 +3,6 @@
 import difflib
 import hashlib
 import importlib
-import os
 import pkgutil
 import sys
 from collections.abc import Iterable, Sequence
@@ -32,11 +31,12 @@ def load_folder(path: str) -> tuple[str, ...]:
 def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
     """The effects of one module of a folder, which is imported unless it is, as the library is; the others are left
     alone. Raises ConfigurationError as `load_folder`."""
+    finder, package = _package(folder)
+
     def there() -> tuple[type[Effect], ...]:
-        file = os.path.realpath(f"{folder}/{name}.py")
-        return tuple(effect for effect in EFFECTS.values() if os.path.realpath(source_file(effect)) == file)
+        return tuple(e for e in EFFECTS.values() if source_file(e) == f"{finder.path}/{name}.py")
     if not there():
-        _load(*_package(folder), [name])
+        _load(finder, package, [name])
     return there()
 
 
