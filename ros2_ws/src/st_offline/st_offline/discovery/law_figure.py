@@ -21,7 +21,7 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
     with style():
         figure, (curve, driven) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
-        curve.fill_between(at, value - band, value + band, color=AFTER, alpha=0.25, lw=0, label="95 % of it")
+        curve.fill_between(at, value - band, value + band, color=AFTER, alpha=0.25, lw=0, label="95 % interval")
         curve.plot(at, value, color=AFTER, label="proposed law")
         curve.set_ylabel(f"{textwrap.fill(law_words.axis(c), 28)}, {unit}")
         curve.legend(loc="best")
