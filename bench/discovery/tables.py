@@ -28,7 +28,7 @@ See how often `st discover` is right, by kind of case and by effect ([how it wor
 | block | cases |
 |---|---|
 | **A** | one effect is hidden; otherwise the vehicle file is that of the car |
-| **B** | three to five parameters of the file are wrong, and up to two sensor errors and up to two physical effects are hidden |
+| **B** | three to five parameters of the file are wrong; up to two sensor errors and two physical effects are hidden |
 | **C** | nothing is wrong: the base model itself is the car, or the file was identified on other drives |
 | **D** | one effect or none, with healthy reference drives |
 | **E** | effects bound to places, effects that begin in the middle of every run, and effects unknown to the library |
@@ -53,8 +53,8 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
         "## The two plants", _plants(records),
         "## By hidden effect", "Blocks A and B: hidden effects that matter, how often they are stated, and how often "
         "the value stated is right.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",
-        "## Other methods", "Share of the oracle's improvement in held-out 5 s position, on the cases of A and B that were "
-        "given to all of them.", _methods(records),
+        "## Other methods", "Share of the oracle's improvement in held-out 5 s position, on the cases of A and B that "
+        "were given to all of them.", _methods(records),
         "## Limits of the decision", _ablation(ablated),
         "## What is truly different between plant and model", "Naming one of these is right, whatever is hidden.",
         table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in DIFFERENT.items()
