@@ -14,7 +14,7 @@ from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import StCoreError
 from .filtering import NANOSECOND
-from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from .log import DriveLog
 from .models import Model
 from .types import InsSample
 from .vehicle import VehicleParameters
@@ -119,12 +119,12 @@ def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> Driv
         return log
     parts: dict[str, Any] = {}
     if model.has_sensors:
-        lacking = wanting(model, [name for name in OPTIONAL_INS_SIGNALS if getattr(log, name) is None])
+        names = Measured._fields[:-1]
+        lacking = wanting(model, [name for name in names if getattr(log, name) is None])
         if lacking:
             raise StCoreError("{}: effect {} needs {}, which is not in it".format(log.name, *lacking))
         true = _corrected(model, log)
-        parts |= {name: getattr(true, name) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
-                  if getattr(log, name) is not None}
+        parts |= {name: getattr(true, name) for name in names if getattr(log, name) is not None}
     if model.has_memory:
         time_ns, angle = corrected_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
         parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import typer
+from st_core.channels import CHANNELS
 from typer.core import TyperCommand
 
 from ._options import (
@@ -64,7 +65,7 @@ def discover(
     vehicle: VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(
-        "velocity_y,yaw_rate,acceleration_y,yaw,position", help="Measurements to use, separated by commas."
+        ",".join(CHANNELS), help="Measurements to use, separated by commas."
     ),
     effects: Path | None = typer.Option(
         None, help="Folder of your own effects that take part.", exists=True, file_okay=False

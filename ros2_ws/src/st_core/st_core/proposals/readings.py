@@ -11,6 +11,7 @@ from .places import NEITHER, Candidate
 
 MOST, POINTS = 3, 61
 LEAST = 0.5  # of what the curve explains: a shape that explains less is none
+SAME = 1e-3  # of what the curve explains: a shape with more numbers that gains less is one with fewer
 FULLY, NEARLY = 0.98, 0.9  # of what the best shape explains: enough to stand for the curve; what it takes at least
 
 Formula = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -157,7 +158,9 @@ def _ordered(found: Mapping[Reading, tuple[int, np.ndarray]]) -> Sequence[Readin
     """The simplest that may stand for the curve first. found: numbers of each, and (b,) loss held out."""
     if not found:
         return ()
-    order = sorted(found, key=lambda r: float(found[r][1].sum()))
+    order = sorted((one for one in found if not any(
+        found[o][0] < found[one][0] and o.explained > one.explained - SAME for o in found)),
+        key=lambda r: float(found[r][1].sum()))
     best, least = order[0], found[order[0]][1]
 
     def stands(one: Reading) -> bool:

@@ -15,7 +15,7 @@ from .mending import Mended
 WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
         "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
         "effects": "the law proposed, as an effect: --effects of st discover, st demo, st live",
-        "proposed.yaml": "a model with it: --model, together with --effects",
+        "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
         "model.yaml": "what a vehicle file cannot hold: --model of st demo, st live, st evaluate"}
 
 

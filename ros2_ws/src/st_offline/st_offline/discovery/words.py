@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from st_core.channels import WORDS
 from st_core.discovery.limits import Limits
 from st_core.discovery.result import (
     PARTS,
@@ -20,7 +21,6 @@ from st_core.effects import EFFECTS
 from .mending import Mended
 from .quantities import change, channel, fitted_shortly, metres, plain, short_values, size, values
 
-RANKED = ("position_5s", "velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
 MOST_PARTS = 6
 MOST_BLIND = 8  # told in a sentence; all are in the table
 LEAST = 0.005  # m; a step that changes the position by less is told by the channel it changes most
@@ -77,7 +77,7 @@ def changes(found: Discovery) -> str:
     """The held-out position error, before and after."""
     gap = found.gap.get("position_5s")
     if gap is None:
-        gap_name = next((n for n in RANKED if n in found.gap), None)
+        gap_name = next((n for n in WORDS if n in found.gap), None)
         return f"{channel(gap_name)} error {before_and_after(found.gap[gap_name])}" if gap_name else "Errors"
     if found.model is None:
         return f"5 s position error {metres(gap.base)} (held-out)"
@@ -311,7 +311,7 @@ def condition(w: WhereStatement) -> str:
 
 def surely_changed(gap: Mapping[str, Gap]) -> list[str]:
     """Names of what changed for sure, the largest relative change first."""
-    certain = [n for n in RANKED if n in gap and (gap[n].interval[0] > 0.0 or gap[n].interval[1] < 0.0)]
+    certain = [n for n in WORDS if n in gap and (gap[n].interval[0] > 0.0 or gap[n].interval[1] < 0.0)]
     return sorted(certain, key=lambda n: -abs(gap[n].augmented / gap[n].base - 1.0))
 
 
@@ -325,4 +325,4 @@ def worst_channel(found: Discovery, channels: Sequence[str]) -> str:
     known = [w for w in found.where if w.channel in channels]
     if known:
         return max(known, key=lambda w: w.interval[0]).channel
-    return next((c for c in ("yaw_rate", "velocity_y") if c in channels), channels[0])
+    return channels[0]
