@@ -25,34 +25,34 @@ def _record(value: str) -> str:
 
 
 CarName = Annotated[str | None, typer.Option(
-    "--car", help="The car that drives or was recorded: a name in config/car, or a folder with vehicle.yaml, can.dbc, "
-    "signals.yaml and car.yaml. --vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
+    "--car", help="The car: a name in config/car, or a folder with vehicle.yaml, can.dbc, signals.yaml and car.yaml. "
+    "--vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
     "--vehicle", help="Vehicle file; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
 Offset = Annotated[float | None, typer.Option(
-    help="INS minus CAN clock, s, by hand; default: found in the signals.")]
+    help="INS minus CAN clock, s, set by hand; default: found from the signals.")]
 InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
-    help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002.")]
+    help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")]
 Dbc = Annotated[Path | None, typer.Option(
     help="DBC of the CAN logs; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
 Signals = Annotated[Path | None, typer.Option(
-    help="Table from DBC signals to ours; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+    help="Signal table for the DBC; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
 SteeringSign = Annotated[int | None, typer.Option(
-    callback=_sign, help="1 where the sensor, as DBC and table decode it, is left positive; -1: right. Default that of "
-    "--car, else 1; live: else that of config/nodes.yaml.")]
+    callback=_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the right. "
+    "Default that of --car, else 1; live: else that of config/nodes.yaml.")]
 SteeringTopic = Annotated[str | None, typer.Option(
-    "--steering-topic", help="Bags of another make: the topic with the steering angle, rad, left +; of any type of "
-    "ROS 2 Jazzy. Default: the one of type st_msgs/Steering.")]
+    "--steering-topic", help="For bags of other recorders: the topic with the steering angle, rad, left +, of any type "
+    "of ROS 2 Jazzy. Default: the one of type st_msgs/Steering.")]
 SteeringPath = Annotated[str, typer.Option(
     "--steering-field", help="The number in its messages: data, drive.steering_angle, ...")]
 SteeringIs = Annotated[str, typer.Option(
-    "--steering-is", help="road: angle of the front wheels; wheel: of the hand wheel, ratio and offset of the vehicle "
-    "file make the other.")]
+    "--steering-is", help="road: angle of the front wheels; wheel: of the hand wheel, converted with ratio and offset "
+    "of the vehicle file.")]
 Record = Annotated[str, typer.Option(
     "--record", callback=_record, help="needed: raw packets and frames, odometry, status, steering, predictions, "
-    "errors, diagnostics; what the bridges publish besides can be made again from them. all: that too.")]
+    "errors, diagnostics. all: also the other topics of the bridges, which can be computed from these.")]
 SteeringLatency = Annotated[float | None, typer.Option(
-    help="s, from the turn of the wheel to the frame; default that of --car, else 0; live: else that of "
+    help="s, from the motion of the wheel to the frame; default that of --car, else 0; live: else that of "
     "config/nodes.yaml.", min=0.0, max=1.0)]
 
 

@@ -18,30 +18,30 @@ def calibrate(
         MODELS, "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable."
     ),
     effects: Path | None = typer.Option(
-        None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
+        None, help="Folder of your own effects that a model file uses.", exists=True, file_okay=False
     ),
     car: CarName = None,
     vehicle: VehicleFile = None,
-    output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; never one that is there already."),
+    output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; it must not exist."),
     level: list[float] = typer.Option(
-        [0.5, 0.9], "--level", help="Share of whole paths that is to lie inside; repeatable. n runs can promise "
-        "n/(n + 1) at most: 9 runs for 0.9."
+        [0.5, 0.9], "--level", help="Share of whole paths that shall lie inside; repeatable. n runs allow "
+        "at most n/(n + 1): 9 runs for 0.9."
     ),
     acceleration: Literal["causal", "zero-phase"] = typer.Option(
-        "causal", help="Filter of the forward speed before its derivative; causal is what the car can do."
+        "causal", help="Filter of the forward speed before its derivative; live, only causal is possible."
     ),
     inputs: Literal["interpolate", "hold"] = typer.Option(
         "interpolate", help="Measured inputs within an integration step: interpolated, or held over it."
     ),
-    horizon: float = typer.Option(5.0, help="s, a whole number of steps."),
-    step: float = typer.Option(0.05, help="s, of the integration."),
-    minimum_speed: float = typer.Option(0.5, help="m/s; no prediction starts below."),
+    horizon: float = typer.Option(5.0, help="Length of a prediction, s; a whole number of steps."),
+    step: float = typer.Option(0.05, help="Integration step, s."),
+    minimum_speed: float = typer.Option(0.5, help="No prediction starts below this speed, m/s."),
     offset: Offset = None,
     dbc: Dbc = None,
     signals: Signals = None,
     steering_sign: SteeringSign = None,
     steering_latency: SteeringLatency = None,
-    force: bool = typer.Option(False, "--force", help="Use also runs in which `st check` finds an error."),
+    force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
 ) -> None:
     """Learn how far from its predicted path the car will be: bands that hold on drives that were not among these.
 

@@ -38,14 +38,14 @@ def evaluate(
         MODELS, "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable."
     ),
     effects: Path | None = typer.Option(
-        None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
+        None, help="Folder of your own effects that a model file uses.", exists=True, file_okay=False
     ),
     car: CarName = None,
     vehicle: VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
-    at: str = typer.Option("", help="Starts to look at closely, s: 1,10,19,28. Default: four spread over the run."),
+    at: str = typer.Option("", help="Starts drawn in detail, s: 1,10,19,28. Default: four spread over the run."),
     acceleration: Literal["causal", "zero-phase"] = typer.Option(
-        "causal", help="Filter of the forward speed before its derivative; causal is what the car can do."
+        "causal", help="Filter of the forward speed before its derivative; live, only causal is possible."
     ),
     inputs: Literal["interpolate", "hold"] = typer.Option(
         "interpolate", help="Measured inputs within an integration step: interpolated, or held over it."
@@ -53,10 +53,10 @@ def evaluate(
     table: Literal["means", "samples"] = typer.Option(
         "means", help="Statistics shown: over the horizon means, as the paper, or over all samples."
     ),
-    horizon: float = typer.Option(5.0, help="s, a whole number of steps."),
-    step: float = typer.Option(0.05, help="s, of the integration."),
-    interval: float = typer.Option(0.1, help="s, between starts."),
-    minimum_speed: float = typer.Option(0.5, help="m/s; no prediction starts below."),
+    horizon: float = typer.Option(5.0, help="Length of a prediction, s; a whole number of steps."),
+    step: float = typer.Option(0.05, help="Integration step, s."),
+    interval: float = typer.Option(0.1, help="Time between starts, s."),
+    minimum_speed: float = typer.Option(0.5, help="No prediction starts below this speed, m/s."),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
     offset: Offset = None,
     ins_can_latency: InsCanLatency = None,
@@ -68,15 +68,15 @@ def evaluate(
     steering_field: SteeringPath = "data",
     steering_is: SteeringIs = "road",
     bands: Path | None = typer.Option(
-        None, help="Bands of `st calibrate`, to be tested on these runs: coverage, scores, reliability.", exists=True,
+        None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False
     ),
     advise: float | None = typer.Option(
-        None, help="m across: also say which model and step is the cheapest that stays within, by speed and second; "
+        None, help="Permitted lateral error, m: also name the cheapest model and step within it, by speed and second; "
         "cost, error and band width of each.", min=0.001
     ),
-    force: bool = typer.Option(False, "--force", help="Evaluate also runs in which `st check` finds an error."),
-    workers: int = typer.Option(1, help="Runs evaluated side by side (Dask).", min=1),
+    force: bool = typer.Option(False, "--force", help="Also evaluate runs in which `st check` finds an error."),
+    workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
 ) -> None:
     """Predict every 100 ms of each run with each model, score it against the measurement, write tables and figures.

@@ -13,7 +13,7 @@ def export(
     model: str = typer.Argument(..., help="kinematic, linear, nonlinear, or a model file (.yaml).", show_default=False),
     kind: Literal["casadi", "c"] = typer.Option("casadi", "--format", help="CasADi functions, or C with a header."),
     effects: Path | None = typer.Option(
-        None, help="Folder of own effects that a model file uses.", exists=True, file_okay=False
+        None, help="Folder of your own effects that a model file uses.", exists=True, file_okay=False
     ),
     car: CarName = None,
     vehicle: VehicleFile = None,

@@ -11,9 +11,9 @@ from ._options import CarName, Dbc, Record, Signals, SteeringLatency, SteeringSi
 def live(
     can_interface: str = typer.Option("socketcan", help="python-can interface."),
     can_channel: str = typer.Option("can0", help="Channel of that interface."),
-    ncom_port: int = typer.Option(3000, help="UDP port the RT sends NCOM to.", min=1, max=65535),
+    ncom_port: int = typer.Option(3000, help="UDP port to which the RT sends NCOM.", min=1, max=65535),
     ncom_address: str = typer.Option("0.0.0.0", help="Local address to listen on; the RT broadcasts: all by default."),
-    ncom_sender: str = typer.Option("", help="Take packets of this sender address only."),
+    ncom_sender: str = typer.Option("", help="Accept packets from this address only."),
     car: CarName = None,
     vehicle: VehicleFile = None,
     dbc: Dbc = None,
@@ -22,14 +22,14 @@ def live(
     steering_latency: SteeringLatency = None,
     duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C.", min=1.0),
     model: Path | None = typer.Option(
-        None, help="Model file (model.yaml of `st discover`): a fourth model beside the three.", exists=True,
+        None, help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.", exists=True,
         dir_okay=False,
     ),
     effects: Path | None = typer.Option(
-        None, help="Folder of own effects that --model uses.", exists=True, file_okay=False
+        None, help="Folder of your own effects that --model uses.", exists=True, file_okay=False
     ),
     realtime: bool = typer.Option(
-        False, "--realtime", help="Real-time scheduling for bridges and predictor; needs the right to (README)."
+        False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."
     ),
     bands: Path | None = typer.Option(
         None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from canedge_bridge.steering import SteeringCalibration
 from oxts_bridge import again
 from oxts_bridge.origin import FIRST_FIX, GIVEN, Origin
 from rosbags.typesys.store import Typestore
@@ -81,10 +82,11 @@ class MadeAgain:
         bridge = self._nodes.get("canedge_bridge", {})
         signal = steering_of(self._signals, self._path, self._table)
         ratio, offset = (self._steering(bridge, name) for name in ("steering_ratio", "steering_wheel_offset"))
-        wheel = bridge.get("steering_sign", 1) * signal.values
+        calibration = SteeringCalibration(bridge.get("steering_sign", 1), offset, ratio)
         latency_ns = round(float(bridge.get("steering_latency", 0.0)) * 1e9)
-        return {"header.stamp": signal.time_ns - latency_ns, "steering_wheel_angle": wheel,
-                "road_wheel_angle": (wheel - offset) / ratio, "valid": signal.valid}
+        return {"header.stamp": signal.time_ns - latency_ns,
+                "steering_wheel_angle": calibration.steering_wheel_angle(signal.values),
+                "road_wheel_angle": calibration.road_wheel_angle(signal.values), "valid": signal.valid}
 
     def _steering(self, bridge: Mapping[str, Any], name: str) -> float:
         value = float(bridge.get(name, math.nan))

@@ -7,7 +7,8 @@ from pathlib import Path
 from st_core.clock_types import Alignment, SharedSignal
 
 from . import csv
-from .can_logs import EXTENSIONS, CanLog, read_can_logs
+from .can_formats import EXTENSIONS
+from .can_logs import CanLog, read_can_logs
 from .can_signals import CanSignals, decode_signals, load_signal_table
 from .clocks import align_clocks
 from .errors import RunError

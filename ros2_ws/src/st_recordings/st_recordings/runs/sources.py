@@ -8,13 +8,12 @@ from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
 from . import run_keys
+from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .errors import RunError
 from .mf4 import session_of
 from .readers import READERS, Reader, reader_of
 from .run_types import Label, RunSource
 
-# Those of can_logs, whose libraries take a second to load (tested to be the same).
-CAN_EXTENSIONS = frozenset((".asc", ".blf", ".candump", ".log", ".trc", ".mf4", ".mdf", ".mfc", ".mfe", ".mfm"))
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
 NO_NAME = ("run", "bag")  # says nothing (run.ncom with run.mf4, bag/ of st live): the folder's name is the run's

@@ -52,7 +52,8 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     read or aligned, one that is refused, or a bag that cannot be written.
     """
     if source.problem is None and source.kind != "ncom":
-        raise RunError(source.where, f"is a {source.kind} run already", "import is for .ncom and CAN logs")
+        raise RunError(source.where, f"import writes NCOM packets and CAN frames, this is a run of kind {source.kind}",
+                       "evaluate, check, identify and discover read it as it is")
     run = read_raw(source, settings, read_ins)
     drive = treated(source, as_drive(source, vehicle, settings, run), vehicle)
     check_common_time(source, drive.log.ins_time_ns, drive.log.steering_time_ns)
