@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from oxts_bridge import batch
+from oxts_bridge import file_decoder
 from oxts_bridge.ncom import NcomError
 from rosbags.typesys.store import Typestore
 from st_core.checks import Extras, InsQuality, Series
@@ -68,11 +68,11 @@ def _ins_on_can(columns: Mapping[str, np.ndarray]) -> Series | None:
 def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
     """Quality, and forward speed of the packets themselves."""
     try:
-        columns = batch.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
+        columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
     except NcomError:
         return None, None
-    timed = np.flatnonzero((columns.kind == batch.REGULAR) & (columns.order == batch.NEW)
-                           & (columns.utc_ns != batch.UNKNOWN_TIME))
+    timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == file_decoder.NEW)
+                           & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
     newer = np.diff(np.maximum.accumulate(columns.utc_ns[timed]), prepend=columns.utc_ns[timed][:1] - 1) > 0
     rows = timed[newer]
     if not len(rows):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from oxts_bridge import batch
+from oxts_bridge import file_decoder
 from st_core.checks import Finding
 from st_core.vehicle import VehicleParameters
 
@@ -132,7 +132,7 @@ def _between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
 
 def _filled(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
     """Times that never fall: a packet without a time of its own gets that of the one before; all near the fixes."""
-    known = utc_ns != batch.UNKNOWN_TIME
+    known = utc_ns != file_decoder.UNKNOWN_TIME
     margin = 60 * 10**9
     near = known & (utc_ns >= fix_ns[0] - margin) & (utc_ns <= fix_ns[-1] + margin)
     first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .batch_time import packet_times, utc_times
 from .channels import TRIGGER_CHANNELS, known, trigger_nanoseconds
+from .file_times import packet_times, utc_times
 from .gps_time import FIRST_MINUTE, LAST_MINUTE
 from .navigation import BY_STATUS
 from .ncom import (
