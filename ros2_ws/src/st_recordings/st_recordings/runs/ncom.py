@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from oxts_bridge import file_decoder
+from oxts_bridge import file_decoder, gps_time
 from oxts_bridge.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
 from oxts_bridge.navigation import BY_STATUS
 from oxts_bridge.ncom import NcomError
@@ -35,7 +35,7 @@ def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> N
         what = str(error).removeprefix(f"{file}: ")
         raise RunError(file, what, "take it off the list, or give the right file") from None
     warnings = _damage(columns, file)
-    regular = (columns.kind == file_decoder.REGULAR) & (columns.order == file_decoder.NEW)
+    regular = (columns.kind == file_decoder.REGULAR) & (columns.order == gps_time.NEW)
     fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
     if not fix.any():
