@@ -26,8 +26,8 @@ def extra_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
     """The topics that are read, one of a type, and their fields. Packets only for what no other topic says."""
     of_type = {topic.type_name: topic for topic in topics if topic.count}
     wanted = {of_type[name]: fields for name, fields in _FIELDS.items() if name in of_type}
-    if INS_ON_CAN in of_type and INS_STATUS in of_type:
-        wanted.pop(of_type.get(NCOM), None)
+    if NCOM in of_type and INS_ON_CAN in of_type and INS_STATUS in of_type:
+        wanted.pop(of_type[NCOM])
     return wanted
 
 

@@ -37,5 +37,5 @@ def ins_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
                       np.hypot(position[:, 0], position[:, 1]), np.radians(heading))
 
 
-def _number(value: object) -> float:
+def _number(value: float | None) -> float:
     return float("nan") if value is None else float(value)
