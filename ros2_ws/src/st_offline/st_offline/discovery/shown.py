@@ -13,9 +13,9 @@ from .drives import Drive
 from .mending import Mended
 
 WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
-        "vehicle.yaml": "the vehicle file, mended: --vehicle of every verb",
+        "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
         "effects": "the law proposed, as an effect: --effects of st discover, st demo, st live",
-        "proposed.yaml": "a model with it: --model, beside --effects and the vehicle file as it was given",
+        "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
         "model.yaml": "what a vehicle file cannot hold: --model of st demo, st live, st evaluate"}
 
 
@@ -36,7 +36,7 @@ def show(found: Discovery, mended: Mended | None, failed: Sequence[Drive], files
     for drive in failed:
         console.print(f"[red]{escape(drive.name)}[/red]: {escape(drive.problem)}", highlight=False, soft_wrap=True)
     if earlier:
-        console.print("[dim]The answer of an earlier start with the same inputs; --fresh searches anew.[/dim]")
+        console.print("[dim]The answer of an earlier call with the same inputs; --fresh searches anew.[/dim]")
     for name, file in files.items():
         console.print(f"  {escape(str(file))}  [dim]{WHAT[name]}[/dim]", highlight=False, soft_wrap=True)
 
