@@ -210,8 +210,8 @@ def _law_page(result: dict) -> str:
                 f"{base:.3f} (file as given), {library:.3f} (library), {law['position_5s'][1]:.3f} m (with the law)."]
     lines = [LAW_BEGINS, "",
              f"Hidden in the same car is {hidden}: drive and brakes act that far (m) to the right of its middle, a yaw",
-             f"moment no effect of the library describes. It turns the car by {truth:.3f} rad/s² for each m/s² that drive",
-             f"or brakes give. {len(LAW_DRIVES)} live drives of {LAW_SECONDS:g} s ({', '.join(LAW_DRIVES)})",
+             f"moment no effect of the library describes. It turns the car by {truth:.3f} rad/s² for each m/s² of",
+             f"drive or brakes. {len(LAW_DRIVES)} live drives of {LAW_SECONDS:g} s ({', '.join(LAW_DRIVES)})",
              "are recorded; `st discover --propose` gets the bags and the right vehicle file. Then a road it has not",
              f"seen ({LAW_UNSEEN}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.", "",
              f"The library states {', '.join(f'`{n}`' for n in result['stated']) or 'nothing'}, and keeps "
