@@ -60,7 +60,7 @@ def calibrate(
 
     try:
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
-        filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
+        filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
         models = tuple(model_named(name) for name in dict.fromkeys(model))
         vehicle, reading = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
         parameters, car_from = car_of(vehicle, models, effects)
