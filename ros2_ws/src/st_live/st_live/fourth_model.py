@@ -26,6 +26,7 @@ def fourth_model(model: Path | None, effects: Path | None, vehicle: Path) -> Par
     except StCoreError as error:
         raise SuiteError(str(error)) from None
     known_model(model, effects, car, str(vehicle))
+    assert model is not None  # or effects would have been too much
     chosen = {"model_file": str(model.absolute()), "effects_directory": str(effects.absolute()) if effects else ""}
     return {"predictor": chosen, "evaluator": chosen}
 

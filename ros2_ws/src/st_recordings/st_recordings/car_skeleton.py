@@ -10,7 +10,7 @@ from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
 from st_core.vehicle import VEHICLE_QUANTITIES, VehicleParameters
 
-from .car import STEERING, Car, car_named, read_table
+from .car import Car, car_named, read_table
 from .paths import config
 from .runs.errors import RunError
 
@@ -101,7 +101,7 @@ def problems(folder: str) -> list[str]:
         if not str(error.path).endswith("car.yaml"):
             raise
         # The other files deserve their lines all the same.
-        car = Car(error.path.parent, **STEERING)
+        car = Car(Path(error.path).parent, 1, 0.0)
         return [str(error), *_vehicle_problems(car.vehicle), *_bus_problems(car)]
     return [*_vehicle_problems(car.vehicle), *_bus_problems(car)]
 

@@ -27,6 +27,9 @@ def calibrate(
         [0.5, 0.9], "--level", help="Share of whole paths that shall lie inside; repeatable. n runs allow "
         "at most n/(n + 1): 9 runs for 0.9."
     ),
+    together: bool = typer.Option(
+        False, "--together", help="Recordings of one argument are alike, of one day or place, and count as one run."
+    ),
     acceleration: Literal["causal", "zero-phase"] = typer.Option(
         "causal", help="Filter of the forward speed before its derivative; live, only causal is possible."
     ),
@@ -60,13 +63,13 @@ def calibrate(
 
     try:
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
-        filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
+        filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
         models = tuple(model_named(name) for name in dict.fromkeys(model))
         vehicle, reading = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
         parameters, car_from = car_of(vehicle, models, effects)
         task = Task(parameters, models, EvaluationSettings(prediction, acceleration=filtering, inputs=inputs), reading,
                     force=force, effects=effects)
-        status = run_command(Job(runs, task, output, tuple(sorted(set(level)))), Console())
+        status = run_command(Job(runs, task, output, tuple(sorted(set(level))), together), Console())
     except (StCoreError, RunError, OutputError, UnicodeDecodeError) as error:
         typer.echo(f"st calibrate: {error}", err=True)
         raise typer.Exit(2) from None

@@ -103,9 +103,10 @@ def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
     other_way = "it counts the other way (left is positive)" if value < 0.0 else ""
     words = " and ".join(filter(None, (reason, other_way)))
     name = "steering_sign" if exact == 1.0 else "steering_scale"
+    or_else = "  # or, for CAN logs, the other steering_sign in car.yaml" if name == "steering_sign" else ""
     text = f"road_wheel_angle is {value:.3g} times what yaw rate and speed say" + (f": {words}?" if words else "")
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", scale.interval, (), None,
-                   Cure("run.yaml", f"correct: {{road_wheel_angle: {{scale: {cure:g}}}}}",
+                   Cure("run.yaml", f"correct: {{road_wheel_angle: {{scale: {cure:g}}}}}{or_else}",
                         {"correct": {"road_wheel_angle": {"scale": cure}}}))
 
 

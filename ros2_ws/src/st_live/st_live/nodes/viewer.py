@@ -80,8 +80,8 @@ def main() -> int:
     options = parser.parse_args()
     lower(VIEW_NICE)
     car = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
-    sinks = [rr.GrpcSink(options.server)] if options.server else []
-    sinks += [rr.FileSink(str(options.save))] if options.save else []
+    sinks = [*([rr.GrpcSink(options.server)] if options.server else ()),
+             *([rr.FileSink(str(options.save))] if options.save else ())]
     drawing = recording(options.title, FLUSH, *sinks)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     viewer = Viewer(Feed(Scene(drawing, car), options.map_frame))

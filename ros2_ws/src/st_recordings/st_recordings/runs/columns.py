@@ -161,7 +161,7 @@ def _number_of(file: Path, names: Sequence[str], wanted: str, channel: str, layo
 
 def _meanings(name: str) -> list[tuple[str, int, str | None]]:
     """(channel, rank among its names, unit said) of every channel a column may be."""
-    meanings = []
+    meanings: list[tuple[str, int, str | None]] = []
     for base, unit in _splits(name):
         if plain(base) in _CHANNEL_OF:
             channel, rank = _CHANNEL_OF[plain(base)]

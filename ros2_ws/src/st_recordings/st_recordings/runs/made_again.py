@@ -34,14 +34,18 @@ class MadeAgain:
         self._records, self._nodes = records, parameters(records)
         self._topics = storage.topics()
 
-    def topic(self, type_name: str) -> Topic | None:
-        """Of raw packets (NCOM) or frames (CAN_FRAMES); None where there are none."""
-        return next((t for t in self._topics if t.type_name == type_name and t.count), None)
+    def has(self, type_name: str) -> bool:
+        """Whether there are raw packets (NCOM) or frames (CAN_FRAMES)."""
+        return any(t.type_name == type_name and t.count for t in self._topics)
+
+    def topic(self, type_name: str) -> Topic:
+        """Of those that are there."""
+        return next(t for t in self._topics if t.type_name == type_name and t.count)
 
     @property
     def bus_is_described(self) -> bool:
         """Whether the recording carries the DBC and table of its frames."""
-        return self.topic(CAN_FRAMES) is not None and None not in self._descriptions()
+        return self.has(CAN_FRAMES) and None not in self._descriptions()
 
     def map_frame(self) -> str:
         return str(self._nodes.get("oxts_bridge", {}).get("map_frame", "map"))
@@ -69,11 +73,12 @@ class MadeAgain:
     def _origin(self, bridge: Mapping[str, Any]) -> Origin:
         said = next((t for t in self._topics if t.name.endswith(ORIGIN) and t.count), None)
         if said is not None:
-            fix = self._store.deserialize_cdr(next(self._storage.messages(said.name)), said.type_name)
+            fix: Any = self._store.deserialize_cdr(next(self._storage.messages(said.name)), said.type_name)
             return Origin(GIVEN, (fix.latitude, fix.longitude, fix.altitude))
         source = bridge.get("origin_source", FIRST_FIX)
-        given = tuple(float(bridge.get(f"origin_{name}", math.nan)) for name in ("latitude", "longitude", "altitude"))
-        return Origin(source, given if source == GIVEN else None)
+        latitude, longitude, altitude = (float(bridge.get(f"origin_{name}", math.nan))
+                                         for name in ("latitude", "longitude", "altitude"))
+        return Origin(source, (latitude, longitude, altitude) if source == GIVEN else None)
 
     def steering(self) -> dict[str, np.ndarray]:
         """The fields of st_msgs/Steering, as canedge_bridge had published them. Raises RunError."""
@@ -110,7 +115,7 @@ class MadeAgain:
                            for name in ("time_ns", "values"))
         return car_speed(wheels), series(time_ns, values)
 
-    def _descriptions(self) -> tuple[str | None, str | None]:
+    def _descriptions(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
         return tuple(text_of(self._records, str(bridge.get(name, ""))) for name in ("dbc_file", "signals_file"))
 
@@ -124,7 +129,7 @@ class MadeAgain:
         with tempfile.TemporaryDirectory() as folder:
             files = Path(folder, "can.dbc"), Path(folder, "signals.yaml")
             for file, text in zip(files, self._descriptions(), strict=True):
-                file.write_text(text, encoding="utf-8")
+                file.write_text(text or "", encoding="utf-8")
             return load_signal_table(*files)
 
     @cached_property

@@ -142,6 +142,7 @@ def _parsed(path: Path) -> RunSource:
         raise RunError(path, f"one of the keys {what} must say where the INS measurements are")
     file = _existing(path, keys[0], content[keys[0]])
     reader = reader_of(file, keys[0])
+    assert reader is not None  # the key is one of theirs
     logs: list[Path] = []
     for text in _listed(path, "can", content.get("can", [])):
         logs += [f for entry in _matching(path, text) for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
@@ -151,7 +152,7 @@ def _parsed(path: Path) -> RunSource:
     offset = content.get("offset")
     if offset is not None and (isinstance(offset, bool) or not isinstance(offset, int | float)):
         raise RunError(path, f"offset: {offset!r} is not a number of seconds")
-    settings = {key: _existing(path, key, content[key]) for key in ("dbc", "signals") if key in content}
+    settings: dict[str, Any] = {key: _existing(path, key, content[key]) for key in ("dbc", "signals") if key in content}
     if offset is not None:
         settings["offset"] = float(offset)
     if "ins_can_latency" in content:
