@@ -7,6 +7,8 @@ from st_core.errors import StCoreError
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model
 from st_core.vehicle import VehicleParameters
+from st_recordings.car import read_vehicle
+from st_recordings.runs.errors import RunError
 
 from .suite import Parameters, SuiteError
 
@@ -20,10 +22,8 @@ def fourth_model(model: Path | None, effects: Path | None, vehicle: Path) -> Par
     if model is None and effects is None:
         return {}
     try:
-        car = VehicleParameters.from_yaml(vehicle.read_text(encoding="utf-8"), str(vehicle))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SuiteError(f"{vehicle}: cannot be read: {error}") from None
-    except StCoreError as error:
+        car = read_vehicle(vehicle)
+    except (RunError, StCoreError) as error:
         raise SuiteError(str(error)) from None
     known_model(model, effects, car, str(vehicle))
     chosen = {"model_file": str(model.absolute()), "effects_directory": str(effects.absolute()) if effects else ""}

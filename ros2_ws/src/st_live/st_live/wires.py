@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from st_core.errors import StCoreError
-from st_core.vehicle import VehicleParameters
+from st_recordings.car import read_vehicle
 from st_recordings.paths import config, project_root
+from st_recordings.runs.errors import RunError
 from st_sim.errors import SimulationError
 from st_sim.run import check
 
@@ -21,11 +22,9 @@ def vehicle_file(given: Path | None) -> Path:
     """The vehicle file of a run, the Leaf's by default. Raises SuiteError, one line, for one that cannot be used."""
     path = (given or config("vehicle/leaf.yaml")).absolute()
     try:
-        VehicleParameters.from_yaml(path.read_text(encoding="utf-8"), str(path))
-    except StCoreError as error:
+        read_vehicle(path)
+    except (RunError, StCoreError) as error:
         raise SuiteError(str(error)) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SuiteError(f"{path}: cannot be read: {error}") from None
     return path
 
 

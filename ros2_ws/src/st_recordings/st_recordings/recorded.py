@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from st_core.vehicle import VehicleParameters
 
+from .car import read_vehicle
 from .paths import config
 from .runs import RunError
 from .runs.bag import definitions, open_bag
@@ -74,10 +75,7 @@ def configuration_of(records: Mapping[str, Mapping[str, str]],
     if vehicle is None and recorded.vehicle is not None:
         return VehicleParameters.from_yaml(recorded.vehicle, "the vehicle in the recording"), recorded, "the recording"
     file = vehicle or config("car/leaf/vehicle.yaml")
-    try:
-        return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), recorded, str(file)
-    except (OSError, UnicodeDecodeError) as error:
-        raise RunError(file, f"cannot be read: {error}") from None
+    return read_vehicle(file), recorded, str(file)
 
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:

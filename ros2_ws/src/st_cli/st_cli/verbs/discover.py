@@ -6,18 +6,7 @@ from pathlib import Path
 import typer
 from typer.core import TyperCommand
 
-from ._options import (
-    LEAF,
-    CarName,
-    Dbc,
-    Offset,
-    Signals,
-    SteeringLatency,
-    SteeringSign,
-    VehicleFile,
-    say_whose,
-    whose,
-)
+from . import _options as shared
 
 REFERENCE = "--reference"
 
@@ -52,16 +41,14 @@ def spread(words: Sequence[str]) -> list[str]:
 
 
 def discover(
-    runs: list[Path] = typer.Argument(
-        ..., help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False
-    ),
+    runs: shared.Runs,
     reference: list[Path] = typer.Option(
         [], REFERENCE, help="Drives known to be healthy, all paths up to the next option; the search starts from them "
         "instead of the vehicle file."
     ),
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
-    car: CarName = None,
-    vehicle: VehicleFile = None,
+    car: shared.CarName = None,
+    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(
         "velocity_y,yaw_rate,acceleration_y,yaw,position", help="Measurements to use, with commas between."
@@ -81,11 +68,11 @@ def discover(
     jobs: int = typer.Option(1, help="Processes side by side.", min=1),
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; an empty text for none."),
     report: bool = typer.Option(True, help="Draw the figures and the page; without, numbers, model and vehicle only."),
-    offset: Offset = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    steering_sign: SteeringSign = None,
-    steering_latency: SteeringLatency = None,
+    offset: shared.Offset = None,
+    dbc: shared.Dbc = None,
+    signals: shared.Signals = None,
+    steering_sign: shared.SteeringSign = None,
+    steering_latency: shared.SteeringLatency = None,
     force: bool = typer.Option(False, "--force", help="Use also runs in which `st check` finds an error."),
     fresh: bool = typer.Option(False, "--fresh", help="Read and search anew; take nothing from an earlier start."),
 ) -> None:
@@ -96,26 +83,18 @@ def discover(
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
     from st_core.discovery import DiscoverySettings
-    from st_core.errors import StCoreError
-    from st_core.vehicle import VehicleParameters
     from st_offline.discovery.command import CommandError, Job, run_command
-    from st_recordings.output import OutputError
-    from st_recordings.runs import RunError
 
-    try:
-        vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
-        file = vehicle or LEAF
-        text = file.read_text(encoding="utf-8")
+    with shared.refusals("discover", CommandError):
+        vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
+        parameters, file = shared.leaf_or(vehicle)
         job = Job(
-            runs, reference, base, VehicleParameters.from_yaml(text, str(file)), str(file), text,
+            runs, reference, base, parameters, str(file), file.read_text(encoding="utf-8"),
             DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify),
             read, effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose)
         status = run_command(job, Console())
-    except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
-        typer.echo(f"st discover: {error}", err=True)
-        raise typer.Exit(2) from None
     if vehicle is None:
-        say_whose("discover", file)
+        shared.say_whose("discover", file)
     raise typer.Exit(status)
 
 
