@@ -25,8 +25,7 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
         curve.set_ylabel(textwrap.fill(f"{law_words.place(c)}, {c.unit}", 28))
         curve.legend(loc="best")
         driven.bar(one.at, 100.0 * one.density, width=one.at[1] - one.at[0], color=MEASURED_COLOUR)
-        driven.set_ylabel("driven, %")
-        driven.set_xlabel(f"{law_words.quantity(c)}, {QUANTITIES[c.quantity]}")
+        driven.set(ylabel="driven, %", xlabel=f"{law_words.quantity(c)}, {QUANTITIES[c.quantity]}")
         before, after = one.position_5s
         title = (f"PROPOSAL: {law_in_words(one)}; 5 s position error "
                  f"{before:.2f} m → {after:.2f} m on held-out driving")
