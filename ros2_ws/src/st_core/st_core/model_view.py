@@ -14,6 +14,7 @@ from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import StCoreError
 from .filtering import NANOSECOND
+from .interpolation import interpolate
 from .models import Model
 from .readings import (
     MEMORY,
@@ -23,7 +24,6 @@ from .readings import (
     corrected_steering,
     has_memory,
     held_steering,
-    interpolate,
     readings,
 )
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
