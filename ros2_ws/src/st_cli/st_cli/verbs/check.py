@@ -31,9 +31,9 @@ def check(
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
-    from st_offline.checking.command import CommandError, Job, run_command
+    from st_offline.checking.command import Job, run_command
 
-    with shared.refusals("check", CommandError):
+    with shared.refusals("check"):
         vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
                                      ins_can_latency=ins_can_latency)
         parameters, file = shared.leaf_or(vehicle)

@@ -83,9 +83,9 @@ def discover(
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
     from st_core.discovery import DiscoverySettings
-    from st_offline.discovery.command import CommandError, Job, run_command
+    from st_offline.discovery.command import Job, run_command
 
-    with shared.refusals("discover", CommandError):
+    with shared.refusals("discover"):
         vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
         parameters, file = shared.leaf_or(vehicle)
         job = Job(

@@ -62,10 +62,10 @@ def evaluate(
     from rich.console import Console
     from st_core.log_evaluation import EvaluationSettings
     from st_core.prediction import PredictionSettings
-    from st_offline.evaluation.command import CommandError, run_command
+    from st_offline.evaluation.command import run_command
     from st_offline.evaluation.work import Task, load_bands, load_models
 
-    with shared.refusals("evaluate", CommandError):
+    with shared.refusals("evaluate"):
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
