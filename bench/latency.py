@@ -2,14 +2,16 @@
 
 import os
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import psutil
 import rclpy
 from _hops import Made, Stream, hops, marks, percentiles
 from _suite import running_suite
+from _view import view
 from nav_msgs.msg import Odometry
-from oxts_bridge.batch import decode_file
+from oxts_bridge.file_decoder import decode_file
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from st_live.nodes.player import stamp_of
@@ -63,9 +65,14 @@ def run() -> dict:
     what each hop of the way takes (_hops.py).
 
     cpu_percent: of a core, per process. ST_BENCH_SECONDS, ST_BENCH_NCOM_RATE [Hz] change the run, see also _suite.py.
+    ST_BENCH_VIEW: runs or hangs, a view attached.
     """
-    seconds = float(os.environ.get("ST_BENCH_SECONDS", "60"))
-    with running_suite(seconds + 10, int(os.environ.get("ST_BENCH_NCOM_RATE", "250"))) as suite:
+    seconds, looks = float(os.environ.get("ST_BENCH_SECONDS", "60")), os.environ.get("ST_BENCH_VIEW", "")
+    rate = int(os.environ.get("ST_BENCH_NCOM_RATE", "250"))
+    with ExitStack() as stack:
+        suite = stack.enter_context(running_suite(seconds + (30 if looks else 10), rate))
+        if looks:
+            stack.enter_context(view(suite, {"runs": False, "hangs": True}[looks]))
         rclpy.init()
         node = Listener()
         pids = {child.name: child.process.pid for child in suite.children}

@@ -2,19 +2,13 @@
 
 import contextlib
 import os
-import signal
 import time
-from pathlib import Path
 
 import numpy as np
-import psutil
 import rclpy
 from _suite import running_suite
+from _view import view
 from latency import PERIOD, Listener, latencies
-from rich.console import Console
-from st_live.suite import Suite
-from st_live.view.window import Window
-from st_recordings.paths import config
 
 PHASES = ("no view", "view", "view that hangs")
 ROUNDS = 3
@@ -31,37 +25,12 @@ def run() -> dict:
         rclpy.init()
         for _ in range(ROUNDS):
             for phase in PHASES:
-                with _view(suite, phase):
+                attached = contextlib.nullcontext() if phase == "no view" else view(suite, phase == "view that hangs")
+                with attached:
                     time.sleep(SETTLE)
                     heard[phase].append(_listen(seconds / ROUNDS))
         rclpy.try_shutdown()
     return {phase: _numbers(listeners, seconds) for phase, listeners in heard.items()}
-
-
-@contextlib.contextmanager
-def _view(suite: Suite, phase: str):
-    if phase == "no view":
-        yield
-        return
-    window = Window(page=True)
-    folder = Path(suite.folder, f"view-{time.monotonic_ns()}")
-    window.open(folder, int(os.environ["ROS_DOMAIN_ID"]), str(config("vehicle/leaf.yaml")), "map", "bench",
-                Console(quiet=True))
-    try:
-        time.sleep(SETTLE)
-        if phase == "view that hangs":
-            for process in _family(window.pids):
-                process.send_signal(signal.SIGSTOP)
-        yield
-    finally:
-        for process in _family(window.pids):
-            process.send_signal(signal.SIGCONT)
-        window.close()
-
-
-def _family(pids: list[int]) -> list[psutil.Process]:
-    found = [psutil.Process(pid) for pid in pids]
-    return found + [child for process in found for child in process.children(recursive=True)]
 
 
 def _listen(seconds: float) -> Listener:

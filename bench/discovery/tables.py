@@ -22,15 +22,20 @@ FIGURE = ROOT / "docs" / "images" / "discovery_confusion.png"
 NOT_RUN = "Not run with these records."
 INTRODUCTION = """# Scores of `st discover`
 
-Written by `./st bench discovery --tables FILE ...`; do not edit. How it is measured:
-[discovery.md](../manual/discovery.md).
+See how often `st discover` is right, by kind of case and by effect ([how it works](../manual/discovery.md)). Written by
+`./st bench discovery --tables FILE ...`; do not edit.
 
-Blocks: **A** one effect is hidden, the vehicle file is otherwise the car's own; **B** three to five parameters of the
-file are wrong, with none to two errors of sensors and of physics besides; **C** nothing is wrong: the base model itself
-is the car, or the file was identified on other drives; **D** one effect or none, with healthy reference drives; **E**
-bound to places, begun in the middle of every run, or unknown to the library; **F** known changes put into nine real
-drives. A to C and E are without a reference. A third of A to C is on the multi-body cars of commonroad-vehicle-models,
-the rest on the virtual Leaf. In brackets: cases, and the 95 % Wilson interval."""
+| block | cases |
+|---|---|
+| **A** | one effect is hidden; otherwise the vehicle file is that of the car |
+| **B** | three to five parameters of the file are wrong; up to two sensor errors and two physical effects are hidden |
+| **C** | nothing is wrong: the base model itself is the car, or the file was identified on other drives |
+| **D** | one effect or none, with healthy reference drives |
+| **E** | effects bound to places, effects that begin in the middle of every run, and effects unknown to the library |
+| **F** | known changes put into nine real drives |
+
+A to C and E are without a reference. A third of A to C is on the multi-body cars of commonroad-vehicle-models, the rest
+on the virtual Leaf. In brackets: cases, and the 95 % Wilson interval."""
 
 
 def write(records: Sequence[Record]) -> None:
@@ -44,12 +49,12 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
     parts = [
         INTRODUCTION, _origin(records),
         "## Scores", table(("score", "measured", "required", "goal"), [
-            (r["name"].strip(), shown(r), r["floor"], r["goal"]) for r in score.scores(records)]),
+            (r["name"].strip(), shown(r), r["required"], r["goal"]) for r in score.scores(records)]),
         "## The two plants", _plants(records),
         "## By hidden effect", "Blocks A and B: hidden effects that matter, how often they are stated, and how often "
         "the value stated is right.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",
-        "## Other methods", "Share of the oracle's gain in held-out 5 s position, on the cases of A and B that were "
-        "given to all of them.", _methods(records),
+        "## Other methods", "Share of the oracle's improvement in held-out 5 s position, on the cases of A and B that "
+        "were given to all of them.", _methods(records),
         "## Limits of the decision", _ablation(ablated),
         "## What is truly different between plant and model", "Naming one of these is right, whatever is hidden.",
         table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in DIFFERENT.items()
@@ -124,8 +129,8 @@ def _methods(records: Sequence[Record]) -> str:
     regressed = [r for r in compared if "regression" in r["baselines"]]
     named = share(regressed, lambda r: bool(set(r["baselines"]["regression"]["names"]) & set(r["hidden"])))
     worse = share(regressed, lambda r: r["baselines"]["regression"]["after"] > r["baselines"]["regression"]["before"])
-    text = ("Sparse regression of the residual accelerations predicts no positions. What its largest term is called "
-            f"holds a hidden effect in {shown(named)}; the residual on held-out drives grows in {shown(worse)}.")
+    text = ("Sparse regression of the residual accelerations predicts no positions. Its largest term names a "
+            f"hidden effect in {shown(named)}; the residual on held-out drives grows in {shown(worse)}.")
     return table(("method", "median", "10th percentile", "made worse"), rows) + "\n\n" + text
 
 
@@ -147,7 +152,7 @@ def _ablation(records: Sequence[Record]) -> str:
     usual = by["", 1.0]
     cases = ", ".join(f"{n} {block}" for block, n in sorted(Counter(r["block"] for r in usual).items()))
     about = (f"The same cases with half and twice each limit; set {usual[0]['set']}, version {usual[0]['version']}, "
-             f"{cases}. So few cases show what a limit cannot be moved past, not which value is best.")
+             f"{cases}. So few cases show only which changes of a limit do harm, not which value is best.")
     return "\n\n".join((about, table(("limit", *ABLATED), rows)))
 
 

@@ -106,7 +106,7 @@ def second_car(address: str, away: float) -> Callable[[Rig], Undo]:
     def put(rig: Rig) -> Undo:
         other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         other.bind((address, 0))
-        elsewhere = changes.moved(away / EARTH_RADIUS)
+        elsewhere = changes.moved(away / changes.EARTH_RADIUS)
 
         def twice(data: bytes) -> Sequence[bytes]:
             other.sendto(elsewhere(data)[0], rig.car.ins.to)
@@ -198,7 +198,6 @@ NOISE = tuple(datagram(0x100 + k, bytes([k] * 8)) for k in range(4))  # 2000 fra
 STREAM, SOLUTION = "oxts_bridge: stream", "oxts_bridge: solution"
 POSITION, PUBLISHERS, STEERING = "predictor: position", "predictor: publishers", "predictor: steering"
 SOURCE, TIME = "oxts_bridge: source", "oxts_bridge: time"
-EARTH_RADIUS = 6_371_000.0  # m
 WEEK_MS = 7 * 86_400 * 1000
 PREDICTION, BUS, FRAMES = "predictor: prediction", "canedge_bridge: bus", "canedge_bridge: frames"
 RECORDING = "recorder: recording"
@@ -233,9 +232,11 @@ INS = (
     Fault("second publisher of ins/odometry", 4.0, second_publisher, "reported at once with its name; not used",
           PUBLISHERS, "/intruder", short=True),
     *(Fault(f"position jumps by {size:g} m, and back", 3.0,
-            on_ins(lambda size=size: changes.moved(size / EARTH_RADIUS)),
+            on_ins(lambda size=size: changes.moved(size / changes.EARTH_RADIUS)),
             "no prediction and no score across it; reported, counted", POSITION, f"jump of {size:g}", short=size == 0.5)
       for size in (0.5, 6.4, 640.0)),
+    Fault("RTK float for 2 s drifts by 0.8 m, then fixed again", 4.0, on_ins(lambda: changes.Refix().change),
+          "no prediction and no score across it; reported, counted", POSITION, "jump of 0."),
     Fault("latitude NaN", 2.0, on_ins(lambda: changes.at_latitude(math.nan)), "not used; reported by the bridge",
           STREAM, "impossible positions", STOP),
     Fault("latitude of 2 rad", 2.0, on_ins(lambda: changes.at_latitude(2.0)), "not used; reported by the bridge",

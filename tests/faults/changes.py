@@ -13,6 +13,7 @@ from st_recordings.paths import config
 from .wires import Change, datagram, frame_data, identifier
 
 STEERING = 0x002
+EARTH_RADIUS = 6_371_000.0  # m
 _MINUTE_MS = 60_000
 _NONE: Sequence[bytes] = ()
 
@@ -124,6 +125,26 @@ class Restart:
         packet = bytearray(data)
         packet[21] = 2 if age < self.INITIALISING else 3
         return (signed(packet),)
+
+
+class Refix:
+    """The fix is lost for a while and found again elsewhere: RTK float drifts off to the north, RTK integer is back
+    where it was."""
+
+    FLOAT, DRIFT = 2.0, 0.4  # s, m/s
+    RTK_FLOAT = 5
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+        self._float = position_mode(self.RTK_FLOAT)
+
+    def change(self, data: bytes) -> Sequence[bytes]:
+        self._since = self._since or time.monotonic()
+        age = time.monotonic() - self._since
+        if age > self.FLOAT:
+            return (data,)
+        (drifted,) = moved(self.DRIFT * age / EARTH_RADIUS)(data)
+        return self._float(drifted)
 
 
 class Chance:

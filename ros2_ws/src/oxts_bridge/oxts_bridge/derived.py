@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .batch import EMPTY, REGULAR, UNKNOWN_TIME, Columns
+from .file_decoder import EMPTY, REGULAR, UNKNOWN_TIME, Columns
 from .geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
 from .low_pass import LowPass
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .batch import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .channels import FIELDS
 from .derived import Settings, derive, float_seconds
 from .fields import INVERTED_B6, Value
+from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .gps_time import WEEK_MS
 from .ncom import NcomError
 from .status import PARTS, StatusTracker

@@ -9,7 +9,7 @@ from .timeseries import TimeSeries
 from .types import ControlInput, InsSample
 
 INS_COLUMNS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "filtered_velocity_x", "velocity_x_dot")
-YAW, VELOCITY_X, FILTERED, DERIVATIVE = 2, 3, 6, 7
+YAW, VELOCITY_X, YAW_RATE, FILTERED, DERIVATIVE = 2, 3, 5, 6, 7
 
 
 class PositionJump(NamedTuple):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import overload
 
 import numpy as np
 
@@ -76,6 +77,12 @@ class Alignment:
     second_peak: tuple[float, float] | None = None
     overlap: float = 0.0
 
+    @overload
+    def to_reference_ns(self, other_ns: int) -> int: ...
+
+    @overload
+    def to_reference_ns(self, other_ns: np.ndarray) -> np.ndarray: ...
+
     def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray | int:
         """Time on the other clock -> time on the reference clock [ns], in whole nanoseconds."""
         since = np.asarray(other_ns, dtype=np.int64) - self.at_ns
@@ -84,7 +91,7 @@ class Alignment:
 
     def offset_at_ns(self, other_ns: int) -> int:
         """Reference time minus other time at an instant of the other clock [ns]."""
-        return int(self.to_reference_ns(other_ns)) - other_ns
+        return self.to_reference_ns(other_ns) - other_ns
 
     @property
     def ambiguous(self) -> bool:

@@ -12,9 +12,10 @@ from . import frames
 from .alignment import DERIVATIVE, MeasurementHistory
 from .augmented import AugmentedModel
 from .effects import Measured
-from .errors import StCoreError
+from .errors import ConfigurationError, StCoreError
 from .filtering import NANOSECOND
 from .interpolation import interpolate
+from .log import OPTIONAL_INS_SIGNALS
 from .models import Model
 from .readings import (
     MEMORY,
@@ -25,6 +26,7 @@ from .readings import (
     has_memory,
     held_steering,
     readings,
+    wanting,
 )
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
@@ -34,10 +36,14 @@ class ModelView:
     """One model's view of a MeasurementHistory that it shares with others.
 
     Where the model corrects the INS it keeps a history of its own, filled by `add_ins` and `add_steering` in step with
-    the shared one. vehicle: as in its file.
+    the shared one. vehicle: as in its file. Raises ConfigurationError where that takes what nobody measures live.
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
+        lacking = wanting(model, OPTIONAL_INS_SIGNALS)
+        if lacking:
+            raise ConfigurationError("model {}: effect {} needs {}, which is not measured live".format(
+                model.name, *lacking))
         self.model = model
         self.car = model.effective_vehicle(vehicle)
         self._vehicle = vehicle

@@ -3,6 +3,7 @@
 For a model without such effects everything passes unchanged, so callers need not ask.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,9 +12,10 @@ import numpy as np
 from . import frames
 from .augmented import AugmentedModel
 from .effects import Measured
+from .errors import StCoreError
 from .filtering import NANOSECOND
 from .interpolation import interpolate
-from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from .log import DriveLog
 from .models import Model
 from .types import InsSample
 from .vehicle import VehicleParameters
@@ -24,11 +26,24 @@ MEMORY_NS = round(MEMORY / NANOSECOND)
 
 
 def corrected_sample(model: Model, sample: InsSample) -> InsSample:
-    """The sample as a faultless INS would have given it."""
+    """The sample as a faultless INS would have given it; NaN where that takes an acceleration, see `wanting`."""
     if not isinstance(model, AugmentedModel) or not model.has_sensors:
         return sample
-    true = model.correct(Measured(*sample[1:], acceleration_x=0.0, acceleration_y=0.0))
+    true = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
     return InsSample(sample.time_ns, *true[:6])
+
+
+def wanting(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
+    """(effect, reading) of the first sensor effect that cannot correct pose, velocity or yaw rate where these
+    accelerations are not known; None where there is none."""
+    if not isinstance(model, AugmentedModel):
+        return None
+    for effect in model.active:
+        for reading in unknown if effect.correct else ():
+            known = Measured(1.0, 2.0, 0.1, 10.0, 0.2, 0.3, 0.4, 3.0)._replace(**{reading: np.nan})
+            if np.isnan(model.only([effect]).correct(known)[:6]).any():
+                return effect.name, reading
+    return None
 
 
 def corrected_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
@@ -82,14 +97,18 @@ def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> Driv
     """The drive as faultless sensors would have recorded it, with the angle the wheels had: what a model starts from.
 
     Input effects without memory (ratio, offset) are not applied: they are in the model's `inputs`. maximum_gap: [s].
+    Raises StCoreError where a sensor effect needs an acceleration that the drive does not hold.
     """
     if not isinstance(model, AugmentedModel):
         return log
     parts: dict[str, Any] = {}
     if model.has_sensors:
+        names = Measured._fields[:-1]
+        lacking = wanting(model, [name for name in names if getattr(log, name) is None])
+        if lacking:
+            raise StCoreError("{}: effect {} needs {}, which is not in it".format(log.name, *lacking))
         true = _corrected(model, log)
-        parts |= {name: getattr(true, name) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
-                  if getattr(log, name) is not None}
+        parts |= {name: getattr(true, name) for name in names if getattr(log, name) is not None}
     if model.has_memory:
         time_ns, angle = corrected_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
         parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}

@@ -1,15 +1,19 @@
 """Effects on the sensor side: what they make of a known truth, and the way back, for logs and single samples."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from st_core import frames
 from st_core.augmented import augment
-from st_core.effects import Measured
+from st_core.effects import EFFECTS, Effect, Measured, Parameter, register
+from st_core.errors import ConfigurationError, StCoreError
+from st_core.evaluation import Evaluator
 from st_core.log import DriveLog
 from st_core.models import MODELS
-from st_core.readings import corrected_log, corrected_sample, readings
+from st_core.prediction import Predictor
+from st_core.readings import corrected_log, corrected_sample, readings, wanting
 from st_core.types import InsSample, VehicleState
 from steady_circle import cg_to_ins
 
@@ -107,6 +111,52 @@ def test_logs_and_samples_are_corrected_alike():
         assert sample.time_ns == time_ns[i]
         for name in ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate"):
             assert getattr(sample, name) == pytest.approx(getattr(corrected, name)[i], rel=1e-14), name
+
+
+@pytest.fixture
+def leaning():
+    """An own effect: a unit on soft mounts, whose yaw is off by what the lateral acceleration presses it."""
+
+    class Leaning(Effect):
+        name = "leaning"
+        physics = "measured yaw = yaw + gain a_y"
+        excited_by = "curves"
+        kind, slot = "sensors", "heading"
+        parameters = (Parameter("gain", "rad s^2/m", null=0.0, initial=0.001, bounds=(-0.1, 0.1), odd=False,
+                                meaning="to the side it is pressed to", source="invented"),)
+
+        @staticmethod
+        def observe(measured, theta):
+            return measured._replace(yaw=measured.yaw + theta.gain * measured.acceleration_y)
+
+        @staticmethod
+        def correct(measured, theta):
+            return measured._replace(yaw=measured.yaw - theta.gain * measured.acceleration_y)
+
+    register(Leaning)
+    yield augment("linear", {"leaning": {"gain": 0.01}, "yaw_rate_bias": {"bias": 0.02}})
+    del EFFECTS["leaning"]
+
+
+def test_a_correction_that_needs_an_acceleration_is_made_of_the_measured_one_or_not_at_all(leaf, leaning):
+    time_ns = np.arange(5, dtype=np.int64) * 10_000_000
+    columns = [np.linspace(a, a + 0.1, 5) for a in (3.0, 4.0, 0.2, 11.0, 0.1, 0.3)]
+    log = DriveLog("short", time_ns, *columns, time_ns, np.zeros(5))
+    measured = replace(log, acceleration_y=np.full(5, 2.0))
+    np.testing.assert_allclose(corrected_log(leaning, measured).yaw, log.yaw - 0.02, rtol=1e-14)
+    with pytest.raises(StCoreError, match="short: effect leaning needs acceleration_y, which is not in it"):
+        corrected_log(leaning, log)
+    with pytest.raises(ConfigurationError, match="effect leaning needs acceleration_y, which is not measured live"):
+        Predictor(leaf, [leaning])
+    with pytest.raises(ConfigurationError, match="effect leaning needs acceleration_y, which is not measured live"):
+        Evaluator(leaf, models=[leaning])
+    assert math.isnan(corrected_sample(leaning, InsSample(5, 1.0, 2.0, 0.3, 4.0, 0.5, 0.6)).yaw)
+
+
+def test_no_effect_of_the_library_needs_an_acceleration_to_correct_the_rest():
+    for effect in EFFECTS.values():
+        if effect.correct:
+            assert wanting(augment("linear", [effect.name]), ("acceleration_x", "acceleration_y")) is None
 
 
 def test_models_without_sensor_effects_hand_samples_through():

@@ -30,6 +30,11 @@ from st_recordings.runs.messages import ODOMETRY, STEERING
 
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
 MODES = ("hindsight", "forecast")
+# Nodes and recorder find each other one by one, and the filter of the forward acceleration begins with the first sample
+# each of them hears. After so many of its time constants it knows nothing of that (2e-9 is left).
+SETTLED = 20.0
+# So long without a prediction, the predictor may have been started again [s]; a busy computer skips fewer ticks.
+PAUSE = 1.0
 CUT = "{} was cut: its recorder did not end it; what came after is not {}"
 
 
@@ -39,7 +44,8 @@ class Comparison:
 
     n_starts: predictions compared. n_scores: complete scores compared, by mode. n_cut: scores the nodes were ended
     before; n_disagree: other scores complete on one side only, jumps of the position apart. start: position at the
-    start alone, which tells a different state from a different prediction [m].
+    start alone, which tells a different state from a different prediction [m]. n_settling: predictions, with their
+    scores, that are not compared, see `settled`.
     """
 
     model: str
@@ -52,6 +58,7 @@ class Comparison:
     error: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))
     n_cut: int = 0
     n_disagree: int = 0
+    n_settling: int = 0
 
     @property
     def largest(self) -> float:
@@ -147,7 +154,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
             warnings.append(f"predictions of {name} are not compared: the library has no model of that name")
             continue
         of_model = {mode: scores[name, mode] for mode in MODES if (name, mode) in scores}
-        comparisons.append(_compare(model, car, signals, live, of_model, progress))
+        comparisons.append(_compare(model, car, signals, live, of_model, settings.filter_cutoff, progress))
     expected = configuration_hash(car, settings)
     same = all(live.hashes == {expected} for live in predictions.values())
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
@@ -158,26 +165,42 @@ def _settings(recorded: RecordedConfiguration) -> PredictionSettings:
     return PredictionSettings(**{key: float(given[key]) for key in SETTINGS if key in given})
 
 
+def settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
+    """Whether the forward acceleration at a start no longer depends on which INS sample was the first to be heard.
+
+    starts_ns: of predictions, rising. A predictor that was started again begins anew, so the time counts from the first
+    start since the recording knows the INS, and from the first after every pause. cutoff: of the filter [Hz].
+    """
+    known = starts_ns >= ins_time_ns[0] if len(ins_time_ns) else np.zeros(len(starts_ns), bool)
+    begins = np.diff(starts_ns, prepend=starts_ns[:1] - round(2e9 * PAUSE)) > round(1e9 * PAUSE)
+    begins |= np.diff(known, prepend=False)
+    since_ns = starts_ns - np.maximum.accumulate(np.where(begins, starts_ns, starts_ns[:1]))
+    return known & (since_ns > SETTLED / (2.0 * np.pi * cutoff) * 1e9)
+
+
 def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Predictions, scores: Mapping[str, Scores],
-             progress: Progress | None) -> Comparison:
+             cutoff: float, progress: Progress | None) -> Comparison:
     horizon = live.step * (live.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=live.step, minimum_speed=0.0))
     result = Comparison(model.name)
-    for rows, block in evaluate_blocks([model], car, signals, live.starts_ns, settings):
-        ours, theirs = block.trajectories[model.name, "forecast"], live.states[rows]
+    kept = settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
+    result.n_settling = int((~kept).sum())
+    starts_ns, live_states = live.starts_ns[kept], live.states[kept]
+    for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings):
+        ours, theirs = block.trajectories[model.name, "forecast"], live_states[rows]
         known = np.isfinite(ours).all(axis=(1, 2)) & np.isfinite(theirs).all(axis=(1, 2))
         distance = np.hypot(ours[known][..., 0] - theirs[known][..., 0], ours[known][..., 1] - theirs[known][..., 1])
         result.n_starts += int(known.sum())
         if distance.size:
             if distance.max() > result.position:
-                result.at_ns = int(live.starts_ns[rows][known][distance.max(axis=1).argmax()])
+                result.at_ns = int(starts_ns[rows][known][distance.max(axis=1).argmax()])
             result.position = max(result.position, float(distance.max()))
             result.start = max(result.start, float(distance[:, 0].max()))
             result.yaw = max(result.yaw, float(np.abs(ours[known][..., 4] - theirs[known][..., 4]).max()))
         for mode, scored in scores.items():
-            _compare_scores(result, mode, scored, live.starts_ns[rows], block.errors[model.name, mode])
+            _compare_scores(result, mode, scored, starts_ns[rows], block.errors[model.name, mode])
         if progress:
-            progress(rows.stop, len(live.starts_ns))
+            progress(rows.stop, len(starts_ns))
     return result
 
 

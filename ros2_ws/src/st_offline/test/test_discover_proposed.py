@@ -16,7 +16,8 @@ from st_core.proposals import Candidate, Proposal, Proposals, Reading, wanted
 from st_core.proposals.places import ASKED, NEITHER, PAIRS
 from st_core.proposals.scrutiny import Shares
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery import law_file, proposed
+from st_offline.discovery import law_figure, law_file, law_words, proposed
+from st_offline.evaluation.drawing import Place
 from support import ROOT
 
 CAR = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").read_text())
@@ -75,6 +76,15 @@ def test_the_file_keeps_the_promises_of_an_effect(tmp_path, registry, place, qua
     assert [promise for promise in check_effect(EFFECTS[law_file.name_of(one)], CAR) if promise.problem] == []
 
 
+def test_the_curve_is_drawn_in_the_units_of_an_engineer():
+    assert set(law_words.AXES) == set(law_words.PLACES) == set(ASKED)
+    assert [law_figure.shown(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
+        "°", "%", "m/s²", "rad per rad/s"]
+    assert law_figure.shown("1")[0] == 100.0 and law_figure.shown("rad")[0] == pytest.approx(57.2958)
+    drawn = law_figure.law_figure(proposal("front_grip", "speed", NEITHER), Place(None, ()))
+    assert "0.800 m without it, 0.500 m with it" in drawn.title and "in 1 and m/s" in drawn.caption
+
+
 def test_what_comes_and_goes_is_told_and_a_law_of_time_is_no_file(tmp_path, registry):
     one = replace(proposal("both_grip", "run_time", 0.0), shares=Shares({"lap": (1.2, 0.1), "other": (0.1, 0.1)}, 1e-6))
     said = Proposals(one, "it takes away 10 %", {})
@@ -96,8 +106,8 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     assert "PROPOSAL" in lines and "do not tell it from: side force on the body over the speed (0.90)" in lines
     assert "mass is stated above, but with this law it has little left to do (without it 0.4% of" in lines
     assert "1 of 1 runs" in lines
-    assert "least sure at lateral acceleration -6 m/s^2: " in lines
-    assert "± 0.02 rad; driving there would pin it down" in lines
+    assert "least sure at lateral acceleration -6 m/s²: " in lines
+    assert "± 1.1 °; driving there would pin it down" in lines
     content = proposed.document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
 

@@ -10,7 +10,7 @@ from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
 from st_core.vehicle import VEHICLE_QUANTITIES
 
-from .car import STEERING, Car, car_named, read_table, read_vehicle
+from .car import Car, car_named, read_table, read_vehicle
 from .paths import config
 from .runs.errors import RunError
 
@@ -18,14 +18,14 @@ FILL_IN = "FILL_IN"
 """Stands where only the owner of the car knows; no reader of these files takes it for a value."""
 HINTS = {
     "mass": "four wheel scales, with driver and equipment",
-    "yaw_inertia": "a comparable car to begin with, or identified",
-    "wheelbase": "tape, or the papers of the car",
+    "yaw_inertia": "at first from a comparable car, later identified",
+    "wheelbase": "tape measure, or the registration papers",
     "cg_to_front_axle": "wheelbase * load of the rear axle / mass",
-    "cg_to_ins_x": "tape, from the CG to the unit's measurement point; behind the CG is negative",
+    "cg_to_ins_x": "tape measure, from the CG to the unit's measurement point; behind the CG is negative",
     "steering_ratio": "turntables, mean of both front wheels",
     "drive_front": "1: front-wheel drive, 0: rear-wheel drive, between: the front axle's share of all-wheel drive",
-    "cornering_stiffness_front": "a comparable car to begin with, then identified",
-    "cornering_stiffness_rear": "a comparable car to begin with, then identified",
+    "cornering_stiffness_front": "at first from a comparable car, later identified",
+    "cornering_stiffness_rear": "at first from a comparable car, later identified",
 }
 """What no other car can lend, and how it is got."""
 ZERO = ("cg_to_ins_y", "steering_wheel_offset")
@@ -37,10 +37,10 @@ messages:
     needed: true
     period: {value: 0.01, unit: s}
     timeout: {value: 0.2, unit: s}
-    # counter: {signal: NAME, check: warn}                # worth the trouble where the car has them
+    # counter: {signal: NAME, check: warn}                # if the message has them
     # checksum: {signal: NAME, rule: sum8_id, check: drop}
     signals:
-      # unit as in the DBC. Leave sign at 1: which way the sensor counts is steering_sign in car.yaml.
+      # unit as in the DBC. Leave sign at 1: the sign of the sensor is steering_sign in car.yaml.
       FILL_IN_signal: {name: steering_wheel_angle, unit: deg, sign: 1, range: [-900, 900], max_rate: 2000}
 
 """
@@ -49,23 +49,23 @@ VERSION ""
 
 BU_: CAR RT LOGGER
 
-// The messages of your car. Needed is one with the steering wheel angle, for example:
+// The messages of your car. You need one with the steering wheel angle, for example:
 // BO_ 37 MyCar_Steering: 8 CAR
 //  SG_ SteerAngle : 0|16@1- (0.1,0) [-3276.8|3276.7] "deg" LOGGER
 // start bit | length @ 1: low byte first, 0: high byte first; - signed, + unsigned; (factor,offset) [least|greatest].
-// A message that is multiplexed (m0, M) is refused by name: declare what you need of it as a plain message, and only
-// if those bits never mean anything else.
-// Where the OxTS RT sends on the same bus, append its messages: cat rt.dbc >> can.dbc
+// Multiplexed messages (m0, M) are refused. Declare the message as a plain one if the bits you need never carry
+// anything else.
+// If the OxTS RT sends on the same bus, append its messages: cat rt.dbc >> can.dbc
 """
 CAR = """\
 # road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio, left positive.
-# steering_wheel_offset and steering_ratio stand in vehicle.yaml.
-steering_sign: 1         # 1: the sensor, as can.dbc and signals.yaml decode it, is left positive; -1: right positive
-steering_latency: 0.0    # s, from the turn of the wheel to the frame in the log (0 to 1)
+# steering_wheel_offset and steering_ratio are values of vehicle.yaml.
+steering_sign: 1         # 1: the sensor, as can.dbc and signals.yaml decode it, is positive to the left; -1: right
+steering_latency: 0.0    # s, from the motion of the wheel to the frame in the log (0 to 1)
 """
 VEHICLE = """\
-# Every value carries its unit and where it comes from; FILL_IN is what only you know: value and source.
-# The other values are assumed and fair to begin with.
+# Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
+# The other values are assumptions to start with.
 name: FILL_IN
 """
 
@@ -101,7 +101,7 @@ def problems(folder: str) -> list[str]:
         if not str(error.path).endswith("car.yaml"):
             raise
         # The other files deserve their lines all the same.
-        car = Car(error.path.parent, **STEERING)
+        car = Car(Path(error.path).parent, 1, 0.0)
         return [str(error), *_vehicle_problems(car.vehicle), *_bus_problems(car)]
     return [*_vehicle_problems(car.vehicle), *_bus_problems(car)]
 
@@ -111,7 +111,7 @@ def _vehicle_problems(file: Path) -> list[str]:
         document = read_table(file)
         empty = sorted({where for where in _places(document)}, key=list(document).index)
         if empty:
-            return [f"{file}: {key}: to be filled in{_limit(key)}" for key in empty]
+            return [f"{file}: {key}: not filled in{_limit(key)}" for key in empty]
         read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
@@ -124,18 +124,18 @@ def _bus_problems(car: Car) -> list[str]:
         return []
     if len(there) == 1:
         missing = car.signals if car.dbc.exists() else car.dbc
-        return [f"{missing}: there is no such file, and {there[0].name} means nothing without it; write it, or take "
-                "both away"]
+        return [f"{missing}: there is no such file, and {there[0].name} is of no use without it; write it, or delete "
+                "both"]
     try:
         if any(_places(read_table(car.signals))):
-            return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are to be filled in: names in "
+            return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: names in "
                     f"{car.dbc.name} of the message and the signal with the steering wheel angle"]
         table = load_table(car.dbc, car.signals)
     except (RunError, TableError) as error:
         return [str(error)]
     if not any(signal.name == "steering_wheel_angle" for one in table.messages.values() for signal in one.signals):
-        return [f"{car.signals}: messages: no signal of {car.dbc.name} is named steering_wheel_angle; without it there "
-                "is nothing to predict with"]
+        return [f"{car.signals}: messages: no signal of {car.dbc.name} is named steering_wheel_angle, which every "
+                "prediction needs"]
     return []
 
 

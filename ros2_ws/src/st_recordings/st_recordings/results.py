@@ -93,16 +93,17 @@ def _track(path: Path, bag: Storage) -> Track:
     values = numbers(path, bag, ODOMETRY, ["header.stamp", *point, *turn])
     if values is None:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
-    w, x, y, z = (values[name] for name in turn)
-    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    return Track(values["header.stamp"], *(values[name] for name in point), yaw)
+    w, i, j, k = (values[name] for name in turn)
+    yaw = np.unwrap(np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k)))
+    x, y = (values[name] for name in point)
+    return Track(values["header.stamp"], x, y, yaw)
 
 
 def _ticks(bag: Storage) -> dict[str, Any]:
     last = deque(bag.messages(STATUS), maxlen=1)
     if not last:
         return {"due": 0, "predicted": 0, "skipped": 0}
-    status = typestore(definitions()).deserialize_cdr(last[0], "st_msgs/msg/PredictorStatus")
+    status: Any = typestore(definitions()).deserialize_cdr(last[0], "st_msgs/msg/PredictorStatus")
     skipped = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}
     return {"due": status.due, "predicted": status.predicted, "skipped": sum(skipped.values()),
             "skipped_by_reason": skipped}

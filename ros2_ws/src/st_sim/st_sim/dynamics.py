@@ -60,6 +60,7 @@ class Constants(NamedTuple):
     combined: float
     rolling: float
     drag_area: float
+    drive_offset: float
     transfer_x: float
     transfer_y: float
     static_front: float
@@ -94,6 +95,7 @@ def constants(car: Car, settings: Settings, step: float) -> Constants:
         combined=s["combined_slip"],
         rolling=s["rolling_resistance"],
         drag_area=s["drag_area"],
+        drive_offset=s["drive_offset"],
         transfer_x=s["longitudinal_load_transfer"] * mass * car.cg_height / car.wheelbase / 2,
         transfer_y=s["lateral_load_transfer"] * mass * car.cg_height / TRACK_WIDTH,
         static_front=mass * GRAVITY * to_rear / car.wheelbase / 2,
@@ -166,8 +168,8 @@ def derivative(  # noqa: PLR0915
     # fmt: off
     (
         mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer,
-        roll_gradient, camber, ackermann, fastest, relaxation, combined, rolling, drag_area, transfer_x, transfer_y,
-        static_front, static_rear, calm, front, rear,
+        roll_gradient, camber, ackermann, fastest, relaxation, combined, rolling, drag_area, drive_offset,
+        transfer_x, transfer_y, static_front, static_rear, calm, front, rear,
     ) = c
     # fmt: on
     (_, _, _, yaw, vx, vy, r, rack, give, s_fl, s_fr, s_rl, s_rr, lean, lean_rate, squat) = s
@@ -227,6 +229,7 @@ def derivative(  # noqa: PLR0915
         - to_rear * (by_rl + by_rr)
         + half_track * (bx_fr - bx_fl + bx_rr - bx_rl)
         + WIND_ARM * air_y
+        + drive_offset * drive_force
     )
 
     felt_x, felt_y = force_x / mass, force_y / mass

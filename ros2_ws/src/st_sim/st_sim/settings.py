@@ -56,6 +56,7 @@ _TABLE = (
     ("mass_factor", "body", 1.0, 0.5, 2.0, "1", "mass"),
     ("yaw_inertia_factor", "body", 1.0, 0.5, 2.0, "1", "yaw inertia"),
     ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "CG forward of the vehicle file's; the INS stays in the body"),
+    ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "drive and brake act so far right of the middle: torque steer"),
     ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "c_d A"),
     ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "drag force over load"),
     # Road and air.

@@ -7,7 +7,7 @@ import pytest
 from st_sim.car import GRAVITY, TRACK_WIDTH, read_car
 from st_sim.environment import Environment
 from st_sim.errors import SimulationError
-from st_sim.plant import RACK, STEP, VX, Plant, Y, Z
+from st_sim.plant import RACK, STEP, VX, YAW_RATE, Plant, Y, Z
 from st_sim.scenarios import load
 from st_sim.settings import IDEAL, PRESETS, REALISTIC, SETTINGS, overrides, resolve
 from st_sim.simulation import SimulatedCar
@@ -42,6 +42,7 @@ ON = {
     "mass_factor": (1.18, {}),
     "yaw_inertia_factor": (1.22, {}),
     "cg_shift": (0.1, {}),
+    "drive_offset": (0.1, {}),
     "drag_area": (0.65, {}),
     "rolling_resistance": (0.011, {}),
     "bank_angle": (0.03, {}),
@@ -137,6 +138,17 @@ def test_load_transfer_and_roll_follow_the_lateral_acceleration():
     assert a_y > 2.0
     assert right - left == pytest.approx(2 * CAR.mass * a_y * CAR.cg_height / TRACK_WIDTH, rel=0.01)
     assert plant.body_roll == pytest.approx(0.0075 * a_y, rel=0.01)
+
+
+def test_drive_beside_the_middle_turns_the_car():
+    rates = []
+    for effects in ([], ["drive_offset=0.1"]):
+        plant = Plant(CAR, resolve("ideal", effects))
+        plant.place(0.0, 0.0, 0.0, 15.0)
+        plant.step(0.0, 2000.0)
+        rates.append(plant.state[YAW_RATE])
+    assert rates[0] == 0.0
+    assert rates[1] == pytest.approx(0.1 * 2000.0 / (CAR.yaw_inertia / STEP), rel=0.02)  # tyres hardly resist yet
 
 
 def test_longitudinal_load_transfer():

@@ -30,8 +30,8 @@ def _record(value: str) -> str:
 Runs = Annotated[list[Path], typer.Argument(
     help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False)]
 CarName = Annotated[str | None, typer.Option(
-    "--car", help="The car that drives or was recorded: a name in config/car, or a folder with vehicle.yaml, can.dbc, "
-    "signals.yaml and car.yaml. --vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
+    "--car", help="The car: a name in config/car, or a folder with vehicle.yaml, can.dbc, signals.yaml and car.yaml. "
+    "--vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
     "--vehicle", help="Vehicle file; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
 VehicleOfBag = Annotated[Path | None, typer.Option(
@@ -40,47 +40,47 @@ VehicleOfBag = Annotated[Path | None, typer.Option(
 Models = Annotated[list[str], typer.Option(
     "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")]
 EffectsOfFile = Annotated[Path | None, typer.Option(
-    "--effects", help="Folder of own effects that a model file uses.", exists=True, file_okay=False)]
+    "--effects", help="Folder of your own effects that a model file uses.", exists=True, file_okay=False)]
 FourthModel = Annotated[Path | None, typer.Option(
-    "--model", help="Model file (model.yaml of `st discover`): a fourth model beside the three.", exists=True,
+    "--model", help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.", exists=True,
     dir_okay=False)]
 EffectsOfModel = Annotated[Path | None, typer.Option(
-    "--effects", help="Folder of own effects that --model uses.", exists=True, file_okay=False)]
+    "--effects", help="Folder of your own effects that --model uses.", exists=True, file_okay=False)]
 Filtering = Annotated[Literal["causal", "zero-phase"], typer.Option(
-    "--acceleration", help="Filter of the forward speed before its derivative; causal is what the car can do.")]
+    "--acceleration", help="Filter of the forward speed before its derivative; live, only causal is possible.")]
 Inputs = Annotated[Literal["interpolate", "hold"], typer.Option(
     "--inputs", help="Measured inputs within an integration step: interpolated, or held over it.")]
-Horizon = Annotated[float, typer.Option(help="s, a whole number of steps.")]
-Step = Annotated[float, typer.Option(help="s, of the integration.")]
-MinimumSpeed = Annotated[float, typer.Option(help="m/s; no prediction starts below.")]
+Horizon = Annotated[float, typer.Option(help="Length of a prediction, s; a whole number of steps.")]
+Step = Annotated[float, typer.Option(help="Integration step, s.")]
+MinimumSpeed = Annotated[float, typer.Option(help="No prediction starts below this speed, m/s.")]
 BandsFile = Annotated[Path | None, typer.Option(
     "--bands", help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False)]
 View = Annotated[bool, typer.Option("--view", help="Show it live in the browser, served on this machine only.")]
 ViewSave = Annotated[Path | None, typer.Option(help="Write the live view to this file (.rrd), for `st view`.")]
 Offset = Annotated[float | None, typer.Option(
-    help="INS minus CAN clock, s, by hand; default: found in the signals.")]
+    help="INS minus CAN clock, s, set by hand; default: found from the signals.")]
 InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
-    help="Of the INS's own CAN frames, and its deviation, s; assumed 0.002 0.002.")]
+    help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")]
 Dbc = Annotated[Path | None, typer.Option(
     help="DBC of the CAN logs; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
 Signals = Annotated[Path | None, typer.Option(
-    help="Table from DBC signals to ours; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+    help="Signal table for the DBC; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
 SteeringSign = Annotated[int | None, typer.Option(
-    callback=_sign, help="1 where the sensor, as DBC and table decode it, is left positive; -1: right. Default that of "
-    "--car, else 1; live: else that of config/nodes.yaml.")]
+    callback=_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the right. "
+    "Default that of --car, else 1; live: else that of config/nodes.yaml.")]
 SteeringTopic = Annotated[str | None, typer.Option(
-    "--steering-topic", help="Bags of another make: the topic with the steering angle, rad, left +; of any type of "
-    "ROS 2 Jazzy. Default: the one of type st_msgs/Steering.")]
+    "--steering-topic", help="For bags of other recorders: the topic with the steering angle, rad, left +, of any type "
+    "of ROS 2 Jazzy. Default: the one of type st_msgs/Steering.")]
 SteeringPath = Annotated[str, typer.Option(
     "--steering-field", help="The number in its messages: data, drive.steering_angle, ...")]
 SteeringIs = Annotated[str, typer.Option(
-    "--steering-is", help="road: angle of the front wheels; wheel: of the hand wheel, ratio and offset of the vehicle "
-    "file make the other.")]
+    "--steering-is", help="road: angle of the front wheels; wheel: of the hand wheel, converted with ratio and offset "
+    "of the vehicle file.")]
 Record = Annotated[str, typer.Option(
     "--record", callback=_record, help="needed: raw packets and frames, odometry, status, steering, predictions, "
-    "errors, diagnostics; what the bridges publish besides can be made again from them. all: that too.")]
+    "errors, diagnostics. all: also the other topics of the bridges, which can be computed from these.")]
 SteeringLatency = Annotated[float | None, typer.Option(
-    help="s, from the turn of the wheel to the frame; default that of --car, else 0; live: else that of "
+    help="s, from the motion of the wheel to the frame; default that of --car, else 0; live: else that of "
     "config/nodes.yaml.", min=0.0, max=1.0)]
 
 

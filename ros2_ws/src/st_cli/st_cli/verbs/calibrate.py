@@ -17,10 +17,10 @@ def calibrate(
     effects: shared.EffectsOfFile = None,
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
-    output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; never one that is there already."),
+    output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; it must not exist."),
     level: list[float] = typer.Option(
-        [0.5, 0.9], "--level", help="Share of whole paths that is to lie inside; repeatable. n runs can promise "
-        "n/(n + 1) at most: 9 runs for 0.9."
+        [0.5, 0.9], "--level", help="Share of whole paths that shall lie inside; repeatable. n runs allow "
+        "at most n/(n + 1): 9 runs for 0.9."
     ),
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
@@ -32,7 +32,7 @@ def calibrate(
     signals: shared.Signals = None,
     steering_sign: shared.SteeringSign = None,
     steering_latency: shared.SteeringLatency = None,
-    force: bool = typer.Option(False, "--force", help="Use also runs in which `st check` finds an error."),
+    force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
 ) -> None:
     """Learn how far from its predicted path the car will be: bands that hold on drives that were not among these.
 

@@ -12,11 +12,11 @@ def car(
     what: Literal["new", "check"] = typer.Argument(..., help="new, or check.", show_default=False),
     folder: str = typer.Argument(..., help="Folder of the car; check: also a name in config/car.", show_default=False),
 ) -> None:
-    """Write the folder of a new car with its places to fill in, or say what is wrong with the folder of a car.
+    """Write the folder of a new car for you to fill in, or check the folder of a car.
 
     new: vehicle.yaml, signals.yaml, can.dbc, rt.dbc (of an OxTS RT on the same bus, to append to can.dbc) and car.yaml.
-    check: one line for each fault; a new folder fails for what is to be filled in and for nothing else. Exit status: 0
-    written, or good; 1 faults were found; 2 there is nothing to check, or nothing may be written.
+    check: one line for each mistake and each place that is not filled in. Exit status: 0 written, or no mistake; 1
+    mistakes were found; 2 there is no such folder to check, or the folder to write exists.
     """
     from st_recordings.car_skeleton import problems, write_skeleton
 
@@ -29,5 +29,5 @@ def car(
     for line in found:
         typer.echo(f"st car: {line}", err=True)
     if not found:
-        typer.echo(f"{folder}: nothing is wrong with it")
+        typer.echo(f"{folder}: no mistake found")
     raise typer.Exit(int(bool(found)))

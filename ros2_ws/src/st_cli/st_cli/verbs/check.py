@@ -15,7 +15,7 @@ def check(
     json: Path | None = typer.Option(None, "--json", help="File of the numbers; default check.json in that folder.",
                                      dir_okay=False),
     propose_cure: Path | None = typer.Option(
-        None, help="Write a run.yaml that corrects what was found, of one run.", dir_okay=False
+        None, help="Write a run.yaml that corrects the findings; for a single run.", dir_okay=False
     ),
     offset: shared.Offset = None,
     ins_can_latency: shared.InsCanLatency = None,

@@ -19,18 +19,18 @@ def demo(
     drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", exists=True, dir_okay=False),
     # No --car: DBC, table and steering on these wires are the virtual Leaf's, those of another car could not be heeded.
     vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default the Leaf's. Its bus is always the Leaf's: hence no --car here.", exists=True,
-        dir_okay=False
+        None, help="Vehicle file; default the Leaf's. There is no --car, because the bus is always the Leaf's.",
+        exists=True, dir_okay=False
     ),
     plant_vehicle: Path | None = typer.Option(
-        None, help="Vehicle file of the virtual Leaf itself; default the same. --vehicle is what the nodes believe.",
+        None, help="Vehicle file of the virtual Leaf itself; default the same. --vehicle is that of the nodes.",
         exists=True, dir_okay=False
     ),
     duration: float | None = typer.Option(None, help="Seconds of driving; default 60, or the whole drive.", min=6.0),
     plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
     effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),
     ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
-    seed: int = typer.Option(0, help="Of the simulated noise."),
+    seed: int = typer.Option(0, help="Seed of the simulated noise."),
     model: shared.FourthModel = None,
     effects: shared.EffectsOfModel = None,
     bands: shared.BandsFile = None,

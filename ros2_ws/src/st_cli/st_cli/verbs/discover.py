@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import typer
+from st_core.channels import CHANNELS
 from typer.core import TyperCommand
 
 from . import _options as shared
@@ -43,7 +44,7 @@ def spread(words: Sequence[str]) -> list[str]:
 def discover(
     runs: shared.Runs,
     reference: list[Path] = typer.Option(
-        [], REFERENCE, help="Drives known to be healthy, all paths up to the next option; the search starts from them "
+        [], REFERENCE, help="Drives of the healthy car, all paths up to the next option; the search starts from them "
         "instead of the vehicle file."
     ),
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
@@ -51,34 +52,34 @@ def discover(
     vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(
-        "velocity_y,yaw_rate,acceleration_y,yaw,position", help="Measurements to use, with commas between."
+        ",".join(CHANNELS), help="Measurements to use, separated by commas."
     ),
     effects: Path | None = typer.Option(
-        None, help="Folder of own effects that take part.", exists=True, file_okay=False
+        None, help="Folder of your own effects that take part.", exists=True, file_okay=False
     ),
     certify: bool = typer.Option(
-        False, "--certify", help="Search also these drives with known effects put in, and without any: what would be "
-        "found, and what is a false alarm. Takes minutes."
+        False, "--certify", help="Repeat the search with known effects added, and without any, to see what would be "
+        "found and how often there are false alarms. Takes minutes."
     ),
     propose: bool | None = typer.Option(
-        None, "--propose/--no-propose", help="Look for a law beyond the library, and write it as an effect file to "
-        "keep or delete; default: where much is left unexplained. Takes a minute."
+        None, "--propose/--no-propose", help="Search for a relation beyond the library, and write it as an effect file "
+        "to keep or delete; default: if much is left unexplained. Takes a minute."
     ),
-    seed: int = typer.Option(0, help="Of every drawing of numbers."),
-    jobs: int = typer.Option(1, help="Processes side by side.", min=1),
+    seed: int = typer.Option(0, help="Seed of all random draws."),
+    jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; an empty text for none."),
-    report: bool = typer.Option(True, help="Draw the figures and the page; without, numbers, model and vehicle only."),
+    report: bool = typer.Option(True, help="Draw figures and report; otherwise write numbers, model and vehicle only."),
     offset: shared.Offset = None,
     dbc: shared.Dbc = None,
     signals: shared.Signals = None,
     steering_sign: shared.SteeringSign = None,
     steering_latency: shared.SteeringLatency = None,
-    force: bool = typer.Option(False, "--force", help="Use also runs in which `st check` finds an error."),
-    fresh: bool = typer.Option(False, "--fresh", help="Read and search anew; take nothing from an earlier start."),
+    force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
+    fresh: bool = typer.Option(False, "--fresh", help="Read and search again; use nothing from an earlier call."),
 ) -> None:
-    """Find where model and measurement disagree, name what is missing, mend it, show the gap shrink.
+    """Find what is missing from vehicle file, sensors and model, write it into new files, show the error it removes.
 
-    Exit status: 0 answered from all runs, 1 some could not be used, 2 nothing could be started.
+    Exit status: 0 the answer uses all runs, 1 some could not be used, 2 the search could not be started.
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console

@@ -73,7 +73,7 @@ def _checked(files: Sequence[Path], car: "VehicleParameters", console: "Console"
     for file in files:
         if not file.is_file() or file.suffix != ".py":
             raise ConfigurationError(f"{file}: no effect file (.py)")
-    chosen = [e for f in files for e in load_file(str(f.absolute().parent), f.stem)] if files else EFFECTS.values()
+    chosen = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()
     kept = True
     for effect in chosen:
         found = check_effect(effect, car)

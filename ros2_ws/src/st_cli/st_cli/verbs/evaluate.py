@@ -21,7 +21,7 @@ def evaluate(
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
-    at: str = typer.Option("", help="Starts to look at closely, s: 1,10,19,28. Default: four spread over the run."),
+    at: str = typer.Option("", help="Starts drawn in detail, s: 1,10,19,28. Default: four spread over the run."),
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
     table: Literal["means", "samples"] = typer.Option(
@@ -29,7 +29,7 @@ def evaluate(
     ),
     horizon: shared.Horizon = 5.0,
     step: shared.Step = 0.05,
-    interval: float = typer.Option(0.1, help="s, between starts."),
+    interval: float = typer.Option(0.1, help="Time between starts, s."),
     minimum_speed: shared.MinimumSpeed = 0.5,
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
     offset: shared.Offset = None,
@@ -42,15 +42,15 @@ def evaluate(
     steering_field: shared.SteeringPath = "data",
     steering_is: shared.SteeringIs = "road",
     bands: Path | None = typer.Option(
-        None, help="Bands of `st calibrate`, to be tested on these runs: coverage, scores, reliability.", exists=True,
+        None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False
     ),
     advise: float | None = typer.Option(
-        None, help="m across: also say which model and step is the cheapest that stays within, by speed and second; "
+        None, help="Permitted lateral error, m: also name the cheapest model and step within it, by speed and second; "
         "cost, error and band width of each.", min=0.001
     ),
-    force: bool = typer.Option(False, "--force", help="Evaluate also runs in which `st check` finds an error."),
-    workers: int = typer.Option(1, help="Runs evaluated side by side (Dask).", min=1),
+    force: bool = typer.Option(False, "--force", help="Also evaluate runs in which `st check` finds an error."),
+    workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
 ) -> None:
     """Predict every 100 ms of each run with each model, score it against the measurement, write tables and figures.

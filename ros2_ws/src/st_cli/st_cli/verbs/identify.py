@@ -13,13 +13,13 @@ def identify(
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
     model: Path | None = typer.Option(
-        None, help="Model file that drives are predicted with, instead of nonlinear; its effects stay as they are.",
+        None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.",
         exists=True, dir_okay=False
     ),
     effects: shared.EffectsOfModel = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
-    force: bool = typer.Option(False, "--force", help="Use also drives in which `st check` finds an error."),
-    seed: int = typer.Option(0, help="Of the bootstrap."),
+    force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
+    seed: int = typer.Option(0, help="Seed of the bootstrap."),
     offset: shared.Offset = None,
     dbc: shared.Dbc = None,
     signals: shared.Signals = None,

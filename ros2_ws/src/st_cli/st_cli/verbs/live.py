@@ -11,9 +11,9 @@ from . import _options as shared
 def live(
     can_interface: str = typer.Option("socketcan", help="python-can interface."),
     can_channel: str = typer.Option("can0", help="Channel of that interface."),
-    ncom_port: int = typer.Option(3000, help="UDP port the RT sends NCOM to.", min=1, max=65535),
+    ncom_port: int = typer.Option(3000, help="UDP port to which the RT sends NCOM.", min=1, max=65535),
     ncom_address: str = typer.Option("0.0.0.0", help="Local address to listen on; the RT broadcasts: all by default."),
-    ncom_sender: str = typer.Option("", help="Take packets of this sender address only."),
+    ncom_sender: str = typer.Option("", help="Accept packets from this address only."),
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
     dbc: shared.Dbc = None,
@@ -24,7 +24,7 @@ def live(
     model: shared.FourthModel = None,
     effects: shared.EffectsOfModel = None,
     realtime: bool = typer.Option(
-        False, "--realtime", help="Real-time scheduling for bridges and predictor; needs the right to (README)."
+        False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."
     ),
     bands: shared.BandsFile = None,
     record: shared.Record = "needed",

@@ -47,10 +47,10 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
 
 def _cure(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
           step: float) -> tuple[float | None, str, Cure]:
-    floor = slip_speed_needed(models, vehicle, speeds, step)
-    if floor is not None:
-        line = f'minimum_slip_speed: {{value: {floor:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
-        return floor, "m/s", Cure("vehicle", line, {"minimum_slip_speed": floor})
+    needed = slip_speed_needed(models, vehicle, speeds, step)
+    if needed is not None:
+        line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
+        return needed, "m/s", Cure("vehicle", line, {"minimum_slip_speed": needed})
     shorter = next((step / parts for parts in SHORT if stable(models, vehicle, speeds, step / parts)), None)
     if shorter is not None:
         return shorter, "s", Cure("option", f"--step {shorter:.9g}", {"step": shorter})

@@ -5,14 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import stats
 
+from ..channels import OF_COLUMN, UNITS
 from ..effects import get_effect
 from ..random_effects import random_effects
 from .evidence import TWO_SIDED, agreement, covariance, inverse
 from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
-from .settings import UNITS
-from .windows import CHANNEL_OF
 
 RESAMPLES = 400  # of whole blocks: ends of a 95 % interval
 
@@ -36,7 +35,7 @@ class Ends:
         last = np.where(known, np.clip(np.nan_to_num(last, nan=1e2), -1e2, 1e2), np.nan)
         result: dict[str, np.ndarray] = {}
         for column, values in zip(p.errors.windows.columns, last.T, strict=True):
-            channel = CHANNEL_OF.get(column, column)
+            channel = OF_COLUMN[column].name
             result[channel] = result.get(channel, 0.0) + np.square(values)
         if "position" in result:
             result["position_5s"] = np.sqrt(result["position"])

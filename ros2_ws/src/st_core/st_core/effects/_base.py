@@ -10,6 +10,7 @@ from numbers import Real
 from types import FunctionType
 from typing import Any, ClassVar, NamedTuple
 
+from ..channels import CHANNELS
 from ..errors import ConfigurationError
 from ..yaml_text import nearest
 
@@ -20,8 +21,6 @@ ANY = frozenset(KINDS)
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
-CHANNELS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
-"""Of a recording: what predictions are compared with."""
 
 
 @dataclass(frozen=True)
@@ -134,8 +133,8 @@ class Effect:
     is hard to tell from, named by one of the two at least. applies_to: kinds of model. lifts: (from, to) for an effect
     that turns one kind into another.
     extra_units: of the extra states, for those who export the model.
-    kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: those of CHANNELS without
-    any one of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
+    kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: channels without any one
+    of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
     costly: computes the tyres once more; where it is at null it had better not be in a model that is to be fast.
     order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
     car, steady circle, step, sweep and limit.

@@ -10,7 +10,7 @@ from types import ModuleType
 
 from ..errors import ConfigurationError
 from ..yaml_text import nearest
-from ._base import EFFECTS, Effect
+from ._base import EFFECTS, Effect, source_file
 
 
 def load_folder(path: str) -> tuple[str, ...]:
@@ -29,13 +29,15 @@ def load_folder(path: str) -> tuple[str, ...]:
 
 
 def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
-    """Import one module of a folder that is not loaded yet, and return its effects; the others are left alone.
-
-    Raises ConfigurationError as `load_folder`.
-    """
+    """The effects of one module of a folder, which is imported unless it is, as the library is; the others are left
+    alone. Raises ConfigurationError as `load_folder`."""
     finder, package = _package(folder)
-    _load(finder, package, [name])
-    return tuple(effect for effect in EFFECTS.values() if effect.__module__ == f"{package}.{name}")
+
+    def there() -> tuple[type[Effect], ...]:
+        return tuple(e for e in EFFECTS.values() if source_file(e) == f"{finder.path}/{name}.py")
+    if not there():
+        _load(finder, package, [name])
+    return there()
 
 
 def _modules(finder: FileFinder) -> list[str]:

@@ -170,6 +170,19 @@ class Laws:
         slopes = np.concatenate([without.slopes, np.zeros((COUNT, *without.slopes.shape[1:]))])
         return self._fit(candidate, loss, which, smooth, slopes, without.vector)
 
+    def seen(self, fit: Fitted) -> Quadratic:
+        """By block, about the fit, in the coefficients of its law alone: everything beside and the parameters of the
+        vehicle file follow, so that what those can do is no information."""
+        assert fit.candidate is not None
+        loss = self.of(fit.candidate)
+        car = np.nan_to_num(loss.slopes(fit.vector, self.car), posinf=0.0, neginf=0.0)
+        q = self.quadratic(loss, fit.rows, np.concatenate([car, fit.slopes]))
+        whole = q.hessian.sum(axis=0)
+        rest = whole[:-COUNT, :-COUNT]
+        ridge = (RIDGE * np.trace(rest) / max(len(rest), 1) + 1e-9) * np.eye(len(rest))
+        turn = np.concatenate([-np.linalg.solve(rest + ridge, whole[:-COUNT, -COUNT:]), np.eye(COUNT)])
+        return Quadratic(q.cost, q.gradient @ turn, np.einsum("ik,bij,jl->bkl", turn, q.hessian, turn))
+
     def less(self, candidate: Candidate, fit: Fitted, name: str) -> Fitted:
         """A law with an effect of the answer taken out, and everything else fitted anew."""
         own = self.space.indices(name)

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from ..augmented import AugmentedModel
 from ..discovery.limits import Limits
@@ -135,19 +134,9 @@ def _judged(best: Screened, fits: Fits, without: Fitted, laws: Laws, chances: Ma
             and np.isfinite(before[mine]).any() and np.isfinite(after[mine]).any()}
     proposal = Proposal(c, fit.coefficients, at, value, deviation, density, gain, chance,
                         (float(np.nanmean(before)), float(np.nanmean(after))), runs, _beside(laws, fit), others,
-                        readings(c, fit.coefficients, best.information, _may_lose(best, laws, limits)),
+                        readings(c, fit.coefficients, laws.seen(fit), laws.fold),
                         shares(laws, fit), needless)
     return Proposals(proposal, f"it {taken_away(laws, falls, before - after, limits)}", tried)
-
-
-def _may_lose(law: Screened, laws: Laws, limits: Limits) -> Callable[[float], float]:
-    """Loss a shape with so many numbers may lose against the curve: too little to be looked at, or no more than chance
-    makes of the numbers it does not have."""
-    def loss(count: float) -> float:
-        more = max(law.freedom - count, 1.0)
-        by_chance = 0.5 * law.design * more * float(stats.f.isf(limits.doubt, more, laws.blocks - 1))
-        return max(limits.negligible * laws.loss.number, by_chance)
-    return loss
 
 
 def _beside(laws: Laws, fit: Fitted) -> AugmentedModel:

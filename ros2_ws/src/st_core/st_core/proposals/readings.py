@@ -1,16 +1,18 @@
 """A curve in words and formulas: which simple shape it is, and what in textbooks has that shape at that place."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from ..discovery.loss import Quadratic
 from .places import NEITHER, Candidate
 
 MOST, POINTS = 3, 61
-ROUNDING = 1e-6
 LEAST = 0.5  # of what the curve explains: a shape that explains less is none
+SAME = 1e-3  # of what the curve explains: a shape with more numbers that gains less is one with fewer
+FULLY, NEARLY = 0.98, 0.9  # of what the best shape explains: enough to stand for the curve; what it takes at least
 
 Formula = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -37,9 +39,10 @@ SHAPES: dict[str, tuple[str, int, Formula]] = {
     "linear and cubic": ("y = {0:.3g} u + {1:.3g} u^3", 2, lambda u, p: p[0] * u + p[1] * u**3),
 }
 ONE_SIDED: dict[str, tuple[str, int, Formula]] = {
-    "constant": SHAPES["constant"], "linear": SHAPES["linear"], "dead zone": SHAPES["dead zone"],
+    "constant": SHAPES["constant"], "linear": SHAPES["linear"],
     "straight line": ("y = {0:.3g} + {1:.3g} u", 2, lambda u, p: p[0] + p[1] * u),
     "square": ("y = {0:.3g} + {1:.3g} u |u|", 2, lambda u, p: p[0] + p[1] * u * np.abs(u)),
+    "dead zone": SHAPES["dead zone"],
     "inverse": ("y = {0:.3g} + {1:.3g} / u", 2, lambda u, p: p[0] + p[1] / np.where(np.abs(u) < 1e-9, 1e-9, u)),
     "saturating": ("y = {0:.3g} + {1:.3g} tanh(u / {2:.3g})", 3,
                    lambda u, p: p[0] + p[1] * np.tanh(u / _apart(p[2]))),
@@ -105,41 +108,74 @@ CONSTANT = {
 }
 
 
-def readings(law: Candidate, coefficients: np.ndarray, information: np.ndarray,
-             may_lose: Callable[[float], float]) -> Sequence[Reading]:
-    """Up to three shapes, best first: of those that may stand for the curve the simplest, then what explains most.
+def readings(law: Candidate, coefficients: np.ndarray, seen: Quadratic, fold: np.ndarray) -> Sequence[Reading]:
+    """Up to three shapes, best first. seen: of the loss about the coefficients (8,), by block; fold: (b,) of held-out.
 
-    A shape with coefficients s loses (c - s)' information (c - s) of the loss against the curve with coefficients c,
-    and its numbers are those that lose least. What a parameter of the vehicle file can do as well is no information:
-    a curve without a mirror image is known but for a constant. may_lose: loss by numbers of the curve that a shape
-    does not have, within which the drives do not tell the shape from the curve.
+    The numbers of a shape are those that lose least. What a parameter of the vehicle file can do as well is no
+    information: a curve without a mirror image may be known but for a constant. Of shapes that explain at least LEAST,
+    the best is the one that loses least on driving its numbers were not fitted to. Another may stand for the curve
+    where it explains FULLY as much; or NEARLY as much, and loses no more than one standard error more there, by the
+    differences of blocks (Breiman et al. 1984). The one of fewest numbers that may is first, of several the one
+    that holds out best; the others follow as they hold out.
     """
-    root = np.linalg.cholesky(information + 1e-9 * np.trace(information) / len(information) * np.eye(len(information)))
-    total = float(np.sum((coefficients @ root) ** 2))
+    at = np.linspace(law.low, law.high, POINTS)
+    into, value = np.linalg.pinv(law.splines(at).T, rcond=1e-6), coefficients @ law.splines(at)
+
+    def lost(away: np.ndarray) -> np.ndarray:
+        """(b,) against the curve, with coefficients that far from its."""
+        return np.einsum("i,bij,j->b", away, seen.hessian, away) - 2.0 * seen.gradient @ away
+
+    total = float(lost(-coefficients).sum())
     if total <= 1e-20:
         return ()
-    at = np.linspace(law.low, law.high, POINTS)
-    into = root.T @ np.linalg.pinv(law.splines(at).T, rcond=1e-6)
-    mirrored, found = law.parity != NEITHER, []
-    for shape, (text, count, formula) in (SHAPES if mirrored else ONE_SIDED).items():
+    found: dict[Reading, tuple[int, np.ndarray]] = {}
+    for shape, (text, count, formula) in (SHAPES if law.parity != NEITHER else ONE_SIDED).items():
         if shape == "inverse" and np.abs(at).min() < 0.05 * np.abs(at).max():
             continue
 
-        def missed(numbers: np.ndarray, formula: Formula = formula) -> np.ndarray:
-            return into @ formula(at, numbers) - coefficients @ root
+        def numbers(known: np.ndarray, count: int = count, formula: Formula = formula) -> np.ndarray:
+            h, g = seen.hessian[known].sum(axis=0), seen.gradient[known].sum(axis=0)
+            h = h + (1e-6 * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
+            root, wanted = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
+            return _fitted(lambda p: (into @ formula(at, p) - wanted) @ root, count, at, value)
 
-        numbers = _fitted(missed, count, at, coefficients @ law.splines(at))
+        def away(p: np.ndarray, formula: Formula = formula) -> np.ndarray:
+            return into @ formula(at, p) - coefficients
+
+        best = numbers(np.ones(len(fold), bool))
         if shape == "dead zone":
-            numbers[1] = abs(numbers[1])
-        lost = float(np.sum(missed(numbers) ** 2))
-        if 1.0 - lost / total >= LEAST:
-            stands = lost <= max(may_lose(count), ROUNDING * total)
-            causes = (PAIRED.get((law.place, law.quantity, law.by), "") if law.by else
-                      CONSTANT.get(law.place, "") if shape == "constant" else
-                      CAUSES.get((law.place, law.quantity), ""))
-            found.append(((not stands, count if stands else 0, lost),
-                          Reading(shape, text.format(*numbers), 1.0 - lost / total, causes)))
-    return tuple(reading for _, reading in sorted(found, key=lambda f: f[0])[:MOST])
+            best[1] = abs(best[1])
+        explained = min(1.0 - float(lost(away(best)).sum()) / total, 1.0)
+        if explained >= LEAST:
+            held_out = np.zeros(len(fold))
+            for k in np.unique(fold):
+                held_out[fold == k] = lost(away(numbers(fold != k)))[fold == k]
+            found[Reading(shape, text.format(*best), explained, _causes(law, shape))] = count, held_out
+    return _ordered(found)
+
+
+def _ordered(found: Mapping[Reading, tuple[int, np.ndarray]]) -> Sequence[Reading]:
+    """The simplest that may stand for the curve first. found: numbers of each, and (b,) loss held out."""
+    if not found:
+        return ()
+    order = sorted((one for one in found if not any(
+        found[o][0] < found[one][0] and o.explained > one.explained - SAME for o in found)),
+        key=lambda r: float(found[r][1].sum()))
+    best, least = order[0], found[order[0]][1]
+
+    def stands(one: Reading) -> bool:
+        worse, share = found[one][1] - least, one.explained / best.explained
+        alike = float(worse.sum()) <= float(worse.std(ddof=1)) * np.sqrt(len(worse))
+        return share >= FULLY or (share >= NEARLY and alike)
+
+    first = min(filter(stands, order), key=lambda r: found[r][0])
+    return (first, *(one for one in order if one is not first))[:MOST]
+
+
+def _causes(law: Candidate, shape: str) -> str:
+    if law.by:
+        return PAIRED.get((law.place, law.quantity, law.by), "")
+    return CONSTANT.get(law.place, "") if shape == "constant" else CAUSES.get((law.place, law.quantity), "")
 
 
 def _apart(number: float) -> float:

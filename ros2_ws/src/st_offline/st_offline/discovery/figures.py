@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
+from st_core.channels import WORDS
 from st_core.discovery import Discovery
 from st_core.discovery.where import Survey
 from st_core.discovery.where_bins import EVERYWHERE, BinExcess
@@ -50,7 +51,7 @@ class Scene:
 
 def gap(scene: Scene) -> Drawn | None:
     """Held-out error of each channel, base = 100 %."""
-    entries = [(n, scene.found.gap[n]) for n in words.RANKED if n in scene.found.gap and scene.found.gap[n].base > 0]
+    entries = [(n, scene.found.gap[n]) for n in WORDS if n in scene.found.gap and scene.found.gap[n].base > 0]
     if not entries:
         return None
     with style():

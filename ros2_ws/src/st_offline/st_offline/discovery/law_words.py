@@ -11,6 +11,17 @@ PLACES = {
     "sensor_velocity_y": "error of the lateral velocity of the INS",
     "sensor_heading": "error of the heading of the INS",
 }
+AXES = {
+    "front_steer": "front wheels turned further to the left by", "rear_steer": "rear wheels turned to the left by",
+    "front_force": "lateral force of the front axle, to the left, over its static load",
+    "rear_force": "lateral force of the rear axle, to the left, over its static load",
+    "front_grip": "lateral force of the front axle larger by", "rear_grip": "lateral force of the rear axle larger by",
+    "both_grip": "lateral force of both axles larger by", "yaw_moment": "yaw acceleration to the left, by a moment",
+    "side_force": "lateral acceleration to the left, by a force", "sensor_yaw_rate": "yaw rate is shown too large by",
+    "sensor_acceleration_y": "lateral acceleration is shown too large by",
+    "sensor_velocity_y": "lateral velocity is shown too large by", "sensor_heading": "heading is shown too large by",
+}
+"""What is drawn upwards; left +."""
 QUANTITIES = {
     "slip_front": "slip angle of the front axle", "slip_rear": "slip angle of the rear axle",
     "steering": "road-wheel angle", "acceleration_y": "lateral acceleration", "acceleration_x": "forward acceleration",
@@ -28,6 +39,11 @@ def place(c: Candidate) -> str:
 
 def quantity(c: Candidate) -> str:
     return QUANTITIES[c.quantity]
+
+
+def axis(c: Candidate) -> str:
+    """What the curve is, upwards."""
+    return f"{AXES[c.place]}{f', for each unit of {QUANTITIES[c.by]}' if c.by else ''}"
 
 
 def law(c: Candidate, constant: bool = False) -> str:

@@ -6,11 +6,12 @@ from pathlib import Path
 from st_core.effects import load_folder
 from st_core.model_file import Estimate, ModelFile, Provenance
 from st_core.proposals import Proposals
-from st_core.proposals.places import QUANTITIES, WHERE
+from st_core.proposals.places import QUANTITIES
 from st_core.vehicle import VehicleParameters
 
 from . import law_words, words
-from .law_file import effect_file, name_of, title
+from .law_figure import shown
+from .law_file import effect_file, law_in_words, name_of, title
 
 DIFFER = 0.01  # chance below which runs do not show the same law
 
@@ -71,14 +72,18 @@ def told(found: Proposals) -> list[str]:
         return [f"nothing is proposed: {found.why}", *less]
     c = one.candidate
     quantity, unit = law_words.quantity(c), QUANTITIES[c.quantity]
-    lines = [f"PROPOSAL, for you to keep or delete: {title(one)}; {found.why}"]
-    lines += [f"{'or' if k else 'it reads'} as {r.text} ({r.shape}; {r.explained:.0%} of what the curve explains)"
+    lines = [f"PROPOSAL, for you to keep or delete: {law_in_words(one)}", f"worth: {found.why}"]
+    causes = one.readings[0].causes if one.readings else ""
+    if causes:
+        lines.append(f"what does that in textbooks, not seen in these drives: {causes}")
+    lines += [f"{'or' if k else 'as a formula:'} {r.text} ({r.shape}; {r.explained:.0%} of what the curve explains)"
               for k, r in enumerate(one.readings)]
-    lines.append(f"y: {WHERE[c.place][1]} [{c.unit}]; u: {quantity} [{unit}], driven from {c.low:.3g} to {c.high:.3g}, "
+    lines.append(f"y: {law_words.axis(c)} [{c.unit}]; u: {quantity} [{unit}], driven from {c.low:.3g} to {c.high:.3g}, "
                  "the curve is constant beyond")
     least = int(one.deviation.argmax())
-    lines.append(f"least sure at {quantity} {one.at[least]:.3g} {unit}: {one.value[least]:.2g} ± "
-                 f"{words.SURE * one.deviation[least]:.2g} {c.unit}; driving there would pin it down")
+    (up, shown_up), (across, shown_across) = shown(c.unit), shown(unit)
+    lines.append(f"least sure at {quantity} {across * one.at[least]:.3g} {shown_across}: {up * one.value[least]:.2g} ± "
+                 f"{up * words.SURE * one.deviation[least]:.2g} {shown_up}; driving there would pin it down")
     if one.others:
         names = "; ".join(f"{law_words.named(name)} ({cosine:.2f})" for name, cosine in one.others.items())
         lines.append(f"these drives do not tell it from: {names}. In brackets how alike what they change is: 1 the "

@@ -14,9 +14,9 @@ from .drives import Drive
 from .mending import Mended
 
 WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
-        "vehicle.yaml": "the vehicle file, mended: --vehicle of every verb",
+        "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
         "effects": "the law proposed, as an effect: --effects of st discover, st demo, st live",
-        "proposed.yaml": "a model with it: --model, beside --effects",
+        "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
         "model.yaml": "what a vehicle file cannot hold: --model of st demo, st live, st evaluate"}
 
 
@@ -37,7 +37,7 @@ def show(found: Discovery, mended: Mended | None, failed: Sequence[Drive], files
     for drive in failed:
         tell_problem(drive.name, drive.problem, console)
     if earlier:
-        console.print("[dim]The answer of an earlier start with the same inputs; --fresh searches anew.[/dim]")
+        console.print("[dim]The answer of an earlier call with the same inputs; --fresh searches anew.[/dim]")
     tell_files({file: WHAT[name] for name, file in files.items()}, console)
 
 

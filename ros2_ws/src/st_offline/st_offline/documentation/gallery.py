@@ -40,34 +40,34 @@ SIMULATE = "./st shell -- python -m st_sim.run --vehicle config/vehicle/leaf.yam
 EXHIBITS = (
     Exhibit("A drive through the live nodes", "./st replay {}/bag --fast --output {}/run", "run/paths.png",
             "Measured track, predictions from six starts, and the errors of every start. Hindsight simulates with the "
-            "inputs then measured; forecast holds them.",
+            "inputs measured afterwards; forecast holds them.",
             (SIMULATE + "--scenario S6 --duration 62 --to-files {}/raw",
              "./st import {}/raw --offset 0 --output {}/bag")),
-    Exhibit("Two clocks brought together", "./st align {}/raw/run.ncom {}/raw/run.log --output {}/align",
-            "align/alignment.png", "The same signals from INS and CAN, before and after; what remains is the tolerance "
-            "of the offset."),
+    Exhibit("Two clocks synchronised", "./st align {}/raw/run.ncom {}/raw/run.log --output {}/align",
+            "align/alignment.png", "The same signals from INS and CAN, before and after. The remaining difference is "
+            "the uncertainty of the offset."),
     Exhibit("A real drive evaluated at the desk", "./st evaluate examples/data/rfs_turn_a.csv "
             "--vehicle config/vehicle/hyundai_genesis.yaml --output {}/evaluate",
-            "evaluate/**/horizon_means.png", "The error of every start over the drive, as in the paper; the folder "
-            "also holds the page report.html with sortable tables."),
+            "evaluate/**/horizon_means.png", "The error of every start over the drive, as in the paper. The folder "
+            "also contains the page report.html with sortable tables."),
     Exhibit("A parameter identified", "./st identify steering-ratio docs/examples/identification/steering_ratio.csv "
             "--vehicle config/vehicle/leaf.yaml --output {}/identify", "identify/steering-ratio.png",
-            "Turntable readings, the one ratio through all sweeps, and what a line leaves over."),
-    Exhibit("What a vehicle file and the sensors lack", "./st discover examples/data "
+            "Turntable readings, one ratio fitted through all sweeps, and the residuals of the line."),
+    Exhibit("What is missing from a vehicle file and the sensors", "./st discover examples/data "
             "--vehicle config/vehicle/hyundai_genesis.yaml --output {}/discover", "discover/figures/waterfall.png",
-            "Two recorded drives and a vehicle file, no healthy drive beside them. The page report.html says what is "
-            "missing, how sure that is, whether it is the same everywhere, and what to do."),
+            "Two recorded drives and a vehicle file, without reference drives. The page report.html says what is "
+            "missing, how certain that is, whether it is the same everywhere, and what to do."),
 )
 
 
 def page() -> str:
     """The text of gallery.md."""
     lines = ["# Gallery", "",
-             "Made by `./st docs --gallery`: a drive of the virtual Leaf (S6, U-turns) and a short real one of another "
-             "car ([examples/data](../examples/data/README.md)), as each command shows them.",
+             "See what each command draws, for a drive of the virtual Leaf (S6, U-turns) and a short real drive of "
+             "another car ([examples/data](../examples/data/README.md)). `./st docs --gallery` renews this page.",
              "", "## Seen live", "",
-             "From the driver's seat: what the models predict now, what they predicted one to five seconds ago, and "
-             "what happened.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
+             "From the driver's seat: current predictions, predictions made one to five seconds ago, and the "
+             "path driven.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
     for number, exhibit in enumerate(EXHIBITS, 1):
         commands = (f"$ {_shown(command)}" for command in (*exhibit.before, exhibit.command))
         lines += ["", f"## {exhibit.title}", "", "```console", *commands, "```", "", exhibit.words, "",

@@ -28,7 +28,8 @@ _FIELD = re.compile(
 def page(st: TyperGroup) -> str:
     """The whole page; st: the command."""
     parts = [
-        "# Reference\n\nMade by `./st docs` from the code; a test fails when it differs. Units are SI, axes ISO 8855: "
+        "# Reference\n\nLook up commands, topics, message fields and node parameters. `./st docs` writes this page "
+        "from the code, and a test fails when it is out of date. Units are SI, axes ISO 8855: "
         "[conventions.md](method/conventions.md).\n",
         "## Commands\n", *commands(st),
         "## Topics\n", topics(),

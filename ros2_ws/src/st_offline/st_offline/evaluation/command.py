@@ -12,7 +12,6 @@ from st_core.errors import ConfigurationError
 from st_recordings.output import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
 
-from ..advice.command import advise
 from ..bands.shares import finished_shares, shares_table
 from ..bands.shown import HOW_TO_GET, bands_table
 from ..bands.sums import pooled_sums
@@ -58,6 +57,8 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     if shares := shares_table(finished_shares(pooled_sums([report.bands for report in good])), console.width):
         console.print(shares)
     if tolerance is not None:
+        from ..advice.command import advise  # half a second of libraries for who asks for advice
+
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in found:
         say(report.name, findings_in(report.about), console)

@@ -25,6 +25,7 @@ from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, rea
 from ..checking.document import documents
 from ..checking.gate import PROBLEMS, Refused, in_words, passed
 from . import statistics
+from .beside import beside
 from .drawing import Drawn, Place
 from .drive_parts import drive_parts
 from .run_drawing import Drawing
@@ -96,15 +97,18 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
     models = load_models(task)
-    findings = passed(source.where, run.log, task.vehicle, run.extras, task.force, models,
-                      task.settings.prediction.step)
-    signals = task.settings.signals(run.log)
-    bands = load_bands(task, models)
-    scorer = _scorer(bands, signals) if bands else None
-    evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
-                              watch=scorer.add if scorer else None)
+    with beside(lambda: (_findings(source, run, task, models), drive_parts(run.log, run.labels))) as looked:
+        signals = task.settings.signals(run.log)
+        bands = load_bands(task, models)
+        scorer = _scorer(bands, signals) if bands else None
+        try:
+            evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
+                                      watch=scorer.add if scorer else None)
+        finally:  # that a recording means nothing says more than what its evaluation ran into
+            findings, parts = looked()
+            if isinstance(findings, Refused):
+                raise findings
     marks.append(time.perf_counter())
-    parts = drive_parts(run.log, run.labels)
     if not any(errors.n_starts for errors in evaluation.errors.values()):
         raise RunError(source.where, _why_nothing(evaluation, run.log.overlap))
     folder = task.folder / "runs" / slug(source.name) if task.folder else None
@@ -128,6 +132,14 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         statistics.by_second(evaluation), statistics.by_bin(evaluation), statistics.by_manoeuvre(evaluation, parts),
         figures, _band_sums(scorer, run, models, signals, task) if scorer else {},
         dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
+
+
+def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
+    try:
+        return passed(source.where, run.log, task.vehicle, run.extras, task.force, models,
+                      task.settings.prediction.step)
+    except Refused as error:
+        return error
 
 
 def load_models(task: Task) -> list[Model]:

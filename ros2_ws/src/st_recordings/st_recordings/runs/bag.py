@@ -89,9 +89,9 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     there = storage.topics()
     again = MadeAgain(path, storage, records, store)
     needed: dict[Topic, tuple[str, ...]] = {}
-    if has_odometry := _is_there(there, ODOMETRY) or again.topic(NCOM) is None:
+    if has_odometry := _is_there(there, ODOMETRY) or not again.has(NCOM):
         needed[_topic(path, there, ODOMETRY)] = _ODOMETRY_FIELDS
-    if steering is None and (_is_there(there, STEERING) or again.topic(CAN_FRAMES) is None):
+    if steering is None and (_is_there(there, STEERING) or not again.has(CAN_FRAMES)):
         needed[_topic(path, there, STEERING)] = _STEERING_FIELDS
     others = extra_fields(there)
     quick = storage.columns({**needed, **others}, store)
@@ -112,7 +112,8 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     passed_over = tuple(f"{t.name} ({t.type_name})" for t in unknown(there, tuple(topics.values())))
     frame = again.map_frame()
     if has_odometry:
-        frame = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY).header.frame_id
+        first: Any = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
+        frame = first.header.frame_id
     return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in notes), extras, frame, passed_over)
 
 

@@ -93,7 +93,7 @@ def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, sear
 def _nearest(pairs: list[SharedSignal], result: Alignment) -> Alignment:
     """Where several offsets fit alike: the one near the logger's own clock, if that is one of them."""
     near = align(pairs, search=(-NEAR, NEAR))
-    if near.verdict is Verdict.REFUSED or near.peak[1] < ALIKE * result.peak[1]:
+    if near.verdict is Verdict.REFUSED or not near.peak or not result.peak or near.peak[1] < ALIKE * result.peak[1]:
         return result
     return near.doubted("several offsets fit alike (repeated laps or manoeuvres); taken is the one that agrees with "
                         f"the logger's own clock to {NEAR:.0f} s")

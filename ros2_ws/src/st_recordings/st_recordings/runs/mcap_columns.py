@@ -1,7 +1,10 @@
 """Messages of some topics straight out of the chunks of an MCAP file, by its message index: no object per message."""
 
+import os
 import struct
-from collections.abc import Collection, Iterator
+from collections import deque
+from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -43,13 +46,27 @@ def summary_of(path: Path) -> Summary | None:
 
 def blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
     """The messages of some channels with the number of each, chunk by chunk. Raises one of DAMAGE."""
+    chunks = [chunk for chunk in sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset)
+              if not chunk.message_index_offsets.keys().isdisjoint(channels)]
     with path.open("rb") as stream:
-        for chunk in sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset):
-            here = [channel for channel in channels if channel in chunk.message_index_offsets]
-            # Most of the time goes into unpacking a chunk: once for all channels.
-            buffer = np.frombuffer(_content(stream, chunk), np.uint8) if here else None
-            for channel in here:
-                yield channel, _block(stream, chunk, channel, buffer)
+        for chunk, content in _unpacked(stream, chunks):
+            buffer = np.frombuffer(content, np.uint8)
+            for channel in channels:
+                if channel in chunk.message_index_offsets:
+                    yield channel, _block(stream, chunk, channel, buffer)
+
+
+def _unpacked(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
+    """Chunks with their content. Unpacking takes most of the time and leaves the interpreter free: one is ahead."""
+    with ThreadPoolExecutor(1) as beside:
+        coming: deque[tuple[ChunkIndex, Future[bytes]]] = deque()
+        for chunk in chunks:
+            coming.append((chunk, beside.submit(_content, stream, chunk)))
+            if len(coming) > 1:
+                first, content = coming.popleft()
+                yield first, content.result()
+        for last, content in coming:
+            yield last, content.result()
 
 
 def _block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray) -> Block:
@@ -64,8 +81,7 @@ def _block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray
 
 
 def _content(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
-    stream.seek(chunk.chunk_start_offset)
-    record = stream.read(chunk.chunk_length)
+    record = os.pread(stream.fileno(), chunk.chunk_length, chunk.chunk_start_offset)
     if len(record) < chunk.chunk_length or record[0] != _CHUNK:
         raise ValueError("a chunk is missing")
     name_length = struct.unpack_from("<I", record, _RECORD_HEAD + 28)[0]

@@ -1,9 +1,10 @@
-"""A process that started a node as the launch files do, and is ended by SIGTERM or killed, takes it with it: no port
-stays taken."""
+"""How a launched suite ends: a process that started a node as the launch files do takes it with it, however it ends
+itself, and no port stays taken; also where SIGINT was ignored when it was started."""
 
 import re
 import signal
 import socket
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -19,6 +20,12 @@ pytestmark = pytest.mark.ros
 CAR_LAUNCH = ROOT / "ros2_ws" / "src" / "st_predictor" / "launch" / "car.launch.py"
 # As ros2 launch starts a process, and as it ends itself: without a word to it.
 SCRIPT = "import subprocess, sys; subprocess.run(sys.argv[1].split() + sys.argv[2:])"
+# As a shell does for what a script starts in the background.
+IGNORING = ("import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); "
+            "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])")
+# What the launch file has made of it when its nodes are about to be started.
+LOOK = ("import runpy, signal, sys; runpy.run_path(sys.argv[1])['generate_launch_description'](); "
+        "print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)")
 
 
 def free_port() -> int:
@@ -27,13 +34,15 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
+@pytest.mark.parametrize("ignoring", [False, True], ids=["in front", "in the background"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_nodes_end_with_their_launch(tmp_path: Path, number: int) -> None:
+def test_nodes_end_with_their_launch(tmp_path: Path, number: int, ignoring: bool) -> None:
     (prefix,) = re.findall(r'^ENDS_WITH_US = "(.*)"', CAR_LAUNCH.read_text(), re.MULTILINE)
     processes, port = Processes(tmp_path), free_port()
     try:
         node = [executable("oxts_bridge", "oxts_bridge"), "--ros-args", "-p", f"udp_port:={port}"]
-        launch = processes.start([sys.executable, "-c", SCRIPT, prefix, *node], "launch")
+        begin = [sys.executable, *(["-c", IGNORING] if ignoring else [])]
+        launch = processes.start([*begin, "-c", SCRIPT, prefix, *node], "launch")
         end = time.monotonic() + 60
         while "reading udp" not in processes.log("launch"):
             assert time.monotonic() < end and launch.poll() is None, processes.log("launch")
@@ -47,3 +56,11 @@ def test_nodes_end_with_their_launch(tmp_path: Path, number: int) -> None:
             probe.bind(("127.0.0.1", port))
     finally:
         processes.close()
+
+
+def test_a_launch_in_the_background_can_be_interrupted() -> None:
+    """Ctrl-C would else end the nodes, and launch start all of them again."""
+    pytest.importorskip("launch_ros")
+    command = [sys.executable, "-c", IGNORING, "-c", LOOK, str(CAR_LAUNCH)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "True"
