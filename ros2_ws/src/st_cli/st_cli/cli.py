@@ -4,7 +4,9 @@ import errno
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import typer
 from st_live import transport
@@ -42,8 +44,9 @@ app = typer.Typer(
     help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that?",
 )
 HANDED_ON = {"context_settings": {"allow_extra_args": True, "ignore_unknown_options": True}}
-SPECIAL = {discover.discover: {"cls": discover.WithReferences}, import_.import_: {"name": "import"},
-           **dict.fromkeys((bench.bench, develop.test, develop.shell), HANDED_ON)}
+SPECIAL: dict[Callable, dict[str, Any]] = {
+    discover.discover: {"cls": discover.WithReferences}, import_.import_: {"name": "import"},
+    **dict.fromkeys((bench.bench, develop.test, develop.shell), HANDED_ON)}
 for verb in (demo.demo, live.live, ncom.ncom, car.car, check.check, evaluate.evaluate, calibrate.calibrate,
              discover.discover, effects.effects, identify.identify, replay.replay, verify.verify, view.view,
              foxglove.foxglove, align.align, import_.import_, recover.recover, export.export, docs.docs, bench.bench,

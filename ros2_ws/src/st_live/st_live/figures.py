@@ -7,6 +7,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 from st_recordings.results import Results
@@ -42,7 +43,7 @@ def paths_figure(results: Results, title: str, file: Path) -> None:
         plt.close(figure)
 
 
-def _draw_map(axes: plt.Axes, results: Results) -> None:
+def _draw_map(axes: Axes, results: Results) -> None:
     track = results.track
     axes.plot(track.x, track.y, color=MEASURED_COLOUR, lw=3, alpha=0.45, solid_capstyle="round", zorder=1)
     for (model, _), segment in results.segments.items():
@@ -64,7 +65,7 @@ def _draw_map(axes: plt.Axes, results: Results) -> None:
     axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=len(handles))
 
 
-def _draw_errors(axes: plt.Axes, results: Results, mode: str, quantity: str) -> None:
+def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None:
     origin = results.track.time_ns[0] if len(results.track.time_ns) else 0
     axes.axhline(0, color="k", lw=0.6)
     for model in results.models():

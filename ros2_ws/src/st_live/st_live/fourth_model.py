@@ -21,6 +21,7 @@ def fourth_model(model: Path | None, effects: Path | None, vehicle: Path) -> Par
     if model is None and effects is None:
         return {}
     known_model(model, effects, read_vehicle(vehicle), str(vehicle))
+    assert model is not None  # or effects would have been too much
     chosen = {"model_file": str(model.absolute()), "effects_directory": str(effects.absolute()) if effects else ""}
     return {"predictor": chosen, "evaluator": chosen}
 

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import can
 import numpy as np
@@ -170,7 +170,7 @@ class Mf4File:
         for bus, frames in self._frames.items():
             if frames:
                 log.append([self._signal(bus, frames)], comment="virtual Leaf", common_timebase=True)
-                group = log.groups[-1].channel_group
+                group: Any = log.groups[-1].channel_group
                 # asammdf calls every such group CAN; a CANedge tells its channels apart.
                 group.acq_name = f"CAN{bus}"
                 group.flags |= 0x6  # bus event, plain bus event: what readers of bus logs look for

@@ -92,9 +92,10 @@ def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
     from st_recordings.output import OutputError
     from st_recordings.runs.errors import RunError
 
+    refused: tuple[type[Exception], ...] = (StCoreError, RunError, OutputError, UnicodeDecodeError, *more)
     try:
         yield
-    except (StCoreError, RunError, OutputError, UnicodeDecodeError, *more) as error:
+    except refused as error:
         typer.echo(f"st {verb}: {error}", err=True)
         raise typer.Exit(2) from None
 
@@ -119,11 +120,11 @@ def whose(car: str | None, vehicle: Path | None, dbc: Path | None = None, signal
     from st_recordings.runs import ReadSettings
 
     steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
-    given = {name: value for name, value in steering.items() if value is not None}
+    given: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
     if car is None:
         return vehicle, ReadSettings(dbc=dbc, signals=signals, **STEERING | given, **others)
     named = car_named(car)
-    its = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+    its: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
     return vehicle or named.vehicle, ReadSettings(dbc=dbc or named.dbc, signals=signals or named.signals, **its | given,
                                                   **others)
 
@@ -146,7 +147,7 @@ def on_the_wires(car: str | None, vehicle: Path | None, dbc: Path | None, signal
     from st_recordings.runs.errors import RunError
 
     steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
-    given = {name: value for name, value in steering.items() if value is not None}
+    given: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
     if car is None:
         return Wires(vehicle, dbc, signals, given)
     named = car_named(car)
@@ -154,7 +155,7 @@ def on_the_wires(car: str | None, vehicle: Path | None, dbc: Path | None, signal
         if not file.is_file():
             raise RunError(file, "there is no such file: nobody has described the bus of this car",
                            f"write it, or name another with {option}")
-    its = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+    its: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
     return Wires(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, its | given)
 
 

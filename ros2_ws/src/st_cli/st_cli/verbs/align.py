@@ -98,9 +98,9 @@ def report(pair, console) -> None:
         console.print(f"  [{style}]·[/{style}] {reason}", highlight=False, soft_wrap=True)
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
-        for name, justify in (("signal", "left"), ("by itself, ms", "right"), ("correlation", "right"),
-                              ("residual / spread", "right")):
-            table.add_column(name, justify=justify)
+        table.add_column("signal")
+        for name in ("by itself, ms", "correlation", "residual / spread"):
+            table.add_column(name, justify="right")
         for row in alignment.signals:
             alone = f"{row.difference * 1e3:+.2f} ± {row.deviation * 1e3:.2f}"
             table.add_row(row.name, alone, f"{row.correlation:.5f}", f"{row.residual:.4f}")

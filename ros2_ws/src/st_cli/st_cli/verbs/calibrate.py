@@ -1,6 +1,7 @@
 """`st calibrate`: bands around every prediction, learnt from the errors of recorded drives."""
 
 from pathlib import Path
+from typing import Literal
 
 import typer
 
@@ -21,6 +22,9 @@ def calibrate(
     level: list[float] = typer.Option(
         [0.5, 0.9], "--level", help="Share of whole paths that shall lie inside; repeatable. n runs allow "
         "at most n/(n + 1): 9 runs for 0.9."
+    ),
+    together: bool = typer.Option(
+        False, "--together", help="Recordings of one argument are alike, of one day or place, and count as one run."
     ),
     acceleration: shared.Filtering = "causal",
     inputs: shared.Inputs = "interpolate",
@@ -48,13 +52,13 @@ def calibrate(
 
     with shared.refusals("calibrate"):
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
-        filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
+        filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
         models = tuple(model_named(name) for name in dict.fromkeys(model))
         vehicle, reading = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
         parameters, car_from = car_of(vehicle, models, effects)
         task = Task(parameters, models, EvaluationSettings(prediction, acceleration=filtering, inputs=inputs), reading,
                     force=force, effects=effects)
-        status = run_command(Job(runs, task, output, tuple(sorted(set(level)))), Console())
+        status = run_command(Job(runs, task, output, tuple(sorted(set(level))), together), Console())
     if vehicle is None:
         shared.say_whose("calibrate", car_from)
     raise typer.Exit(status)

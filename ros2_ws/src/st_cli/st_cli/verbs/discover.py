@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import typer
 from st_core.channels import CHANNELS
@@ -16,7 +17,7 @@ class WithReferences(TyperCommand):
     """`--reference a b c` takes all three, as `--reference a --reference b` does; the next option or -- ends the list.
     """
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         given = spread(args)
         try:
             return super().parse_args(ctx, list(given))

@@ -67,7 +67,7 @@ def evaluate(
 
     with shared.refusals("evaluate"):
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
-        filtering = "zero_phase" if acceleration == "zero-phase" else "causal"
+        filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
         models = tuple(model_named(name) for name in dict.fromkeys(model))
         vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,

@@ -46,8 +46,8 @@ def import_(
     written = 0
     for run in found:
         try:
-            several = output is not None and len(found) > 1
-            folder = new_folder(output / run.name if several else output, f"import-{run.name}", create=False)
+            given = output / run.name if output and len(found) > 1 else output
+            folder = new_folder(given, f"import-{run.name}", create=False)
             _import_one(run, parameters, folder, settings, force, console)
             written += 1
         except (RunError, OutputError) as error:

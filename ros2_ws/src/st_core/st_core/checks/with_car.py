@@ -102,9 +102,11 @@ def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
     other_way = "it counts the other way (left is positive)" if value < 0.0 else ""
     words = " and ".join(filter(None, (reason, other_way)))
     name = "steering_sign" if exact == 1.0 else "steering_scale"
+    or_else = "  # or, for CAN logs, the other steering_sign in car.yaml" if name == "steering_sign" else ""
     text = f"road_wheel_angle is {value:.3g} times what yaw rate and speed say" + (f": {words}?" if words else "")
+    cure = Cure.correct("road_wheel_angle", scale=float(f"{1.0 / signed:.6g}"))
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", scale.interval, (), None,
-                   Cure.correct("road_wheel_angle", scale=float(f"{1.0 / signed:.6g}")))
+                   replace(cure, line=f"{cure.line}{or_else}"))
 
 
 def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters) -> Finding | None:

@@ -79,8 +79,8 @@ def main() -> int:
     parser.add_argument("--save", type=Path, help="file to write as well, .rrd")
     options = parser.parse_args()
     lower(VIEW_NICE)
-    sinks = [rr.GrpcSink(options.server)] if options.server else []
-    sinks += [rr.FileSink(str(options.save))] if options.save else []
+    sinks = [*([rr.GrpcSink(options.server)] if options.server else ()),
+             *([rr.FileSink(str(options.save))] if options.save else ())]
     drawing = recording(options.title, FLUSH, *sinks)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     viewer = Viewer(Feed(Scene(drawing, read_vehicle(options.vehicle)), options.map_frame))

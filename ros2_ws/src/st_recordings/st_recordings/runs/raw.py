@@ -139,7 +139,7 @@ def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
         raise RunError("--search", "{:g} is not below {:g}".format(*settings.search))
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")
     latency = settings.ins_can_latency or source.settings.get("ins_can_latency") or INS_ON_CAN
-    return {"offset": offset, "search": settings.search, "latency": latency}
+    return {"offset": offset, "search": settings.search, "latency": latency, "steering_sign": settings.steering_sign}
 
 
 def latency_in_words(source: RunSource, settings: ReadSettings) -> str:
