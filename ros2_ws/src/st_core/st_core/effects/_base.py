@@ -1,6 +1,5 @@
 """What an effect is, and the registry of all effects."""
 
-import difflib
 import math
 import re
 import sys
@@ -13,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from ..channels import CHANNELS
 from ..errors import ConfigurationError
+from ..yaml_text import nearest
 
 KINDS = ("kinematic", "linear", "nonlinear")
 DYNAMIC = frozenset(("linear", "nonlinear"))
@@ -233,8 +233,7 @@ def _check_attributes(effect: type[Effect]) -> None:
         if key.startswith("_"):
             continue
         if key not in vars(Effect) and key not in Effect.__annotations__:
-            near = difflib.get_close_matches(key, [*vars(Effect), *Effect.__annotations__], n=1)
-            raise ConfigurationError(f"unknown attribute {key}{f', did you mean {near[0]}?' if near else ''}")
+            raise ConfigurationError(f"unknown attribute {key}{nearest(key, [*vars(Effect), *Effect.__annotations__])}")
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
             raise ConfigurationError(f"{key} must be a @staticmethod")
 
@@ -291,9 +290,8 @@ def get_effect(name: str) -> type[Effect]:
     if name in UNLISTED:
         return UNLISTED[name]
     if name not in EFFECTS:
-        near = difflib.get_close_matches(name, EFFECTS, n=1)
-        hint = f", did you mean {near[0]}?" if near else ""
-        raise ConfigurationError(f"unknown effect {name!r}{hint}; known are {', '.join(sorted(EFFECTS))}")
+        known = ", ".join(sorted(EFFECTS))
+        raise ConfigurationError(f"unknown effect {name!r}{nearest(name, EFFECTS)}; known are {known}")
     return EFFECTS[name]
 
 
