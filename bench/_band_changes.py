@@ -18,7 +18,7 @@ from st_recordings.paths import project_root
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 MODELS, MODES = ("linear", "nonlinear"), ("hindsight", "forecast")
-SEED, KNOWN, HOURS, CHANGED = 22, 24, 8, 12
+SEED, KNOWN, HOURS, CHANGED = 22, 24, 2, 5
 HOUR_PARTS, CHANGED_PARTS, KNOWN_PARTS = 450, 30, 9
 """Manoeuvres, each of about 8 s: an hour, four minutes, one minute."""
 STYLES = {"ordinary": ("ORDINARY", "CIRCLE", "ORDINARY", "SWEEP", "ORDINARY", "STEPS", "WEAVE", "SLALOM",
@@ -35,6 +35,7 @@ CHANGES = {
 }
 
 Bands = Mapping[tuple[str, str], Band]
+Row = dict[str, str]
 
 
 @dataclass
@@ -80,12 +81,12 @@ def learnt(runs: Sequence[RunSamples]) -> tuple[Bands, Seen]:
     return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in questions}, Seen.of([r.conditions for r in runs]))
 
 
-def changes() -> dict[str, str]:
-    """Rows of text by style of driving: healthy hours, then each change."""
-    return {key: text for number, style in enumerate(STYLES) for key, text in of_style(number, style).items()}
+def changes() -> list[Row]:
+    """By style of driving, change and model: healthy hours, then each change; questions of the model, then of both."""
+    return [row for number, style in enumerate(STYLES) for row in of_style(number, style)]
 
 
-def of_style(number: int, style: str) -> dict[str, str]:
+def of_style(number: int, style: str) -> list[Row]:
     sys.path.insert(0, str(project_root()))
     from bench.discovery import cars, programmes
     from bench.discovery.plants import Order, driven, vehicle_of
@@ -105,33 +106,36 @@ def of_style(number: int, style: str) -> dict[str, str]:
     runs = [run_samples(models, file, SETTINGS.signals(log), SETTINGS)
             for log in (drive(0, k, KNOWN_PARTS) for k in range(KNOWN))]
     bands, seen = learnt(runs)
-    found = {f"{style}, nothing": healthy_row([watch(drive(1, k, HOUR_PARTS), file, bands, seen)
-                                               for k in range(HOURS)])}
-    print(style, found, flush=True)
+    rows = healthy_rows(style, [watch(drive(1, k, HOUR_PARTS), file, bands, seen) for k in range(HOURS)])
     for place, (name, change) in enumerate(CHANGES.items()):
         moved = {key: healthy[key] + v if key == "steering_offset" else healthy[key] * v for key, v in change.items()}
         drives = [drive(2 + place, k, CHANGED_PARTS, healthy | moved) for k in range(CHANGED)]
-        found[f"{style}, {name}"] = changed_row([watch(log, file, bands, seen) for log in drives])
-        print(style, name, found[f"{style}, {name}"], flush=True)
-    return found
+        rows += changed_rows(style, name, [watch(log, file, bands, seen) for log in drives])
+        print(*rows[-len(bands):], sep="\n", flush=True)
+    return rows
 
 
-def healthy_row(drives: Sequence[Watched]) -> str:
+def healthy_rows(style: str, drives: Sequence[Watched]) -> list[Row]:
     hours = sum(one.seconds for one in drives) / 3600.0
-    words = [f"{model}, {mode}: {sum(len(one.warned[model, mode]) for one in drives)} false warnings in {hours:.1f} h, "
-             f"kept {np.mean([one.share[model, mode] for one in drives]):.1%}" for model, mode in drives[0].warned]
-    return "; ".join(words)
+    return [_row(style, f"nothing, {hours:.1f} h", key,
+                 f"{sum(len(one.warned[key]) for one in drives)} false warnings",
+                 f"90 % kept {np.mean([one.share[key] for one in drives]):.1%}") for key in drives[0].warned]
 
 
-def changed_row(drives: Sequence[Watched]) -> str:
+def changed_rows(style: str, name: str, drives: Sequence[Watched]) -> list[Row]:
     """Delays from the change, in the middle of the drive, to the first warning after it."""
-    words = []
+    rows = []
     for key in drives[0].warned:
         delays = [min((t - 0.5 * one.seconds for t in one.warned[key] if t > 0.5 * one.seconds), default=np.inf)
                   for one in drives]
-        soon = sum(delay <= 60.0 for delay in delays)
         early = sum(any(t <= 0.5 * one.seconds for t in one.warned[key]) for one in drives)
-        middle = float(np.median(delays))
-        words.append(f"{key[0]}, {key[1]}: {soon} of {len(drives)} within a minute, median "
-                     f"{f'{middle:.0f} s' if np.isfinite(middle) else 'none'}" + (f", {early} before" if early else ""))
-    return "; ".join(words)
+        middle, soon = float(np.median(delays)), sum(delay <= 60.0 for delay in delays)
+        before = f", {early} before the change" if early else ""
+        rows.append(_row(style, name, key, f"{soon} of {len(drives)}{before}",
+                         f"{middle:.0f} s" if np.isfinite(middle) else "none"))
+    return rows
+
+
+def _row(style: str, change: str, key: tuple[str, str], soon: str, delay: str) -> Row:
+    return {"style": style, "change": change, "model": key[0], "question": key[1], "within a minute": soon,
+            "median delay": delay}

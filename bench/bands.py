@@ -16,7 +16,7 @@ from _band_mended import read_again
 from _band_page import PAGE, write
 from _band_ways import LEVELS, SEED, WAYS
 from _markers import renew, table
-from st_core.bands import Band, RunSamples, Seen, calibrate, run_samples
+from st_core.bands import Band, RunSamples, Seen, calibrate, most_promised, run_samples, together
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
@@ -30,7 +30,7 @@ from st_recordings.runs import find_runs, read
 
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
-MODES = ("hindsight", "forecast")
+MODELS, MODES = ("kinematic", "linear", "nonlinear"), ("hindsight", "forecast")
 # Days as the data's own page has them; of low_speed_f to _h only the campaign is known.
 DAYS = {
     "2018-08-20": ("cpg_lap_slow", "cpg_lap_fast"), "2018-08-22": ("cpg_lap_medium", "cpg_lap_fast_controlled"),
@@ -55,9 +55,10 @@ CALIBRATED = ("conformal",)
 
 def run() -> dict:
     """Figures of one model and question a row."""
-    parts = {"genesis": genesis, "virtual": virtual, "manoeuvres": by_manoeuvre, "mended": mended, "changes": changes}
+    parts = {"genesis": genesis, "virtual": virtual, "manoeuvres": by_manoeuvre, "mended": mended,
+             "changes": changed_mid_drive}
     chosen = os.environ.get("ST_BANDS")
-    found: dict[str, Row | str] = {}
+    found: dict[str, Row] = {}
     for name, part in parts.items():
         if chosen in (None, name):
             rows = part()
@@ -67,6 +68,14 @@ def run() -> dict:
     return found
 
 
+def changed_mid_drive() -> dict[str, Row]:
+    """Written into the page; of changes without the forecast's rows where it did not warn."""
+    rows = changes()
+    shown = [row for row in rows if row["question"] == "hindsight" or row["median delay"] != "none"]
+    renew(PAGE, "changes in mid-drive", "\n".join(table(shown)) + "\n")
+    return {", ".join(list(row.values())[:4]): row for row in rows}
+
+
 def genesis() -> dict[str, Row]:
     """Nothing where the shared drives are not at hand."""
     runs = _genesis_runs()
@@ -74,11 +83,33 @@ def genesis() -> dict[str, Row]:
         return {}
     apart = {name: runs.pop(name) for name in OTHER_POINT}
     found = {}
-    for model in ("kinematic", "linear", "nonlinear"):
+    for model in MODELS:
         found |= held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model, tuple(WAYS))
         found |= held_out(f"Genesis, {model}, by day", runs, DAYS, model)
         found |= held_out(f"Genesis, {model}, by site", runs, SITES, model)
+    renew(PAGE, "days that count as one", "\n".join(table(days_as_one(runs))) + "\n")
     return found | transferred("Genesis, linear, on runs with the INS point at the rear axle", runs, apart, "linear")
+
+
+def days_as_one(runs: Runs) -> list[Row]:
+    """Each day with bands of the others, the runs of a day counting as one: what so few can promise."""
+    rows = []
+    days = {day: together([runs[name] for name in names]) for day, names in DAYS.items()}
+    stated = (0.5, most_promised(len(days) - 1))
+    for question in ((model, mode) for model in MODELS for mode in MODES):
+        covered = []
+        for day, new in days.items():
+            known = [one for other, one in days.items() if other != day]
+            band, seen = calibrate(known, question, TIME, stated), Seen.of([one.conditions for one in known])
+            kept = seen(new.conditions)
+            if not kept.any():
+                continue
+            scores = band.scores(new.conditions[kept], new.errors[question][kept].astype(float)).max(axis=1)
+            covered.append([float((scores <= band.factors[level]).mean()) for level in stated])
+        rows.append({"model": question[0], "question": question[1]} | {
+            f"{level:.0%} covers (days)": f"{np.mean(shares):.0%} ({', '.join(f'{one:.0%}' for one in shares)})"
+            for level, shares in zip(stated, zip(*covered, strict=True), strict=True)})
+    return rows
 
 
 def virtual() -> dict[str, Row]:
@@ -238,5 +269,4 @@ def _genesis_runs() -> dict[str, RunSamples] | None:
     file = config("vehicle/hyundai_genesis.yaml")
     car = VehicleParameters.from_yaml(file.read_text(), str(file))
     sources = [source for source in find_runs(folders) if not source.name.startswith("wrong_projection")]
-    models = ("kinematic", "linear", "nonlinear")
-    return {source.name: samples(read(source, car).log, car, models) for source in sources}
+    return {source.name: samples(read(source, car).log, car, MODELS) for source in sources}

@@ -20,7 +20,7 @@ import numpy as np
 from fuzz.harness import fuzz, processor_seconds, save, smaller
 from fuzz.targets import TARGETS
 from fuzz.wires import Pipeline, packets, with_checksums
-from oxts_bridge.batch import decode_file
+from oxts_bridge.file_decoder import decode_file
 from oxts_bridge.ncom import PACKET_SIZE
 from oxts_bridge.stream import NcomParser
 

@@ -11,7 +11,7 @@ from _hops import Made, Stream, hops, marks, percentiles
 from _suite import running_suite
 from _view import view
 from nav_msgs.msg import Odometry
-from oxts_bridge.batch import decode_file
+from oxts_bridge.file_decoder import decode_file
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from st_live.nodes.player import stamp_of

@@ -6,8 +6,8 @@ import time
 from dataclasses import replace
 
 from oxts_bridge import ncom
-from oxts_bridge.batch import decode_file
 from oxts_bridge.channels import encode_channel
+from oxts_bridge.file_decoder import decode_file
 from oxts_bridge.status import StatusTracker
 from oxts_bridge.stream import NcomParser
 

@@ -9,7 +9,7 @@ from st_core.bands import LiveBands, conditions_now
 from st_core.prediction import PredictionSettings, Predictor, Skip
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
-from st_predictor.nodes._bands import messages
+from st_predictor.nodes._bands import BandMessages
 from st_recordings.paths import config
 
 TICKS = 500
@@ -24,6 +24,7 @@ def run() -> dict:
     path = config("vehicle/leaf.yaml")
     vehicle = VehicleParameters.from_yaml(path.read_text(), origin=str(path))
     predictor, live = Predictor(vehicle, MODELS, PredictionSettings()), LiveBands(drawn_bands(vehicle), MODELS)
+    messages = BandMessages()
     for k in range(200):
         time_ns = k * 10_000_000
         predictor.add_ins(InsSample(time_ns, 10 * k * 0.01, 0.0, 0.0, 10.0, 0.05, 0.2))
@@ -36,7 +37,7 @@ def run() -> dict:
             raise RuntimeError(start.reason)
         if with_bands := bool(k % 2):
             stated = live(conditions_now(predictor.history, start.time_ns))
-            if len([messages(one) for one in stated.values()]) != len(MODELS):
+            if len(messages.fill(stated)) != len(MODELS):
                 raise RuntimeError("no band at these conditions")
         for model in MODELS:
             predictor.run(start, model)

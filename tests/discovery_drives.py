@@ -9,13 +9,14 @@ from functools import cached_property
 
 import numpy as np
 from st_core.augmented import augment
+from st_core.channels import OF_COLUMN
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.fit import Problem
 from st_core.discovery.loss import Loss
 from st_core.discovery.space import Space
-from st_core.discovery.suggested_drive import CATALOGUE, drive
-from st_core.discovery.windows import COLUMNS
+from st_core.discovery.suggested_drive import drive
 from st_core.log import DriveLog
+from st_core.manoeuvres import CATALOGUE
 from st_core.vehicle import VehicleParameters
 
 NOISE = {"x": 0.01, "y": 0.01, "yaw": 1e-4, "velocity_x": 0.003, "velocity_y": 0.003, "yaw_rate": 0.002,
@@ -41,7 +42,7 @@ class Rows:
 
     count: int
     run: np.ndarray
-    columns = COLUMNS
+    columns = tuple(OF_COLUMN)
     time = np.array([0.5, 1.25, 2.5, 5.0])
 
     @property
@@ -76,7 +77,7 @@ def linear_problem(effects: Sequence[str], truth: Mapping[str, float], seed: int
     differs}."""
     rng = np.random.default_rng(seed)
     space = Space("nonlinear", DiscoverySettings(effects=tuple(effects)))
-    shape = (count, len(Rows.time) * len(COLUMNS))
+    shape = (count, len(Rows.time) * len(OF_COLUMN))
     taking_part = np.isin(space.effect_of, effects)
     blocks = np.arange(count) // block
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from st_core.discovery.settings import CHANNELS, DiscoverySettings
+from st_core.channels import CHANNELS
+from st_core.discovery.settings import DiscoverySettings
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.settings import Settings
@@ -43,7 +44,7 @@ def settings_of(case: Case) -> DiscoverySettings:
 
 
 def channels_of(case: Case) -> tuple[str, ...]:
-    return CHANNELS if case.with_vy else tuple(c for c in CHANNELS if c != "velocity_y")
+    return tuple(CHANNELS) if case.with_vy else tuple(c for c in CHANNELS if c != "velocity_y")
 
 
 def drives_of(case: Case) -> Drives:

@@ -82,8 +82,8 @@ def seconds(r: Record) -> float:
     return sum(r["seconds"]) * LENGTH / r["driven"]
 
 
-def row(name: str, measured: str, floor: str = "", goal: str = "") -> tuple[str, str, str, str]:
-    return name, measured, floor, goal
+def row(name: str, measured: str, required: str = "", goal: str = "") -> tuple[str, str, str, str]:
+    return name, measured, required, goal
 
 
 def share(hits: Iterable[bool]) -> str:
@@ -107,7 +107,7 @@ def spread(values: Sequence[float]) -> str:
 
 
 def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
-    """(score, measured, floor, goal)."""
+    """(score, measured, required, goal)."""
     hidden = [r for r in records if r["block"] in "LM"]
     proposed, nothing = [r for r in hidden if r["law"]], [r for r in records if r["block"] == "N"]
     matter = [r for r in hidden if "oracle" in r["position"] and closable(r)]

@@ -168,12 +168,12 @@ class Table:
     def __init__(self) -> None:
         self.rows: list[Record] = []
 
-    def add(self, name: str, floor: str, goal: str, result: Record) -> None:
-        self.rows.append({"name": name, "floor": floor, "goal": goal, **result})
+    def add(self, name: str, required: str, goal: str, result: Record) -> None:
+        self.rows.append({"name": name, "required": required, "goal": goal, **result})
 
 
 def scores(records: Sequence[Record]) -> list[Record]:
-    """[{name, floor, goal, hits, of, share, low, high or value} ...] of everything."""
+    """[{name, required, goal, hits, of, share, low, high or value} ...] of everything."""
     blocks: dict[str, list[Record]] = defaultdict(list)
     for r in records:
         blocks[r["block"]].append(r)
@@ -214,8 +214,8 @@ def _parameters_found(table: Table, rows: list[Record], who: str) -> None:
     table.add(f"{who}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
               share_of([inside for r in rows for _, inside in values_inside(r)]))
     shares = [closed(r) for r in rows]
-    for name, q, floor, goal in (("median", 0.5, "92 %", "98 %"), ("10th percentile", 0.1, "75 %", "90 %")):
-        table.add(f"{who}A and B: held-out 5 s position closed relative to the oracle, {name}", slack + floor, goal,
+    for name, q, required, goal in (("median", 0.5, "92 %", "98 %"), ("10th percentile", 0.1, "75 %", "90 %")):
+        table.add(f"{who}A and B: held-out 5 s position closed relative to the oracle, {name}", slack + required, goal,
                   {**value_of(shares, lambda v, q=q: np.quantile(v, q)), "percent": True})
     table.add(f"{who}A and B: held-out made worse", "≤ 1 %", "0",
               share([r for r in rows if "position" in r], is_worse))
@@ -235,14 +235,14 @@ def _nothing_hidden(table: Table, rows: list[Record], who: str) -> None:
 
 def _referenced(table: Table, rows: list[Record]) -> None:
     single = [r for r in rows if r["kind"] == "one" and "detectability" in r]
-    for level, floor, goal in (("strong", "95 %", "98 %"), ("medium", "85 %", "94 %"), ("weak", "70 %", "85 %")):
-        table.add(f"D: exact name, {level}, with v_y", floor, goal, share(
+    for level, required, goal in (("strong", "95 %", "98 %"), ("medium", "85 %", "94 %"), ("weak", "70 %", "85 %")):
+        table.add(f"D: exact name, {level}, with v_y", required, goal, share(
             [r for r in single if r["with_vy"] and stratum(r["detectability"]) == level], exact))
     table.add("  exact name, strong and medium, without v_y", "", "", share(
         [r for r in single if not r["with_vy"] and stratum(r["detectability"]) in ("strong", "medium")], exact))
     healthy = [r for r in rows if r["kind"] == "healthy"]
-    for name, shifted, floor, goal in (("same", False, "≤ 2 %", "≤ 1 %"), ("shifted", True, "≤ 4 %", "≤ 2 %")):
-        table.add(f"D: alarms, {name} conditions", floor, goal, share(
+    for name, shifted, required, goal in (("same", False, "≤ 2 %", "≤ 1 %"), ("shifted", True, "≤ 4 %", "≤ 2 %")):
+        table.add(f"D: alarms, {name} conditions", required, goal, share(
             [r for r in healthy if r["shifted"] == shifted], lambda r: r["outcome"] not in ("none", "not_testable")))
     table.add("  D: held-out made worse", "≤ 1 %", "0", share([r for r in rows if "position" in r], is_worse))
 
@@ -278,4 +278,4 @@ def shown(row: Record) -> str:
 
 
 def as_text(rows: Sequence[Record]) -> str:
-    return "\n".join(f"{r['name']:86s} {shown(r):34s} {r['floor']:>24s} / {r['goal']}" for r in rows)
+    return "\n".join(f"{r['name']:86s} {shown(r):34s} {r['required']:>24s} / {r['goal']}" for r in rows)

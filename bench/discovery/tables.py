@@ -49,7 +49,7 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
     parts = [
         INTRODUCTION, _origin(records),
         "## Scores", table(("score", "measured", "required", "goal"), [
-            (r["name"].strip(), shown(r), r["floor"], r["goal"]) for r in score.scores(records)]),
+            (r["name"].strip(), shown(r), r["required"], r["goal"]) for r in score.scores(records)]),
         "## The two plants", _plants(records),
         "## By hidden effect", "Blocks A and B: hidden effects that matter, how often they are stated, and how often "
         "the value stated is right.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",

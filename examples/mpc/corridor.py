@@ -5,8 +5,9 @@
 
 A straight road at 10 m/s with three gates; the controller is to stay as near to the road as they let it, so it passes
 along their posts. Every seed is a car of its own: mass, tyres, friction and steering are drawn around the vehicle file
-(SPREAD). Bands of the controller's model are learnt from drives of other such cars through other gates; the tightened
-controller keeps the half-width across of each point of its horizon away from every post. Writes corridor.json.
+(SPREAD). Bands of the controller's model, over its own horizon, are learnt from drives of other such cars through other
+gates. The tightened controller keeps the half-width across of each point of its horizon away from every post; another
+keeps that of NEAR from there on, as what is decided later corrects the rest. Writes corridor.json.
 docs/manual/mpc.md explains the result.
 """
 
@@ -23,6 +24,7 @@ from st_core.bands import Band, Seen, calibrate, conditions, run_samples, steeri
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
+from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.output import new_folder
 from st_recordings.paths import config
@@ -32,14 +34,26 @@ from st_sim.path import straight
 from st_sim.scenarios import RoadPlan
 from st_sim.settings import REALISTIC, Settings
 
-SPEED, DURATION, HORIZON = 10.0, 15.0, 2.5
+SPEED, DURATION, HORIZON = 10.0, 20.0, 2.5
 SPREAD = {"mass_factor": 0.04, "front_stiffness_factor": 0.08, "rear_stiffness_factor": 0.08, "friction_factor": 0.05,
           "steering_offset": 0.006, "steering_ratio_factor": 0.02}
 """One standard deviation, of a factor or of the value [rad]."""
 KNOWN, LEVELS = 16, (0.5, 0.9)
-SETTINGS = EvaluationSettings()
+NEAR = 0.5
+"""s ahead, after five more decisions."""
+SETTINGS = EvaluationSettings(PredictionSettings(horizon=HORIZON))
+BEGINS = (50.0, 115.0, 180.0)
+"""m along the road, of the gates."""
 TOUCHED = 0.01
 """m across a post that count as a violation."""
+
+
+class Margin(NamedTuple):
+    """What is kept from every post: the half-width across of the band, from `until` [s] ahead on that of `until`."""
+
+    band: Band
+    seen: Seen
+    until: float
 
 
 class Gate(NamedTuple):
@@ -64,8 +78,8 @@ class Outcome(NamedTuple):
 def gates(generator: np.random.Generator | None = None) -> list[Gate]:
     """Three; drawn, or those of the comparison without a generator."""
     if generator is None:
-        return [Gate(40.0, 46.0, 1, 1.2), Gate(80.0, 86.0, -1, 1.2), Gate(120.0, 126.0, 1, 1.2)]
-    begins = 40.0 * np.arange(1, 4) + generator.uniform(-6.0, 6.0, 3)
+        return [Gate(b, b + 6.0, side, 1.2) for b, side in zip(BEGINS, (1, -1, 1), strict=True)]
+    begins = np.array(BEGINS) + generator.uniform(-6.0, 6.0, 3)
     return [Gate(b, b + 6.0, int(generator.choice([-1, 1])), generator.uniform(0.5, 1.5)) for b in begins]
 
 
@@ -91,17 +105,21 @@ def drawn(seed: int) -> Settings:
 
 
 def drive(controller: Controller, car: Car, vehicle: VehicleParameters, there: Sequence[Gate], seed: int,
-          band: tuple[Band, Seen] | None = None) -> Outcome:
-    """One drive; band: keep its 90 % half-width across from every post."""
+          kept: Margin | None = None) -> Outcome:
+    """One drive; kept: from every post, else nothing."""
     controller.forget()
     plan = RoadPlan(straight(400.0, SPEED))
     road, plant, step = Road(plan), ControlledCar(car, drawn(seed), seed), controller.tuning.step
     plant.place(0.0, 0.0, 0.0, SPEED)
     rows, angles, depth, acceleration = [], [0.0] * 12, -np.inf, 0.0
+    margin = np.zeros(controller.steps)
     while plant.time < DURATION - 1e-9:
         road.track(*plant.state[:2])
         ahead = road.ahead(controller.steps, step)
-        margin = np.zeros(controller.steps) if band is None else _margin(band, plant.state, angles, acceleration, step)
+        if kept is not None:
+            # Where there is no band, the last one holds.
+            stated = _margin(kept, plant.state, angles, acceleration, step)
+            margin = margin if stated is None else stated
         along = road.distance + step * SPEED * np.arange(1, controller.steps + 1)
         angle, acceleration = controller.control(plant.state, ahead, limits(there, along, margin)).inputs
         angles.append(angle)
@@ -117,16 +135,16 @@ def drive(controller: Controller, car: Car, vehicle: VehicleParameters, there: S
     return Outcome(depth, float(np.sqrt(np.mean(table[:, 2] ** 2))), float(cost), _log(table, vehicle, seed))
 
 
-def _margin(band: tuple[Band, Seen], state: Sequence[float], angles: Sequence[float], acceleration: float,
-            step: float) -> np.ndarray:
-    """The half-width across at the end of each step [m]; that of the nearest calibrated speed is not guessed: 0."""
-    learnt, seen = band
+def _margin(kept: Margin, state: Sequence[float], angles: Sequence[float], acceleration: float,
+            step: float) -> np.ndarray | None:
+    """At the end of each step [m]; None under conditions that were never calibrated."""
     at = np.interp(np.arange(-1.0, 0.01, 0.05), step * np.arange(-10, 1), angles[-11:])
     here = conditions(state[2], state[5], acceleration, steering_activity(at))[None]
-    if not seen(here)[0]:
-        return np.zeros(round(HORIZON / step))
+    if not kept.seen(here)[0]:
+        return None
     every = round(step / SETTINGS.prediction.step)
-    return learnt.half_widths(here, 0.9)[0, every - 1::every, 1][:round(HORIZON / step)]
+    across = kept.band.half_widths(here, LEVELS[-1])[0, every - 1::every, 1]
+    return np.minimum(across, across[round(kept.until / step) - 1])
 
 
 def _log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
@@ -154,8 +172,10 @@ def compared(seeds: int, model: str) -> dict[str, dict[str, float]]:
     file = config("vehicle/leaf.yaml")
     vehicle, car, tuning = VehicleParameters.from_yaml(file.read_text(), str(file)), read_car(file), Tuning()
     controller = Controller(get_model(model), vehicle, round(HORIZON / tuning.step), tuning, "rti", corridor=True)
-    band, found = learn(controller, car, vehicle, model), {}
-    for name, used in (("as it is", None), ("tightened", band)):
+    learnt, found = learn(controller, car, vehicle, model), {}
+    ways = {"as it is": None, "tightened": Margin(*learnt, HORIZON),
+            f"tightened as {NEAR:g} s ahead": Margin(*learnt, NEAR)}
+    for name, used in ways.items():
         drives = [drive(controller, car, vehicle, gates(), seed, used) for seed in range(seeds)]
         depths = np.array([one.depth for one in drives])
         found[name] = {

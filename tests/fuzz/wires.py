@@ -14,8 +14,8 @@ from canedge_bridge.error_frames import describe
 from canedge_bridge.loopback_bus import LoopbackMulticastBus, pack_message, parse_channel
 from canedge_bridge.receiver import Receiver
 from oxts_bridge import ncom
-from oxts_bridge.batch import decode_file
 from oxts_bridge.channels import FIELDS, encode_channel
+from oxts_bridge.file_decoder import decode_file
 from oxts_bridge.motion import Accuracy, motion_of
 from oxts_bridge.ncom import PACKET_SIZE, SYNC, NcomError
 from oxts_bridge.origin import FIRST_FIX, UNIT, Origin

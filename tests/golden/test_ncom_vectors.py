@@ -12,9 +12,9 @@ from functools import cache
 
 import pytest
 from oxts_bridge import ncom
-from oxts_bridge.batch import KINDS, UNKNOWN_TIME, decode_file
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.export import write_csv
+from oxts_bridge.file_decoder import KINDS, UNKNOWN_TIME, decode_file
 from oxts_bridge.stream import NcomParser
 from support import KEPT, SETS, vectors
 

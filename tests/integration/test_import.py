@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from oxts_bridge import batch
+from oxts_bridge import file_decoder
 from rosbags.highlevel import AnyReader
 from st_cli.cli import app
 from st_core.vehicle import VehicleParameters
@@ -200,7 +200,7 @@ def test_raw_packets_decode_to_the_odometry(imported: Path) -> None:
                 stream += message.raw_packet.tobytes()
             elif connection.topic == "/ins/odometry":
                 odometry.append(message)
-    columns = batch.decode_file(stream)
+    columns = file_decoder.decode_file(stream)
     speed = np.hypot(columns.velocity_ned[0], columns.velocity_ned[1])
     found = [np.hypot(m.twist.twist.linear.x, m.twist.twist.linear.y) for m in odometry]
     np.testing.assert_allclose(found, speed, atol=0.02)  # body axes against level: the car pitches a little

@@ -60,16 +60,18 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     from st_core.bands.scale import Scale, features, knots_of
 
     monkeypatch.setattr(corridor, "DURATION", 6.0)
-    there, time = [corridor.Gate(30.0, 36.0, -1, 1.0)], 0.05 * np.arange(1, 101)
+    there, time = [corridor.Gate(30.0, 36.0, -1, 1.0)], 0.05 * np.arange(1, 51)
     low, high = corridor.limits(there, np.array([29.0, 33.0]), np.array([0.2, 0.2]))
     assert high == pytest.approx([4.0, -1.2]) and low == pytest.approx([-4.0, -4.0])
     # 0.3 m at every point, whatever the conditions.
     nothing = np.full((3, 6, features(np.zeros((1, 4))).shape[1]), 0.0)
     nothing[:, :, 0] = -30.0
-    band = Band(Scale(nothing, np.full(3, 0.3), time, knots_of(5.0)), {0.9: 1.0}, np.zeros((3, 19)))
+    band = Band(Scale(nothing, np.stack([np.full(3, 0.3), np.zeros(3)]), time, knots_of(2.5)), {0.9: 1.0},
+                np.zeros((3, 19)))
     seen = Seen(np.full((99, 99), 100), (100.0, 100.0))
     controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)
-    plain, kept_off = (corridor.drive(controller, read_car(FILE), LEAF, there, 1, one) for one in (None, (band, seen)))
+    plain, kept_off = (corridor.drive(controller, read_car(FILE), LEAF, there, 1, one)
+                       for one in (None, corridor.Margin(band, seen, 0.5)))
     assert -0.2 < plain.depth < 0.3
     assert kept_off.depth == pytest.approx(plain.depth - 0.3, abs=0.1) and kept_off.error > plain.error
     assert len(plain.log.x) == 300

@@ -3,6 +3,9 @@
 import math
 from dataclasses import dataclass
 
+from st_core import vehicle
+from st_core.types import Number
+
 
 @dataclass(frozen=True)
 class SteeringCalibration:
@@ -17,13 +20,14 @@ class SteeringCalibration:
     steering_wheel_offset: float
     steering_ratio: float
 
-    def steering_wheel_angle(self, sensor: float) -> float:
+    def steering_wheel_angle(self, sensor: Number) -> Number:
         """[rad], left +, offset not removed."""
         return self.steering_sign * sensor
 
-    def road_wheel_angle(self, sensor: float) -> float:
+    def road_wheel_angle(self, sensor: Number) -> Number:
         """[rad], left +, mean of the front axle."""
-        return (self.steering_wheel_angle(sensor) - self.steering_wheel_offset) / self.steering_ratio
+        angle = self.steering_wheel_angle(sensor)
+        return vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 
     def formula(self) -> str:
         """The equation with its numbers, for people."""

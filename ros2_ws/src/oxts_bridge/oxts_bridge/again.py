@@ -7,11 +7,12 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from .attitude import Quaternion, Vector
+from .gps_time import NEW, SAME
 from .host_minute import HostMinute
 from .motion import motion_of
 from .origin import Origin
 from .status import StatusTracker
-from .stream import NEW, SAME, NcomParser
+from .stream import NcomParser
 
 
 class Posed(NamedTuple):

@@ -18,8 +18,8 @@ from .modes import fix_status, mode_text
 from .motion import Accuracy, Motion
 from .navigation import rule
 from .ncom import Packet
+from .resync import Counters
 from .status import StatusTracker
-from .stream import Counters
 
 # Of a quantity whose accuracy the unit does not vouch for, where the message has no way to say "unknown": large
 # enough that no filter believes it, finite so that none breaks.

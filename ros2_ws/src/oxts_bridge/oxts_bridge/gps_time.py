@@ -12,7 +12,7 @@ WEEK_MS = 604_800_000
 # Minutes an NCOM stream can mean: below, the manual says "unknown"; above 2038, no ROS stamp can carry it.
 FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
 
-NEW, SAME, LATE = 0, 1, 2
+NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3  # a duplicate is the same to the last byte
 # Packets at most this far behind are late, others are ahead: half a minute each way is all that ms alone can tell.
 HALF_MINUTE_MS = 30_000
 # So many late packets in a row, each after the one before: not reordering but a clock that was set back.
@@ -23,6 +23,16 @@ LONGEST_GAP_NS = 30_000_000_000
 DOUBT_MS = 1_000
 # A step of the packet time beyond the silence on the receive clock that counts as a jump.
 LARGEST_STEP_NS = 1_000_000_000
+
+
+UTC_CHANNEL = 16
+
+
+def sent_utc_offset(byte: int) -> int | None:
+    """UTC - GPS time [s] by the last byte of UTC_CHANNEL; None where it says that is not known, and above 0: UTC has
+    never been ahead of GPS time."""
+    offset = (byte - 256 if byte > 127 else byte) >> 1
+    return offset if byte & 1 and offset <= 0 else None
 
 
 def unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int:

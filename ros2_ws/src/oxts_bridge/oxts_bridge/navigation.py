@@ -37,10 +37,10 @@ RULES: dict[int, Rule] = {
     21: Rule("trigger while locking", imu=True, navigation="valid", status=True, trigger=True, kind="trigger"),
     22: Rule("trigger while locked", imu=True, navigation="valid", status=True, trigger=True, kind="trigger"),
 }
-INITIALISING, LOCKING, LOCKED, EXPIRED, BLOCKED = 2, 3, 4, 6, 7
-# Channel 0 of these sets the minute; 10 because files start with status-only packets, 1 not: no time before the clock
-# is set.
-MINUTE_STATUSES = frozenset((2, 3, 4, 10))
+INITIALISING, LOCKING, LOCKED, EXPIRED, BLOCKED, STATUS_ONLY = 2, 3, 4, 6, 7, 10
+# Channel 0 of these sets the minute; of status-only packets because files start with them, of 1 not: no time before the
+# clock is set.
+MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
 BY_STATUS: tuple[Rule, ...] = tuple(RULES.get(n, Rule(f"reserved ({n})", known=False)) for n in range(256))
 
 

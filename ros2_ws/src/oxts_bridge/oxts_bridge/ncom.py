@@ -15,6 +15,7 @@ tests/golden/test_ncom_vectors.py.
 import math
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 NAN = math.nan
 SYNC = 0xE7
@@ -38,7 +39,6 @@ LARGEST_I24 = 0x7FFFFF
 
 # An i24 is read as its low 16 bits (unsigned) and its high 8 bits (signed).
 _LAYOUT = struct.Struct("<xH HbHbHb HbHbHb B x ddf HbHbHb HbHbHb x B 8s x")
-_HEAD = struct.Struct("<BH")
 
 
 class NcomError(ValueError):
@@ -149,6 +149,11 @@ def encode(packet: Packet) -> bytes:
         raise NcomError(f"packet does not fit the wire: {error}") from None
     data[0] = SYNC
     return _fill_checksums(data)
+
+
+def is_place(latitude: Any, longitude: Any, altitude: Any) -> Any:
+    """Whether these [rad, rad, m], numbers or arrays, can be a position."""
+    return (abs(latitude) <= math.pi / 2) & (abs(longitude) <= 2 * math.pi) & (abs(altitude) < math.inf)
 
 
 def inner_checksums_match(data: bytes) -> bool:

@@ -12,7 +12,7 @@ from st_ros.parameters import ConfigurationError
 from . import convert
 from .attitude import Vector
 from .continuity import Continuity
-from .gps_time import unix_nanoseconds
+from .gps_time import DUPLICATE, NEW, SAME, unix_nanoseconds
 from .health import Health
 from .host_minute import HostMinute
 from .motion import Accuracy, Motion, motion_of
@@ -22,7 +22,7 @@ from .origin import GIVEN, Origin
 from .settings import NCOM, PARAMETERS, check
 from .sources import ReplaySource, SourceStatus, UdpSource
 from .status import StatusTracker
-from .stream import DUPLICATE, NEW, SAME, NcomParser, Received
+from .stream import NcomParser, Received
 from .stream_statistics import StreamStatistics
 from .triggers import EventLog
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .batch import UNKNOWN_TIME, decode_file
+from .file_decoder import UNKNOWN_TIME, decode_file
 
 # Linux: request and message type of the kernel's receive time; Python's socket module does not name it everywhere.
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)

@@ -1,27 +1,13 @@
 """Bytes from anywhere, in any portions, to timed NCOM packets. Never raises on what the bytes hold."""
 
 from dataclasses import dataclass
-from math import isfinite, pi
 
 from . import channels, gps_time
-from .gps_time import GpsClock, unix_nanoseconds
-from .navigation import BY_STATUS, MINUTE_STATUSES, Rule
-from .ncom import (
-    CHECKSUM_1_AT,
-    CHECKSUM_2_AT,
-    CHECKSUM_3_AT,
-    NAN,
-    PACKET_SIZE,
-    STATUS_AT,
-    STRUCTURE_B,
-    SYNC,
-    Packet,
-    decode_unchecked,
-    inner_checksums_match,
-)
+from .gps_time import DUPLICATE, LATE, NEW, SAME, GpsClock, unix_nanoseconds
+from .navigation import BY_STATUS, MINUTE_STATUSES, STATUS_ONLY, Rule
+from .ncom import NAN, PACKET_SIZE, STATUS_AT, STRUCTURE_B, Packet, decode_unchecked, inner_checksums_match, is_place
+from .resync import Counters, next_packet
 
-NEW, SAME, LATE, DUPLICATE = gps_time.NEW, gps_time.SAME, gps_time.LATE, 3
-_SYNC = bytes([SYNC])
 _NO_VECTOR = (NAN, NAN, NAN)
 
 
@@ -54,29 +40,8 @@ class Received:
         return self.order == NEW
 
 
-@dataclass
-class Counters:
-    """What became of the bytes since start."""
-
-    packets: int = 0
-    checksum_errors: int = 0  # a packet was due here, but its final checksum is wrong
-    skipped_bytes: int = 0  # belong to no packet
-    inner_checksum_warnings: int = 0  # checksum 1 or 2 wrong, final one right: accepted, as the vendor does
-    late: int = 0
-    duplicates: int = 0
-    unknown_statuses: int = 0  # reserved navigation status: ignored
-    unknown_channels: int = 0
-    structure_b: int = 0  # vendor-internal, dropped
-    triggers: int = 0
-    impossible_positions: int = 0  # NaN or out of range where the navigation status declares a position: masked
-
-
 class NcomParser:
-    """Streaming parser with its own clock. Feed datagrams or pieces of a file; portions may cut packets anywhere.
-
-    After bytes that are no packet it searches on by single bytes, and takes the next packet only if its three
-    checksums and its navigation status are right: one in 256 false syncs passes the final checksum alone.
-    """
+    """Streaming parser with its own clock. Feed datagrams or pieces of a file; portions may cut packets anywhere."""
 
     def __init__(self) -> None:
         self.clock = GpsClock()
@@ -105,46 +70,26 @@ class NcomParser:
         size = len(buffer)
         packets: list[Received] = []
         at = 0
-        while size - at >= PACKET_SIZE:
-            if buffer[at] == SYNC:
-                raw = buffer[at : at + PACKET_SIZE]
-                first = sum(raw[1:CHECKSUM_1_AT])
-                second = first + sum(raw[CHECKSUM_1_AT:CHECKSUM_2_AT])
-                third = second + sum(raw[CHECKSUM_2_AT:CHECKSUM_3_AT])
-                if third & 0xFF == raw[CHECKSUM_3_AT] and (self._in_step or plausible(raw)):
-                    self._in_step = True
-                    inner = first & 0xFF == raw[CHECKSUM_1_AT] and second & 0xFF == raw[CHECKSUM_2_AT]
-                    received = self._accept(raw, inner, self._consumed + at, received_ns)
-                    if received is not None:
-                        packets.append(received)
-                    at += PACKET_SIZE
-                    continue
-                if self._in_step:
-                    self.counters.checksum_errors += 1
-            at = self._skip(buffer, at)
-        if at < size and buffer[at] != SYNC:
-            at = self._skip(buffer, at)
+        while True:
+            at, self._in_step = next_packet(buffer, at, self._in_step, self.counters)
+            if size - at < PACKET_SIZE:
+                break
+            received = self._accept(buffer[at : at + PACKET_SIZE], self._consumed + at, received_ns)
+            if received is not None:
+                packets.append(received)
+            at += PACKET_SIZE
         self._tail = buffer[at:]
         self._consumed += at
         return packets
 
-    def _skip(self, buffer: bytes, at: int) -> int:
-        """Position of the next sync byte after `at`, or the end."""
-        following = buffer.find(_SYNC, at + 1)
-        if following < 0:
-            following = len(buffer)
-        self.counters.skipped_bytes += following - at
-        self._in_step = False
-        return following
-
-    def _accept(self, raw: bytes, inner: bool, offset: int, received_ns: int | None) -> Received | None:
+    def _accept(self, raw: bytes, offset: int, received_ns: int | None) -> Received | None:
         counters = self.counters
         counters.packets += 1
         status = raw[STATUS_AT]
         if status == STRUCTURE_B:
             counters.structure_b += 1
             return None
-        if not inner:
+        if not inner_checksums_match(raw):
             counters.inner_checksum_warnings += 1
         rule = BY_STATUS[status]
         packet = decode_unchecked(raw)
@@ -194,24 +139,16 @@ class NcomParser:
             self.counters.unknown_channels += 1
         if status not in MINUTE_STATUSES:
             return None
-        if channel == 16 and packet.batch_s[7] & 1:
-            offset = (packet.batch_s[7] - 256 if packet.batch_s[7] > 127 else packet.batch_s[7]) >> 1
-            # UTC has never been ahead of GPS time: a positive offset is not one.
-            self.utc_offset = offset if offset <= 0 else self.utc_offset
+        if channel == gps_time.UTC_CHANNEL and (offset := gps_time.sent_utc_offset(packet.batch_s[7])) is not None:
+            self.utc_offset = offset
         if channel != 0:
             return None
         minute = int.from_bytes(packet.batch_s[0:4], "little", signed=True)
         if not gps_time.FIRST_MINUTE <= minute <= gps_time.LAST_MINUTE:
             return None
-        if status == 10:
+        if status == STATUS_ONLY:
             self.clock.hint(minute)
         return minute
-
-
-def plausible(raw: bytes) -> bool:
-    """Whether 72 bytes with the right final checksum, found by searching, are to be believed."""
-    status = raw[STATUS_AT]
-    return status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw))
 
 
 def _mask(packet: Packet, rule: Rule, kind: str) -> bool:
@@ -222,7 +159,7 @@ def _mask(packet: Packet, rule: Rule, kind: str) -> bool:
         packet.latitude = packet.longitude = packet.altitude = NAN
         packet.velocity_ned = _NO_VECTOR
         packet.heading = packet.pitch = packet.roll = NAN
-    elif not (abs(packet.latitude) <= pi / 2 and abs(packet.longitude) <= 2 * pi and isfinite(packet.altitude)):
+    elif not is_place(packet.latitude, packet.longitude, packet.altitude):
         packet.latitude = packet.longitude = packet.altitude = NAN
         return True
     return False

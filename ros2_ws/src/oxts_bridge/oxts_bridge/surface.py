@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from .batch import EMPTY, Columns
 from .fields import Value
+from .file_decoder import EMPTY, Columns
 
 NAMES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 

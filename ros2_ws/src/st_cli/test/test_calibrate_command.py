@@ -39,6 +39,18 @@ def test_calibrate_names_what_it_leaves_out_and_says_what_is_promised(folder):
     assert "recordings:" in (base / "bands.yaml").read_text()
 
 
+def test_recordings_of_one_folder_count_as_one_run_where_they_are_alike(folder, tmp_path):
+    base, _ = folder
+    days = [base / "known" / f"weave_{k}.csv" for k in range(3)]
+    arguments = (*days, base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--together", "--output",
+                 tmp_path / "bands.yaml")
+    refused = st("calibrate", *arguments)
+    assert refused.exit_code == 2 and "4 runs can promise 80.0% at most" in refused.output
+    made = st("calibrate", *arguments, "--level", 0.8)
+    assert made.exit_code == 0 and "from 4 runs" in made.output
+    assert "weave_10" in (tmp_path / "bands.yaml").read_text()
+
+
 def test_evaluate_tests_the_bands_on_other_drives(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--bands",

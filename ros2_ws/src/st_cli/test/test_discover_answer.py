@@ -62,7 +62,7 @@ def test_names_not_told_apart_stand_together(logs):
     stiff = Candidate("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
     found = replace(found, candidates=(*found.candidates, stiff))
     assert "steering ratio × 0.894 or front stiffness × 1.31 (1.00 m)" in words.title(found)
-    assert any("drive what is suggested" in text for text in words.to_do(found, None))
+    assert any("do the next drive" in text for text in words.to_do(found, None))
 
 
 def test_what_cannot_be_seen_is_told_with_its_size_parameters_of_the_car_first(logs):
@@ -87,11 +87,11 @@ def test_what_is_kept_is_told_by_all_its_names(logs):
     found = discovery(logs, (("tyre_stiffness", {"factor": 1.2}, 0.5),), 1.7,
                       alternatives={"tyre_stiffness": ("mass",)})
     found = replace(discovery(logs, STEPS, 1.72), minor=found.effects)
-    assert any("also holds tyre stiffness × 1.200 or mass × 1.02" in text for text in words.to_do(found, None))
+    assert any("also contains tyre stiffness × 1.200 or mass × 1.02" in text for text in words.to_do(found, None))
 
 
 @pytest.mark.parametrize(("outcome", "said"), [
-    ("none", "nothing is missing for sure"), ("not_testable", "show too little"),
+    ("none", "nothing is missing with certainty"), ("not_testable", "show too little"),
     ("unknown", "something is missing that no known effect explains")])
 def test_without_a_name(logs, outcome, said):
     assert said in words.title(discovery(logs, (), 1.72, outcome=outcome))
@@ -107,7 +107,7 @@ def test_what_is_bound_is_told_and_not_named(logs):
 def test_first_lines_name_runs_and_references_with_seconds(logs):
     lines = words.verdict(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
     assert [question for question, _ in lines[:2]] == ["suspect", "reference"]
-    assert lines[0][1] == ["2 runs, 40 s at 2 sites, told by tracks that overlap: <b>weave 20 s, other 20 s"]
+    assert lines[0][1] == ["2 runs, 40 s at 2 sites (overlapping tracks are one site): <b>weave 20 s, other 20 s"]
     assert lines[1][1] == ["1 run, 20 s: healthy 20 s"]
     assert "starts from the vehicle file" in dict(words.verdict(discovery(logs, STEPS, 1.72), None))["reference"][0]
 

@@ -9,7 +9,7 @@ from drives import weave, write_drive
 from effect_registry import restored
 from st_cli.cli import app
 from st_core.augmented import augment
-from st_core.effects import EFFECTS, load_folder
+from st_core.effects import EFFECTS, load_folder, source_file
 from st_core.model_file import ModelFile
 from st_core.proposals import Candidate, Proposal, Proposals
 from st_core.vehicle import VehicleParameters
@@ -58,6 +58,11 @@ def test_a_proposed_file_keeps_all_promises(law):
     result = st("effects", "check", law / "effects" / "proposed_rear_steer.py")
     assert result.exit_code == 0 and "proposed_rear_steer: all promises kept" in result.output, result.output
     assert result.output.count("yes") == 8
+
+
+def test_a_file_of_the_library_is_checked_as_one_of_your_own():
+    result = st("effects", "check", source_file(EFFECTS["yaw_rate_bias"]))
+    assert result.exit_code == 0 and "yaw_rate_bias: all promises kept" in result.output, result.output
 
 
 def test_a_broken_promise_is_said_and_is_an_exit_status(law):

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from . import channels
 from .errors import StCoreError
 from .filtering import NANOSECOND
 from .frames import body_to_map, map_to_body
+from .interpolation import interpolate
 from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
-from .readings import interpolate
 from .vehicle import VehicleParameters
 
 MAXIMUM_GAP = 0.25
@@ -31,13 +32,14 @@ _ALL = ("scale", "add", "earlier")
 CHANNELS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("x", "y"), _ALL), "position": ("scale", "earlier", "ahead"), "yaw": _ALL, "heading": ("add",),
     **dict.fromkeys(("velocity_x", "velocity_y"), _ALL), "velocity": ("scale", "earlier"),
-    **dict.fromkeys(("yaw_rate", "acceleration_x", "acceleration_y", *STEERING), _ALL),
+    **dict.fromkeys(("yaw_rate", *OPTIONAL_INS_SIGNALS, *STEERING), _ALL),
 }
 """What may be corrected, and which fields of Correction it takes."""
 
 UNITS: Mapping[str, str] = {
     **dict.fromkeys(("x", "y", "position"), "m"), **dict.fromkeys(("velocity_x", "velocity_y", "velocity"), "m/s"),
     "yaw_rate": "rad/s", **dict.fromkeys(("acceleration_x", "acceleration_y"), "m/s^2"),
+    **{name: channels.UNITS[name] for name in channels.FURTHER},
     **dict.fromkeys(("yaw", "heading", *STEERING), "rad"),
 }
 

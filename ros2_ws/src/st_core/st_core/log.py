@@ -1,29 +1,39 @@
 """One recorded drive, ready for evaluation and identification: INS and steering on one clock, SI, no gaps filled."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .channels import FURTHER
 from .errors import StCoreError
 from .vehicle import VehicleParameters
 
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
-OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
+OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y", *FURTHER)
+STEERING = ("road_wheel_angle", "steering_wheel_angle")
 HALF_SLOPE = 0.025  # s to both sides: shorter is noise, longer takes more than 3 % of 2.5 Hz
 
 
+if TYPE_CHECKING:
+    _Further = object
+else:  # a field for each
+    _Further = make_dataclass("_Further", [(name, np.ndarray | None, field(default=None, kw_only=True))
+                                           for name in FURTHER], frozen=True, eq=False)
+
+
 @dataclass(frozen=True, eq=False)
-class DriveLog:
+class DriveLog(_Further):
     """Measurements of one drive, each on its own time base. Arrays are read-only.
 
     ins_time_ns, steering_time_ns: int64 UTC nanoseconds since the Unix epoch, both on the INS clock, strictly rising.
-    A gap in the measurement is a step in time; nothing is interpolated, and only accelerations may be NaN.
+    A gap in the measurement is a step in time; nothing is interpolated, and only OPTIONAL_INS_SIGNALS may be NaN.
 
     x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].
     velocity_x, velocity_y: body axes, forward and left, at the INS point [m/s]. yaw_rate: left turn + [rad/s].
-    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]; None if not there,
-    NaN where a sample of the others came without it.
+    acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]; others are in
+    `channels.CHANNELS`. None if not there, NaN where a sample of the others came without it.
 
     road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as the sensor says, left +, offset not
     removed [rad]; None where the source holds only the road wheel angle.
@@ -46,10 +56,7 @@ class DriveLog:
     acceleration_y: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        for base, signals in (
-            ("ins_time_ns", (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)),
-            ("steering_time_ns", ("road_wheel_angle", "steering_wheel_angle")),
-        ):
+        for base, signals in (("ins_time_ns", (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)), ("steering_time_ns", STEERING)):
             time = np.asarray(getattr(self, base))
             if time.ndim != 1 or time.dtype.kind != "i":
                 raise StCoreError(f"{self.name}: {base} must be a row of whole nanoseconds")
@@ -116,10 +123,10 @@ class DriveLog:
         span = (start_ns, end_ns + 1)
         ins, steering = (slice(*np.searchsorted(t, span).tolist()) for t in (self.ins_time_ns, self.steering_time_ns))
         parts = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name_ in (one.name for one in fields(self)):
+            value = getattr(self, name_)
             if isinstance(value, np.ndarray):
-                parts[field.name] = value[steering if "steering" in field.name or "wheel" in field.name else ins]
+                parts[name_] = value[steering if name_ in ("steering_time_ns", *STEERING) else ins]
         return replace(self, name=name or self.name, **parts)
 
     def with_steering(self, vehicle: VehicleParameters) -> "DriveLog":

@@ -14,7 +14,8 @@ from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import StCoreError
 from .filtering import NANOSECOND
-from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from .interpolation import interpolate
+from .log import DriveLog
 from .models import Model
 from .types import InsSample
 from .vehicle import VehicleParameters
@@ -92,23 +93,6 @@ def ahead_ns(model: Model) -> int:
     return max(0, round(-float(time[0]) / NANOSECOND))
 
 
-def interpolate(time_ns: np.ndarray, values: np.ndarray, wanted_ns: np.ndarray, gap_ns: int) -> np.ndarray:
-    """A signal at wanted instants, linear between samples no further apart than gap_ns; NaN where not known."""
-    result = np.full(len(wanted_ns), np.nan)
-    if not len(time_ns):
-        return result
-    after = np.minimum(np.searchsorted(time_ns, wanted_ns), len(time_ns) - 1)
-    before = np.maximum(after - 1, 0)
-    exact = time_ns[after] == wanted_ns
-    spacing = time_ns[after] - time_ns[before]
-    inside = (wanted_ns > time_ns[before]) & (wanted_ns < time_ns[after]) & (spacing <= gap_ns)
-    low, high = before[inside], after[inside]
-    fraction = (wanted_ns[inside] - time_ns[low]) / spacing[inside]
-    result[inside] = values[low] + fraction * (values[high] - values[low])
-    result[exact] = values[after[exact]]
-    return result
-
-
 def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
     """The drive as faultless sensors would have recorded it, with the angle the wheels had: what a model starts from.
 
@@ -119,12 +103,12 @@ def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> Driv
         return log
     parts: dict[str, Any] = {}
     if model.has_sensors:
-        lacking = wanting(model, [name for name in OPTIONAL_INS_SIGNALS if getattr(log, name) is None])
+        names = Measured._fields[:-1]
+        lacking = wanting(model, [name for name in names if getattr(log, name) is None])
         if lacking:
             raise StCoreError("{}: effect {} needs {}, which is not in it".format(log.name, *lacking))
         true = _corrected(model, log)
-        parts |= {name: getattr(true, name) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
-                  if getattr(log, name) is not None}
+        parts |= {name: getattr(true, name) for name in names if getattr(log, name) is not None}
     if model.has_memory:
         time_ns, angle = corrected_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
         parts |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}

@@ -2,8 +2,8 @@
 
 The lateral dynamics of a car become stiffer as it slows down: the damping goes with C / (m v). Under classical
 Runge-Kutta a mode with eigenvalue s is damped as long as |R(h s)| <= 1; beyond that a prediction rings, diverges or
-settles in the wrong place, although the car would not. minimum_slip_speed is the models' own floor to that: below it
-the stiffness stays what it is there.
+settles in the wrong place, although the car would not. Below minimum_slip_speed the models keep the stiffness they have
+there.
 """
 
 import math
@@ -93,7 +93,7 @@ def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters,
                       step: float) -> float | None:
     """The minimum_slip_speed [m/s], in tenths, from which on the models are stable at all the speeds [m/s].
 
-    It is more than `lowest_stable_speed`: a car slower than the floor keeps the damping it has there, but not the
+    It is more than `lowest_stable_speed`: a slower car keeps the damping it has there, but not the
     coupling v r of its two modes, and one of the two becomes faster. None where no value a vehicle file may hold
     helps: extra states, such as those of tyres that relax, have a stiffness of their own, at high speed.
     """
@@ -122,8 +122,8 @@ def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Ite
     if worst is None or factors[worst] <= 1.0:
         return
     _said.add(key)
-    floor = slip_speed_needed([model], vehicle, factors, step)
-    in_the_file = f"a minimum_slip_speed of {floor:g} m/s in the vehicle file, or " if floor else ""
+    needed = slip_speed_needed([model], vehicle, factors, step)
+    in_the_file = f"a minimum_slip_speed of {needed:g} m/s in the vehicle file, or " if needed else ""
     warnings.warn(
         f"{model.name} model of {vehicle.name}: integration steps of {step * 1e3:g} ms are too long at {worst:.2f} m/s,"
         f" the lateral motion comes out wrong; cured by {in_the_file}"

@@ -91,6 +91,11 @@ TYRES = ("tyre_front", "tyre_rear")
 DERIVED = "derived: C / (2 abs(K)) at the static load of one tyre"
 
 
+def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number) -> Number:
+    """delta = (measured - offset) / ratio [rad], left +, mean of the front axle; measured [rad], left +; ratio [1]."""
+    return (steering_wheel_angle - offset) / ratio
+
+
 @dataclass(frozen=True)
 class VehicleParameters:
     """One car, in SI units.
@@ -158,8 +163,8 @@ class VehicleParameters:
         return 0.5 * self.mass * GRAVITY * self.cg_to_front_axle / self.wheelbase
 
     def road_wheel_angle(self, steering_wheel_angle: Number) -> Number:
-        """delta = (measured - offset) / ratio [rad], left +, from the measured steering wheel angle [rad], left +."""
-        return (steering_wheel_angle - self.steering_wheel_offset) / self.steering_ratio
+        """From the measured steering wheel angle [rad], left +; see the function of this name."""
+        return road_wheel_angle(steering_wheel_angle, self.steering_wheel_offset, self.steering_ratio)
 
     def steering_wheel_angle(self, road_wheel_angle: Number) -> Number:
         """What the steering wheel sensor reads [rad] at a road wheel angle [rad]: the inverse of `road_wheel_angle`."""

@@ -68,7 +68,7 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
         assert bool(found) == bool(bands.seen(here[None])[0]) == (live.why_not(here) == "")
         for model, stated in found.items():
             for (mode, level), widths in stated.items():
-                assert widths == pytest.approx(bands.half_widths(model, mode, here, level)[0], rel=1e-12)
+                assert widths == pytest.approx(bands.half_widths(model, mode, here, level)[0], rel=2e-7)  # float32
                 compared += 1
     assert compared > 100
 

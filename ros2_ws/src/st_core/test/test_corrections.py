@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from st_core.channels import FURTHER
 from st_core.corrections import CHANNELS, Correction, check_corrections, corrected, in_words
 from st_core.errors import StCoreError
 from st_core.frames import body_to_map
-from st_core.log import INS_SIGNALS, DriveLog
+from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 
 LEAF = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
-SIGNALS = (*INS_SIGNALS, "acceleration_x", "acceleration_y")
+SIGNALS = (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
 
 
 def motion(t: np.ndarray) -> dict[str, np.ndarray]:
@@ -20,7 +21,8 @@ def motion(t: np.ndarray) -> dict[str, np.ndarray]:
     yaw = 0.6 * np.sin(0.4 * t)
     return {"x": 7.0 * t, "y": 3.0 * np.sin(0.5 * t), "yaw": yaw, "velocity_x": 8.0 + np.sin(0.3 * t),
             "velocity_y": 0.4 * np.cos(0.7 * t), "yaw_rate": 0.24 * np.cos(0.4 * t),
-            "acceleration_x": 0.3 * np.cos(0.3 * t), "acceleration_y": 2.0 * np.cos(0.4 * t)}
+            "acceleration_x": 0.3 * np.cos(0.3 * t), "acceleration_y": 2.0 * np.cos(0.4 * t),
+            **{name: 0.3 * np.cos(0.5 * t) for name in FURTHER}}
 
 
 def drive(seconds: float = 20.0, late: dict[str, float] | None = None) -> DriveLog:
@@ -86,7 +88,7 @@ def test_a_channel_that_comes_late(channel: str, late: float) -> None:
         assert_same(corrected(spoilt, correction, LEAF), true)
         return
     mended = corrected(drive(late=dict.fromkeys(names, late)), correction)
-    if channel.startswith("acceleration"):
+    if channel in OPTIONAL_INS_SIGNALS:
         lost = np.isnan(getattr(mended, channel))
         assert lost.sum() == np.ceil(abs(late) / 0.01 - 1e-6) and len(mended.x) == len(true.x)
         mended = mended.with_ins(~lost)

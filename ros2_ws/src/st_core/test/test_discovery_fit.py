@@ -7,11 +7,12 @@ import pytest
 from discovery_drives import linear_problem, recorded
 from scipy import optimize, stats
 from st_core.augmented import augment
+from st_core.channels import OF_COLUMN
 from st_core.discovery import DiscoverySettings, fit_effects
 from st_core.discovery.fit import FOLDS, Problem, Slopes, bounded
-from st_core.discovery.loss import FURTHEST, NU, SMALLEST, Errors, Loss, rho, weight
+from st_core.discovery.loss import FURTHEST, NU, Errors, Loss, rho, weight
 from st_core.discovery.space import GAIN, Space
-from st_core.discovery.windows import ASKED, COLUMNS, Signals, Windows
+from st_core.discovery.windows import ASKED, Signals, Windows
 from st_core.log_signals import LogSignals
 
 FEW = ("steering_offset", "mass", "yaw_inertia")
@@ -77,7 +78,7 @@ def test_scale_is_what_two_thirds_of_the_errors_are_below():
 
 def test_scale_stops_at_the_resolution_of_the_sensors():
     problem = small_noise(linear_problem(FEW, {}, 1), 1e-9)
-    smallest = [SMALLEST[c] for c in COLUMNS] * 4
+    smallest = [channel.smallest for channel in OF_COLUMN.values()] * 4
     np.testing.assert_array_equal(problem.loss.scale, smallest)
 
 

@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from batched import predict_batch
 from effect_registry import restored
 from st_core import effects
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, Effect, Parameter, get_effect, load_folder, register, twins_of
 from st_core.errors import ConfigurationError, StCoreError
-from st_core.prediction import predict, predict_batch
+from st_core.prediction import predict
 from st_core.types import ControlInput, InputSequence, VehicleState
 
 GAIN = Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), source="theory: 1", meaning="share")

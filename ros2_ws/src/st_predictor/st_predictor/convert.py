@@ -104,10 +104,10 @@ def read_prediction(message: Prediction) -> tuple[int, VehicleState, ControlInpu
 
 def ins_path(message: Prediction) -> Path:
     """The predicted path of the INS point, and the bands around it, for drawing."""
-    pose = tuple(map(np.asarray, (message.x, message.y, message.yaw)))
-    x, y = cg_to_ins_position(*pose, message.cg_to_ins_x, message.cg_to_ins_y)
+    x, y, yaw = map(np.asarray, (message.x, message.y, message.yaw))
+    x, y = cg_to_ins_position(x, y, yaw, message.cg_to_ins_x, message.cg_to_ins_y)
     bands = sorted((b for b in message.bands if b.mode == MODE), key=lambda b: -b.level)
-    ribbons = tuple(ribbon(b.level, (x, y, pose[2]), np.asarray(b.along), np.asarray(b.across)) for b in bands
+    ribbons = tuple(ribbon(b.level, (x, y, yaw), np.asarray(b.along), np.asarray(b.across)) for b in bands
                     if len(b.along) == len(b.across) == len(x))
     return Path(to_nanoseconds(message.header.stamp), message.step, x, y, ribbons)
 

@@ -64,9 +64,9 @@ class History:
     def models(self) -> tuple[str, ...]:
         return tuple(self._paths)
 
-    def newest(self, model: str) -> Path | None:
-        paths = self._paths.get(model)
-        return paths[-1] if paths else None
+    def newest(self, model: str) -> Path:
+        """Of one of `models`."""
+        return self._paths[model][-1]
 
     def ghosts(self, model: str, now_ns: int) -> list[tuple[float, Path]]:
         """(age in s, path) of the predictions nearest to each of GHOST_AGES, youngest first."""

@@ -8,9 +8,9 @@ from typing import Any
 from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
-from st_core.vehicle import VEHICLE_QUANTITIES, VehicleParameters
+from st_core.vehicle import VEHICLE_QUANTITIES
 
-from .car import STEERING, Car, car_named, read_table
+from .car import Car, car_named, read_table, read_vehicle
 from .paths import config
 from .runs.errors import RunError
 
@@ -101,7 +101,7 @@ def problems(folder: str) -> list[str]:
         if not str(error.path).endswith("car.yaml"):
             raise
         # The other files deserve their lines all the same.
-        car = Car(error.path.parent, **STEERING)
+        car = Car(Path(error.path).parent, 1, 0.0)
         return [str(error), *_vehicle_problems(car.vehicle), *_bus_problems(car)]
     return [*_vehicle_problems(car.vehicle), *_bus_problems(car)]
 
@@ -112,7 +112,7 @@ def _vehicle_problems(file: Path) -> list[str]:
         empty = sorted({where for where in _places(document)}, key=list(document).index)
         if empty:
             return [f"{file}: {key}: not filled in{_limit(key)}" for key in empty]
-        VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
     return []

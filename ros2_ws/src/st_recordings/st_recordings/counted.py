@@ -38,7 +38,8 @@ def lines(rows: Sequence[Row]) -> list[str]:
 def counted(errors: Storage) -> list[Row]:
     """The statistics of the last summary in a bag of scores; none without one."""
     last = deque(errors.messages(SUMMARY), maxlen=1)
-    return list(typestore(definitions()).deserialize_cdr(last[0], TYPE).statistics) if last else []
+    summary: Any = typestore(definitions()).deserialize_cdr(last[0], TYPE) if last else None
+    return list(summary.statistics) if last else []
 
 
 def as_dict(row: Row) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import Any, BinaryIO, NamedTuple, Protocol
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
@@ -278,7 +278,7 @@ class Contents:
             message_count=counts.total(), metadata_count=len(self._metadata_indexes),
             message_start_time=start_ns, message_end_time=end_ns, schema_count=len(self.schemas),
         )
-        groups = {
+        groups: dict[Opcode, Sequence[Any]] = {
             Opcode.SCHEMA: list(self.schemas.values()),
             Opcode.CHANNEL: list(self.channels.values()),
             Opcode.STATISTICS: [statistics],

@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import json
-import math
 import platform
 from collections import deque
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from st_core.evaluation import Statistic
 
 from .counted import Row, as_dict, counted
 from .paths import source_version
+from .plain_json import finite
 from .runs.bag import definitions, numbers, open_bag
 from .runs.bag_storage import Storage
 from .runs.cdr import Layouts, typestore
@@ -93,16 +93,17 @@ def _track(path: Path, bag: Storage) -> Track:
     values = numbers(path, bag, ODOMETRY, ["header.stamp", *point, *turn])
     if values is None:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
-    w, x, y, z = (values[name] for name in turn)
-    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    return Track(values["header.stamp"], *(values[name] for name in point), yaw)
+    w, i, j, k = (values[name] for name in turn)
+    yaw = np.unwrap(np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k)))
+    x, y = (values[name] for name in point)
+    return Track(values["header.stamp"], x, y, yaw)
 
 
 def _ticks(bag: Storage) -> dict[str, Any]:
     last = deque(bag.messages(STATUS), maxlen=1)
     if not last:
         return {"due": 0, "predicted": 0, "skipped": 0}
-    status = typestore(definitions()).deserialize_cdr(last[0], "st_msgs/msg/PredictorStatus")
+    status: Any = typestore(definitions()).deserialize_cdr(last[0], "st_msgs/msg/PredictorStatus")
     skipped = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}
     return {"due": status.due, "predicted": status.predicted, "skipped": sum(skipped.values()),
             "skipped_by_reason": skipped}
@@ -188,11 +189,5 @@ def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
         statistic = Statistic()
         if scores:
             statistic.add(getattr(scores, axis)[complete])
-        result[axis] = {k: _finite(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
+        result[axis] = {k: finite(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
     return result
-
-
-def _finite(value: float) -> float | None:
-    """JSON has no NaN: nothing scored is null."""
-    return float(value) if math.isfinite(value) else None
-

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from raw_drives import LEAF, write_drives
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs import find_runs, read
+from st_recordings.runs import ReadSettings, RunError, RunSource, find_runs, read
 from st_recordings.runs.ncom import read_ncom
 from st_recordings.runs.raw import read_raw_run
 from st_recordings.runs.readers import READERS, Reader, register
+from st_recordings.runs.write import import_run
 
 
 @pytest.fixture
@@ -38,6 +39,13 @@ def test_a_drive_of_another_ins(tmp_path: Path, another_ins: Reader) -> None:
     (folder / "run.yaml").write_text("ins: run.other\ncan: run.log\n")
     (named,) = find_runs([folder / "run.yaml"])
     assert named.kind == "another" and named.problem is None
+
+
+def test_import_says_what_it_is_for(tmp_path: Path, another_ins: Reader) -> None:
+    leaf = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
+    source = RunSource("drive", "another", (tmp_path / "run.other",))
+    with pytest.raises(RunError, match=r"import writes NCOM packets.*this is a run of kind another.*read it as it is"):
+        import_run(source, leaf, tmp_path / "bag", ReadSettings(), lambda drive: ())
 
 
 def test_two_readers_of_one_name_are_refused(another_ins: Reader) -> None:

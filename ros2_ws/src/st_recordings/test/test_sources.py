@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from canedge_bridge import log_decode
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs import ReadSettings, RunSource, can_logs, find_runs, frames, raw, read, sources
+from st_recordings.runs import ReadSettings, RunSource, find_runs, frames, raw, read
 from st_recordings.runs.errors import RunError
 from support import ROOT
 
@@ -25,8 +25,8 @@ def by_name(runs: list[RunSource]) -> dict[str, RunSource]:
     return {run.name: run for run in runs}
 
 
-def test_the_extensions_of_can_logs_are_those_that_can_be_read():
-    assert sources.CAN_EXTENSIONS == can_logs.EXTENSIONS and frames.EXTENDED == log_decode.EXTENDED
+def test_extended_identifiers_are_marked_alike():
+    assert frames.EXTENDED == log_decode.EXTENDED
 
 
 def test_bounds_the_wrong_way_round_are_refused() -> None:

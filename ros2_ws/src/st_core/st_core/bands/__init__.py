@@ -12,10 +12,10 @@ from .conformal import conformal_factors, most_promised, runs_needed
 from .coverage import Coverage, Coverages
 from .file import Bands
 from .live import LiveBands, conditions_now
-from .samples import NotFiniteError, RunSamples, run_samples, seen_from_prediction
+from .samples import NotFiniteError, RunSamples, run_samples, seen_from_prediction, together
 from .seen import Seen
 
 __all__ = ["CONDITIONS", "LEVELS", "RELIABILITY", "Band", "Bands", "Coverage", "Coverages", "LiveBands",
            "NotFiniteError", "RunSamples", "Seen", "activity_instants", "calibrate", "conditions", "conditions_at",
            "conditions_now", "conformal_factors", "most_promised", "run_samples", "runs_needed",
-           "seen_from_prediction", "steering_activity"]
+           "seen_from_prediction", "steering_activity", "together"]

@@ -33,7 +33,8 @@ def steering_activity(angle: np.ndarray) -> np.ndarray:
 
     NaN where one of them is: with a gap just before the start nothing is known of what the hands do.
     """
-    return np.sqrt(np.square(np.diff(angle, axis=-1) / ACTIVITY_STEP).mean(axis=-1))
+    rates = (angle[..., 1:] - angle[..., :-1]) / ACTIVITY_STEP
+    return np.sqrt((rates * rates).mean(axis=-1))
 
 
 def conditions(velocity_x: float | np.ndarray, yaw_rate: float | np.ndarray, velocity_x_dot: float | np.ndarray,

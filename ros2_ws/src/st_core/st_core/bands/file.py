@@ -1,6 +1,6 @@
 """Bands as a file, bands.yaml: for one car, its models and one configuration, and the recordings they were learnt from.
 
-    schema: 1
+    schema: 2
     vehicle: {name: "...", hash: "..."}
     settings: {horizon: 5.0, step: 0.05, ...}            of the predictions; SI
     recordings: {"run.csv": "sha256 ..."}
@@ -31,7 +31,7 @@ from .samples import Question
 from .scale import Scale, features, knots_of
 from .seen import Seen
 
-SCHEMA = 1
+SCHEMA = 2
 HEADER = "# Bands: how far from its prediction the car will be, by model and question. Made by `st calibrate`.\n"
 UNITS = "half-widths along, across: m; yaw: rad; factors and ratios: 1; conditions: m/s, m/s^2, m/s^2, rad/s"
 ALIKE = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")

@@ -4,26 +4,27 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..alignment import DERIVATIVE, MeasurementHistory
+from ..alignment import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
 from ..log_evaluation import MODES
 from .band import LEVELS
 from .conditions import activity_instants, conditions, steering_activity
 from .file import Bands
-from .scale import features, interpolation
+from .scale import features, floor_at, interpolation
 
 Stated = dict[tuple[str, float], np.ndarray]
-"""By mode and level: half-widths (points + 1, 3), along, across [m] and yaw [rad], 0 at the start."""
+"""By mode and level: half-widths (points + 1, 3), float32 as in messages, along, across [m] and yaw [rad], 0 at the
+start."""
 
 
 def conditions_now(history: MeasurementHistory, time_ns: int) -> np.ndarray:
     """(4,) as `conditions.CONDITIONS` at an instant [ns], as `conditions_at` has them of the recorded drive; NaN where
     not known.
     """
-    sample, row = history.ins_at(time_ns), history.ins.at(time_ns)
+    row = history.ins.at(time_ns)
     activity = steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0])
-    if sample is None or row is None:
+    if row is None:
         return conditions(np.nan, np.nan, np.nan, activity)
-    return conditions(sample.velocity_x, sample.yaw_rate, row[DERIVATIVE], activity)
+    return conditions(row[VELOCITY_X], row[YAW_RATE], row[DERIVATIVE], activity)
 
 
 class LiveBands:
@@ -43,8 +44,8 @@ class LiveBands:
                                              for band in chosen])
         self._shape = len(chosen), 3, len(knots)
         self._between = interpolation(knots, chosen[0].scale.time).T
-        self._floor = np.square([band.scale.floor for band in chosen])[:, :, None]
-        self._factors = np.array([[band.factors[level] for level in self.levels] for band in chosen])
+        self._floor = np.square([floor_at(band.scale.floor, band.scale.time).T for band in chosen])
+        self._factors = np.array([[band.factors[level] for level in self.levels] for band in chosen])[:, :, None, None]
 
     def why_not(self, condition: np.ndarray) -> str:
         """For conditions (4,) without a band: why, in one line; empty where there is one."""
@@ -55,11 +56,12 @@ class LiveBands:
         if not self._seen(condition[None])[0]:
             return {}
         logs = (self._coefficients @ features(condition)).reshape(self._shape) @ self._between
-        scale = np.zeros((*logs.shape[:2], logs.shape[2] + 1))
-        scale[:, :, 1:] = np.sqrt(np.exp(np.clip(2.0 * logs, -60.0, 60.0)) + self._floor)
+        scale = np.sqrt(np.exp(np.clip(2.0 * logs, -60.0, 60.0)) + self._floor)
+        widths = np.zeros((*self._factors.shape[:2], 3, scale.shape[2] + 1), np.float32)
+        np.multiply(self._factors, scale[:, None], out=widths[..., 1:], casting="same_kind")
         found: dict[str, Stated] = {}
-        for (model, mode), one, factors in zip(self._questions, scale, self._factors, strict=True):
+        for (model, mode), of_question in zip(self._questions, widths, strict=True):
             stated = found.setdefault(model, {})
-            for level, factor in zip(self.levels, factors, strict=True):
-                stated[mode, level] = (factor * one).T
+            for level, one in zip(self.levels, of_question, strict=True):
+                stated[mode, level] = one.T
         return found

@@ -85,6 +85,12 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
     return RunSamples(log.name, conditions_at(signals, found), {q: np.concatenate(p) for q, p in parts.items()})
 
 
+def together(runs: Sequence[RunSamples]) -> RunSamples:
+    """Runs that are alike, as of one day or place, as one: n of these promise n/(n + 1)."""
+    errors = {question: np.concatenate([run.errors[question] for run in runs]) for question in runs[0].errors}
+    return RunSamples(", ".join(run.name for run in runs), np.concatenate([run.conditions for run in runs]), errors)
+
+
 def _known(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
            settings: EvaluationSettings) -> np.ndarray:
     """Starts (n,) whose whole horizon is measured, also as models have it that take recorded signals as late or early.

@@ -1,6 +1,6 @@
 """Shape and scale of the errors: how large they typically are, by condition and time ahead.
 
-    s_a(t | z) = sqrt( sigma_a(t | z)^2 + floor_a^2 )
+    s_a(t | z)^2 = sigma_a(t | z)^2 + floor_a(t)^2,     floor_a(t)^2 = (NOISE n_a)^2 + (FLOOR_SHARE e_a t/T)^2
     log sigma_a(t_k | z) = phi(z) . C[a, k],     straight in log t between the knots t_k
 
 a: along, across [m] or yaw [rad]. phi: `features` of the conditions z. C is the estimate that a normal distribution of
@@ -8,9 +8,9 @@ mean 0 would have; it is a scale also where the errors are not normal:
 
     minimise over C[a, k]   mean_w( log sigma + e^2 / (2 sigma^2) ) + RIDGE |C[a, k, 1:]|^2          (convex in C)
 
-Every run weighs the same. floor is a share of the root mean square error: without it, centimetres of sensor noise just
-after the start, where sigma goes to zero, would widen the band everywhere. Checked by: test_bands.py, on errors
-drawn with a known scale.
+Every run weighs the same. n, e: root mean square errors at the first point, where they are noise of the measured start
+and end, and at the end of the horizon T. Without a floor a run with noisier sensors than most, or conditions that once
+went well, would widen the band everywhere. Checked by: test_bands.py, on errors drawn with a known scale.
 """
 
 import itertools
@@ -23,8 +23,10 @@ from ..errors import StCoreError
 
 KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)
 """s ahead, of a horizon of 5 s; of another in proportion."""
+NOISE = 3.0
+"""Standard deviations of what the sensors add."""
 FLOOR_SHARE = 0.2
-"""Of the root mean square error of the axis."""
+"""Of the root mean square error at the end of the horizon; smaller in proportion before."""
 LEAST = np.array([1.0e-3, 1.0e-3, 1.0e-4])
 """m, m, rad: smaller errors count as this large; no sensor resolves them."""
 RIDGE = 1.0e-2
@@ -37,18 +39,20 @@ HATS = (1.5, 3.0, 4.5, 6.0, 7.5)
 """m/s^2 of lateral acceleration: tyres do not saturate along a parabola."""
 
 
+_FLOORS, _OFFSETS, _UNITS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
+_LEFT, _RIGHT = np.array(list(itertools.combinations_with_replacement(range(4), 2))).T
+
+
 def features(conditions: np.ndarray) -> np.ndarray:
     """phi (..., 20) of conditions (..., 4) as `conditions.CONDITIONS`; each of the order of 1.
 
     1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
-    log((w + 0.005 rad/s) / 0.02 rad/s); their squares; their six products; triangles 3 m/s^2 wide about HATS.
+    log((w + 0.005 rad/s) / 0.02 rad/s); their squares and products; triangles 3 m/s^2 wide about HATS in a_y.
     """
-    speed, lateral, forward, activity = np.moveaxis(np.asarray(conditions, float), -1, 0)
-    logs = [np.log(np.maximum(speed, 0.1) / 10.0), np.log((lateral + 0.3) / 1.5), np.log((forward + 0.2) / 0.6),
-            np.log((activity + 0.005) / 0.02)]
-    products = [a * b for a, b in itertools.combinations_with_replacement(logs, 2)]
-    hats = [np.maximum(0.0, 1.0 - np.abs(lateral - centre) / HATS[0]) for centre in HATS]
-    return np.stack([np.ones_like(speed), *logs, *products, *hats], axis=-1)
+    z = np.asarray(conditions, float)
+    logs = np.log((np.maximum(z, _FLOORS) + _OFFSETS) / _UNITS)
+    hats = np.maximum(0.0, 1.0 - np.abs(z[..., 1:2] - HATS) / HATS[0])
+    return np.concatenate([np.ones_like(z[..., :1]), logs, logs[..., _LEFT] * logs[..., _RIGHT], hats], axis=-1)
 
 
 def knots_of(horizon: float) -> np.ndarray:
@@ -62,9 +66,16 @@ def interpolation(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(np.log(time), np.log(knots), row) for row in np.eye(len(knots))], axis=-1)
 
 
+def floor_at(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """(points, 3) [m, m, rad] at times ahead (points,) of a horizon; floor: (2, 3), of the start and by its end."""
+    return np.hypot(floor[0], floor[1] * (time / time[-1])[:, None])
+
+
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """coefficients: C, (3, knots, features). floor: (3,) [m, m, rad]. time: (points,) ahead [s, > 0]; knots: [s]."""
+    """coefficients: C, (3, knots, features). floor: (2, 3), NOISE n and FLOOR_SHARE e [m, m, rad]. time: (points,)
+    ahead [s, > 0]; knots: [s].
+    """
 
     coefficients: np.ndarray
     floor: np.ndarray
@@ -81,7 +92,7 @@ class Scale:
         logs = phi @ self.coefficients.reshape(-1, phi.shape[-1]).T  # (n, 3 * knots)
         logs = logs.reshape(len(phi), *self.coefficients.shape[:2]).transpose(0, 2, 1)
         sigma = np.exp(np.clip(self._between @ logs, -30.0, 30.0))
-        return np.sqrt(np.square(sigma) + np.square(self.floor))
+        return np.hypot(sigma, floor_at(self.floor, self.time))
 
 
 def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], time: np.ndarray) -> Scale:
@@ -95,7 +106,8 @@ def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], ti
     weights = np.concatenate([np.full(len(rows), 1.0 / (len(rows) * len(picked))) for rows in picked])
     squares = [np.maximum(np.square(one[rows].astype(float)), np.square(LEAST))
                for one, rows in zip(errors, picked, strict=True)]
-    floor = FLOOR_SHARE * np.sqrt(np.mean([one.mean(axis=(0, 1)) for one in squares], axis=0))
+    first, last = np.sqrt(np.mean([one[:, [0, -1]].mean(axis=0) for one in squares], axis=0))
+    floor = np.stack([NOISE * first, FLOOR_SHARE * last])
     near = [int(np.abs(time - knot).argmin()) for knot in knots]
     targets = np.concatenate([one[:, near] for one in squares]).reshape(len(phi), -1)  # (n, knots * 3)
     c = _gamma_regression(phi, weights, targets)

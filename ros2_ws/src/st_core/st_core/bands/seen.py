@@ -12,13 +12,14 @@ FEWEST_STARTS = 10
 """Of a run in a cell of speed and lateral acceleration: one second of driving."""
 FEWEST_RUNS = 2
 """With so many starts in a cell: how much runs differ there cannot be told from one, whatever the number of starts."""
-CELLED = {"speed": SPEED, "lateral_acceleration": LATERAL_ACCELERATION}
+CELLED = {CONDITIONS.index("speed"): np.array(SPEED), CONDITIONS.index("lateral_acceleration"):
+          np.array(LATERAL_ACCELERATION)}
+"""Edges by column of the conditions."""
 
 
 def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row and column (n,) of conditions (n, 4): numbers of their bins of speed and lateral acceleration."""
-    row, column = (np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
-                   for name, edges in CELLED.items())
+    row, column = (edges.searchsorted(conditions[:, k], side="right") - 1 for k, edges in CELLED.items())
     return row, column
 
 

@@ -1,7 +1,6 @@
 """Is the integration step short enough for this car at the speeds of a run? See `stability`."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from ..models import Model, get_model
 from ..stability import MOST_SUBSTEPS, growth, slip_speed_needed, stable
 from ..vehicle import VehicleParameters
 from .finding import Cure, Finding, Severity
+from .motion import stretches
 
 SPEEDS = 40
 """looked at, between the lowest and the highest of the run."""
@@ -47,10 +47,10 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
 
 def _cure(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
           step: float) -> tuple[float | None, str, Cure]:
-    floor = slip_speed_needed(models, vehicle, speeds, step)
-    if floor is not None:
-        line = f'minimum_slip_speed: {{value: {floor:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
-        return floor, "m/s", Cure("vehicle", line, {"minimum_slip_speed": floor})
+    needed = slip_speed_needed(models, vehicle, speeds, step)
+    if needed is not None:
+        line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
+        return needed, "m/s", Cure("vehicle", line, {"minimum_slip_speed": needed})
     shorter = next((step / parts for parts in SHORT if stable(models, vehicle, speeds, step / parts)), None)
     if shorter is not None:
         return shorter, "s", Cure("option", f"--step {shorter:.9g}", {"step": shorter})
@@ -61,8 +61,4 @@ def _cure(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[
 def _stretches(log: DriveLog, chosen: np.ndarray) -> tuple[tuple[float, float], ...]:
     """Where a mask over the INS samples holds, in s after the first of them; () for the whole run."""
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
-    times = seconds[chosen]
-    if not len(times) or chosen.all():
-        return ()
-    edges = [0, *(np.flatnonzero(np.diff(times) > TOGETHER) + 1).tolist(), len(times)]
-    return tuple((float(times[a]), float(times[b - 1])) for a, b in pairwise(edges))
+    return () if chosen.all() else stretches(seconds[chosen], TOGETHER)

@@ -1,10 +1,10 @@
 """From drives to the name of what a model lacks: `discover`."""
 
-from ..effects import CHANNELS
+from ..channels import CHANNELS
 from .discover import Progress, discover, fit_effects
 from .limits import Limits
 from .result import OUTCOMES, PARTS, Discovery, Outcome
-from .settings import UNITS, DiscoverySettings
+from .settings import DiscoverySettings
 
-__all__ = ["CHANNELS", "OUTCOMES", "PARTS", "UNITS", "Discovery", "DiscoverySettings", "Limits", "Outcome", "Progress",
+__all__ = ["CHANNELS", "OUTCOMES", "PARTS", "Discovery", "DiscoverySettings", "Limits", "Outcome", "Progress",
            "discover", "fit_effects"]

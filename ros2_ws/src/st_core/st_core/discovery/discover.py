@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..channels import CHANNELS, OF_COLUMN
 from ..effects import get_effect
 from ..errors import StCoreError
 from ..log import DriveLog
@@ -49,7 +50,7 @@ from .settings import DiscoverySettings
 from .space import Space
 from .varying import Varying, evidence_of, varying
 from .where import where
-from .windows import CHANNEL_OF, MARGIN_NS, Windows
+from .windows import MARGIN_NS, Windows
 
 Progress = Callable[[str, int, int], None]
 Sensors = Mapping[str, tuple[float, float, float]]
@@ -182,14 +183,11 @@ class _Work:
 
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
         logs = [*self.runs, *self.reference]
-        there = {"acceleration_y": all(log.acceleration_y is not None and np.isfinite(log.acceleration_y).any()
-                                       for log in logs),
-                 "velocity_y": all(np.any(log.velocity_y) for log in logs)}
-        left_out = [c for c in settings.channels if not there.get(c, True)]
-        if not left_out:
-            return settings
-        self.warnings.append(f"{', '.join(left_out)}: not measured in every run, left out; effects that need "
-                             f"{'it' if len(left_out) == 1 else 'them'} are not looked at")
+        left_out = [c for c in settings.channels if not all(CHANNELS[c].is_in(log) for log in logs)]
+        told = [c for c in left_out if not CHANNELS[c].recorded or any(CHANNELS[c].is_in(log) for log in logs)]
+        if told:
+            self.warnings.append(f"{', '.join(told)}: not measured in every run, left out; effects that need "
+                                 f"{'it' if len(told) == 1 else 'them'} are not looked at")
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
     def _by_sensors(self, identities: Sensors) -> dict[str, tuple[float, float, float]]:
@@ -316,7 +314,7 @@ class _Work:
         """Of each channel at the end of the horizon, and of the mean position error."""
         result: dict[str, float] = {}
         for column, value in by_column.items():
-            channel = CHANNEL_OF.get(column, column)
+            channel = OF_COLUMN[column].name if column in OF_COLUMN else column
             result[channel] = float(np.hypot(result.get(channel, 0.0), value))
         if "position" in result:  # mean of a Rayleigh distribution
             noise = result["position"] * float(np.sqrt(np.pi) / 2.0)

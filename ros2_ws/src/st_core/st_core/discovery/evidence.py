@@ -7,6 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
+from ..random_effects import random_effects
 from .fit import Fit, Problem, Slopes
 from .levels import Level
 from .loss import Quadratic
@@ -302,7 +303,7 @@ def of_null(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called: list[str]) -> Agreement:
-    """How much of an effect each part of the driving shows, by random effects (DerSimonian and Laird 1986).
+    """How much of an effect each part of the driving shows, by random effects.
 
     Along the values stated, d, a part shows the share a = 1 + what its own gradient moves it by, everything else that
     was fitted being free but held a little to the whole. Variances carry the design effect of dependent windows.
@@ -334,19 +335,10 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called:
     return pooled(np.array(shares), np.array(variances), names)
 
 
-def random_effects(shares: np.ndarray, variances: np.ndarray) -> tuple[float, float]:
-    """(Cochran's Q, variance between the parts) of two shares or more (DerSimonian and Laird 1986)."""
-    w = 1.0 / variances
-    q = float(w @ np.square(shares - w @ shares / w.sum()))
-    return q, max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
-
-
 def pooled(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
     said = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
     if len(shares) < 2:
         return Agreement(said, 1.0, 0.0)
-    q, between = random_effects(shares, variances)
-    w = 1.0 / (variances + between)
-    mean = float(w @ shares / w.sum())
+    mean, error, between, q = random_effects(shares, variances)
     return Agreement(said, float(stats.chi2.sf(q, len(shares) - 1)),
-                     float(stats.norm.sf(mean / np.sqrt(between + 1.0 / w.sum()))))
+                     float(stats.norm.sf(mean / np.sqrt(between + error**2))))

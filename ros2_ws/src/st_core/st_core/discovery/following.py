@@ -2,16 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..augmented import augment
 from ..errors import StCoreError
+from ..log import OPTIONAL_INS_SIGNALS
+from ..manoeuvres import CATALOGUE
 from .evidence import inverse
 from .fit import Fit, Problem
 from .loss import Errors, Loss
 from .result import FoundEffect, NextManoeuvre, Separability
-from .suggested_drive import CATALOGUE, drive
+from .suggested_drive import drive
 from .windows import Windows
 
 TIMES = 3  # each manoeuvre is driven, as ISO 7401 asks for at least
@@ -47,8 +50,8 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
             log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(lateral > MOST_LATERAL)) - 1, 1)]))
         if log.overlap < settings.horizon + 3.0:
             continue
-        driven = Windows([log] if windows.joined.acceleration_y is not None else [replace(log, acceleration_y=None)],
-                         windows.vehicle, settings)
+        unknown: dict[str, Any] = {n: None for n in OPTIONAL_INS_SIGNALS if getattr(windows.joined, n) is None}
+        driven = Windows([replace(log, **unknown)], windows.vehicle, settings)
         if not len(driven):
             continue
         loss = Loss(Errors(driven, space, problem.errors.threads), fit.vector)

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..channels import OF_COLUMN
 from .space import Space
 from .windows import Windows
 
 NU = 4.0  # degrees of freedom: errors beyond two scales count less and less
 BEND = 0.1  # of the usual size: step of the difference quotients
 FURTHEST = 100.0  # scales; a prediction that diverges is that far off, and no further
-SMALLEST = {"velocity_y": 1e-3, "yaw_rate": 2e-4, "acceleration_y": 5e-3, "yaw": 1e-4, "position_lateral": 1e-3,
-            "position_longitudinal": 1e-3}  # SI: resolution of an INS, errors below it are all the same
 KEPT = 64  # rows of errors remembered
 
 
@@ -86,7 +85,7 @@ class Loss:
         measured = errors.windows.known
         self.known = measured & np.isfinite(errors.at(at)).any(axis=1)[:, None]
         self.number = int(self.known.sum())
-        self.smallest = np.tile([SMALLEST[c] for c in errors.windows.columns], len(errors.windows.time))
+        self.smallest = np.tile([OF_COLUMN[c].smallest for c in errors.windows.columns], len(errors.windows.time))
         self.scale = self.scale_of(at)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:

@@ -154,7 +154,7 @@ class Certificate:
 
 @dataclass(frozen=True)
 class WhereStatement:
-    """Where the model misses more than the floor. channel: one of settings.CHANNELS. condition: in words. excess: error
+    """Where the model misses more than the floor. channel: one of CHANNELS. condition: in words. excess: error
     over the floor's, root mean square [1]; interval: 95 %."""
 
     channel: str

@@ -3,12 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ..effects import CHANNELS
+from ..channels import CHANNELS
 from ..errors import ConfigurationError
 from .limits import Limits
-
-UNITS = {"velocity_y": "m/s", "yaw_rate": "rad/s", "acceleration_y": "m/s^2", "yaw": "rad", "position": "m",
-         "position_5s": "m"}
 
 
 @dataclass(frozen=True)
@@ -23,7 +20,7 @@ class DiscoverySettings:
     model misses. noise: one standard deviation by channel, as measured; None: from the data.
     """
 
-    channels: tuple[str, ...] = CHANNELS
+    channels: tuple[str, ...] = tuple(CHANNELS)
     seed: int = 0
     horizon: float = 5.0
     windows: int = 400

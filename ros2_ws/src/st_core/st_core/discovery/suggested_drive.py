@@ -3,9 +3,10 @@
 import numpy as np
 
 from ..augmented import AugmentedModel
+from ..channels import CHANNELS, FURTHER
 from ..handling import understeer_coefficient
 from ..log import DriveLog
-from ..manoeuvres import CATALOGUE, Manoeuvre
+from ..manoeuvres import Manoeuvre
 from ..prediction import predict
 from ..readings import corrected_steering, true_readings
 from ..types import InputSequence, VehicleState
@@ -16,8 +17,6 @@ PERIOD = STEP / 2
 """s, of the simulated log."""
 LEAD = 4.0
 """s before the start in which the hands come to where they are at the start, so that the drive begins steadily."""
-
-__all__ = ["CATALOGUE", "drive"]
 
 
 def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
@@ -40,7 +39,10 @@ def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameter
     a_y = np.gradient(true.velocity_y, PERIOD) + true.velocity_x * true.yaw_rate
     kept = slice(2 * lead, None, 2)
     felt = added_acceleration(model, vehicle, states, wheels[kept], forward[kept])
-    seen = model.observe(true._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + felt))
+    true = true._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + felt)
+    seen = model.observe(true)
     time_ns = times_ns[kept] - times_ns[2 * lead]
+    further = {name: CHANNELS[name].shown(seen, true) for name in FURTHER}
     return DriveLog(manoeuvre.name, time_ns, seen.x, seen.y, seen.yaw, seen.velocity_x, seen.velocity_y, seen.yaw_rate,
-                    time_ns, angle[kept].copy(), acceleration_x=seen.acceleration_x, acceleration_y=seen.acceleration_y)
+                    time_ns, angle[kept].copy(), acceleration_x=seen.acceleration_x, acceleration_y=seen.acceleration_y,
+                    **further)

@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import stats
 
+from ..channels import OF_COLUMN, UNITS
 from ..effects import get_effect
-from .evidence import TWO_SIDED, agreement, covariance, inverse, random_effects
+from ..random_effects import random_effects
+from .evidence import TWO_SIDED, agreement, covariance, inverse
 from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
-from .settings import UNITS
-from .windows import CHANNEL_OF
 
 RESAMPLES = 400  # of whole blocks: ends of a 95 % interval
 
@@ -35,7 +35,7 @@ class Ends:
         last = np.where(known, np.clip(np.nan_to_num(last, nan=1e2), -1e2, 1e2), np.nan)
         result: dict[str, np.ndarray] = {}
         for column, values in zip(p.errors.windows.columns, last.T, strict=True):
-            channel = CHANNEL_OF.get(column, column)
+            channel = OF_COLUMN[column].name
             result[channel] = result.get(channel, 0.0) + np.square(values)
         if "position" in result:
             result["position_5s"] = np.sqrt(result["position"])
@@ -93,9 +93,8 @@ def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
     if len(said) < 3:
         return 0.0
     shares, deviations = np.array(list(said.values())).T
-    _, between = random_effects(shares, np.square(deviations))
-    error = 1.0 / (1.0 / (np.square(deviations) + between)).sum()
-    return TWO_SIDED * float(np.sqrt(between + error))
+    _, error, between, _ = random_effects(shares, np.square(deviations))
+    return TWO_SIDED * float(np.sqrt(between + error**2))
 
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,

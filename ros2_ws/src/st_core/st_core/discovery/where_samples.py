@@ -5,24 +5,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..augmented import AugmentedModel
+from ..channels import OF_COLUMN
 from ..filtering import NANOSECOND
 from ..log import DriveLog
 from ..log_signals import LogSignals
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 from .where_bins import Samples
-from .windows import CHANNEL_OF, STEP, Errors, Windows
+from .windows import STEP, Errors, Windows
 
 SHORT = 1.0  # s; errors of velocity, rate and acceleration over this much say where they arise
-AT_THE_END = ("yaw", "position")  # these add up over the horizon
 
 
 def sample(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters, settings: DiscoverySettings,
            gain: float = 0.0) -> Samples:
     """All windows of the runs, see `windows.Windows`.
 
-    Lateral velocity, yaw rate and lateral acceleration: mean square over the first second. Yaw and position: square at
-    the end of the horizon.
+    Mean square over the first second; of a channel whose errors add up, square at the end of the horizon.
     """
     windows = Windows(runs, vehicle, settings)
     errors = windows.errors(model, gain)
@@ -41,9 +40,9 @@ def _squares(errors: Errors) -> dict[str, np.ndarray]:
     short = errors.time <= max(SHORT, float(errors.time[0]))
     found: dict[str, np.ndarray] = {}
     for index, column in enumerate(errors.columns):
-        channel, square = CHANNEL_OF.get(column, column), np.square(errors.values[..., index])
-        value = square[:, -1] if channel in AT_THE_END else square[:, short].mean(axis=1)
-        found[channel] = found.get(channel, 0.0) + value
+        channel, square = OF_COLUMN[column], np.square(errors.values[..., index])
+        value = square[:, -1] if channel.adds_up else square[:, short].mean(axis=1)
+        found[channel.name] = found.get(channel.name, 0.0) + value
     return found
 
 

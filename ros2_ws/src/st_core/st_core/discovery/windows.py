@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from .. import frames
 from ..augmented import AugmentedModel
 from ..batch import LogBatch, Recording
+from ..channels import CHANNELS
 from ..composition import compose
 from ..effects import Measured
 from ..errors import StCoreError
 from ..filtering import NANOSECOND
-from ..log import DriveLog
+from ..log import INS_SIGNALS, DriveLog
 from ..log_signals import LogSignals, same
 from ..models import Model
 from ..readings import true_readings
@@ -38,8 +38,6 @@ REMEMBERED = 4  # recordings, as sensors and steering of the last models change 
 ASKED = 8  # sets of instants remembered, with where they lie between the samples
 CLOSEST = 1.0  # s between the starts of two windows, at the least: closer ones bring next to nothing new
 SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
-COLUMNS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position_lateral", "position_longitudinal")
-CHANNEL_OF = {"position_lateral": "position", "position_longitudinal": "position"}
 
 
 class Signals(LogSignals):
@@ -119,11 +117,6 @@ class Errors:
     time: np.ndarray
 
 
-def columns_of(settings: DiscoverySettings) -> tuple[str, ...]:
-    """The columns the channels of the settings are scored in."""
-    return tuple(c for c in COLUMNS if CHANNEL_OF.get(c, c) in settings.channels)
-
-
 def score_points(settings: DiscoverySettings) -> np.ndarray:
     """Multiples of STEP after the start at which errors are taken."""
     first = 0.0 if "velocity_y" in settings.channels else GUESSED
@@ -159,7 +152,9 @@ class Windows:
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
         self.names = tuple(run.name for run in runs)
-        self.columns, self._points = columns_of(settings), score_points(settings)
+        self.channels = tuple(c for name, c in CHANNELS.items() if name in settings.channels)
+        self.columns = tuple(column for channel in self.channels for column in channel.columns)
+        self._points = score_points(settings)
         self.time = STEP * self._points
         joined, offsets = _join(runs)
         self.joined = joined
@@ -190,22 +185,21 @@ class Windows:
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
         log, width = self.joined, round(2 * STEP / NANOSECOND)
         signals = Signals(log, 0.1)
-        result = dict(zip(("x", "y", "yaw", "velocity_y", "velocity_x"), signals.ins_at(
-            times, "x", "y", "yaw", "velocity_y", "velocity_x"), strict=True))
-        result["yaw_rate"] = signals.sample(log.ins_time_ns, smoothed(log.ins_time_ns, log.yaw_rate, width), times)
-        if log.acceleration_y is not None:
-            there = np.isfinite(log.acceleration_y)
-            time_ns = log.ins_time_ns[there]
-            smooth = smoothed(time_ns, log.acceleration_y[there], width)
-            result["acceleration_y"] = signals.sample(time_ns, smooth, times)
+        names = {"x": False, "y": False, "yaw": False, "velocity_x": False} | {
+            name: channel.smoothed for channel in self.channels for name in channel.signals}
+        result = {}
+        for name, smooth in names.items():
+            values = getattr(log, name)
+            there = np.isfinite(values)
+            time_ns, values = log.ins_time_ns[there], values[there]
+            result[name] = signals.sample(time_ns, smoothed(time_ns, values, width) if smooth else values, times)
         return result
 
     @cached_property
     def known(self) -> np.ndarray:
         """(n, m) which errors of a window, all points and columns in a row, have a measurement."""
-        m = {**self._measured, "position_lateral": self._measured["x"] + self._measured["y"]}
-        m["position_longitudinal"] = m["position_lateral"]
-        there = [np.isfinite(m[column]) for column in self.columns]
+        there = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
+                 for channel in self.channels for _ in channel.columns]
         return np.stack(there, axis=-1).reshape(len(self), -1)
 
     @cached_property
@@ -219,22 +213,13 @@ class Windows:
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> Errors:
         """Errors of a model; gain: what the accelerometer shows more than the motion, as a body that rolls makes it."""
-        seen = self._seen(model, gain)
-        m, parts = self._measured, {}
-        for column in self.columns:
-            if column == "acceleration_y":
-                parts[column] = m[column] - seen.acceleration_y
-            elif column == "yaw":
-                parts[column] = frames.wrap_angle(m["yaw"] - seen.yaw)
-            elif not column.startswith("position"):
-                parts[column] = m[column] - getattr(seen, column)
-        if "position_lateral" in self.columns:
-            longitudinal, lateral = frames.map_to_body(m["x"] - seen.x, m["y"] - seen.y, m["yaw"])
-            parts |= {"position_lateral": lateral, "position_longitudinal": longitudinal}
-        return Errors(np.stack([parts[c] for c in self.columns], axis=-1), seen.acceleration_y, self.columns, self.time)
+        shown, true = self._seen(model, gain)
+        parts = [part for channel in self.channels for part in channel.off(self._measured, shown, true)]
+        return Errors(np.stack(parts, axis=-1), shown.acceleration_y, self.columns, self.time)
 
-    def _seen(self, model: AugmentedModel, gain: float) -> Measured:
-        """What the INS would show at the points; acceleration and yaw rate as means over 2 STEP, as measured.
+    def _seen(self, model: AugmentedModel, gain: float) -> tuple[Measured, Measured]:
+        """What the INS would show at the points, with and without errors of its own; acceleration and yaw rate as means
+        over 2 STEP, as measured.
 
         The gain is of what the unit feels; what the sensor adds of its own comes after.
         """
@@ -249,7 +234,7 @@ class Windows:
             felt = self._felt(model, states[:, self._around[1]])
             true = true._replace(yaw_rate=rate, acceleration_x=0.0 * a_y, acceleration_y=(1.0 + gain) * (a_y + felt),
                                  yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP))
-            return model.observe(true)
+            return model.observe(true), true
 
     def _felt(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
         """What an accelerometer shows on top of the motion [m/s^2]."""
@@ -279,14 +264,13 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
 
 def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
     """All runs on one clock, PAUSE_NS apart, and what was added to the times of each."""
-    names = ["x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate"]
-    if all(run.acceleration_y is not None for run in runs):
-        names.append("acceleration_y")
+    names = dict.fromkeys((*INS_SIGNALS, *(name for channel in CHANNELS.values() for name in channel.signals)))
     offsets, at = [], 0
     for run in runs:
         offsets.append(at - run.start_ns)
         at += run.end_ns - run.start_ns + PAUSE_NS
-    parts = {n: np.concatenate([getattr(run, n) for run in runs]) for n in (*names, "road_wheel_angle")}
+    parts = {n: np.concatenate([getattr(run, n) for run in runs]) for n in (*names, "road_wheel_angle")
+             if all(getattr(run, n) is not None for run in runs)}
     times = {n: np.concatenate([getattr(run, n) + o for run, o in zip(runs, offsets, strict=True)])
              for n in ("ins_time_ns", "steering_time_ns")}
     return DriveLog(name="all runs", **times, **parts), offsets

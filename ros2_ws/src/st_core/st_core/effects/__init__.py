@@ -5,7 +5,6 @@ import pkgutil
 
 from ._base import (
     ANY,
-    CHANNELS,
     DYNAMIC,
     EFFECT_KINDS,
     EFFECTS,
@@ -27,5 +26,5 @@ for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
     if not _module.startswith("_"):
         importlib.import_module(f"{__name__}.{_module}")
 
-__all__ = ["ANY", "CHANNELS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "Effect", "Instant", "Measured",
+__all__ = ["ANY", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "Effect", "Instant", "Measured",
            "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register", "source_file", "twins_of"]

@@ -1,6 +1,5 @@
 """What an effect is, and the registry of all effects."""
 
-import difflib
 import math
 import re
 import sys
@@ -11,7 +10,9 @@ from numbers import Real
 from types import FunctionType
 from typing import Any, ClassVar, NamedTuple
 
+from ..channels import CHANNELS
 from ..errors import ConfigurationError
+from ..yaml_text import nearest
 
 KINDS = ("kinematic", "linear", "nonlinear")
 DYNAMIC = frozenset(("linear", "nonlinear"))
@@ -20,8 +21,6 @@ ANY = frozenset(KINDS)
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
-CHANNELS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
-"""Of a recording: what predictions are compared with."""
 
 
 @dataclass(frozen=True)
@@ -134,8 +133,8 @@ class Effect:
     is hard to tell from, named by one of the two at least. applies_to: kinds of model. lifts: (from, to) for an effect
     that turns one kind into another.
     extra_units: of the extra states, for those who export the model.
-    kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: those of CHANNELS without
-    any one of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
+    kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: channels without any one
+    of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
     costly: computes the tyres once more; where it is at null it had better not be in a model that is to be fast.
     order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
     car, steady circle, step, sweep and limit.
@@ -234,8 +233,7 @@ def _check_attributes(effect: type[Effect]) -> None:
         if key.startswith("_"):
             continue
         if key not in vars(Effect) and key not in Effect.__annotations__:
-            near = difflib.get_close_matches(key, [*vars(Effect), *Effect.__annotations__], n=1)
-            raise ConfigurationError(f"unknown attribute {key}{f', did you mean {near[0]}?' if near else ''}")
+            raise ConfigurationError(f"unknown attribute {key}{nearest(key, [*vars(Effect), *Effect.__annotations__])}")
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
             raise ConfigurationError(f"{key} must be a @staticmethod")
 
@@ -292,9 +290,8 @@ def get_effect(name: str) -> type[Effect]:
     if name in UNLISTED:
         return UNLISTED[name]
     if name not in EFFECTS:
-        near = difflib.get_close_matches(name, EFFECTS, n=1)
-        hint = f", did you mean {near[0]}?" if near else ""
-        raise ConfigurationError(f"unknown effect {name!r}{hint}; known are {', '.join(sorted(EFFECTS))}")
+        known = ", ".join(sorted(EFFECTS))
+        raise ConfigurationError(f"unknown effect {name!r}{nearest(name, EFFECTS)}; known are {known}")
     return EFFECTS[name]
 
 

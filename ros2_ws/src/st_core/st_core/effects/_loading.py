@@ -1,6 +1,5 @@
 """Effects of the user: every module of a folder. The import system does the looking and reading."""
 
-import difflib
 import hashlib
 import importlib
 import pkgutil
@@ -10,7 +9,8 @@ from importlib.machinery import FileFinder
 from types import ModuleType
 
 from ..errors import ConfigurationError
-from ._base import EFFECTS, Effect
+from ..yaml_text import nearest
+from ._base import EFFECTS, Effect, source_file
 
 
 def load_folder(path: str) -> tuple[str, ...]:
@@ -29,13 +29,15 @@ def load_folder(path: str) -> tuple[str, ...]:
 
 
 def load_file(folder: str, name: str) -> tuple[type[Effect], ...]:
-    """Import one module of a folder that is not loaded yet, and return its effects; the others are left alone.
-
-    Raises ConfigurationError as `load_folder`.
-    """
+    """The effects of one module of a folder, which is imported unless it is, as the library is; the others are left
+    alone. Raises ConfigurationError as `load_folder`."""
     finder, package = _package(folder)
-    _load(finder, package, [name])
-    return tuple(effect for effect in EFFECTS.values() if effect.__module__ == f"{package}.{name}")
+
+    def there() -> tuple[type[Effect], ...]:
+        return tuple(e for e in EFFECTS.values() if source_file(e) == f"{finder.path}/{name}.py")
+    if not there():
+        _load(finder, package, [name])
+    return there()
 
 
 def _modules(finder: FileFinder) -> list[str]:
@@ -75,9 +77,8 @@ def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> No
         for key in ("twins", "members"):
             for other in getattr(EFFECTS[name], key):
                 if other not in known:
-                    near = difflib.get_close_matches(other, known, n=1)
                     raise ConfigurationError(f"{folder}: effect {name}: {key}: there is no effect {other}"
-                                             f"{f', did you mean {near[0]}?' if near else ''}")
+                                             f"{nearest(other, known)}")
 
 
 def _import(module: str, file: str) -> None:

@@ -1,6 +1,6 @@
 """Tyres that need a way to build up their force: length / v d(alpha')/dt = alpha - alpha', force from alpha'.
 
-v is held at the slip speed's floor, so that a force left over at standstill fades. A time constant tau = length / v
+v is held at minimum_slip_speed, so that a force left over at standstill fades. A time constant tau = length / v
 below 25 ms would be too stiff for steps of 50 ms; there the state keeps 25 ms and only the share tau / 25 ms of it is
 used: the delay at low frequency stays tau, at length 0 nothing is left. The tyre starts settled at the slip it has.
 Source: Pacejka, Tire and Vehicle Dynamics, ch. 7, single-point contact.

@@ -23,9 +23,7 @@ class TyreSaturation(Effect):
                   source="theory: 1"),
     )
 
-    @staticmethod
-    def constants(vehicle):
-        return tyre_parameters(vehicle)
+    constants = staticmethod(tyre_parameters)
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):

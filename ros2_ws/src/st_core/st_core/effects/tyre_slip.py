@@ -24,9 +24,7 @@ class TyreSlip(Effect):
                   source="theory: 1"),
     )
 
-    @staticmethod
-    def constants(vehicle):
-        return linear_parameters(vehicle)
+    constants = staticmethod(linear_parameters)
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):

@@ -9,6 +9,7 @@ from rich.table import Table
 from st_predictor.palette import MODEL_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..terminal import rows_table
 from .choice import Key, paid, speed_label
 from .cost import Cost
 from .worth import SHARE, Worth
@@ -40,13 +41,8 @@ def choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str
 
 
 def table(found: Sequence[Mapping[str, str]], title: str, caption: str) -> Table:
-    shown = Table(title=title, title_justify="left", title_style="bold", box=None, caption=caption,
-                  caption_justify="left", padding=(0, 1))
-    for name in found[0] if found else ():
-        shown.add_column(name, overflow="fold")
-    for row in found:
-        shown.add_row(*row.values())
-    return shown
+    return rows_table(found, title=title, title_justify="left", title_style="bold", caption=caption,
+                      caption_justify="left", padding=(0, 1))
 
 
 def caption(worths: Mapping[Key, Worth]) -> str:
@@ -81,12 +77,16 @@ def figure(costs: Mapping[Key, Cost], worths: Mapping[Key, Worth], tolerance: fl
             axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs a prediction")
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.xaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_major_formatter("{x:g}")
             axes.xaxis.set_minor_formatter(NullFormatter())
         panels[0, 0].set_ylabel("across, m")
         models = list(dict.fromkeys(model for model, _ in worths))
         handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT), label=m) for m in models]
         handles += [Line2D([], [], ls="", marker=MARKERS[k % len(MARKERS)], color=TEXT, label=f"step {step:g} s")
                     for k, step in enumerate(steps)]
+        handles += [Line2D([], [], ls="", marker="D", color=TEXT, ms=5, label="error, rms"),
+                    Line2D([], [], ls="", marker="D", color=TEXT, ms=5, mfc="none", label="half-width of the band"),
+                    Line2D([], [], color=TEXT, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
         drawn.legend(handles=handles, loc="outside lower left", ncols=6)
         return finish(drawn, place, "advice", "What each model and step costs, and what it is worth",
                       f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.bands import LEVELS, Band, Bands, RunSamples, Seen, calibrate, most_promised, run_samples
+from st_core.bands import LEVELS, Band, Bands, RunSamples, Seen, calibrate, most_promised, run_samples, together
 from st_core.bands.conformal import refuse_beyond
 from st_core.bands.file import configuration_of, times
 from st_core.errors import StCoreError
@@ -19,16 +19,20 @@ from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
 from ..checking.gate import passed
 from ..evaluation.work import Task, load_models, model_hashes
+from ..terminal import line
 
 
 @dataclass(frozen=True)
 class Job:
-    """task: car, models and settings, as for an evaluation. levels: what is to be promised."""
+    """task: car, models and settings, as for an evaluation. levels: what is to be promised. together: recordings of one
+    of `runs` are alike, and count as one.
+    """
 
     runs: Sequence[Path]
     task: Task
     output: Path
     levels: tuple[float, ...] = LEVELS
+    together: bool = False
 
 
 def run_command(job: Job, console: Console) -> int:
@@ -38,7 +42,11 @@ def run_command(job: Job, console: Console) -> int:
     if job.output.exists():
         raise OutputError(f"{job.output} is there already: name another --output (nothing is ever overwritten)")
     models = load_models(job.task)
-    samples, recordings, problems = collect(find_runs(job.runs), job.task, models, console)
+    recordings: dict[str, str] = {}
+    problems: list[str] = []
+    groups = [collect(find_runs(paths), job.task, models, recordings, problems, console)
+              for paths in ([[path] for path in job.runs] if job.together else [job.runs])]
+    samples = [together(group) for group in groups if group] if job.together else groups[0]
     bands = learn(samples, job.task, models, recordings, job.levels, console)
     try:
         job.output.parent.mkdir(parents=True, exist_ok=True)
@@ -46,18 +54,18 @@ def run_command(job: Job, console: Console) -> int:
     except OSError as error:
         raise OutputError(f"{job.output}: cannot be written: {error.strerror}") from None
     starts = sum(len(one.conditions) for one in samples)
-    console.print(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} "
-                  f"starts; {len(samples)} runs can promise {most_promised(len(samples)):.1%} at most",
-                  highlight=False, soft_wrap=True)
+    line(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} starts; "
+         f"{len(samples)} runs can promise {most_promised(len(samples)):.1%} at most", console)
     return 1 if problems else 0
 
 
-def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model],
-            console: Console) -> tuple[list[RunSamples], dict[str, str], list[str]]:
-    """(samples by run, sha256 by file, problems); a run that cannot be used is said at once and left out."""
+def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
+            problems: list[str], console: Console) -> list[RunSamples]:
+    """Samples by run. A run that cannot be used is said at once and left out.
+
+    recordings: sha256 by file, and problems: both are added to.
+    """
     samples: list[RunSamples] = []
-    recordings: dict[str, str] = {}
-    problems: list[str] = []
     for source in sources:
         try:
             with console.status(escape(source.name)):
@@ -69,10 +77,10 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model],
                 samples.append(run_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
         except (RunError, StCoreError) as error:
             problems.append(f"{source.name}: {' '.join(str(error).split())}")
-            console.print(f"[red]{escape(problems[-1])}[/red]", highlight=False, soft_wrap=True)
+            line(f"[red]{escape(problems[-1])}[/red]", console)
             continue
-        recordings |= {Path(file).name: digest for file, digest in run.provenance["files"].items()}
-    return samples, recordings, problems
+        recordings.update({Path(file).name: digest for file, digest in run.provenance["files"].items()})
+    return samples
 
 
 def learn(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],

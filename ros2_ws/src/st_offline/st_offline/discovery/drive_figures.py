@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from st_core.augmented import AugmentedModel
 from st_core.batch import LogBatch
-from st_core.discovery import UNITS
+from st_core.channels import UNITS
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals

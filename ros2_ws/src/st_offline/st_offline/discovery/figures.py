@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
+from st_core.channels import WORDS
 from st_core.discovery import Discovery
 from st_core.discovery.where import Survey
 from st_core.discovery.where_bins import EVERYWHERE, BinExcess
@@ -50,7 +51,7 @@ class Scene:
 
 def gap(scene: Scene) -> Drawn | None:
     """Held-out error of each channel, base = 100 %."""
-    entries = [(n, scene.found.gap[n]) for n in words.RANKED if n in scene.found.gap and scene.found.gap[n].base > 0]
+    entries = [(n, scene.found.gap[n]) for n in WORDS if n in scene.found.gap and scene.found.gap[n].base > 0]
     if not entries:
         return None
     with style():
@@ -112,8 +113,7 @@ def conditions(scene: Scene) -> Drawn | None:
             axes.set_xticks(range(len(mine)), [_tick(b) for b in mine], fontsize=7, rotation=30, ha="right",
                             rotation_mode="anchor")
             unit = "" if mine[0].range.low is None else f", {mine[0].range.label.rsplit(' ', 1)[1]}"
-            axes.set_xlabel(quantity + unit)
-            axes.set_yscale("log")
+            axes.set(xlabel=quantity + unit, yscale="log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(lambda v, _: f"{v:g}")
             axes.yaxis.set_minor_formatter(lambda v, _: "")

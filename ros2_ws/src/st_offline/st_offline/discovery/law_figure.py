@@ -26,8 +26,7 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
         curve.set_ylabel(f"{textwrap.fill(law_words.axis(c), 28)}, {unit}")
         curve.legend(loc="best")
         driven.bar(at, 100.0 * one.density, width=at[1] - at[0], color=MEASURED_COLOUR)
-        driven.set_ylabel("share of the\ndriving, %")
-        driven.set_xlabel(f"{law_words.quantity(c)}, {across_unit}")
+        driven.set(ylabel="share of the\ndriving, %", xlabel=f"{law_words.quantity(c)}, {across_unit}")
         before, after = one.position_5s
         title = (f"PROPOSAL: {law_in_words(one)}; position error after 5 s, on runs it was not fitted to: "
                  f"{before:.3f} m without it, {after:.3f} m with it")

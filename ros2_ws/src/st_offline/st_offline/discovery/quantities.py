@@ -3,11 +3,10 @@
 import math
 from collections.abc import Mapping
 
+from st_core.channels import WORDS
 from st_core.discovery.result import FittedParameter
 from st_core.effects import EFFECTS
 
-CHANNEL = {"velocity_y": "lateral velocity", "yaw_rate": "yaw rate", "acceleration_y": "lateral acceleration",
-           "yaw": "heading", "position": "position", "position_5s": "position after 5 s"}
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
 
@@ -21,7 +20,7 @@ def shown_unit(unit: str) -> str:
 
 
 def channel(name: str) -> str:
-    return CHANNEL.get(name, name.replace("_", " "))
+    return WORDS.get(name, plain(name))
 
 
 def plain(name: str) -> str:

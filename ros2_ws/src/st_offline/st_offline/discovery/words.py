@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from st_core.channels import WORDS
 from st_core.discovery.limits import Limits
 from st_core.discovery.result import (
     PARTS,
@@ -20,7 +21,6 @@ from st_core.effects import EFFECTS
 from .mending import Mended
 from .quantities import change, channel, fitted_shortly, metres, plain, short_values, size, values
 
-RANKED = ("position_5s", "velocity_y", "yaw_rate", "acceleration_y", "yaw", "position")
 MOST_PARTS = 6
 MOST_BLIND = 8  # told in a sentence; all are in the table
 LEAST = 0.005  # m; a step that changes the position by less is told by the channel it changes most
@@ -77,7 +77,7 @@ def changes(found: Discovery) -> str:
     """The held-out position error, before and after."""
     gap = found.gap.get("position_5s")
     if gap is None:
-        gap_name = next((n for n in RANKED if n in found.gap), None)
+        gap_name = next((n for n in WORDS if n in found.gap), None)
         return f"{channel(gap_name)} error {before_and_after(found.gap[gap_name])}" if gap_name else "Errors"
     if found.model is None:
         return f"5 s position error {metres(gap.base)} (held-out)"
@@ -90,7 +90,7 @@ def title(found: Discovery) -> str:
         return "These drives show too little to say what may be missing"
     told = ", ".join(f"{by_any_name(found, e)} ({share_of(e.name, found.steps)})" for e in found.effects)
     if found.outcome == "unknown":
-        known = f"; beside {told}" if told else ""
+        known = f"; in addition {told}" if told else ""
         return f"{changes(found)}: something is missing that no known effect explains{known}"
     if told:
         return f"{changes(found)}: {told}"
@@ -98,7 +98,7 @@ def title(found: Discovery) -> str:
         tied = ", ".join(f"something like {plain(b.resembles)} ({metres(b.position_5s)}), tied to {b.to}"
                          for b in found.bound)
         return f"{changes(found)}: {tied}; nothing is named"
-    return f"{changes(found)}: nothing is missing for sure"
+    return f"{changes(found)}: nothing is missing with certainty"
 
 
 def drives(found: Discovery) -> list[tuple[str, str]]:
@@ -108,7 +108,7 @@ def drives(found: Discovery) -> list[tuple[str, str]]:
         mine = [run for run in found.runs if run.role == role]
         told = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in mine)
         sites = len({run.site for run in mine})
-        where = f" at {sites} sites, told by tracks that overlap" if sites > 1 else ""
+        where = f" at {sites} sites (overlapping tracks are one site)" if sites > 1 else ""
         lines.append((role, f"{len(mine)} run{'' if len(mine) == 1 else 's'}, {sum(r.seconds for r in mine):.0f} s"
                       f"{where}: {told}" if mine else "none; the search starts from the vehicle file"))
     return lines
@@ -137,8 +137,8 @@ def tied(one: BoundEffect) -> str:
     told = clearest(one.values, MOST_PARTS)
     shown = "; ".join(f"{v.where}: {v.share:.2f} ± {SURE * v.deviation:.2f}" for v in told)
     more = f" and {len(one.values) - len(told)} more" if len(one.values) > len(told) else ""
-    return (f"something like {plain(one.resembles)} {short_values(one.parameters)} takes {metres(one.position_5s)} "
-            f"away but is not the same everywhere, so it is no property of the car; tied to {one.to}, shares of it: "
+    return (f"something like {plain(one.resembles)} {short_values(one.parameters)} removes {metres(one.position_5s)} "
+            f"but is not the same everywhere, so it is no property of the car; tied to {one.to}, with the shares "
             f"{shown}{more}")
 
 
@@ -158,7 +158,7 @@ def agreed(effect: FoundEffect) -> str:
     if not entries:
         return ""
     low, high = min(entries, key=lambda v: v.share), max(entries, key=lambda v: v.share)
-    return (f"{plain(effect.name)} shows by itself in {', '.join(told)} that can tell; smallest share {low.share:.2f} "
+    return (f"{plain(effect.name)} is visible separately in {', '.join(told)}; smallest share {low.share:.2f} "
             f"of the value ({low.where}), largest {high.share:.2f} ({high.where})")
 
 
@@ -168,7 +168,7 @@ def sure(found: Discovery) -> list[str]:
     told += filter(None, map(agreed, found.effects))
     certificate = found.certificate
     if certificate.driven:
-        told.append(f"on the same inputs without any effect something was stated {certificate.alarms} of "
+        told.append(f"with the same inputs and without any effect, something was stated {certificate.alarms} of "
                     f"{certificate.of} times")
     return told
 
@@ -239,40 +239,40 @@ def following(found: Discovery) -> str:
         return ""
     first, second = map(plain, n.separates)
     now = next((p.strength for p in found.separability if {p.first, p.second} == set(n.separates)), 0.0)
-    return (f"{n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would put {first} and {second} "
-            f"{n.strength:.1f} standard deviations of the noise apart; these drives: {now:.1f}; {n.reason}")
+    return (f"{n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would separate {first} and {second} "
+            f"by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}; {n.reason}")
 
 
 def to_do(found: Discovery, mended: Mended | None) -> list[str]:
     """What the user may do with the answer."""
     told = []
     if mended is not None and mended.folded:
-        told.append(f"take vehicle.yaml: {keys(mended.changes)}")
+        told.append(f"use vehicle.yaml: {keys(mended.changes)}")
         told += [f"vehicle.yaml holds the first of {by_any_name(found, e)}; these drives do not tell them apart: "
                  "measure one of them on the car" for e in found.effects if e.name in mended.folded and e.alternatives]
     for name, change_of in (mended.kept if mended is not None else {}).items():
-        told.append(f"{plain(name)} is in model.yaml: these recordings hold the angle of the road wheels, or play in "
-                    "the steering acts before it, and no entry of a vehicle file corrects that; where the steering "
-                    f"wheel is recorded, set {keys(change_of)}")
+        told.append(f"{plain(name)} is in model.yaml: these recordings contain the angle of the road wheels, or play "
+                    "in the steering acts before it, and no entry of a vehicle file corrects that; for recordings of "
+                    f"the steering wheel, set {keys(change_of)}")
     rest = [e for e in found.effects if mended is None or e.name not in mended.folded]
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
-        told.append(f"{', '.join(sensors)}: model.yaml corrects for it; once the sensors are mended, or recordings "
-                    "corrected in run.yaml, use the model.yaml of a new st discover: this one would correct twice")
+        told.append(f"{', '.join(sensors)}: model.yaml corrects for it; when the sensors are repaired, or the "
+                    "recordings corrected in run.yaml, run st discover again: this model would correct twice")
     others = [plain(e.name) for e in rest if e.kind != "sensors" and (mended is None or e.name not in mended.kept)]
     if others:
         told.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.minor and found.effects:
         kept = ", ".join(by_any_name(found, e) for e in found.minor)
-        told.append(f"model.yaml also holds {kept}: part of the fit, too small beside what is left to be believed; do "
-                    "not read it as a property of the car")
+        told.append(f"model.yaml also contains {kept}: part of the fit, but too small compared with what remains; "
+                    "do not take it for a property of the car")
     if found.outcome == "unknown":
-        told.append("look where and when it misses; an effect of one's own can be added (docs/manual/effects.md)")
+        told.append("see where and when the model fails; you can add your own effect (docs/manual/effects.md)")
     shows = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
     if found.outcome == "not_testable":
         told.append(f"drive more{': ' + ', '.join(shows) if shows else ''}, and add it to the runs")
     if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
-        told.append("drive what is suggested and add it to the runs")
+        told.append("do the next drive and add it to the runs")
     return told or ["nothing"]
 
 
@@ -285,8 +285,8 @@ def verdict(found: Discovery, mended: Mended | None) -> list[tuple[str, list[str
     """(question, lines of the answer) of what is told first; empty answers are left out."""
     lines = [*((role, [text]) for role, text in drives(found)), ("what", what(found)), ("how sure", sure(found)),
              ("what to do", to_do(found, mended)), ("not named", list(map(tied, found.bound))),
-             ("of the error", [parts(found.budget)]), ("what is left", [left(found)]),
-             ("the base misses most", misses(found)), ("these drives", blind(found)),
+             ("parts of the error", [parts(found.budget)]), ("what remains", [left(found)]),
+             ("the base fails most", misses(found)), ("these drives", blind(found)),
              ("next drive", [following(found)])]
     said = [(question, [text for text in answer if text]) for question, answer in lines]
     return [(question, answer) for question, answer in said if answer]
@@ -311,7 +311,7 @@ def condition(w: WhereStatement) -> str:
 
 def surely_changed(gap: Mapping[str, Gap]) -> list[str]:
     """Names of what changed for sure, the largest relative change first."""
-    certain = [n for n in RANKED if n in gap and (gap[n].interval[0] > 0.0 or gap[n].interval[1] < 0.0)]
+    certain = [n for n in WORDS if n in gap and (gap[n].interval[0] > 0.0 or gap[n].interval[1] < 0.0)]
     return sorted(certain, key=lambda n: -abs(gap[n].augmented / gap[n].base - 1.0))
 
 
@@ -325,4 +325,4 @@ def worst_channel(found: Discovery, channels: Sequence[str]) -> str:
     known = [w for w in found.where if w.channel in channels]
     if known:
         return max(known, key=lambda w: w.interval[0]).channel
-    return next((c for c in ("yaw_rate", "velocity_y") if c in channels), channels[0])
+    return channels[0]

@@ -39,7 +39,7 @@ class Heard:
                      for info in self._node.get_publishers_info_by_topic(topic)
                      if info.qos_profile.durability == DurabilityPolicy.VOLATILE}  # latched: once and no more
             if len(names) == 1:  # on a topic of several, a message does not say whose it is
-                own.setdefault(*names, []).append(topic)
+                own.setdefault(names.pop(), []).append(topic)
         self._since = {name: self._since.get(name, now) for name in own}
         last = {name: max(self._since[name], self._speakers.get(name, 0.0), *(self._topics.get(t, 0.0) for t in mine))
                 for name, mine in own.items()}

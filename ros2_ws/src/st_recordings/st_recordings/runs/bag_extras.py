@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from oxts_bridge import batch
+from oxts_bridge import file_decoder, gps_time
 from oxts_bridge.ncom import NcomError
 from rosbags.typesys.store import Typestore
 from st_core.checks import Extras, InsQuality, Series
@@ -26,8 +26,8 @@ def extra_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
     """The topics that are read, one of a type, and their fields. Packets only for what no other topic says."""
     of_type = {topic.type_name: topic for topic in topics if topic.count}
     wanted = {of_type[name]: fields for name, fields in _FIELDS.items() if name in of_type}
-    if INS_ON_CAN in of_type and INS_STATUS in of_type:
-        wanted.pop(of_type.get(NCOM), None)
+    if NCOM in of_type and INS_ON_CAN in of_type and INS_STATUS in of_type:
+        wanted.pop(of_type[NCOM])
     return wanted
 
 
@@ -68,11 +68,11 @@ def _ins_on_can(columns: Mapping[str, np.ndarray]) -> Series | None:
 def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
     """Quality, and forward speed of the packets themselves."""
     try:
-        columns = batch.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
+        columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
     except NcomError:
         return None, None
-    timed = np.flatnonzero((columns.kind == batch.REGULAR) & (columns.order == batch.NEW)
-                           & (columns.utc_ns != batch.UNKNOWN_TIME))
+    timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == gps_time.NEW)
+                           & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
     newer = np.diff(np.maximum.accumulate(columns.utc_ns[timed]), prepend=columns.utc_ns[timed][:1] - 1) > 0
     rows = timed[newer]
     if not len(rows):

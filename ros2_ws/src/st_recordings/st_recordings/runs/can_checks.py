@@ -60,6 +60,7 @@ def checksum_matches(check: CheckSpec, payload: np.ndarray, arbitration_id: int)
     if check.rule is RULES["sum8_id"]:
         total = payload.sum(axis=1, dtype=np.uint32) - found + (arbitration_id >> 8) + (arbitration_id & 0xFF)
         return (total & 0xFF) == found
+    assert check.rule is not None  # of a counter only
     expected = [checksum_of(check.rule, check.field, row.tobytes(), arbitration_id) for row in payload]
     return np.array(expected) == found
 

@@ -1,15 +1,15 @@
 """CAN logs of every kind to one column set: MF4 of a CANedge2, candump, and Vector's and PEAK's files."""
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import can
 import numpy as np
-from can.io import asc, blf, canutils, trc
 
+from .can_formats import FORMATS, MF4_EXTENSIONS, Format
 from .errors import RunError, check_readable
 from .frames import (
     ERROR,
@@ -24,52 +24,11 @@ from .frames import (
     set_back,
     without_duplicates,
 )
-from .mf4 import MAKERS_CONTAINERS, read_mf4, refuse_makers_container, session_of
+from .mf4 import read_mf4, refuse_makers_container, session_of
 
 BLOCK = 65536
 # A wall clock, not seconds since the start of the log.
 ABSOLUTE_FROM = 1_000_000_000
-_BLF_HEAD = 16  # bytes: "LOBJ", length of the head, version, length of the object, kind
-
-
-@dataclass(frozen=True)
-class Format:
-    """How python-can reads a text or binary log. extensions: lower case. mark: whether the head of a file is of it."""
-
-    name: str
-    extensions: tuple[str, ...]
-    mark: Callable[[bytes], bool]
-    reader: Callable[[str], Iterable[can.Message]]
-
-
-def _is_candump(head: bytes) -> bool:
-    line = head.lstrip().split(b"\n", 1)[0]
-    return line.startswith(b"(") and b") " in line and b"#" in line
-
-
-class _BlfReader(blf.BLFReader):
-    """python-can's reader never gets past an object that says it has no length."""
-
-    def _parse_data(self, data: bytes) -> Iterator[can.Message]:
-        at = data.find(b"LOBJ", 0, 8)
-        while 0 <= at <= len(data) - _BLF_HEAD:
-            length = int.from_bytes(data[at + 8:at + 12], "little")
-            if length < _BLF_HEAD:
-                raise blf.BLFParseError(f"an object of {length} bytes")
-            at = data.find(b"LOBJ", at + length, at + length + 8)
-        return super()._parse_data(data)
-
-
-FORMATS = (
-    Format("candump", (".log", ".candump"), _is_candump, canutils.CanutilsLogReader),
-    Format("Vector ASC", (".asc",), lambda head: head.lstrip()[:5].lower() == b"date " or b"\nbase hex" in head,
-           lambda file: asc.ASCReader(file, relative_timestamp=False)),
-    Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _BlfReader),
-    Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or b";   Message Number" in head,
-           trc.TRCReader),
-)
-MF4_EXTENSIONS = (".mf4", ".mdf")
-EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *MAKERS_CONTAINERS}
 
 
 @dataclass(frozen=True)

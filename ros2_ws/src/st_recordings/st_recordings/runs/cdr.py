@@ -129,7 +129,7 @@ class Layout:
             return values[:, 0].astype(np.int64) * 1_000_000_000 + values[:, 1].astype(np.uint32).astype(np.int64)
         return values if field.count > 1 else values[:, 0]
 
-    def fits_in(self, sizes: np.ndarray | int) -> np.ndarray | bool:
+    def fits_in(self, sizes: Any) -> Any:
         """Whether messages of so many bytes can have this layout: the middleware fills up to a multiple of four."""
         return (sizes >= len(self)) & (sizes < len(self) + 4)
 

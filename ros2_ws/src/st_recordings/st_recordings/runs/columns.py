@@ -5,8 +5,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from st_core.channels import CHANNELS
+
 from .errors import RunError
-from .units import UNITS, factor, plain, unit_named
+from .units import UNITS, factor, kind_of, plain, unit_named
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,8 @@ COLUMNS: Mapping[str, Channel] = {
         "wheel_speed_rear_right wheel_speed_rr ws_rr v_rr rear_right_wheel_speed")),
     "vehicle_speed": Channel("speed", "the car's own speed signal, or of all wheels; for checks", _words(
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
+    **{name: Channel(kind_of(about.unit), about.recorded, (name,)) for name, about in CHANNELS.items()
+       if about.recorded},
 }
 """The one table of columns; docs/manual/recordings.md is made from it (test_csv_columns.py)."""
 
@@ -157,7 +161,7 @@ def _number_of(file: Path, names: Sequence[str], wanted: str, channel: str, layo
 
 def _meanings(name: str) -> list[tuple[str, int, str | None]]:
     """(channel, rank among its names, unit said) of every channel a column may be."""
-    meanings = []
+    meanings: list[tuple[str, int, str | None]] = []
     for base, unit in _splits(name):
         if plain(base) in _CHANNEL_OF:
             channel, rank = _CHANNEL_OF[plain(base)]

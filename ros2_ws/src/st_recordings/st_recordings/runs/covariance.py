@@ -1,7 +1,7 @@
 """How sure the INS says it is, as the 6 x 6 covariances of nav_msgs/Odometry: as the live bridge sends, in columns."""
 
 import numpy as np
-from oxts_bridge.batch import Columns
+from oxts_bridge.file_decoder import Columns
 
 from .ncom import NcomLog
 from .status_channels import ACCURACIES, held, sent

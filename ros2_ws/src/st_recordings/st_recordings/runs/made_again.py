@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from canedge_bridge.steering import SteeringCalibration
 from oxts_bridge import again
 from oxts_bridge.origin import FIRST_FIX, GIVEN, Origin
 from rosbags.typesys.store import Typestore
@@ -33,14 +34,18 @@ class MadeAgain:
         self._records, self._nodes = records, parameters(records)
         self._topics = storage.topics()
 
-    def topic(self, type_name: str) -> Topic | None:
-        """Of raw packets (NCOM) or frames (CAN_FRAMES); None where there are none."""
-        return next((t for t in self._topics if t.type_name == type_name and t.count), None)
+    def has(self, type_name: str) -> bool:
+        """Whether there are raw packets (NCOM) or frames (CAN_FRAMES)."""
+        return any(t.type_name == type_name and t.count for t in self._topics)
+
+    def topic(self, type_name: str) -> Topic:
+        """Of those that are there."""
+        return next(t for t in self._topics if t.type_name == type_name and t.count)
 
     @property
     def bus_is_described(self) -> bool:
         """Whether the recording carries the DBC and table of its frames."""
-        return self.topic(CAN_FRAMES) is not None and None not in self._descriptions()
+        return self.has(CAN_FRAMES) and None not in self._descriptions()
 
     def map_frame(self) -> str:
         return str(self._nodes.get("oxts_bridge", {}).get("map_frame", "map"))
@@ -68,11 +73,12 @@ class MadeAgain:
     def _origin(self, bridge: Mapping[str, Any]) -> Origin:
         said = next((t for t in self._topics if t.name.endswith(ORIGIN) and t.count), None)
         if said is not None:
-            fix = self._store.deserialize_cdr(next(self._storage.messages(said.name)), said.type_name)
+            fix: Any = self._store.deserialize_cdr(next(self._storage.messages(said.name)), said.type_name)
             return Origin(GIVEN, (fix.latitude, fix.longitude, fix.altitude))
         source = bridge.get("origin_source", FIRST_FIX)
-        given = tuple(float(bridge.get(f"origin_{name}", math.nan)) for name in ("latitude", "longitude", "altitude"))
-        return Origin(source, given if source == GIVEN else None)
+        latitude, longitude, altitude = (float(bridge.get(f"origin_{name}", math.nan))
+                                         for name in ("latitude", "longitude", "altitude"))
+        return Origin(source, (latitude, longitude, altitude) if source == GIVEN else None)
 
     def steering(self) -> dict[str, np.ndarray]:
         """The fields of st_msgs/Steering, as canedge_bridge had published them. Raises RunError."""
@@ -81,10 +87,11 @@ class MadeAgain:
         bridge = self._nodes.get("canedge_bridge", {})
         signal = steering_of(self._signals, self._path, self._table)
         ratio, offset = (self._steering(bridge, name) for name in ("steering_ratio", "steering_wheel_offset"))
-        wheel = bridge.get("steering_sign", 1) * signal.values
+        calibration = SteeringCalibration(bridge.get("steering_sign", 1), offset, ratio)
         latency_ns = round(float(bridge.get("steering_latency", 0.0)) * 1e9)
-        return {"header.stamp": signal.time_ns - latency_ns, "steering_wheel_angle": wheel,
-                "road_wheel_angle": (wheel - offset) / ratio, "valid": signal.valid}
+        return {"header.stamp": signal.time_ns - latency_ns,
+                "steering_wheel_angle": calibration.steering_wheel_angle(signal.values),
+                "road_wheel_angle": calibration.road_wheel_angle(signal.values), "valid": signal.valid}
 
     def _steering(self, bridge: Mapping[str, Any], name: str) -> float:
         value = float(bridge.get(name, math.nan))
@@ -108,7 +115,7 @@ class MadeAgain:
                            for name in ("time_ns", "values"))
         return car_speed(wheels), series(time_ns, values)
 
-    def _descriptions(self) -> tuple[str | None, str | None]:
+    def _descriptions(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
         return tuple(text_of(self._records, str(bridge.get(name, ""))) for name in ("dbc_file", "signals_file"))
 
@@ -122,7 +129,7 @@ class MadeAgain:
         with tempfile.TemporaryDirectory() as folder:
             files = Path(folder, "can.dbc"), Path(folder, "signals.yaml")
             for file, text in zip(files, self._descriptions(), strict=True):
-                file.write_text(text, encoding="utf-8")
+                file.write_text(text or "", encoding="utf-8")
             return load_signal_table(*files)
 
     @cached_property

@@ -20,6 +20,7 @@ from .mdf_blocks import Damage
 PIECE = 1 << 20  # records
 MOST_BYTES = 64  # of a frame
 LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum fits into 64 bits as ns
+AS_IT_IS: dict[str, Any] = {"process_bus_logging": False}
 MAKERS_CONTAINERS = (".mfc", ".mfe", ".mfm")
 _KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
 _VALUE_ELSEWHERE, _TIMES = 1, (2, 3)  # types of a channel
@@ -128,23 +129,23 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
     if damage:
         raise Damage(damage)
     MDF4._file = None  # or its __del__ complains on stderr where its __init__ gave up
-    log = None
+    log: Any = None
     try:
-        log = MDF(path, process_bus_logging=False)
+        log = MDF(path, **AS_IT_IS)
         if all(_is_whole(log, group) for group in range(len(log.groups))):
             return log
     except Exception:  # asammdf lets through whatever its parsing runs into; all of it means "cut or damaged".
         pass
     if log is not None:
         log.close()
-    data = path.read_bytes()
-    end = mdf_blocks.end_of_last_frame(data)
+    content = path.read_bytes()
+    end = mdf_blocks.end_of_last_frame(content)
     if end is None:
         raise Damage("no whole frame is in it")
-    if damage := mdf_blocks.damage(data[:end]):
+    if damage := mdf_blocks.damage(content[:end]):
         raise Damage(damage)
-    warnings.append(f"the file ends in the middle of a frame ({len(data) - end} bytes dropped)")
-    log = MDF(io.BytesIO(data[:end]), process_bus_logging=False)
+    warnings.append(f"the file ends in the middle of a frame ({len(content) - end} bytes dropped)")
+    log = MDF(io.BytesIO(content[:end]), **AS_IT_IS)
     if not all(_is_whole(log, group) for group in range(len(log.groups))):
         log.close()
         raise Damage("payloads are not where its frames say")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from oxts_bridge import batch
+from oxts_bridge import file_decoder, gps_time
 from oxts_bridge.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
 from oxts_bridge.navigation import BY_STATUS
 from oxts_bridge.ncom import NcomError
@@ -18,7 +18,7 @@ from .status_channels import ins_quality
 class NcomLog(InsLog):
     """columns, rows: the whole file, and which of its packets these are."""
 
-    columns: batch.Columns
+    columns: file_decoder.Columns
     rows: np.ndarray
 
 
@@ -30,18 +30,18 @@ def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> N
     """
     check_readable(file)
     try:
-        columns = batch.decode_file(file)
+        columns = file_decoder.decode_file(file)
     except NcomError as error:
         what = str(error).removeprefix(f"{file}: ")
         raise RunError(file, what, "take it off the list, or give the right file") from None
     warnings = _damage(columns, file)
-    regular = (columns.kind == batch.REGULAR) & (columns.order == batch.NEW)
+    regular = (columns.kind == file_decoder.REGULAR) & (columns.order == gps_time.NEW)
     fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
     if not fix.any():
         raise RunError(file, f"no packet has a fix; navigation status: {_statuses(columns)}",
                        "record with the unit locked (status 4), or post-process the raw data")
-    timed = fix & (columns.utc_ns != batch.UNKNOWN_TIME)
+    timed = fix & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     if not timed.any():
         raise RunError(file, "no packet says what minute it is (status channel 0 is missing)",
                        "record for more than a few seconds; the unit sends it every 200 packets")
@@ -50,7 +50,7 @@ def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> N
     return _in_our_axes(file, columns, rows, origin, tuple(warnings))
 
 
-def _in_our_axes(file: Path, columns: batch.Columns, rows: np.ndarray, origin: tuple[float, float, float] | None,
+def _in_our_axes(file: Path, columns: file_decoder.Columns, rows: np.ndarray, origin: tuple[float, float, float] | None,
                  warnings: tuple[str, ...]) -> NcomLog:
     latitude, longitude, altitude = (c[rows] for c in (columns.latitude, columns.longitude, columns.altitude))
     origin = origin or (float(latitude[0]), float(longitude[0]), float(altitude[0]))
@@ -59,7 +59,7 @@ def _in_our_axes(file: Path, columns: batch.Columns, rows: np.ndarray, origin: t
     yaw = np.unwrap(np.pi / 2 - columns.heading[rows])
     pitch, roll = -columns.pitch[rows], columns.roll[rows]
     north, east, down = columns.velocity_ned[:, rows]
-    timed = (columns.kind == batch.REGULAR) & (columns.utc_ns != batch.UNKNOWN_TIME)
+    timed = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     return NcomLog(
         file=file, time_ns=columns.utc_ns[rows], position=enu(origin, latitude, longitude, altitude),
         yaw=yaw, pitch=pitch, roll=roll, velocity=to_body(np.stack([east, north, -down]), yaw, pitch, roll),
@@ -112,7 +112,7 @@ def _one_time(rows: np.ndarray, utc_ns: np.ndarray) -> tuple[np.ndarray, str]:
     return rows[edges[longest] : edges[longest + 1]], note
 
 
-def _damage(columns: batch.Columns, file: Path) -> list[str]:
+def _damage(columns: file_decoder.Columns, file: Path) -> list[str]:
     counters = columns.counters
     lost = []
     if counters.skipped_bytes:
@@ -124,6 +124,6 @@ def _damage(columns: batch.Columns, file: Path) -> list[str]:
     return [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
 
 
-def _statuses(columns: batch.Columns) -> str:
+def _statuses(columns: file_decoder.Columns) -> str:
     values, counts = np.unique(columns.navigation_status, return_counts=True)
     return ", ".join(f"{v} ({BY_STATUS[v].text}) in {n}" for v, n in zip(values.tolist(), counts.tolist(), strict=True))

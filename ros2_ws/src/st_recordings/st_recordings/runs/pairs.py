@@ -7,7 +7,8 @@ from pathlib import Path
 from st_core.clock_types import Alignment, SharedSignal
 
 from . import csv
-from .can_logs import EXTENSIONS, CanLog, read_can_logs
+from .can_formats import EXTENSIONS
+from .can_logs import CanLog, read_can_logs
 from .can_signals import CanSignals, decode_signals, load_signal_table
 from .clocks import align_clocks
 from .errors import RunError
@@ -43,7 +44,9 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
     if source.kind == "csv":
         motion, warnings = csv.read_motion(source.where)
     else:
-        ins = READERS[source.kind].read_ins(source.where)
+        read_ins = READERS[source.kind].read_ins
+        assert read_ins is not None  # what has CAN logs beside it has an INS
+        ins = read_ins(source.where)
         motion, warnings = ins.motion, ins.warnings
     can = read_can_logs(source.can)
     dbc, table = signal_files(source, settings)

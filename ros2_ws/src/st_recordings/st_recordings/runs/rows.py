@@ -12,8 +12,8 @@ from .can_signals import CanSignals
 from .cdr import Layout
 from .covariance import Covariances
 from .frames import ERROR, EXTENDED, FD, REMOTE, Frames
-from .ins_log import InsLog
 from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS
+from .ncom import NcomLog
 
 MAP_FRAME, INS_FRAME = "map", "ins_link"
 CAN_PERIOD_NS = 20_000_000  # of one can/frames message, as the live bridge sends them
@@ -57,7 +57,7 @@ class Serialiser:
             self._layouts[type_name] = Layout(self._store, type_name, example)
         return self._layouts[type_name]
 
-    def odometry(self, ins: InsLog, rows: slice, covariances: Covariances) -> Messages:
+    def odometry(self, ins: NcomLog, rows: slice, covariances: Covariances) -> Messages:
         """Pose of the INS point in the map (ENU), twist in body axes (FLU) at it."""
         zero = {k: 0.0 for k in "xyz"}
         pose = self._message("geometry_msgs/msg/Pose", position=self._message("geometry_msgs/msg/Point", **zero),

@@ -8,13 +8,12 @@ from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
 from . import run_keys
+from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .errors import RunError
 from .mf4 import session_of
 from .readers import READERS, Reader, reader_of
 from .run_types import Label, RunSource
 
-# Those of can_logs, whose libraries take a second to load (tested to be the same).
-CAN_EXTENSIONS = frozenset((".asc", ".blf", ".candump", ".log", ".trc", ".mf4", ".mdf", ".mfc", ".mfe", ".mfm"))
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
 NO_NAME = ("run", "bag")  # says nothing (run.ncom with run.mf4, bag/ of st live): the folder's name is the run's
@@ -143,6 +142,7 @@ def _parsed(path: Path) -> RunSource:
         raise RunError(path, f"one of the keys {what} must say where the INS measurements are")
     file = _existing(path, keys[0], content[keys[0]])
     reader = reader_of(file, keys[0])
+    assert reader is not None  # the key is one of theirs
     logs: list[Path] = []
     for text in _listed(path, "can", content.get("can", [])):
         logs += [f for entry in _matching(path, text) for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
@@ -152,7 +152,7 @@ def _parsed(path: Path) -> RunSource:
     offset = content.get("offset")
     if offset is not None and (isinstance(offset, bool) or not isinstance(offset, int | float)):
         raise RunError(path, f"offset: {offset!r} is not a number of seconds")
-    settings = {key: _existing(path, key, content[key]) for key in ("dbc", "signals") if key in content}
+    settings: dict[str, Any] = {key: _existing(path, key, content[key]) for key in ("dbc", "signals") if key in content}
     if offset is not None:
         settings["offset"] = float(offset)
     if "ins_can_latency" in content:

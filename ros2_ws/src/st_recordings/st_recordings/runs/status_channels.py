@@ -1,8 +1,8 @@
 """What NCOM packets say of the unit's own state, as columns: modes and accuracies, each held until the next is sent."""
 
 import numpy as np
-from oxts_bridge.batch import Columns
 from oxts_bridge.channels import decode_channel
+from oxts_bridge.file_decoder import Columns
 from oxts_bridge.ncom import BATCH_S
 from st_core.checks import InsQuality
 
@@ -37,5 +37,5 @@ def ins_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
                       np.hypot(position[:, 0], position[:, 1]), np.radians(heading))
 
 
-def _number(value: object) -> float:
+def _number(value: float | None) -> float:
     return float("nan") if value is None else float(value)

@@ -40,6 +40,11 @@ def unit_named(kind: str, text: str) -> str | None:
     return _KNOWN[kind].get(plain(text))
 
 
+def kind_of(unit: str) -> str:
+    """The kind of quantity an SI unit is of."""
+    return next(kind for kind, units in UNITS.items() if unit in units)
+
+
 def factor(kind: str, unit: str) -> float:
     """SI value of one of this unit."""
     return UNITS[kind][unit][0]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from oxts_bridge import batch
+from oxts_bridge import file_decoder
 from st_core.checks import Finding
 from st_core.vehicle import VehicleParameters
 
@@ -19,6 +19,7 @@ from .covariance import Covariances
 from .errors import RunError
 from .load import check_common_time, hashes, treated
 from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS
+from .ncom import NcomLog
 from .raw import RawRun, about_alignment, as_drive, latency_in_words, read_raw, steering_times
 from .readers.ncom import read_ins
 from .rows import Messages, Serialiser, in_time_order
@@ -52,7 +53,8 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     read or aligned, one that is refused, or a bag that cannot be written.
     """
     if source.problem is None and source.kind != "ncom":
-        raise RunError(source.where, f"is a {source.kind} run already", "import is for .ncom and CAN logs")
+        raise RunError(source.where, f"import writes NCOM packets and CAN frames, this is a run of kind {source.kind}",
+                       "evaluate, check, identify and discover read it as it is")
     run = read_raw(source, settings, read_ins)
     drive = treated(source, as_drive(source, vehicle, settings, run), vehicle)
     check_common_time(source, drive.log.ins_time_ns, drive.log.steering_time_ns)
@@ -89,7 +91,8 @@ class _Blocks:
 
     def __init__(self, run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser):
         self._run, self._vehicle, self._settings, self._make = run, vehicle, settings, serialiser
-        columns = run.ins.columns
+        assert isinstance(run.ins, NcomLog)  # as read_ins of it
+        self._ins, columns = run.ins, run.ins.columns
         self._covariances = Covariances(columns)
         structure_b = columns.navigation_status == 11
         self._packets = np.nonzero(~structure_b)[0]
@@ -108,9 +111,9 @@ class _Blocks:
 
     def messages(self, start_ns: int, end_ns: int) -> list[Messages]:
         run, make = self._run, self._make
-        parts = [make.odometry(run.ins, _between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
+        parts = [make.odometry(self._ins, _between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
         packets = _between(self._packet_ns, start_ns, end_ns)
-        parts.append(make.ncom(run.ins.columns.raw[self._packets[packets]], self._packet_ns[packets]))
+        parts.append(make.ncom(self._ins.columns.raw[self._packets[packets]], self._packet_ns[packets]))
         rows = _between(self._steering_ns, start_ns, end_ns)
         wheel = self._settings.steering_sign * run.steering.values[rows]
         parts.append(make.steering(self._steering_ns[rows], wheel, run.steering.valid[rows], self._vehicle))
@@ -131,7 +134,7 @@ def _between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
 
 def _filled(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
     """Times that never fall: a packet without a time of its own gets that of the one before; all near the fixes."""
-    known = utc_ns != batch.UNKNOWN_TIME
+    known = utc_ns != file_decoder.UNKNOWN_TIME
     margin = 60 * 10**9
     near = known & (utc_ns >= fix_ns[0] - margin) & (utc_ns <= fix_ns[-1] + margin)
     first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])

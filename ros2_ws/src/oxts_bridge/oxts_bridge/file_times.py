@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps
 
-from .gps_time import HALF_MINUTE_MS, LARGEST_STEP_NS, MINUTE_MS, NEW, SAME, GpsClock
-from .stream import DUPLICATE
+from .gps_time import DUPLICATE, HALF_MINUTE_MS, LARGEST_STEP_NS, MINUTE_MS, NEW, SAME, GpsClock
 
 
 def packet_times(

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .batch_time import packet_times, utc_times
 from .channels import TRIGGER_CHANNELS, known, trigger_nanoseconds
-from .gps_time import FIRST_MINUTE, LAST_MINUTE
-from .navigation import BY_STATUS
+from .file_times import packet_times, utc_times
+from .gps_time import DUPLICATE, FIRST_MINUTE, LAST_MINUTE, LATE, NEW, UTC_CHANNEL, sent_utc_offset
+from .navigation import BY_STATUS, MINUTE_STATUSES, STATUS_ONLY
 from .ncom import (
     ACCELERATION_AT,
     ACCELERATION_UNIT,
@@ -34,14 +34,14 @@ from .ncom import (
     VELOCITY_AT,
     VELOCITY_UNIT,
     NcomError,
+    is_place,
 )
-from .stream import DUPLICATE, LATE, NEW, Counters, plausible
+from .resync import Counters, next_packet
 
 KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
 UNKNOWN_TIME = np.iinfo(np.int64).min
 
-_SYNC = bytes([SYNC])
 # Rows checked at once: small right after a fault, then growing, so that a clean file is a few large steps.
 _FIRST_ROWS, _MOST_ROWS = 64, 1 << 16
 
@@ -52,6 +52,8 @@ _HAS_STATUS = np.array([rule.status for rule in BY_STATUS])
 _HAS_NAVIGATION = np.array([rule.navigation != "none" for rule in BY_STATUS])
 _IS_APPROXIMATE = np.array([rule.navigation == "approximate" for rule in BY_STATUS])
 _IS_KNOWN = np.array([rule.known for rule in BY_STATUS])
+_HAS_MINUTE = np.isin(np.arange(256), list(MINUTE_STATUSES))
+_UTC_OFFSET = np.array([1 if (offset := sent_utc_offset(byte)) is None else offset for byte in range(256)])
 _KNOWN_CHANNEL = np.array([known(channel) for channel in range(256)])
 
 
@@ -118,33 +120,19 @@ def find_packets(data: bytes, counters: Counters) -> np.ndarray:
     """Byte offsets of all packets; fills packets, checksum_errors and skipped_bytes of the counters."""
     bytes_ = np.frombuffer(data, np.uint8)
     found: list[np.ndarray] = []
-    at, size, rows, in_step = 0, len(data), _FIRST_ROWS, True
+    at, size, rows = 0, len(data), _FIRST_ROWS
     while size - at >= PACKET_SIZE:
-        if in_step:
-            count = min(rows, (size - at) // PACKET_SIZE)
-            block = bytes_[at : at + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
-            good = block[:, 0] == SYNC
-            good &= np.add.reduce(block[:, 1:CHECKSUM_3_AT], axis=1, dtype=np.uint8) == block[:, CHECKSUM_3_AT]
-            run = count if good.all() else int(good.argmin())
-            found.append(np.arange(at, at + run * PACKET_SIZE, PACKET_SIZE))
-            at += run * PACKET_SIZE
-            rows = min(_MOST_ROWS, 4 * rows)
-            if run == count:
-                continue
-            counters.checksum_errors += data[at] == SYNC
-        else:
-            raw = data[at : at + PACKET_SIZE]
-            if raw[0] == SYNC and sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT] and plausible(raw):
-                in_step, rows = True, _FIRST_ROWS
-                continue
-        in_step = False
-        following = data.find(_SYNC, at + 1)
-        following = size if following < 0 else following
-        counters.skipped_bytes += following - at
-        at = following
-    if at < size and data[at] != SYNC:
-        following = data.find(_SYNC, at + 1)
-        counters.skipped_bytes += (size if following < 0 else following) - at
+        count = min(rows, (size - at) // PACKET_SIZE)
+        block = bytes_[at : at + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
+        good = block[:, 0] == SYNC
+        good &= np.add.reduce(block[:, 1:CHECKSUM_3_AT], axis=1, dtype=np.uint8) == block[:, CHECKSUM_3_AT]
+        run = count if good.all() else int(good.argmin())
+        found.append(np.arange(at, at + run * PACKET_SIZE, PACKET_SIZE))
+        at += run * PACKET_SIZE
+        rows = min(_MOST_ROWS, 4 * rows)
+        if run < count:
+            at, rows = next_packet(data, at, True, counters)[0], _FIRST_ROWS
+    next_packet(data, at, True, counters)  # counts what is left
     offset = np.concatenate(found) if found else np.empty(0, np.int64)
     counters.packets = len(offset)
     return offset
@@ -198,7 +186,7 @@ def _times(
     """GPS time [ns] and order of every packet that is timed by its milliseconds, and the number of jumps."""
     gps_ns, order = np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
     timed = np.flatnonzero(_HAS_TIME[status])
-    hints = np.flatnonzero((status == 10) & (minutes >= 0))
+    hints = np.flatnonzero((status == STATUS_ONLY) & (minutes >= 0))
     gps_ms, order[timed], jumps = packet_times(
         milliseconds[timed],
         minutes[timed],
@@ -259,10 +247,9 @@ def _trigger_times(raw: np.ndarray, kind: np.ndarray, gps_ns: np.ndarray, order:
 
 def _utc_offsets(raw: np.ndarray, status: np.ndarray, channel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(packet index, offset [s]) of every valid UTC offset."""
-    byte = raw[:, BATCH_S.stop - 1].view(np.int8)
-    usable = np.isin(status, (2, 3, 4, 10)) & (channel == 16) & ((byte & 1) == 1) & (byte < 2)
-    where = np.flatnonzero(usable)
-    return where, byte[where].astype(np.int64) >> 1
+    offset = _UTC_OFFSET[raw[:, BATCH_S.stop - 1]]
+    where = np.flatnonzero(_HAS_MINUTE[status] & (channel == UTC_CHANNEL) & (offset <= 0))
+    return where, offset[where]
 
 
 def _count(
@@ -299,10 +286,7 @@ def _mask(columns: Columns) -> None:
         for angle in (columns.heading, columns.pitch, columns.roll):
             angle[no_navigation] = np.nan
     with np.errstate(invalid="ignore"):
-        nowhere = ~(np.abs(columns.latitude) <= np.pi / 2)
-    with np.errstate(invalid="ignore"):
-        nowhere |= ~(np.abs(columns.longitude) <= 2 * np.pi)
-    nowhere |= ~np.isfinite(columns.altitude)
+        nowhere = ~is_place(columns.latitude, columns.longitude, columns.altitude)
     columns.counters.impossible_positions = int((nowhere & ~no_navigation).sum())
     nowhere |= no_navigation
     if nowhere.any():

@@ -1,0 +1,38 @@
+"""What bands cost: a tick, and latency over the wire, with and without them in turns; for docs/manual/bands.md.
+
+ST_BENCH_TURNS, ST_BENCH_SECONDS change the runs over the wire. Needs an idle machine.
+"""
+
+import os
+
+import latency
+import tick
+from _band_page import PAGE
+from _markers import renew, table
+
+TURNS, SECONDS = 2, 25
+
+
+def run() -> dict:
+    """Rows without and with bands."""
+    turns = int(os.environ.get("ST_BENCH_TURNS", str(TURNS)))
+    os.environ.setdefault("ST_BENCH_SECONDS", str(SECONDS))
+    ticks, heard = tick.run(), {"0": [], "1": []}
+    for _ in range(turns):
+        for bands, found in heard.items():
+            os.environ["ST_BENCH_BANDS"] = bands
+            found.append(latency.run())
+    rows = [_row(name, ticks[f"{key}ms_p50"], ticks[f"{key}ms_p99"], found)
+            for name, key, found in (("no", "", heard["0"]), ("yes", "with_bands_", heard["1"]))]
+    renew(PAGE, "cost of bands", "\n".join(table(rows)) + "\n")
+    return {row["bands"]: row for row in rows}
+
+
+def _row(name: str, half: float, most: float, found: list[dict]) -> dict[str, str]:
+    """One share of each run over the wire."""
+    latencies = [one["samples_to_third_prediction_published_ms"] for one in found]
+    return {"bands": name, "tick p50 | p99, ms": f"{half:.2f} | {most:.2f}",
+            "latency p50, ms": ", ".join(f"{one['p50']:.1f}" for one in latencies),
+            "latency p99, ms": ", ".join(f"{one['p99']:.1f}" for one in latencies),
+            **{f"{node}, % of a core": ", ".join(f"{one['cpu_percent'][node]:.1f}" for one in found)
+               for node in ("predictor", "evaluator", "recorder")}}

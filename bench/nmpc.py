@@ -1,0 +1,47 @@
+"""Which model a controller needs and how far ahead it must look: examples/mpc/nmpc.py, for docs/manual/mpc.md.
+
+A minute of processor time. The figures of the page are renewed too.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from _markers import renew, table
+from st_recordings.paths import project_root
+
+PAGE = project_root() / "docs" / "manual" / "mpc.md"
+EXAMPLE = project_root() / "examples" / "mpc"
+
+
+def run() -> dict:
+    """Distance from the road and processor time by road and horizon, real-time iteration."""
+    with tempfile.TemporaryDirectory(prefix="st-bench-") as name:
+        folder = Path(name) / "out"
+        subprocess.run([sys.executable, EXAMPLE / "nmpc.py", "--output", folder], check=True,
+                       env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+        drives = json.loads((folder / "drives.json").read_text(encoding="utf-8"))["drives"]
+        for figure in ("trade_off", "paths"):
+            shutil.copyfile(folder / f"{figure}.png", project_root() / "docs" / "images" / f"mpc_{figure}.png")
+    rows = by_horizon([one for one in drives if one["solver"] == "rti"])
+    times = [one["cpu_median"] for one in drives if one["solver"] == "ipopt" and one["horizon"] == 2.0]
+    renew(PAGE, "models in a controller", "\n".join([
+        *table(rows), "", f"To the end by IPOPT, at 2 s: {min(times):.1f} to {max(times):.1f} ms."]) + "\n")
+    return {"models": {f"{row['road']}, {row['horizon, s']} s": row for row in rows}}
+
+
+def by_horizon(drives: Sequence[Mapping]) -> list[dict[str, str]]:
+    """A row for each road and horizon, two columns a model."""
+    rows: dict[tuple[str, float], dict[str, str]] = {}
+    for one in drives:
+        row = rows.setdefault((one["road"], one["horizon"]), {
+            "road": one["road"].replace("_", " "), "horizon, s": f"{one['horizon']:g}"})
+        left = "" if one["finished"] else f"left at {one['duration']:.0f} s"
+        row[f"{one['model']}, m"] = left or f"{one['error_rms']:.3f}"
+        row[f"{one['model']}, ms"] = f"{one['cpu_median']:.2f}"
+    return list(rows.values())

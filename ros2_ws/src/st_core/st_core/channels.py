@@ -1,0 +1,120 @@
+"""The channels of a discovery: what predictions are compared with. All that is known of one is in CHANNELS.
+
+Recordings, corrections, columns of CSV files, search, figures and words look it up there.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import frames
+
+SPREAD = 1.4826  # of a normal distribution: standard deviation over the median of its magnitude
+THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured quantity.
+
+    words: its name for a reader. unit: SI. smallest [unit]: resolution of an INS, errors below it are all the same.
+    recorded: what a signal is that only some recordings have, for the user; DriveLog, CSV files and run.yaml then have
+    it under this name. signals: of DriveLog, what it is measured by; columns it is scored in; its name without either.
+    predicted(shown, true): what the sensor would show, of `effects.Measured` with and without the errors of the INS;
+    None: the field of its name of `shown`. errors(measured, shown): instead of measured minus predicted, by column.
+    smoothed: measured and predicted as a mean over 0.1 s. adds_up: its errors grow over the horizon.
+    zero_is_none: a recording without it says 0 throughout.
+    noise(log, step, x, y, yaw, v_x, v_y, r): what noise alone leaves at the end of windows, one standard deviation for
+    each column, by identities of the sensors: no car, no model; of arrays (windows, instants `step` [s] apart). None:
+    white noise, by third differences, in which the motion of a car is gone.
+    """
+
+    name: str
+    words: str
+    unit: str
+    smallest: float
+    recorded: str = ""
+    signals: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
+    predicted: Callable[[Any, Any], Any] | None = None
+    errors: Callable[[Mapping[str, np.ndarray], Any], tuple[np.ndarray, ...]] | None = None
+    smoothed: bool = False
+    adds_up: bool = False
+    zero_is_none: bool = False
+    noise: Callable[..., tuple[float, ...]] | None = None
+
+    def __post_init__(self) -> None:
+        for which in ("signals", "columns"):
+            object.__setattr__(self, which, getattr(self, which) or (self.name,))
+
+    def is_in(self, log: Any) -> bool:
+        """Whether a DriveLog has it."""
+        values = [getattr(log, name) for name in self.signals]
+        return all(v is not None and np.isfinite(v).any() and not (self.zero_is_none and not v.any()) for v in values)
+
+    def shown(self, shown: Any, true: Any) -> Any:
+        """What the sensor would show [unit]."""
+        return self.predicted(shown, true) if self.predicted else getattr(shown, self.name)
+
+    def off(self, measured: Mapping[str, np.ndarray], shown: Any, true: Any) -> tuple[np.ndarray, ...]:
+        """Measured minus predicted [unit], one for each column."""
+        return self.errors(measured, shown) if self.errors else (measured[self.name] - self.shown(shown, true),)
+
+    def left(self, log: Any, *way: Any) -> tuple[float, ...]:
+        """What noise alone leaves [unit], one for each column."""
+        return self.noise(log, *way) if self.noise else (_white(getattr(log, self.name)),)
+
+
+def _off_position(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.ndarray, ...]:
+    longitudinal, lateral = frames.map_to_body(measured["x"] - shown.x, measured["y"] - shown.y, measured["yaw"])
+    return lateral, longitudinal
+
+
+def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
+    """Dead reckoning with measured heading and velocities against the measured way, and what white noise of heading and
+    speed at the start makes of it."""
+    east, north = (_integral(values, step) for values in frames.body_to_map(u, v, yaw))
+    ahead, left = frames.map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
+    horizon = step * (x.shape[1] - 1)
+    at_start = _white(log.yaw) * horizon * float(np.nanmean(u)), _white(log.velocity_x) * horizon
+    return float(np.hypot(_spread(left), at_start[0])), float(np.hypot(_spread(ahead), at_start[1]))
+
+
+def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
+    """The integral of the measured yaw rate against the measured turn."""
+    return (_spread(frames.wrap_angle(yaw[:, -1] - yaw[:, 0] - _integral(rate, step))),)
+
+
+def _white(values: np.ndarray) -> float:
+    """Standard deviation of the white noise in samples [their unit]."""
+    return SPREAD * float(np.nanmedian(np.abs(np.diff(values, 3)))) / THIRD
+
+
+def _spread(off: np.ndarray) -> float:
+    off = off[np.isfinite(off)]
+    return SPREAD * float(np.median(np.abs(off - np.median(off)))) if len(off) else 0.0
+
+
+def _integral(values: np.ndarray, step: float) -> np.ndarray:
+    return (0.5 * (values[:, :-1] + values[:, 1:])).sum(axis=1) * step
+
+
+CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
+    Channel("velocity_y", "lateral velocity", "m/s", 1e-3, zero_is_none=True),
+    Channel("yaw_rate", "yaw rate", "rad/s", 2e-4, smoothed=True),
+    Channel("acceleration_y", "lateral acceleration", "m/s^2", 5e-3, smoothed=True),
+    Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, shown: (frames.wrap_angle(m["yaw"] - shown.yaw),),
+            adds_up=True, noise=_heading_noise),
+    Channel("position", "position", "m", 1e-3, "", ("x", "y"), ("position_lateral", "position_longitudinal"),
+            errors=_off_position, adds_up=True, noise=_position_noise),
+)}
+"""The one that tells most first."""
+
+FURTHER = tuple(name for name, channel in CHANNELS.items() if channel.recorded)
+OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
+POSITION_5S = "position_5s"
+UNITS = {POSITION_5S: "m"} | {name: channel.unit for name, channel in CHANNELS.items()}
+WORDS = {POSITION_5S: "position after 5 s"} | {name: channel.words for name, channel in CHANNELS.items()}
+"""With the mean position error at the end of the horizon, which is told first."""
