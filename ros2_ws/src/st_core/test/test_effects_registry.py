@@ -94,7 +94,8 @@ def test_an_incomplete_one_is_refused(attributes, message):
 
 @pytest.mark.parametrize(("change", "message"), [
     ({"null": 3.0}, "null is outside its bounds"), ({"initial": -1.0}, "initial is outside its bounds"),
-    ({"initial": 0.0}, "initial equals null"), ({"bounds": (1.0, 0.0)}, "not two rising numbers"),
+    ({"theory": 3.0}, "theory is outside its bounds"), ({"initial": 0.0}, "initial equals null"),
+    ({"bounds": (1.0, 0.0)}, "not two rising numbers"),
     ({"bounds": (0.0, np.inf)}, "not two rising numbers"), ({"source": " "}, "source is empty"),
     ({"unit": ""}, "unit is empty"),
 ])

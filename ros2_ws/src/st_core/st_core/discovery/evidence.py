@@ -216,12 +216,12 @@ def falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
 
 def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
     """Distance of the effect's values to their nearest bounds, in usual sizes. A bound at the null, or at what theory
-    says (the initial value), is none."""
+    says, is none."""
     space, nearest = problem.space, np.inf
-    expected = {p.name: (p.null, p.initial) for p in get_effect(effect).parameters}
     for i in space.indices(effect):
+        null = next(p.null for p in get_effect(effect).parameters if p.name == space.free[i].parameter)
         for edge in (space.low[i], space.high[i]):
-            if edge not in expected[space.free[i].parameter]:
+            if edge not in (null, space.free[i].theory):
                 nearest = min(nearest, abs(fit.vector[i] - edge) / space.scale[i])
     return float(nearest)
 

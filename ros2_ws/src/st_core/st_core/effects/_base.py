@@ -31,7 +31,8 @@ class Parameter:
     limits, inclusive. source: where initial and bounds come from. meaning: in a few words, sign included.
     odd: changes sign when left and right are exchanged. fit: False for a constant of the car that the effect needs and
     a fit leaves alone; null is then its default. identity: the estimate of `st_core.checks.check` that measures it
-    without a fit to the car, same value, sign and unit; "" where there is none.
+    without a fit to the car, same value, sign and unit; "" where there is none. theory: what physics says it is in any
+    car; None where that is of the single car.
     Raises ConfigurationError when these contradict each other.
     """
 
@@ -45,13 +46,15 @@ class Parameter:
     odd: bool = False
     fit: bool = True
     identity: str = ""
+    theory: float | None = None
 
     def __post_init__(self):
         low, high = self.bounds
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise ConfigurationError(f"parameter {self.name}: bounds {self.bounds} are not two rising numbers")
-        for which in ("null", "initial"):
-            if not low <= getattr(self, which) <= high:
+        for which in ("null", "initial", "theory"):
+            value = getattr(self, which)
+            if value is not None and not low <= value <= high:
                 raise ConfigurationError(f"parameter {self.name}: {which} is outside its bounds")
         if self.fit and self.null == self.initial:
             raise ConfigurationError(f"parameter {self.name}: initial equals null; a fit would start at nothing")

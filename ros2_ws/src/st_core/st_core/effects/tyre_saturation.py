@@ -20,7 +20,7 @@ class TyreSaturation(Effect):
     order = 10
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: tyres as in the vehicle file",
-                  source="theory: 1"),
+                  source="theory", theory=1.0),
     )
 
     constants = staticmethod(tyre_parameters)
