@@ -102,6 +102,16 @@ def test_steering_alone_is_a_doubtful_substitute(pair: Pair) -> None:
     assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
 
 
+def test_a_steering_sensor_that_is_right_positive_aligns_as_well(pair: Pair) -> None:
+    kept = pair.without("ins_", "wheel", "vehicle").signals
+    turned = CanSignals({k: replace(s, values=-s.values) for k, s in kept.items()}, {})
+    result, _ = align_clocks(pair.motion, turned, steering_sign=-1)
+    assert result.verdict is Verdict.DOUBTFUL
+    assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
+    wrong, _ = align_clocks(pair.motion, turned)
+    assert wrong.verdict is Verdict.REFUSED and "steering_sign" in wrong.reasons[-1]
+
+
 def test_nothing_shared_is_refused_and_can_be_given_by_hand(pair: Pair) -> None:
     nothing = pair.without("ins_", "wheel", "vehicle", "steering")
     result, _ = align_clocks(pair.motion, nothing)

@@ -11,15 +11,16 @@ from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 
-from .suite import SuiteError
+from .suite import Parameters, SuiteError
 
 
-def with_bands(parameters: dict[str, dict[str, Any]], bands: Path | None) -> dict[str, dict[str, Any]]:
+def with_bands(suite: Parameters, bands: Path | None) -> dict[str, dict[str, Any]]:
     """Parameters of the nodes, as the suite has them, with those bands around every prediction; as they are without.
 
     Raises SuiteError, one line, for a file that is none, or that holds for another car, model or configuration than the
     predictor is to be started with.
     """
+    parameters = {node: {**values} for node, values in suite.items()}
     if bands is None:
         return parameters
     predictor = parameters["predictor"]

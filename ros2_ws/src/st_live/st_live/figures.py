@@ -7,6 +7,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 from st_recordings.results import Results
@@ -42,7 +43,7 @@ def paths_figure(results: Results, title: str, file: Path) -> None:
         plt.close(figure)
 
 
-def _draw_map(axes: plt.Axes, results: Results) -> None:
+def _draw_map(axes: Axes, results: Results) -> None:
     track = results.track
     axes.plot(track.x, track.y, color=MEASURED_COLOUR, lw=3, alpha=0.45, solid_capstyle="round", zorder=1)
     for (model, _), segment in results.segments.items():
@@ -56,8 +57,7 @@ def _draw_map(axes: plt.Axes, results: Results) -> None:
         x, y = (np.interp(start_ns, track.time_ns, v) for v in (track.x, track.y))
         axes.plot(x, y, "o", ms=4, color="k", zorder=4)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("east, m")
-    axes.set_ylabel("north, m")
+    axes.set(xlabel="east, m", ylabel="north, m")
     axes.set_title(f"Measured track and 5 s predictions from {len(starts)} starts", fontsize=9)
     handles = [Line2D([], [], color=MEASURED_COLOUR, lw=3, alpha=0.45, label="measured")]
     handles += [Line2D([], [], color=MODEL_COLOUR[m], ls=MODEL_LINE[m], label=m) for m in results.models()]
@@ -65,7 +65,7 @@ def _draw_map(axes: plt.Axes, results: Results) -> None:
     axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=len(handles))
 
 
-def _draw_errors(axes: plt.Axes, results: Results, mode: str, quantity: str) -> None:
+def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None:
     origin = results.track.time_ns[0] if len(results.track.time_ns) else 0
     axes.axhline(0, color="k", lw=0.6)
     for model in results.models():

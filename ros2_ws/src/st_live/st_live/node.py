@@ -82,10 +82,8 @@ class Monitor:
 
     def graph(self, names: Iterable[str]) -> dict[str, tuple[set[str], set[str]]]:
         """Node -> (topics it publishes, topics it subscribes)."""
-        published, subscribed = (
-            self._node.get_publisher_names_and_types_by_node, self._node.get_subscriber_names_and_types_by_node
-        )
-        return {n: tuple({topic for topic, _ in ask(n, "/")} for ask in (published, subscribed)) for n in names}
+        return {n: ({topic for topic, _ in self._node.get_publisher_names_and_types_by_node(n, "/")},
+                    {topic for topic, _ in self._node.get_subscriber_names_and_types_by_node(n, "/")}) for n in names}
 
     def heard_from(self, name: str) -> float:
         """When a node last spoke on /diagnostics [s, monotonic]; minus infinity: never."""

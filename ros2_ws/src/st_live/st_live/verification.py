@@ -8,7 +8,8 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from st_core.errors import ConfigurationError
-from st_core.log_evaluation import EvaluationSettings, evaluate_blocks
+from st_core.evaluation import Mode
+from st_core.log_evaluation import MODES, EvaluationSettings, evaluate_blocks
 from st_core.log_signals import LogSignals
 from st_core.models import Model, get_model
 from st_core.prediction import PredictionSettings, configuration_hash
@@ -29,7 +30,6 @@ from st_recordings.runs.made_again import WHERE
 from st_recordings.runs.messages import ODOMETRY, STEERING
 
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
-MODES = ("hindsight", "forecast")
 # Nodes and recorder find each other one by one, and the filter of the forward acceleration begins with the first sample
 # each of them hears. After so many of its time constants it knows nothing of that (2e-9 is left).
 SETTLED = 20.0
@@ -178,8 +178,8 @@ def settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np
     return known & (since_ns > SETTLED / (2.0 * np.pi * cutoff) * 1e9)
 
 
-def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Predictions, scores: Mapping[str, Scores],
-             cutoff: float, progress: Progress | None) -> Comparison:
+def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Predictions,
+             scores: Mapping[Mode, Scores], cutoff: float, progress: Progress | None) -> Comparison:
     horizon = live.step * (live.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=live.step, minimum_speed=0.0))
     result = Comparison(model.name)

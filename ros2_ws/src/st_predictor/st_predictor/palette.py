@@ -1,5 +1,7 @@
 """One look everywhere: colour and line of each model, told apart with every common kind of colour vision, and print."""
 
+from typing import Any
+
 MODEL_COLOUR = {"kinematic": "#1f77b4", "linear": "#ff7f0e", "nonlinear": "#7e2f8e", "augmented": "#009e73"}
 MODEL_LINE = {"kinematic": (0, (6, 2)), "linear": "solid", "nonlinear": (0, (2, 1)), "augmented": (0, (6, 1, 1, 1))}
 MEASURED_COLOUR = "#7f7f7f"
@@ -8,7 +10,7 @@ OTHER_COLOUR = "#d55e00"  # of a model that is none of these
 LABEL_AT = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
 OTHER_LABEL_AT = 2.2
 
-RC = {
+RC: dict[Any, Any] = {
     "figure.dpi": 100,
     "savefig.dpi": 160,
     "font.size": 9,

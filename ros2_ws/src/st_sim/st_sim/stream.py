@@ -3,7 +3,7 @@
 import heapq
 from collections.abc import Iterator
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from .can_wire import FRAME_TIME, Background, CanWire, Frame
 from .ncom_wire import INITIALISING, LOCKED, LOCKING, NOTHING, RAW, NcomWire
@@ -31,7 +31,7 @@ class Output(NamedTuple):
     due: float
     order: int
     kind: Kind
-    payload: bytes | Frame | Truth
+    payload: Any
 
 
 class Source(Protocol):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, Dbc, InsCanLatency, Signals, say_whose, whose
+from ._options import CarName, Dbc, InsCanLatency, Signals, refusals, say_whose, whose
 
 VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 
@@ -32,20 +32,16 @@ def align(
     """
     from rich.console import Console
     from st_offline.alignment_figure import alignment_figure
-    from st_recordings.output import OutputError, new_folder
-    from st_recordings.runs.errors import RunError
+    from st_recordings.output import new_folder
     from st_recordings.runs.pairs import read_pair
     from st_recordings.runs.raw import about_alignment
 
     console = Console()
-    try:
+    with refusals("align"):
         _, settings = whose(car, None, dbc, signals, offset=offset, search=search, ins_can_latency=ins_can_latency)
         with console.status("reading and aligning"):
             pair = read_pair(files, settings)
         folder = new_folder(output, f"align-{pair.name}")
-    except (RunError, OutputError) as error:
-        typer.echo(f"st align: {error}", err=True)
-        raise typer.Exit(2) from None
     for warning in pair.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
     if car is None and dbc is None:
@@ -102,9 +98,9 @@ def report(pair, console) -> None:
         console.print(f"  [{style}]·[/{style}] {reason}", highlight=False, soft_wrap=True)
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
-        for name, justify in (("signal", "left"), ("by itself, ms", "right"), ("correlation", "right"),
-                              ("residual / spread", "right")):
-            table.add_column(name, justify=justify)
+        table.add_column("signal")
+        for name in ("by itself, ms", "correlation", "residual / spread"):
+            table.add_column(name, justify="right")
         for row in alignment.signals:
             alone = f"{row.difference * 1e3:+.2f} ± {row.deviation * 1e3:.2f}"
             table.add_row(row.name, alone, f"{row.correlation:.5f}", f"{row.residual:.4f}")

@@ -61,6 +61,7 @@ def _first_line(path: Path) -> str:
 def _load(path: Path) -> ModuleType:
     sys.path.insert(0, str(path.parent))
     specification = importlib.util.spec_from_file_location(f"bench_{path.stem}", path)
+    assert specification and specification.loader  # it is a file of Python
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -26,10 +27,11 @@ def docs(
     from st_offline.documentation.reference import page
     from st_recordings.paths import project_root
 
+    root: Any = context.find_root().command
     console = Console()
     folder = output or project_root() / "docs"
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in (("reference.md", page(context.find_root().command)), ("gallery.md", pictures.page())):
+    for name, text in (("reference.md", page(root)), ("gallery.md", pictures.page())):
         (folder / name).write_text(text, encoding="utf-8")
         console.print(f"{folder / name}", highlight=False, soft_wrap=True)
     figure = folder / structure.FIGURE

@@ -31,7 +31,8 @@ class Feed:
         self._sample: InsSample | None = None
         self._angle: float | None = None
         self._rows: list[Any] = []
-        self._ticks, self._health = "predictor: not heard yet", {}
+        self._ticks = "predictor: not heard yet"
+        self._health: dict[str, Any] = {}
         self._words_due_ns = 0
         self._shown: InsSample | None = None
         self._heard_ns = {"odometry": 0, "diagnostics": 0}  # when the newest came

@@ -77,7 +77,9 @@ def rerun_server(settings: Path, data_port: int, page_port: int, files: list[str
         "analytics_enabled": False, "analytics_id": "", "metadata": {},
         "config_file_path": str(settings / "rerun" / "analytics.json"), "data_dir_path": str(settings / "rerun")}))
     # The program itself: the command `rerun` is a script that would leave it behind.
-    program = Path(importlib.util.find_spec("rerun_cli").submodule_search_locations[0], "rerun")
+    found = importlib.util.find_spec("rerun_cli")
+    assert found and found.submodule_search_locations
+    program = Path(found.submodule_search_locations[0], "rerun")
     command = [str(program), *files, "--serve-web", "--bind", LOOPBACK, "--port", str(data_port), "--web-viewer-port",
                str(page_port), "--server-memory-limit", MEMORY, "--hide-welcome-screen"]
     if shutil.which("setpriv"):

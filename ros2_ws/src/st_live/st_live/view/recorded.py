@@ -33,7 +33,7 @@ def draw(path: Path, file: Path, vehicle: Path | None = None) -> int:
             if log_ns >= due_ns:
                 feed.draw()
                 pictures, due_ns = pictures + 1, log_ns + PERIOD_NS
-            feed.take(_topic(connection.topic), reader.deserialize(data, connection.msgtype))
+            feed.take(str(_topic(connection.topic)), reader.deserialize(data, connection.msgtype))
     feed.draw()
     recording.flush()
     recording.disconnect()

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -30,7 +31,7 @@ MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0
 Place = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
 
 
-def recording(name: str, flush: float, *sinks: object) -> rr.RecordingStream:
+def recording(name: str, flush: float, *sinks: Any) -> rr.RecordingStream:
     """A recording into sinks, with the layout of the page. flush [s]: what is drawn goes out this often."""
     batches = rr.ChunkBatcherConfig(flush_tick=flush, flush_num_bytes=2_000_000)
     stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)
@@ -129,7 +130,7 @@ class Scene:
         edges = [place(*side.T) for one in ribbons[:1] for side in (one.left, one.right)]
         self._lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN, order=0.8)
         for level, strength in RIBBON_STRENGTH.items():
-            strips, radii = [], []
+            strips, radii = np.empty((0, 2, 2)), np.empty(0)
             for one in (r for r in ribbons if r.level == level):
                 left, right = (place(*side[::RIBBON_STRIDE].T) for side in (one.left, one.right))
                 middle = 0.5 * (left + right)
@@ -147,7 +148,7 @@ class Scene:
                 [corner], colors=[rgb(colour_of(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
                 show_labels=True), static=True)
 
-    def _lines(self, entity: str, strips: list[np.ndarray], colours: list, width: object, order: float) -> None:
+    def _lines(self, entity: str, strips: Any, colours: list, width: Any, order: float) -> None:
         self._rr.log(entity, rr.LineStrips2D(strips, colors=colours, radii=width, draw_order=order))
 
     def _at(self, time_ns: int) -> None:

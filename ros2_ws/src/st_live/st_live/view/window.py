@@ -113,11 +113,13 @@ class Window:
         if self._save and self._save.exists():
             console.print(f"  {escape(str(self._save))}  [dim]the view, for `st view`[/dim]", highlight=False,
                           soft_wrap=True)
-        if console.is_terminal and self._server and not trouble:
+        if console.is_terminal and not trouble:
             self.linger(console)
 
     def linger(self, console: Console) -> None:
         """Until Ctrl-C, or the server ends."""
+        if not self._server:
+            return
         console.print("The view stays open to look back in time; Ctrl-C closes it.")
         try:
             self._server.process.wait()

@@ -26,12 +26,12 @@ LEVELS = ("ok", "warning", "**error**", "stale")
 
 def page(rows: Sequence[Row], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
     """rows: statistics so far. ticks: one line. health: (level, name, message) of everything that was heard."""
-    lines = ["| model | inputs | starts | RMSE long., m | lat., m |", "|---|---|--:|--:|--:|"]
-    for mode, meaning in (("forecast", "held"), ("hindsight", "measured")):
+    lines = ["| model | mode | starts | RMSE long., m | lat., m |", "|---|---|--:|--:|--:|"]
+    for mode in ("forecast", "hindsight"):
         for row in (r for r in rows if r.mode == mode and r.n_starts):
             errors = (row.longitudinal_rmse, row.lateral_rmse)
             numbers = " | ".join("-" if math.isnan(e) else f"{e:.2f}" for e in errors)
-            lines.append(f"| {row.model} | {meaning} | {row.n_starts} | {numbers} |")
+            lines.append(f"| {row.model} | {mode} | {row.n_starts} | {numbers} |")
     if len(lines) == 2:
         lines = ["Waiting for the first complete horizon."]
     lines += ["", *(f"- {line}" for line in counted.lines(rows)), "", ticks, ""]
@@ -40,7 +40,6 @@ def page(rows: Sequence[Row], ticks: str, health: Sequence[tuple[int, str, str]]
     if health and not wrong:
         lines.append("All nodes well.")
     return "\n".join(lines)
-
 
 
 def light(health: Sequence[tuple[int, str, str]], age: float | None = None) -> tuple[str, str]:

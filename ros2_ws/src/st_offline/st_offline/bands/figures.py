@@ -30,10 +30,7 @@ def _reliability(models: dict[str, Any], place: Place) -> Drawn:
             points = {float(level): share for level, share in modes[mode]["reliability"].items() if share is not None}
             axes.plot([100 * level for level in points], [100 * share for share in points.values()], marker="o", ms=3,
                       color=MODEL_COLOUR.get(model, TEXT), ls=MODEL_LINE.get(model, "solid"))
-        axes.set_title(words)
-        axes.set_xlabel("stated, %")
-        axes.set_xlim(0, 100)
-        axes.set_ylim(0, 100)
+        axes.set(title=words, xlabel="stated, %", xlim=(0, 100), ylim=(0, 100))
     panels[0].set_ylabel("whole paths inside, %")
     _legend(figure, models)
     worst = max((abs(one["coverage"]["0.9"] - 0.9), f"{100 * one['coverage']['0.9']:.0f} %, {model}, {mode}")

@@ -59,7 +59,8 @@ def finding(reports: Sequence[RunReport], over: str) -> str:
         for model in (m for m in size if size[m] == min(size.values(), key=_number)):
             wins[model] += 1
     counts = ", ".join(f"{model} in {count}" for model, count in wins.items())
-    return f"Smallest lateral RMSE of {len(reports)} runs: {counts}"
+    ties = ", ties counted for each" if sum(wins.values()) > len(reports) else ""
+    return f"Smallest lateral RMSE of {len(reports)} runs: {counts}{ties}"
 
 
 def _number(text: str) -> float:

@@ -17,6 +17,8 @@ INS_ON_CAN = (0.002, 0.002)
 WHEEL_SPEED = (0.015, 0.015)
 STEERING_LEAD = (-0.06, 0.06)
 
+NO_INS_FRAMES = "the log holds no INS frames that the DBC describes (RT_..., rt.dbc of `st car new`)"
+
 # Standard deviation that tells something [m/s, rad/s, rad, 1/m].
 SMALLEST = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 CURVATURE_FROM = 3.0  # m/s; slower, yaw rate over speed is noise
@@ -47,36 +49,41 @@ def shared_signals(ins: Motion, can: CanSignals, latency: tuple[float, float] = 
     return pairs
 
 
-def substitute_signals(ins: Motion, can: CanSignals) -> tuple[list[SharedSignal], str]:
-    """For a log without INS frames: wheel speed, else steering against curvature; and the warning that goes with it."""
+def substitute_signals(ins: Motion, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
+    """For a log without INS frames: wheel speed, else steering against curvature; and the warning that goes with it.
+
+    steering_sign: +1 where the decoded sensor is left positive.
+    """
     speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
     if speed is not None:
         values = _masked(ins, ins.time_ns, np.abs(ins.velocity_x))
         return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, WHEEL_SPEED)],
-                "the log holds no INS frames: aligned by the wheel speed, whose own delay is not known")
+                f"{NO_INS_FRAMES}: aligned by the wheel speed, whose own delay is not known")
     steering = can.first_of("steering_wheel_angle")
     if steering is None:
         return [], ""
     fast = np.abs(ins.velocity_x) > CURVATURE_FROM
     curvature = np.where(fast, ins.yaw_rate / np.where(fast, ins.velocity_x, 1.0), np.nan)
-    pair = SharedSignal("curvature against steering", ins.time_ns, curvature, steering.time_ns, steering.values,
-                        *STEERING_LEAD, SMALLEST["curvature"])
-    return [pair], ("the log holds no INS frames and no wheel speed: aligned by steering against yaw rate, which lags "
-                    "by the response time of the car")
+    pair = SharedSignal("curvature against steering", ins.time_ns, curvature, steering.time_ns,
+                        steering_sign * steering.values, *STEERING_LEAD, SMALLEST["curvature"])
+    return [pair], (f"{NO_INS_FRAMES} and no wheel speed: aligned by steering against yaw rate, which lags by the "
+                    "response time of the car; if steering_sign of the car is wrong, no offset fits")
 
 
 def align_clocks(ins: Motion, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
-                 latency: tuple[float, float] = INS_ON_CAN) -> tuple[Alignment, list[SharedSignal]]:
+                 latency: tuple[float, float] = INS_ON_CAN,
+                 steering_sign: int = 1) -> tuple[Alignment, list[SharedSignal]]:
     """The alignment of a run (reference: INS), and the signals it rests on or can be looked at with.
 
     By hand, if `offset` [s] (INS minus CAN clock) is given; else by the INS's own time frame on CAN, checked against
     the shared signals; else by these; else by a substitute, never better than doubtful.
     search: bounds of the offset [s]. latency: of INS values on CAN, and its standard deviation [s].
+    steering_sign: +1 where the decoded sensor is left positive.
     """
     pairs = shared_signals(ins, can, latency)
     warning = ""
     if not pairs:
-        pairs, warning = substitute_signals(ins, can)
+        pairs, warning = substitute_signals(ins, can, steering_sign)
     if offset is not None:
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
         return by_hand(round(offset * 1e9), at_ns, pairs), pairs
