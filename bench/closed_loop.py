@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config, project_root
 
 RATIO = "steering_ratio: {value: 17.3"
@@ -21,9 +22,9 @@ WRONG = 1.08  # of the steering ratio in the file
 HIDDEN = {"steering_lag": 0.14, "ins_misalignment": 0.012}  # s, rad
 DRIVES = ("sweep", "slalom", "lane_change", "brake_in_turn", "there_and_back", "weave")
 SECONDS, UNSEEN, UNSEEN_SECONDS = 30.0, "S6", 60.0
-LAW = {"drive_offset": 0.15}  # m: a yaw moment with the force of drive and brakes
-LAW_DRIVES = ("sweep", "lane_change", "brake_in_turn", "there_and_back", "S5", "S7")
-LAW_SECONDS, LAW_UNSEEN = 40.0, "config/manoeuvres/slalom.yaml"
+LAW = {"drive_offset": 0.2}  # m: a yaw moment with the force of drive and brakes
+LAW_DRIVES = ("sweep", "lane_change", "brake_in_turn", "S6", "slalom.yaml", "stop_and_go.yaml")
+LAW_SECONDS, LAW_UNSEEN, LAW_UNSEEN_SECONDS = 40.0, "S7", 50.0
 LAW_BEGINS = "## A law beyond the library"
 PAGE = project_root() / "docs" / "measurements" / "closed_loop.md"
 IMAGES = project_root() / "docs" / "images"
@@ -62,7 +63,7 @@ def of_a_law(folder: Path) -> dict:
     vehicle, car = config("vehicle/leaf.yaml"), _hidden(LAW)
     found = _found(folder, LAW_DRIVES, LAW_SECONDS, vehicle, car, "--propose")
     written = {name: folder / "found" / name for name in ("vehicle.yaml", "model.yaml", "proposed.yaml", "effects")}
-    unseen = ("--scenario", project_root() / LAW_UNSEEN, "--duration", UNSEEN_SECONDS, *car, "--seed", 100)
+    unseen = ("--scenario", LAW_UNSEEN, "--duration", LAW_UNSEEN_SECONDS, *car, "--seed", 100)
     # A model file holds for the vehicle file it was found with: model.yaml for the mended one, proposed.yaml for the
     # one that was given.
     mended = written["vehicle.yaml"] if written["vehicle.yaml"].exists() else vehicle
@@ -70,11 +71,12 @@ def of_a_law(folder: Path) -> dict:
     library = _driven(folder / "before", *unseen, "--vehicle", mended, *model)
     result = {"stated": [e["name"] for e in found["effects"]], "kept": [e["name"] for e in found["minor"]],
               "law": found["law"]["proposal"], "why": found["law"]["why"], "position_5s": _gap(found),
-              "library": library["lateral"].get("augmented", library["lateral"]["nonlinear"])}
+              "library": library["lateral"].get("augmented", library["lateral"]["nonlinear"]),
+              "starts": [library["starts"]]}
     if written["proposed.yaml"].exists():
         proposed = _driven(folder / "after", *unseen, "--vehicle", vehicle, "--model", written["proposed.yaml"],
                            "--effects", written["effects"])
-        result |= {"starts": proposed["starts"], "given": proposed["lateral"]["nonlinear"],
+        result |= {"starts": [library["starts"], proposed["starts"]], "given": proposed["lateral"]["nonlinear"],
                    "proposed": proposed["lateral"]["augmented"]}
         _draw(IMAGES / "closed_loop_law.png", {name: (result["given"], result[key]) for name, key in (
             ("library", "library"), ("with the law", "proposed"))}, ("vehicle file as given", "with the fourth path"))
@@ -87,10 +89,12 @@ def _found(folder: Path, drives: Sequence[str], seconds: float, vehicle: Path, c
            *options: str) -> dict:
     """discovery.json of the drives, driven live and recorded."""
     for number, name in enumerate(drives):
-        _driven(folder / name, "--scenario", name, "--duration", seconds, "--vehicle", vehicle, *car, "--seed", number)
+        road = config(f"manoeuvres/{name}") if name.endswith(".yaml") else name
+        _driven(folder / Path(name).stem, "--scenario", road, "--duration", seconds, "--vehicle", vehicle, *car,
+                "--seed", number)
     if not (folder / "found").exists():
-        _st("discover", *(folder / name / "bag" for name in drives), "--vehicle", vehicle, "--output", folder / "found",
-            *options)
+        _st("discover", *(folder / Path(name).stem / "bag" for name in drives), "--vehicle", vehicle, *options,
+            "--output", folder / "found")
     return json.loads((folder / "found" / "discovery.json").read_text())
 
 
@@ -177,12 +181,13 @@ def _page(result: dict) -> str:
     hidden = ", ".join(f"`{name}={value:g}`" for name, value in HIDDEN.items())
     return "\n".join((
         "# The closed loop, live", "",
+        "See how far predictions are off with a wrong vehicle file, and how far after `st discover` has corrected it.",
         "Written by `./st bench closed_loop`; do not edit. The virtual Leaf (`realistic`) is driven through bridges",
         f"and nodes with {hidden}, and a vehicle file whose steering ratio is",
         f"{100 * (WRONG - 1):.0f} % wrong: {len(DRIVES)} drives of {SECONDS:g} s ({', '.join(DRIVES)}).",
-        "`st discover` gets the recorded bags and that file, nothing else. Then a road it has not seen",
+        "`st discover` receives the recorded bags and that file, nothing else. Then a new road",
         f"({UNSEEN}) is driven live twice: with the file as it was, and with what `st discover` wrote.", "",
-        f"Found (factor 1/{WRONG:g} = {1 / WRONG:.3f} is the truth of the ratio); held-out 5 s position {base:.2f} → "
+        f"Found (the true factor of the ratio is 1/{WRONG:g} = {1 / WRONG:.3f}); held-out 5 s position {base:.2f} → "
         f"{augmented:.2f} m:", "",
         "| effect | value, 95 % interval |", "|---|---|", *(said(e) for e in result["found"]), "",
         f"Kept, not named: {', '.join(e['name'] for e in result['kept']) or 'nothing'}.", "",
@@ -194,6 +199,8 @@ def _page(result: dict) -> str:
 def _law_page(result: dict) -> str:
     law, (base, library) = result["law"], result["position_5s"]
     hidden = ", ".join(f"`{name}={value:g}`" for name, value in LAW.items())
+    car = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text())
+    truth = LAW["drive_offset"] * car.mass / car.yaw_inertia
     said = [f"Nothing is proposed: {result['why']}."]
     if law:
         others = "; ".join(f"{name.replace('_', ' ')} (cosine {cosine:.2f})" for name, cosine in law["others"].items())
@@ -204,16 +211,17 @@ def _law_page(result: dict) -> str:
                 f"{base:.3f} (file as given), {library:.3f} (library), {law['position_5s'][1]:.3f} m (with the law)."]
     lines = [LAW_BEGINS, "",
              f"Hidden in the same car is {hidden}: drive and brakes act that far (m) to the right of its middle, a yaw",
-             f"moment no effect of the library describes. {len(LAW_DRIVES)} live drives of {LAW_SECONDS:g} s",
-             f"({', '.join(LAW_DRIVES)}) are recorded; `st discover --propose` gets the bags and the",
-             f"right vehicle file. Then a road it has not seen (`{LAW_UNSEEN}`: a slalom, braking, a tight turn)",
-             "is driven live twice.", "",
+             f"moment no effect of the library describes. It turns the car by {truth:.3f} rad/s² for each m/s² of",
+             f"drive or brakes. {len(LAW_DRIVES)} live drives of {LAW_SECONDS:g} s ({', '.join(LAW_DRIVES)})",
+             "are recorded; `st discover --propose` gets the bags and the right vehicle file. Then a road it has not",
+             f"seen ({LAW_UNSEEN}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.", "",
              f"The library states {', '.join(f'`{n}`' for n in result['stated']) or 'nothing'}, and keeps "
              f"{', '.join(f'`{n}`' for n in result['kept']) or 'nothing'}.", *said, ""]
     if "proposed" in result:
         rows = (("nonlinear, vehicle file as given", "given"), ("fourth path, `model.yaml`: the library", "library"),
                 ("fourth path, `proposed.yaml`: with the law", "proposed"))
-        lines += [f"Live, lateral error over 5 s in hindsight, RMSE of {result['starts']} starts:", "",
+        lines += [f"Live, lateral error over 5 s in hindsight, RMSE; {result['starts'][0]} starts with the library, "
+                  f"{result['starts'][1]} with the law:", "",
                   "| model | m |", "|---|---|", *(f"| {name} | {result[key]:.3f} |" for name, key in rows), "",
                   "![Errors with the library's answer and with the proposal, live](../images/closed_loop_law.png)", "",
                   "![The proposed law](../images/closed_loop_law_curve.png)", ""]

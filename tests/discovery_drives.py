@@ -14,8 +14,9 @@ from st_core.discovery import DiscoverySettings
 from st_core.discovery.fit import Problem
 from st_core.discovery.loss import Loss
 from st_core.discovery.space import Space
-from st_core.discovery.suggested_drive import CATALOGUE, drive
+from st_core.discovery.suggested_drive import drive
 from st_core.log import DriveLog
+from st_core.manoeuvres import CATALOGUE
 from st_core.vehicle import VehicleParameters
 
 NOISE = {"x": 0.01, "y": 0.01, "yaw": 1e-4, "velocity_x": 0.003, "velocity_y": 0.003, "yaw_rate": 0.002,

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from st_cli.verbs.demo import SCENARIOS as OFFERED
 from st_core.augmented import augment
-from st_core.discovery.suggested_drive import CATALOGUE, drive
+from st_core.discovery.suggested_drive import drive
+from st_core.manoeuvres import CATALOGUE
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
 from st_sim.dynamics import VX, YAW_RATE

@@ -29,7 +29,6 @@ _FOREIGN_CLOCK_NS = 86_400 * 10**9
 class ReceiverStatus:
     """A snapshot: state, reason (one line, empty when all is well) and counts since start.
 
-    last_frame_ns: receive stamp of the newest frame [ns since 1970], None before the first.
     delay, delay_maximum: from the receive stamp until the frame was handed over [s], median and maximum of the last
     frames; NaN before the first.
     """
@@ -42,7 +41,6 @@ class ReceiverStatus:
     opened: int = 0
     failures: int = 0
     callback_errors: int = 0
-    last_frame_ns: int | None = None
     delay: float = float("nan")
     delay_maximum: float = float("nan")
 
@@ -148,7 +146,6 @@ class Receiver:
         with self._lock:
             self._delays.append(now_ns - time_ns)
             status.frames += 1
-            status.last_frame_ns = time_ns
         passive = status.state is BusState.ERROR_PASSIVE and self._errors_are_recent()
         if status.state is not BusState.OK and not passive:
             self._set(BusState.OK, "")

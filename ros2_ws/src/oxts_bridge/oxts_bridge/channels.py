@@ -70,26 +70,6 @@ def trigger_nanoseconds(data: bytes) -> int | None:
     return minutes * 60_000_000_000 + int.from_bytes(data[4:6], "little") * 1_000_000 + fine * 4_000
 
 
-def encode_trigger(channel: int, gps_nanoseconds: int, count: int) -> bytes:
-    """The 8 bytes of a trigger channel for an event at a GPS time [ns since 1980-01-06], rounded to 4 us. count:
-    1..255."""
-    if channel not in TRIGGER_CHANNELS:
-        raise NcomError(f"channel {channel} is not one of the trigger channels {sorted(TRIGGER_CHANNELS)}")
-    ticks = (gps_nanoseconds + 2_000) // 4_000
-    milliseconds, fine = divmod(ticks + 125, 250)
-    minutes, milliseconds = divmod(milliseconds, 60_000)
-    name = TRIGGER_CHANNELS[channel].removesuffix("Time")
-    return encode_channel(
-        channel,
-        {
-            f"{name}Minutes": minutes,
-            f"{name}Milliseconds": milliseconds,
-            f"{name}Fine": fine - 125,
-            f"{name}Count": count,
-        },
-    )
-
-
 def _encode_long_range(values: Mapping[str, Value]) -> bytes:
     lengths: list[Value] = [values.get(name) for name in ("GAPx", "GAPy", "GAPz")]
     if all(length is None for length in lengths):
@@ -110,13 +90,4 @@ def known(channel: int) -> bool:
     return channel in TABLE
 
 
-__all__ = [
-    "FIELDS",
-    "TABLE",
-    "TRIGGER_CHANNELS",
-    "decode_channel",
-    "encode_channel",
-    "encode_trigger",
-    "known",
-    "trigger_nanoseconds",
-]
+__all__ = ["FIELDS", "TABLE", "TRIGGER_CHANNELS", "decode_channel", "encode_channel", "known", "trigger_nanoseconds"]

@@ -22,43 +22,6 @@ UNKNOWN_SPEED_ACCURACY = 0.14
 # set clock.
 LONGEST_STEP = 10.0
 
-NAMES = (
-    "Vf",
-    "Vl",
-    "Speed2d",
-    "Speed3d",
-    "Track",
-    "Slip",
-    "Curvature",
-    "Dist2d",
-    "Dist3d",
-    "Af",
-    "Al",
-    "Ad",
-    "Wf",
-    "Wl",
-    "Wd",
-    "Yx",
-    "Yy",
-    "Yz",
-    "FiltAx",
-    "FiltAy",
-    "FiltAz",
-    "FiltYx",
-    "FiltYy",
-    "FiltYz",
-    "IsoVoX",
-    "IsoVoY",
-    "IsoVoZ",
-    "IsoVhX",
-    "IsoVhY",
-    "IsoVhZ",
-    "IsoAoX",
-    "IsoAoY",
-    "IsoAoZ",
-)
-
-
 @dataclass
 class Settings:
     """What derived values need from the status channels, each as (packet index, value) from which packet on it holds.
@@ -73,7 +36,7 @@ class Settings:
 
 
 def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
-    """All NAMES as columns; deg, deg/s, m, m/s, m/s^2 as the vendor shows them."""
+    """By name, in the order of the table; deg, deg/s, m, m/s, m/s^2 as the vendor shows them."""
     fix = (columns.kind != EMPTY) & ~columns.approximate
     velocity = np.where(fix, columns.velocity_ned, np.nan)
     heading, pitch, roll = (np.where(fix, angle, np.nan) for angle in (columns.heading, columns.pitch, columns.roll))
@@ -81,21 +44,18 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
     rate = np.where(fix, columns.angular_rate, np.nan)
     out: dict[str, np.ndarray] = {}
     level = _level_matrix(pitch, roll)
-    level_velocity = _to_level_heading(velocity, heading)
-    out["Vf"], out["Vl"] = level_velocity[0], level_velocity[1]
-    out["Af"], out["Al"], out["Ad"] = _apply(level, acceleration)
-    level_rate = _apply(level, rate)
-    out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
-    _speed_and_slip(out, velocity, heading, level_rate[2], _held(settings.speed_accuracy, len(columns)))
     seconds = float_seconds(columns)
+    level_velocity, level_rate = _to_level_heading(velocity, heading), _apply(level, rate)
+    out["Vf"], out["Vl"] = level_velocity[0], level_velocity[1]
+    _speed_and_slip(out, velocity, heading, level_rate[2], _held(settings.speed_accuracy, len(columns)))
     _distances(out, columns, seconds)
+    out["Af"], out["Al"], out["Ad"] = _apply(level, acceleration)
+    out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
     _angular_acceleration(out, columns, seconds)
     _filtered(out, columns, seconds, settings)
-    out["IsoVhX"], out["IsoVhY"], out["IsoVhZ"] = level_velocity[0], -level_velocity[1], -level_velocity[2]
-    body_velocity = _apply_transposed(level, level_velocity)
-    out["IsoVoX"], out["IsoVoY"], out["IsoVoZ"] = body_velocity[0], -body_velocity[1], -body_velocity[2]
-    body = _without_gravity(columns, velocity, heading, level, acceleration)
-    out["IsoAoX"], out["IsoAoY"], out["IsoAoZ"] = body[0], -body[1], -body[2]
+    for prefix, frd in (("IsoVo", _apply_transposed(level, level_velocity)), ("IsoVh", level_velocity),
+                        ("IsoAo", _without_gravity(columns, velocity, heading, level, acceleration))):
+        out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = frd[0], -frd[1], -frd[2]
     return out
 
 

@@ -1,12 +1,12 @@
 """An NCOM file as CSV: what the unit said, packet by packet, and every change of its status. Called by `st ncom`."""
 
-from collections.abc import Iterator
+import csv
 from pathlib import Path
 
 import numpy as np
 
 from .channels import FIELDS
-from .derived import NAMES, Settings, derive, float_seconds
+from .derived import Settings, derive, float_seconds
 from .fields import INVERTED_B6, Value
 from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .gps_time import WEEK_MS
@@ -14,32 +14,6 @@ from .ncom import NcomError
 from .status import PARTS, StatusTracker
 from .surface import surface_angles
 
-BASIC = (
-    "pkt",
-    "start_offset",
-    "out_type",
-    "nav_mode",
-    "channel",
-    "time",
-    "week",
-    "tow",
-    "quality",
-    "Ax",
-    "Ay",
-    "Az",
-    "Wx",
-    "Wy",
-    "Wz",
-    "Lat",
-    "Lon",
-    "Alt",
-    "Vn",
-    "Ve",
-    "Vd",
-    "Heading",
-    "Pitch",
-    "Roll",
-)
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
 # The vendor shows robot interface codes it has no name for as 10.
 _LARGEST_CODE = {"UmacStatus": 10}
@@ -56,7 +30,7 @@ _ROWS_AT_ONCE = 1 << 12
 def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Path | None = None) -> int:
     """Write all packets of an .ncom file (and, if asked, its status changes) as CSV; returns the number of packets.
 
-    csv_path: columns BASIC and derived.NAMES, one row per accepted packet; empty = invalid. m, m/s, m/s^2, deg,
+    csv_path: columns of `_table`, one row per accepted packet; empty = invalid. m, m/s, m/s^2, deg,
     deg/s, GPS seconds.
     status_path: pkt,channel,field,valid,value, one row per change of value or validity.
     Raises NcomError (no packet in the file: names the file and what was found; an output that is the recording itself
@@ -79,8 +53,10 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
             file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
     if status_path is not None:
         with Path(status_path).open("w", encoding="ascii", newline="") as file:
-            file.write("pkt,channel,field,valid,value\n")
-            file.writelines(_status_lines(changes))
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(("pkt", "channel", "field", "valid", "value"))
+            writer.writerows((packet, channel, name, int(value is not None), value)
+                             for packet, channel, name, value in changes)
     return len(columns)
 
 
@@ -92,30 +68,27 @@ def _table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
     heading = degrees(columns.heading)
     navigation = (columns.kind != EMPTY) & (columns.kind != STATUS) & (columns.navigation_status > 1)
     quality = np.where(navigation, np.where(columns.approximate, "approx", "valid"), "")
-    basic = [
-        np.arange(n),
-        columns.offset,
-        _out_types(columns),
-        columns.navigation_status,
-        columns.channel,
-        float_seconds(columns),
-        _optional(gps_ms // WEEK_MS, in_series),
-        np.where(in_series, gps_ms % WEEK_MS / 1e3, np.nan),
-        quality,
-        *columns.acceleration,
-        *degrees(columns.angular_rate),
-        degrees(columns.latitude),
-        degrees(columns.longitude),
-        columns.altitude,
-        *columns.velocity_ned,
-        np.where(heading < 0, heading + 360.0, heading),
-        degrees(columns.pitch),
-        degrees(columns.roll),
-    ]
-    table = dict(zip(BASIC, basic, strict=True))
-    derived = derive(columns, settings)
-    table.update((name, derived[name]) for name in NAMES)
-    return table
+    return {
+        "pkt": np.arange(n),
+        "start_offset": columns.offset,
+        "out_type": _out_types(columns),
+        "nav_mode": columns.navigation_status,
+        "channel": columns.channel,
+        "time": float_seconds(columns),
+        "week": _optional(gps_ms // WEEK_MS, in_series),
+        "tow": np.where(in_series, gps_ms % WEEK_MS / 1e3, np.nan),
+        "quality": quality,
+        **dict(zip(("Ax", "Ay", "Az"), columns.acceleration, strict=True)),
+        **dict(zip(("Wx", "Wy", "Wz"), degrees(columns.angular_rate), strict=True)),
+        "Lat": degrees(columns.latitude),
+        "Lon": degrees(columns.longitude),
+        "Alt": columns.altitude,
+        **dict(zip(("Vn", "Ve", "Vd"), columns.velocity_ned, strict=True)),
+        "Heading": np.where(heading < 0, heading + 360.0, heading),
+        "Pitch": degrees(columns.pitch),
+        "Roll": degrees(columns.roll),
+        **derive(columns, settings),
+    }
 
 
 def _optional(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -174,13 +147,3 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
     changes.extend(surface_angles(columns, surfaces))
     changes.sort(key=lambda change: change[0])
     return changes, settings
-
-
-def _status_lines(changes: list[Change]) -> Iterator[str]:
-    for packet, channel, name, value in changes:
-        text = "" if value is None else repr(value) if isinstance(value, float) else str(value)
-        yield f"{packet},{channel},{name},{int(value is not None)},{_quoted(text)}\n"
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text

@@ -1,11 +1,11 @@
-"""Where the vehicle is: WGS84 latitude, longitude, height to a local east-north-up frame through ECEF, and back.
+"""Where the vehicle is: WGS84 latitude, longitude, height to a local east-north-up frame through ECEF.
 
-Source: ncom.md sections 9 and 11. Checked by: test_geodesy.py (round trips, and ellipsoid radii as the short-distance
-limit).
+Source: ncom.md sections 9 and 11. Checked by: test_geodesy.py (ellipsoid radii as the short-distance limit), and
+st_sim against the way back.
 """
 
 from dataclasses import dataclass, field
-from math import atan2, cos, hypot, isfinite, radians, sin, sqrt
+from math import cos, isfinite, radians, sin, sqrt
 
 SEMI_MAJOR_AXIS = 6_378_137.0
 FLATTENING = 1 / 298.257223563
@@ -28,19 +28,6 @@ def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, fl
         across * sin(longitude),
         (normal * (1 - ECCENTRICITY_SQUARED) + height) * sin(latitude),
     )
-
-
-def to_geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Latitude, longitude [rad], height [m] of an earth-centred point; to 1e-9 m within 10 km of the surface."""
-    longitude = atan2(y, x)
-    across = hypot(x, y)
-    latitude = atan2(z, across * (1 - ECCENTRICITY_SQUARED))
-    height = 0.0
-    for _ in range(6):  # contracts by e^2 = 0.0067 per round
-        normal = radii(latitude)[1]
-        height = (across * cos(latitude) + z * sin(latitude)) - SEMI_MAJOR_AXIS**2 / normal
-        latitude = atan2(z, across * (1 - ECCENTRICITY_SQUARED * normal / (normal + height)))
-    return latitude, longitude, height
 
 
 @dataclass(frozen=True)
@@ -72,15 +59,6 @@ class LocalFrame:
         s_lat, c_lat, s_lon, c_lon = self._rotation
         outward = c_lon * dx + s_lon * dy
         return -s_lon * dx + c_lon * dy, -s_lat * outward + c_lat * dz, c_lat * outward + s_lat * dz
-
-    def geodetic(self, east: float, north: float, up: float) -> tuple[float, float, float]:
-        """Latitude, longitude [rad], altitude [m] of a point of the frame."""
-        s_lat, c_lat, s_lon, c_lon = self._rotation
-        outward = -s_lat * north + c_lat * up
-        x0, y0, z0 = self._ecef
-        return to_geodetic(
-            x0 - s_lon * east + c_lon * outward, y0 + c_lon * east + s_lon * outward, z0 + c_lat * north + s_lat * up
-        )
 
 
 def ellipsoidal_height(altitude: float, undulation: float) -> float:

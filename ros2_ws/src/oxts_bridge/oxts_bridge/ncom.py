@@ -39,7 +39,6 @@ LARGEST_I24 = 0x7FFFFF
 
 # An i24 is read as its low 16 bits (unsigned) and its high 8 bits (signed).
 _LAYOUT = struct.Struct("<xH HbHbHb HbHbHb B x ddf HbHbHb HbHbHb x B 8s x")
-_HEAD = struct.Struct("<BH")
 
 
 class NcomError(ValueError):

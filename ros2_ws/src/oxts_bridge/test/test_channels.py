@@ -6,18 +6,17 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oxts_bridge.channel_table import TABLE, TRIGGER_CHANNELS
 from oxts_bridge.channels import (
     FIELDS,
-    TABLE,
-    TRIGGER_CHANNELS,
     decode_channel,
     encode_channel,
-    encode_trigger,
     known,
     trigger_nanoseconds,
 )
 from oxts_bridge.ncom import NcomError
 from oxts_bridge.status import up_time
+from trigger_bytes import encode_trigger
 
 # The manual lists these without a layout.
 UNPUBLISHED = {82, 83, 84, 86, 92}

@@ -1,4 +1,4 @@
-"""Earth to local frame and back, against closed forms and the ellipsoid's radii."""
+"""Earth to local frame, against closed forms and the ellipsoid's radii."""
 
 import math
 
@@ -11,7 +11,6 @@ from oxts_bridge.geodesy import (
     origin_from_channel_25,
     radii,
     to_ecef,
-    to_geodetic,
     wrap_degrees,
 )
 
@@ -31,13 +30,6 @@ def test_points_on_the_axes(place, ecef):
     assert to_ecef(*place) == pytest.approx(ecef, abs=1e-6)
 
 
-@given(latitude=st.floats(-1.55, 1.55), longitude=st.floats(-3.1, 3.1), height=st.floats(-500, 10_000))
-def test_ecef_round_trip(latitude, longitude, height):
-    back = to_geodetic(*to_ecef(latitude, longitude, height))
-    assert back == pytest.approx((latitude, longitude, height), abs=1e-6)
-    assert abs(back[0] - latitude) * 6.4e6 < 1e-6
-
-
 @given(latitude=st.floats(-1.4, 1.4), longitude=st.floats(-3.1, 3.1), north=st.floats(-50, 50), east=st.floats(-50, 50))
 def test_short_distances_follow_the_radii_of_curvature(latitude, longitude, north, east):
     meridian, normal = radii(latitude)
@@ -46,12 +38,6 @@ def test_short_distances_follow_the_radii_of_curvature(latitude, longitude, nort
     # Over 50 m the curvature of the parallel bends the way by tan(latitude) * d^2 / 2R, and the earth drops by d^2 /
     # 2R.
     assert frame.enu(*there) == pytest.approx((east, north, 3.0), abs=5e-3)
-
-
-@given(east=st.floats(-20_000, 20_000), north=st.floats(-20_000, 20_000), up=st.floats(-500, 500))
-def test_local_frame_round_trip(east, north, up):
-    frame = LocalFrame(math.radians(52), math.radians(-1.25), 80)
-    assert frame.enu(*frame.geodetic(east, north, up)) == pytest.approx((east, north, up), abs=1e-6)
 
 
 def test_far_points_are_not_on_a_flat_earth():

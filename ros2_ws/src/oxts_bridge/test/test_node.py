@@ -6,13 +6,13 @@ import socket
 import time
 
 import pytest
+from trigger_bytes import encode_trigger
 
 pytest.importorskip("rclpy", reason="no ROS here")
 pytest.importorskip("st_msgs.msg", reason="the workspace is not built")
 
 from ins_rig import Rig, free_port, stamp_ms
 from lifecycle_msgs.srv import ChangeState
-from oxts_bridge.channels import encode_trigger
 from st_msgs.msg import Trigger
 
 pytestmark = [

@@ -3,13 +3,14 @@
 import math
 
 import pytest
-from oxts_bridge.channels import encode_channel, encode_trigger
+from oxts_bridge.channels import encode_channel
 from oxts_bridge.modes import fix_status, mode_text
 from oxts_bridge.motion import Accuracy, motion_of
 from oxts_bridge.origin import FIRST_FIX, GIVEN, UNIT, UNIT_PATIENCE_NS, Origin
 from oxts_bridge.status import StatusTracker
 from oxts_bridge.stream import NcomParser
 from oxts_bridge.triggers import EventLog
+from trigger_bytes import encode_trigger
 
 START = 24_015_600 * 60_000 + 1_000
 

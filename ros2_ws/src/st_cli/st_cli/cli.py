@@ -4,7 +4,9 @@ import errno
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import typer
 from st_live import transport
@@ -41,28 +43,15 @@ app = typer.Typer(
     pretty_exceptions_show_locals=False,
     help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that?",
 )
-app.command()(demo.demo)
-app.command()(live.live)
-app.command()(ncom.ncom)
-app.command()(car.car)
-app.command()(check.check)
-app.command()(evaluate.evaluate)
-app.command()(calibrate.calibrate)
-app.command(cls=discover.WithReferences)(discover.discover)
-app.command()(effects.effects)
-app.command()(identify.identify)
-app.command()(replay.replay)
-app.command()(verify.verify)
-app.command()(view.view)
-app.command()(foxglove.foxglove)
-app.command()(align.align)
-app.command("import")(import_.import_)
-app.command()(recover.recover)
-app.command()(export.export)
-app.command()(docs.docs)
-app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(bench.bench)
-app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.test)
-app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(develop.shell)
+HANDED_ON = {"context_settings": {"allow_extra_args": True, "ignore_unknown_options": True}}
+SPECIAL: dict[Callable, dict[str, Any]] = {
+    discover.discover: {"cls": discover.WithReferences}, import_.import_: {"name": "import"},
+    **dict.fromkeys((bench.bench, develop.test, develop.shell), HANDED_ON)}
+for verb in (demo.demo, live.live, ncom.ncom, car.car, check.check, evaluate.evaluate, calibrate.calibrate,
+             discover.discover, effects.effects, identify.identify, replay.replay, verify.verify, view.view,
+             foxglove.foxglove, align.align, import_.import_, recover.recover, export.export, docs.docs, bench.bench,
+             develop.test, develop.shell):
+    app.command(**SPECIAL.get(verb, {}))(verb)
 
 
 # What is no fault of the program: a disk that is full or may not be written to.

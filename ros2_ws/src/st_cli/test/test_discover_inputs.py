@@ -8,12 +8,13 @@ import pytest
 from drives import circle, weave, write_drive, write_vehicle
 from st_cli.cli import app
 from st_core.augmented import augment
+from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile, Provenance
 from st_core.vehicle import VehicleParameters
 from st_live.fourth_model import fourth_model
 from st_live.suite import SuiteError
-from st_offline.discovery.command import CommandError, _refuse_twice, measured
+from st_offline.discovery.command import _refuse_twice, measured
 from st_offline.discovery.drives import _key, read_drive, read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from st_recordings.runs.load import hashes
@@ -135,7 +136,7 @@ def test_a_reference_of_another_car_is_refused(drive, tmp_path):
         digest = {"files": {file: file}, "vehicle": car_name}
         return replace(read, name=file, about={**read.about, **digest})
     leaf, genesis, unknown = of("Leaf", "a.csv"), of("Genesis", "b.csv"), of("", "c.csv")
-    with pytest.raises(CommandError, match=r"--reference b\.csv is of 'Genesis', a\.csv of 'Leaf', as"):
+    with pytest.raises(ConfigurationError, match=r"--reference b\.csv is of 'Genesis', a\.csv of 'Leaf', as"):
         _refuse_twice([leaf], [unknown, genesis])
     _refuse_twice([leaf, unknown], [of("Leaf", "d.csv"), of("", "e.csv")])
 
@@ -181,7 +182,7 @@ def test_model_file_of_another_car_is_refused(drive, tmp_path):
 
 def test_fourth_model_that_is_none(tmp_path):
     (tmp_path / "model.yaml").write_text("base: nonlinear\neffects: {no_such: {}}\n")
-    with pytest.raises(SuiteError, match="no_such"):
+    with pytest.raises(ConfigurationError, match="no_such"):
         fourth_model(tmp_path / "model.yaml", None, LEAF)
     with pytest.raises(SuiteError, match="only a --model uses effects"):
         fourth_model(None, tmp_path, LEAF)

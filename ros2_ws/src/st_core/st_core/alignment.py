@@ -23,11 +23,10 @@ class MeasurementHistory:
     """Time-ordered INS and steering samples of the last `span` seconds.
 
     Samples that come out of order are put in their place; late ones (over half a second), repeated ones and those with
-    a NaN are refused and counted (`ins.counters`, `steering.counters`). Whatever the order of arrival within half a
-    second, the content is the same, the filtered acceleration included. When the INS time jumps back (a replay that
-    starts over) both signals begin anew; `generation` counts that. Between samples further apart than maximum_gap
-    nothing is known, nor where the position jumps (position_jumps.py): `jumps` counts that since the start, `jump` is
-    the newest one.
+    a NaN are refused. Whatever the order of arrival within half a second, the content is the same, the filtered
+    acceleration included. When the INS time jumps back (a replay that starts over) both signals begin anew;
+    `generation` counts that. Between samples further apart than maximum_gap nothing is known, nor where the position
+    jumps (position_jumps.py): `jumps` counts that since the start, `jump` is the newest one.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see filtering.py for the definition and delay of velocity_x_dot.
     """

@@ -149,7 +149,7 @@ class LogBatch:
     def errors(self, prediction: LogPrediction) -> np.ndarray:
         """(n, k, 3): longitudinal, lateral [m] and yaw [rad], predicted minus measured, at the INS point.
 
-        As `evaluation.position_errors`; sensor effects of the model are applied to the prediction.
+        As `evaluation.pose_errors`; sensor effects of the model are applied to the prediction.
         """
         half = np.round(self.points * (self.step / NANOSECOND)).astype(np.int64)
         x, y, yaw = self.signals.ins_at(self.starts_ns[:, None] + half, "x", "y", "yaw")

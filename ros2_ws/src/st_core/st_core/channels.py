@@ -5,7 +5,7 @@ Recordings, corrections, columns of CSV files, search, figures and words look it
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,32 +15,20 @@ SPREAD = 1.4826  # of a normal distribution: standard deviation over the median 
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
 
 
-class Way(NamedTuple):
-    """(n, m) measured along n windows of a DriveLog, `step` [s] apart, SI."""
-
-    log: Any
-    step: float
-    x: np.ndarray
-    y: np.ndarray
-    yaw: np.ndarray
-    velocity_x: np.ndarray
-    velocity_y: np.ndarray
-    yaw_rate: np.ndarray
-
-
 @dataclass(frozen=True)
 class Channel:
     """One measured quantity.
 
     words: its name for a reader. unit: SI. smallest [unit]: resolution of an INS, errors below it are all the same.
     recorded: what a signal is that only some recordings have, for the user; DriveLog, CSV files and run.yaml then have
-    it under this name. signals: of DriveLog, what it is measured by. parts: the columns it is scored in.
+    it under this name. signals: of DriveLog, what it is measured by; columns it is scored in; its name without either.
     predicted(shown, true): what the sensor would show, of `effects.Measured` with and without the errors of the INS;
-    None: the field of its name of `shown`. errors(measured, shown): instead of measured minus predicted, by part.
+    None: the field of its name of `shown`. errors(measured, shown): instead of measured minus predicted, by column.
     smoothed: measured and predicted as a mean over 0.1 s. adds_up: its errors grow over the horizon.
     zero_is_none: a recording without it says 0 throughout.
-    noise(way): what noise alone leaves at the end of a window, one standard deviation for each part, by identities of
-    the sensors: no car, no model. None: of white noise, by third differences, in which the motion of a car is gone.
+    noise(log, step, x, y, yaw, v_x, v_y, r): what noise alone leaves at the end of windows, one standard deviation for
+    each column, by identities of the sensors: no car, no model; of arrays (windows, instants `step` [s] apart). None:
+    white noise, by third differences, in which the motion of a car is gone.
     """
 
     name: str
@@ -49,25 +37,21 @@ class Channel:
     smallest: float
     recorded: str = ""
     signals: tuple[str, ...] = ()
-    parts: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
     predicted: Callable[[Any, Any], Any] | None = None
     errors: Callable[[Mapping[str, np.ndarray], Any], tuple[np.ndarray, ...]] | None = None
     smoothed: bool = False
     adds_up: bool = False
     zero_is_none: bool = False
-    noise: Callable[[Way], tuple[float, ...]] | None = None
+    noise: Callable[..., tuple[float, ...]] | None = None
 
-    @property
-    def measured_by(self) -> tuple[str, ...]:
-        return self.signals or (self.name,)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        return self.parts or (self.name,)
+    def __post_init__(self) -> None:
+        for which in ("signals", "columns"):
+            object.__setattr__(self, which, getattr(self, which) or (self.name,))
 
     def is_in(self, log: Any) -> bool:
         """Whether a DriveLog has it."""
-        values = [getattr(log, name) for name in self.measured_by]
+        values = [getattr(log, name) for name in self.signals]
         return all(v is not None and np.isfinite(v).any() and not (self.zero_is_none and not v.any()) for v in values)
 
     def shown(self, shown: Any, true: Any) -> Any:
@@ -75,12 +59,12 @@ class Channel:
         return self.predicted(shown, true) if self.predicted else getattr(shown, self.name)
 
     def off(self, measured: Mapping[str, np.ndarray], shown: Any, true: Any) -> tuple[np.ndarray, ...]:
-        """Measured minus predicted [unit], one for each part."""
+        """Measured minus predicted [unit], one for each column."""
         return self.errors(measured, shown) if self.errors else (measured[self.name] - self.shown(shown, true),)
 
-    def left(self, way: Way) -> tuple[float, ...]:
-        """What noise alone leaves [unit], one for each part."""
-        return self.noise(way) if self.noise else (_white(getattr(way.log, self.name)),)
+    def left(self, log: Any, *way: Any) -> tuple[float, ...]:
+        """What noise alone leaves [unit], one for each column."""
+        return self.noise(log, *way) if self.noise else (_white(getattr(log, self.name)),)
 
 
 def _off_position(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.ndarray, ...]:
@@ -88,21 +72,19 @@ def _off_position(measured: Mapping[str, np.ndarray], shown: Any) -> tuple[np.nd
     return lateral, longitudinal
 
 
-def _position_noise(way: Way) -> tuple[float, ...]:
+def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
     """Dead reckoning with measured heading and velocities against the measured way, and what white noise of heading and
     speed at the start makes of it."""
-    cosine, sine, u, v = np.cos(way.yaw), np.sin(way.yaw), way.velocity_x, way.velocity_y
-    east, north = (_integral(values, way.step) for values in (u * cosine - v * sine, u * sine + v * cosine))
-    ahead, left = frames.map_to_body(way.x[:, -1] - way.x[:, 0] - east, way.y[:, -1] - way.y[:, 0] - north,
-                                     way.yaw[:, -1])
-    horizon = way.step * (way.x.shape[1] - 1)
-    at_start = _white(way.log.yaw) * horizon * float(np.nanmean(u)), _white(way.log.velocity_x) * horizon
+    east, north = (_integral(values, step) for values in frames.body_to_map(u, v, yaw))
+    ahead, left = frames.map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
+    horizon = step * (x.shape[1] - 1)
+    at_start = _white(log.yaw) * horizon * float(np.nanmean(u)), _white(log.velocity_x) * horizon
     return float(np.hypot(_spread(left), at_start[0])), float(np.hypot(_spread(ahead), at_start[1]))
 
 
-def _heading_noise(way: Way) -> tuple[float, ...]:
+def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, u: Any, v: Any, rate: Any) -> tuple[float, ...]:
     """The integral of the measured yaw rate against the measured turn."""
-    return (_spread(frames.wrap_angle(way.yaw[:, -1] - way.yaw[:, 0] - _integral(way.yaw_rate, way.step))),)
+    return (_spread(frames.wrap_angle(yaw[:, -1] - yaw[:, 0] - _integral(rate, step))),)
 
 
 def _white(values: np.ndarray) -> float:
@@ -125,7 +107,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("acceleration_y", "lateral acceleration", "m/s^2", 5e-3, smoothed=True),
     Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, shown: (frames.wrap_angle(m["yaw"] - shown.yaw),),
             adds_up=True, noise=_heading_noise),
-    Channel("position", "position", "m", 1e-3, signals=("x", "y"), parts=("position_lateral", "position_longitudinal"),
+    Channel("position", "position", "m", 1e-3, "", ("x", "y"), ("position_lateral", "position_longitudinal"),
             errors=_off_position, adds_up=True, noise=_position_noise),
 )}
 """The one that tells most first."""

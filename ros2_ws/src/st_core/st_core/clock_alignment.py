@@ -212,28 +212,32 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
     return result.doubted(*doubts)
 
 
+def _fine(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
+    """(pairs of the usable signals, what their times count from: reference, other [ns])."""
+    usable, _ = _usable(signals)
+    if not usable:
+        return [], 0, 0
+    return _pairs(usable)[CUTOFFS[-1]], int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
+
+
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
     """What the coarse search sees: offsets [s], reference minus other clock, and the mean correlation at each.
 
     Empty where no signal is usable. Lags with less than 10 s in common are left out.
     """
-    usable, _ = _usable(signals)
-    fine = _pairs(usable)[CUTOFFS[-1]] if usable else []
+    fine, r0, o0 = _fine(signals)
     if not fine:
         return np.zeros(0), np.zeros(0)
     rows = [masked_correlation(p.reference, p.other, 10.0) for p in fine]
     lags = np.arange(max(lag[0] for lag, _ in rows), min(lag[-1] for lag, _ in rows), STEP)
-    epoch = (int(usable[0].reference_time_ns[0]) - int(usable[0].other_time_ns[0])) * 1e-9
-    return lags + epoch, np.mean([np.interp(lags, lag, r) for lag, r in rows], axis=0) if len(lags) else lags
+    return lags + (r0 - o0) * 1e-9, np.mean([np.interp(lags, lag, r) for lag, r in rows], axis=0) if len(lags) else lags
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment, search: float = 2.0) -> list[WindowLag]:
     """What is left of the offset in stretches of 30 s by themselves; time in s after `at_ns`, other clock."""
-    usable, _ = _usable(signals)
-    fine = _pairs(usable)[CUTOFFS[-1]] if usable else []
+    fine, r0, o0 = _fine(signals)
     if not fine:
         return []
-    r0, o0 = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
     middle = (alignment.at_ns - o0) * 1e-9
     found = window_lags(fine, (alignment.offset_ns - (r0 - o0)) * 1e-9, search)
     drift = alignment.drift_ppm * 1e-6

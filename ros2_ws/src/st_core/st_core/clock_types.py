@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import overload
 
 import numpy as np
 
@@ -77,21 +76,14 @@ class Alignment:
     second_peak: tuple[float, float] | None = None
     overlap: float = 0.0
 
-    @overload
-    def to_reference_ns(self, other_ns: int) -> int: ...
-
-    @overload
-    def to_reference_ns(self, other_ns: np.ndarray) -> np.ndarray: ...
-
-    def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray | int:
+    def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray:
         """Time on the other clock -> time on the reference clock [ns], in whole nanoseconds."""
         since = np.asarray(other_ns, dtype=np.int64) - self.at_ns
-        mapped = since + self.at_ns + self.offset_ns + np.round(since * (self.drift_ppm * 1e-6)).astype(np.int64)
-        return mapped if mapped.ndim else int(mapped)
+        return since + self.at_ns + self.offset_ns + np.round(since * (self.drift_ppm * 1e-6)).astype(np.int64)
 
     def offset_at_ns(self, other_ns: int) -> int:
         """Reference time minus other time at an instant of the other clock [ns]."""
-        return self.to_reference_ns(other_ns) - other_ns
+        return int(self.to_reference_ns(other_ns)) - other_ns
 
     @property
     def ambiguous(self) -> bool:

@@ -225,6 +225,14 @@ def _given(places: list[_Place], signals: tuple[str, ...]):
     return given
 
 
+def _chained(chain, after, places: list[_Place], hook: str, *own: str):
+    """`after` around what came before, for every effect that has the hook. own: of its place, handed on."""
+    for place in places:
+        if function := getattr(place.effect, hook):
+            chain = after(chain, function, place.index, *(getattr(place, name) for name in own))
+    return chain
+
+
 def _slips(places: list[_Place]):
     def geometric(slip_front, slip_rear, state, at):
         return slip_front, slip_rear
@@ -237,11 +245,7 @@ def _slips(places: list[_Place]):
             return hook(front, rear, state[first:last], at, at.w[begin:end], at.p.effects[index])
         return slips
 
-    slips = geometric
-    for place in places:
-        if place.effect.slip_angles:
-            slips = after(slips, place.effect.slip_angles, place.index, place.given, place.extra)
-    return slips
+    return _chained(geometric, after, places, "slip_angles", "given", "extra")
 
 
 def _forces(places: list[_Place], forces_of):
@@ -252,11 +256,7 @@ def _forces(places: list[_Place], forces_of):
             return hook(inner, slip_front, slip_rear, at, at.w[begin:end], at.p.effects[index])
         return forces
 
-    forces = forces_of
-    for place in places:
-        if place.effect.axle_forces:
-            forces = after(forces, place.effect.axle_forces, place.index, place.given)
-    return forces
+    return _chained(forces_of, after, places, "axle_forces", "given")
 
 
 def _acceleration(places: list[_Place]):
@@ -273,11 +273,7 @@ def _acceleration(places: list[_Place]):
             return x + a_x, y + a_y, yaw + a_yaw
         return acceleration
 
-    acceleration = none
-    for place in places:
-        if place.effect.acceleration:
-            acceleration = after(acceleration, place.effect.acceleration, place.index, place.given)
-    return acceleration
+    return _chained(none, after, places, "acceleration", "given")
 
 
 def _rates(places: list[_Place]):
@@ -292,11 +288,7 @@ def _rates(places: list[_Place]):
             return *inner(state, slips, forces, at), *own
         return rates
 
-    rates = none
-    for place in places:
-        if place.effect.rates:
-            rates = after(rates, place.effect.rates, place.index, place.given, place.extra)
-    return rates
+    return _chained(none, after, places, "rates", "given", "extra")
 
 
 def _start(places: list[_Place], slips_of):
@@ -329,8 +321,6 @@ def _start(places: list[_Place], slips_of):
 
 
 def _felt(places: list[_Place]):
-    hooks = [place for place in places if place.effect.felt]
-
     def none(at):
         zero = 0.0 * at.velocity_x
         return zero, zero
@@ -344,10 +334,8 @@ def _felt(places: list[_Place]):
             return x + a_x, y + a_y
         return felt
 
-    chain = none
-    for place in hooks:
-        chain = after(chain, place.effect.felt, place.index, place.given)
+    chain = _chained(none, after, places, "felt", "given")
 
     def felt(state, w, p):
         return chain(_instant(state, w, p))
-    return felt if hooks else None
+    return None if chain is none else felt

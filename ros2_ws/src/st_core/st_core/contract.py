@@ -16,7 +16,7 @@ from .backends import get_backend, has_numba
 from .effects import Effect, Measured
 from .errors import StCoreError
 from .models import MODELS, Model
-from .prediction import predict, predict_batch
+from .prediction import predict
 from .stability import growth, lateral_modes
 from .types import InputSequence, VehicleState
 from .vehicle import VehicleParameters
@@ -99,9 +99,7 @@ def _finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
 def _backends(effect: type[Effect], vehicle: VehicleParameters) -> str:
     for base, model in _models(effect):
         floats = np.stack([_path(model, vehicle, speed) for speed in SPEEDS])
-        others = {"numpy": _batched(model, vehicle)}
-        if has_numba():
-            others["lanes"] = _lanes(model, vehicle)
+        others = {name: _columns(model, vehicle, name) for name in ("numpy", *["lanes"] * has_numba())}
         if importlib.util.find_spec("casadi"):
             others["CasADi"] = _symbolic(model, vehicle)
         for name, path in others.items():
@@ -198,26 +196,18 @@ def _path(model: Model, vehicle: VehicleParameters, speed: float = 12.0, side: f
     return predict(model, vehicle, VehicleState(*_start(speed, side)), inputs, STEP * STEPS, STEP).states
 
 
-def _batched(model: Model, vehicle: VehicleParameters) -> np.ndarray:
-    """(speeds, STEPS + 1, 6) in one numpy pass."""
-    angle, acceleration = (np.tile(row, (len(SPEEDS), 1)) for row in _course(1.0, 0.8))
-    signals = {name: np.tile(row, (len(SPEEDS), 1)) for name, row in _signals(model).items()}
-    return predict_batch(model, vehicle, np.array([_start(v) for v in SPEEDS]), angle, acceleration, STEP * STEPS,
-                         STEP, signals)
-
-
-def _lanes(model: Model, vehicle: VehicleParameters) -> np.ndarray:
-    """(speeds, 6) at the end, compiled."""
-    backend, p = get_backend("lanes"), model.parameters(vehicle)
-    speeds = np.pad(SPEEDS, (0, -len(SPEEDS) % backend.LANES), mode="edge")
+def _columns(model: Model, vehicle: VehicleParameters, backend: str) -> np.ndarray:
+    """(speeds, STEPS + 1, 6), a column for each speed."""
+    made, p = get_backend(backend), model.parameters(vehicle)
+    speeds = np.pad(SPEEDS, (0, -len(SPEEDS) % made.LANES), mode="edge")
     columns = len(speeds)
     angle, acceleration = (np.repeat(row, columns) for row in _course(1.0, 0.8))
     signals = [np.repeat(row, columns) for row in _signals(model).values()]
     w = np.array([np.broadcast_to(f, angle.shape) for f in model.inputs(angle, acceleration, p, *signals)])
     state = model.start_state(tuple(np.array([_start(v) for v in speeds]).T), tuple(w[:, :columns]), p)
     begin = np.array([np.broadcast_to(row, columns) for row in state])
-    last = backend.advance(model, p, begin, w, np.arange(2 * STEPS + 1) * columns, STEP, np.array([STEPS]))
-    return last[0, :, :len(SPEEDS)].T
+    offsets, points = np.arange(2 * STEPS + 1) * columns, np.arange(STEPS + 1)
+    return made.advance(model, p, begin, w, offsets, STEP, points).transpose(2, 0, 1)[:len(SPEEDS)]
 
 
 def _symbolic(model: Model, vehicle: VehicleParameters) -> np.ndarray:

@@ -48,22 +48,14 @@ class Score:
     yaw_mean: float
 
 
-def position_errors(trajectory: Trajectory, x: np.ndarray, y: np.ndarray, yaw: np.ndarray, cg_to_ins_x: float,
-                    cg_to_ins_y: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors (longitudinal [m], lateral [m], yaw [rad]) of each point; x, y [m], yaw [rad]: the measured INS point.
+def pose_errors(predicted_x: np.ndarray, predicted_y: np.ndarray, predicted_yaw: np.ndarray, x: np.ndarray,
+                y: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors (longitudinal [m], lateral [m], yaw [rad]) of each point, what the INS would show against what it showed.
 
         (e_lon, e_lat) = R(-yaw_measured) (p_predicted - p_measured),  p at the INS point
 
     Source: paper, section on the comparison. NaN where the measurement is NaN.
     """
-    t = trajectory
-    predicted_x, predicted_y = frames.cg_to_ins_position(t.x, t.y, t.yaw, cg_to_ins_x, cg_to_ins_y)
-    return pose_errors(predicted_x, predicted_y, t.yaw, x, y, yaw)
-
-
-def pose_errors(predicted_x: np.ndarray, predicted_y: np.ndarray, predicted_yaw: np.ndarray, x: np.ndarray,
-                y: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `position_errors`, of what the INS would show against what it showed."""
     longitudinal, lateral = frames.map_to_body(predicted_x - x, predicted_y - y, yaw)
     return longitudinal, lateral, frames.wrap_angle(predicted_yaw - yaw)
 
@@ -264,7 +256,6 @@ class ErrorStatistics:
     """Statistics of the scores of one model and mode; incomplete scores are counted and enter nothing else.
 
     longitudinal, lateral [m], yaw [rad]: over the horizon means, as in the paper's table.
-    *_samples: over all points of all horizons.
     """
 
     n_starts: int = 0
@@ -272,9 +263,6 @@ class ErrorStatistics:
     longitudinal: Statistic = field(default_factory=Statistic)
     lateral: Statistic = field(default_factory=Statistic)
     yaw: Statistic = field(default_factory=Statistic)
-    longitudinal_samples: Statistic = field(default_factory=Statistic)
-    lateral_samples: Statistic = field(default_factory=Statistic)
-    yaw_samples: Statistic = field(default_factory=Statistic)
 
     def add(self, score: Score) -> None:
         if not score.complete:
@@ -283,4 +271,3 @@ class ErrorStatistics:
         self.n_starts += 1
         for name in ("longitudinal", "lateral", "yaw"):
             getattr(self, name).add(getattr(score, f"{name}_mean"))
-            getattr(self, f"{name}_samples").add(getattr(score, name))

@@ -33,36 +33,12 @@ def advance(filtered: float, before: float, now: float, spacing: float, cutoff: 
     return result, (result - filtered) / spacing
 
 
-class FilteredDerivative:
-    """The causal filter sample by sample: `add(time_ns, value) -> (filtered, derivative)`.
-
-    cutoff: f_c [Hz]. maximum_gap [s]: after a longer pause the filter starts afresh. Times must increase.
-    """
-
-    def __init__(self, cutoff: float, maximum_gap: float):
-        self._cutoff = cutoff
-        self._maximum_gap = maximum_gap
-        self._last: tuple[int, float, float] | None = None  # time_ns, value, filtered
-
-    def add(self, time_ns: int, value: float) -> tuple[float, float]:
-        filtered, derivative = value, math.nan
-        if self._last is not None:
-            before_ns, before, filtered_before = self._last
-            if time_ns <= before_ns:
-                raise StCoreError(f"time {time_ns} ns is not after {before_ns} ns")
-            spacing = (time_ns - before_ns) * NANOSECOND
-            if spacing <= self._maximum_gap:
-                filtered, derivative = advance(filtered_before, before, value, spacing, self._cutoff)
-        self._last = (time_ns, value, filtered)
-        return filtered, derivative
-
-
 def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float, maximum_gap: float,
                         mode: Literal["causal", "zero_phase"] = "causal") -> tuple[np.ndarray, np.ndarray]:
     """(filtered, derivative) of a whole log, arrays as `values`.
 
-    causal: the very numbers `FilteredDerivative` gives live. zero_phase: the filter forward and backward over each
-    stretch without a gap, then central differences: no delay, twice the attenuation; for logs only.
+    causal: the very numbers `advance` gives live. zero_phase: the filter forward and backward over each stretch without
+    a gap, then central differences: no delay, twice the attenuation; for logs only.
     times_ns: increasing [ns]. cutoff [Hz]. maximum_gap [s].
     """
     times_ns, values = np.asarray(times_ns, np.int64), np.asarray(values, float)

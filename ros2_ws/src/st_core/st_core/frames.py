@@ -52,20 +52,6 @@ def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -
     )
 
 
-def cg_to_ins(state: VehicleState, time_ns: int, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> InsSample:
-    """What the INS point measures when the CG is in `state`: the inverse of `ins_to_cg`."""
-    cosine, sine = math.cos(state.yaw), math.sin(state.yaw)
-    return InsSample(
-        time_ns=time_ns,
-        x=state.x + cosine * cg_to_ins_x - sine * cg_to_ins_y,
-        y=state.y + sine * cg_to_ins_x + cosine * cg_to_ins_y,
-        yaw=state.yaw,
-        velocity_x=state.velocity_x - state.yaw_rate * cg_to_ins_y,
-        velocity_y=state.velocity_y + state.yaw_rate * cg_to_ins_x,
-        yaw_rate=state.yaw_rate,
-    )
-
-
 def cg_to_ins_position(x: Number, y: Number, yaw: Number, cg_to_ins_x: Number,
                        cg_to_ins_y: Number = 0.0) -> tuple[Number, Number]:
     """Map position [m] of the INS point, (x, y) each like the input, for CG positions x, y [m] and yaw [rad]."""

@@ -1,6 +1,4 @@
-"""Closed forms of the linear single-track car: steady state and stability."""
-
-import math
+"""Closed forms of the linear single-track car: understeer and stability."""
 
 import numpy as np
 
@@ -14,19 +12,6 @@ def understeer_coefficient(car: VehicleParameters) -> float:
     """
     front, rear = car.cornering_stiffness_front, car.cornering_stiffness_rear
     return car.mass * (car.cg_to_rear_axle * rear - car.cg_to_front_axle * front) / (car.wheelbase**2 * front * rear)
-
-
-def steady_state_yaw_rate(speed: float, road_wheel_angle: float, car: VehicleParameters) -> float:
-    """Yaw rate the linear car settles to under a constant steer angle [rad/s], left +.
-
-        r = v delta / (l (1 + K v^2))
-
-    speed: v at the CG [m/s], >= 0. road_wheel_angle: delta [rad], left +. NaN where 1 + K v^2 <= 0: past its critical
-    speed an oversteering car has no steady state. Holds for small angles, level road, no drive or brake force.
-    Source: Guiggiani, ch. 6. Checked by: test_handling.py, against simulation and the root of the model's equations.
-    """
-    divisor = 1.0 + understeer_coefficient(car) * speed * speed
-    return speed * road_wheel_angle / (car.wheelbase * divisor) if divisor > 0.0 else math.nan
 
 
 def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:

@@ -75,8 +75,8 @@ class ModelErrors:
     """Errors of one model and mode at the INS point, one row per start; NaN where incomplete. Axes as AXES [m, m, rad].
 
     complete: (n,). mean, mean_square, largest: (n, 3) over all points of the horizon, the start included; largest is a
-    magnitude. at_seconds: (n, s, 3), the error at 1, 2, ... s. profile_mean, profile_rmse, profile_max: (points, 3)
-    over all complete starts, by horizon point.
+    magnitude. at_seconds: (n, s, 3), the error at 1, 2, ... s. profile_rmse: (points, 3) over all complete starts, by
+    horizon point.
     """
 
     complete: np.ndarray
@@ -84,9 +84,7 @@ class ModelErrors:
     mean_square: np.ndarray
     largest: np.ndarray
     at_seconds: np.ndarray
-    profile_mean: np.ndarray
     profile_rmse: np.ndarray
-    profile_max: np.ndarray
 
     @property
     def n_starts(self) -> int:
@@ -294,7 +292,7 @@ def _reading_errors(model: Model, vehicle: VehicleParameters, trajectories: np.n
     """(n, points, 3) errors of trajectories (n, points, 6): what the INS would show minus what it showed.
 
     x, y [m], yaw [rad] with its cosine and sine: measured at the INS point, (n, points). Axes and signs as
-    `evaluation.position_errors`.
+    `evaluation.pose_errors`.
     """
     with np.errstate(all="ignore"):
         seen = readings(model, vehicle, tuple(np.moveaxis(trajectories, -1, 0)))
@@ -329,7 +327,7 @@ class _Collector:
         self._complete = np.zeros(count, bool)
         self._mean, self._square, self._largest = (np.full((count, 3), np.nan) for _ in range(3))
         self._at = np.full((count, len(self._marks), 3), np.nan)
-        self._sum, self._squares, self._maxima = (np.zeros((len(horizon), 3)) for _ in range(3))
+        self._squares = np.zeros((len(horizon), 3))
 
     def add(self, rows: slice, errors: np.ndarray) -> None:
         complete = np.isfinite(errors).all(axis=(1, 2))
@@ -342,14 +340,9 @@ class _Collector:
         square, size = np.square(errors), np.abs(errors)
         self._mean[here], self._square[here] = errors.mean(axis=1), square.mean(axis=1)
         self._largest[here], self._at[here] = size.max(axis=1), errors[:, self._marks]
-        self._sum += errors.sum(axis=0)
         self._squares += square.sum(axis=0)
-        np.maximum(self._maxima, size.max(axis=0), out=self._maxima)
 
     def result(self) -> ModelErrors:
-        count = int(self._complete.sum())
-        if not count:
-            self._maxima[:] = np.nan
         with np.errstate(invalid="ignore"):
-            mean, rmse = self._sum / count, np.sqrt(self._squares / count)
-        return ModelErrors(self._complete, self._mean, self._square, self._largest, self._at, mean, rmse, self._maxima)
+            rmse = np.sqrt(self._squares / self._complete.sum())
+        return ModelErrors(self._complete, self._mean, self._square, self._largest, self._at, rmse)

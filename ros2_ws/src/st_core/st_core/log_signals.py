@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from .filtering import NANOSECOND, filtered_derivative
+from .interpolation import at, between
 from .log import INS_SIGNALS, DriveLog
 from .vehicle import VehicleParameters
 
@@ -75,19 +76,8 @@ class LogSignals:
         wanted = np.asarray(wanted, np.int64)
         if not len(times):
             return [np.full(wanted.shape, np.nan) for _ in columns]
-        before, after, exact, known, fraction = self._between(times, wanted)
-        results = []
-        for column in columns:
-            low, high = column[before], column[after]
-            value = np.where(exact, high, low + fraction * (high - low))
-            results.append(np.where(known, value, np.nan))
-        return results
+        place = self._between(times, wanted)
+        return [at(column, *place) for column in columns]
 
     def _between(self, times: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, ...]:
-        """(sample before, after, whether it is just that of `after`, whether it is known, share of the way there)."""
-        after = np.minimum(np.searchsorted(times, wanted), len(times) - 1)
-        before = np.maximum(after - 1, 0)
-        spacing = times[after] - times[before]
-        exact = times[after] == wanted
-        known = exact | ((wanted > times[before]) & (wanted < times[after]) & (spacing <= self._gap_ns))
-        return before, after, exact, known, np.where(exact, 1.0, (wanted - times[before]) / np.maximum(spacing, 1))
+        return between(times, wanted, self._gap_ns)

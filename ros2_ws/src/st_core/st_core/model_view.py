@@ -14,6 +14,7 @@ from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import ConfigurationError, StCoreError
 from .filtering import NANOSECOND
+from .interpolation import interpolate
 from .log import OPTIONAL_INS_SIGNALS
 from .models import Model
 from .readings import (
@@ -24,7 +25,6 @@ from .readings import (
     corrected_steering,
     has_memory,
     held_steering,
-    interpolate,
     readings,
     wanting,
 )

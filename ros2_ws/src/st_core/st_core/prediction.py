@@ -121,35 +121,6 @@ def _signals(model: Model, given: Mapping[str, np.ndarray]) -> dict[str, np.ndar
     return {name: given[name] for name in model.signals}
 
 
-def predict_batch(model: str | Model, vehicle: VehicleParameters, states: np.ndarray, road_wheel_angle: np.ndarray,
-                  velocity_x_dot: np.ndarray, horizon: float = 5.0, step: float = 0.05,
-                  signals: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
-    """Many predictions in one numpy pass: (n, steps + 1, 6), equal to `predict` one by one.
-
-    states: (n, 6), columns as STATE_NAMES. Inputs, and the signals a model asks for: (n,) held, or
-    (n, 2 * steps + 1) on the half-step grid.
-    """
-    model = get_model(model)
-    p = model.parameters(vehicle)
-    steps = step_count(horizon, step)
-    states = np.asarray(states, float)
-    count = 2 * steps + 1
-    named = {"road_wheel_angle": road_wheel_angle, "velocity_x_dot": velocity_x_dot, **_signals(model, signals or {})}
-    values = [np.asarray(a, float) for a in named.values()]
-    for name, array in zip(named, values, strict=True):
-        if array.shape not in ((len(states),), (len(states), count)):
-            raise StCoreError(f"{name}: shape {array.shape}, expected ({len(states)},) or ({len(states)}, {count})")
-    if any(a.ndim == 2 for a in values):
-        values = [a.T if a.ndim == 2 else np.broadcast_to(a, (count, len(a))) for a in values]
-    angle, acceleration, *others = values
-    with np.errstate(all="ignore"):
-        fields = [np.broadcast_to(w, angle.shape) for w in model.inputs(angle, acceleration, p, *others)]
-        grid = [tuple(fields)] * count if angle.ndim == 1 else list(zip(*fields, strict=True))
-        start = model.start_state(tuple(np.ascontiguousarray(states.T)), grid[0], p)
-        columns = integrate.rk4(model.rhs, start, grid, p, step)
-    return _six(np.array(columns).transpose(2, 0, 1))
-
-
 @dataclass(frozen=True, slots=True)
 class Start:
     """Where a prediction starts: measured_at [ns], the CG state then and the inputs then."""

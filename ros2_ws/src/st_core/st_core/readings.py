@@ -14,6 +14,7 @@ from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import StCoreError
 from .filtering import NANOSECOND
+from .interpolation import interpolate
 from .log import DriveLog
 from .models import Model
 from .types import InsSample
@@ -90,23 +91,6 @@ def ahead_ns(model: Model) -> int:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
     return max(0, round(-float(time[0]) / NANOSECOND))
-
-
-def interpolate(time_ns: np.ndarray, values: np.ndarray, wanted_ns: np.ndarray, gap_ns: int) -> np.ndarray:
-    """A signal at wanted instants, linear between samples no further apart than gap_ns; NaN where not known."""
-    result = np.full(len(wanted_ns), np.nan)
-    if not len(time_ns):
-        return result
-    after = np.minimum(np.searchsorted(time_ns, wanted_ns), len(time_ns) - 1)
-    before = np.maximum(after - 1, 0)
-    exact = time_ns[after] == wanted_ns
-    spacing = time_ns[after] - time_ns[before]
-    inside = (wanted_ns > time_ns[before]) & (wanted_ns < time_ns[after]) & (spacing <= gap_ns)
-    low, high = before[inside], after[inside]
-    fraction = (wanted_ns[inside] - time_ns[low]) / spacing[inside]
-    result[inside] = values[low] + fraction * (values[high] - values[low])
-    result[exact] = values[after[exact]]
-    return result
 
 
 def corrected_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:

@@ -1,30 +1,18 @@
 """One signal in time: samples kept in order of their own time, interpolated, never across a gap."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from .filtering import NANOSECOND
 from .frames import wrap_angle
+from .interpolation import between
 
 # A sample this much older than the newest is put in its place; an older one is late and dropped ...
 REORDER_WINDOW_NS = 500_000_000
 # ... unless so many in a row say the same: then time itself has jumped back and they are the new beginning.
 JUMP_SAMPLES = 5
 MAXIMUM_SAMPLES = 200_000
-
-
-@dataclass
-class Counters:
-    """What became of the samples offered to a series."""
-
-    accepted: int = 0
-    invalid: int = 0  # not finite
-    duplicate: int = 0
-    reordered: int = 0  # accepted, put in their place
-    late: int = 0  # dropped
-    jumps: int = 0  # time went back: the series began anew
 
 
 class TimeSeries:
@@ -40,7 +28,6 @@ class TimeSeries:
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):
         self.columns = tuple(columns)
-        self.counters = Counters()
         self.maximum_gap_ns = round(maximum_gap / NANOSECOND)
         self._span_ns = max(round(span / NANOSECOND), 2 * REORDER_WINDOW_NS)
         self._angles = [self.columns.index(name) for name in angles]
@@ -49,7 +36,7 @@ class TimeSeries:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all samples; counters stay."""
+        """Forget all samples."""
         self._times = np.empty(256, np.int64)
         self._rows = np.empty((256, len(self.columns)))
         self._first = self._end = 0
@@ -74,18 +61,12 @@ class TimeSeries:
         """Time of the newest sample [ns]."""
         return int(self._times[self._end - 1]) if len(self) else None
 
-    @property
-    def oldest(self) -> int | None:
-        """Time of the oldest sample kept [ns]."""
-        return int(self._times[self._first]) if len(self) else None
-
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
         """Take a sample. Returns (its position in `rows` or None if it was refused, whether time jumped back).
 
         After a jump the series holds only the samples after it and the position is 0.
         """
         if not np.isfinite(row).all():
-            self.counters.invalid += 1
             return None, False
         newest = self.newest
         if newest is not None and time_ns <= newest:
@@ -98,13 +79,10 @@ class TimeSeries:
             return self._add_late(time_ns, row)
         position = int(np.searchsorted(self.times, time_ns))
         if self.times[position] == time_ns:
-            self.counters.duplicate += 1
             return None, False
-        self.counters.reordered += 1
         return self._insert(position, time_ns, row), False
 
     def _add_late(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
-        self.counters.late += 1
         if self._late and not 0 < time_ns - self._late[-1][0] <= REORDER_WINDOW_NS:
             self._late.clear()
         self._late.append((time_ns, tuple(row)))
@@ -114,8 +92,6 @@ class TimeSeries:
         self.clear()
         for number, (time, values) in enumerate(restart):
             self._insert(number, time, values)
-        self.counters.late -= len(restart)
-        self.counters.jumps += 1
         return 0, True
 
     def _insert(self, position: int, time_ns: int, row: Sequence[float]) -> int:
@@ -129,7 +105,6 @@ class TimeSeries:
         self._rows[at, :len(row)] = row
         self._rows[at, len(row):] = np.nan
         self._end += 1
-        self.counters.accepted += 1
         before = self._first
         self._trim()
         return max(position - (self._first - before), 0)
@@ -174,22 +149,16 @@ class TimeSeries:
     def sample(self, times_ns: np.ndarray) -> np.ndarray:
         """Rows at many instants, (n, columns); NaN where not known. The same numbers as `at`."""
         times, wanted = self.times, np.asarray(times_ns, np.int64)
-        result = np.full((len(wanted), len(self.columns)), np.nan)
         if not len(times):
-            return result
-        after = np.minimum(np.searchsorted(times, wanted), len(times) - 1)
-        exact = times[after] == wanted
-        before = np.maximum(after - 1, 0)
-        spacing = times[after] - times[before]
-        inside = (wanted > times[before]) & (wanted < times[after]) & (spacing <= self.maximum_gap_ns)
+            return np.full((len(wanted), len(self.columns)), np.nan)
+        before, after, exact, known, fraction = between(times, wanted, self.maximum_gap_ns)
         if self.breaks:
-            inside &= ~np.isin(times[after], list(self.breaks))
-        low, high = before[inside], after[inside]
-        fraction = (wanted[inside] - times[low]) / (times[high] - times[low])
-        change = self.rows[high] - self.rows[low]
+            known &= exact | ~np.isin(times[after], list(self.breaks))
+        low, high = self.rows[before], self.rows[after]
+        change = high - low
         change[:, self._angles] = wrap_angle(change[:, self._angles])
-        result[inside] = self.rows[low] + fraction[:, None] * change
-        result[exact] = self.rows[after[exact]]
+        result = np.where(exact[:, None], high, low + fraction[:, None] * change)
+        result[~known] = np.nan
         return result
 
     def known_until(self, time_ns: int) -> int | None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.reference import _between_runs, learn
+from st_core.discovery.reference import _between_runs, learn, textbook
 from st_core.discovery.space import Space
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias")
@@ -31,6 +31,13 @@ def test_two_runs_say_nothing_of_each_other():
 
 
 @pytest.mark.slow
+def test_the_second_start_is_at_what_effects_say_theory_is():
+    space = Space("nonlinear", DiscoverySettings())
+    moved = {(space.free[i].effect, space.free[i].parameter): textbook(space)[i]
+             for i in np.flatnonzero(textbook(space) != space.null)}
+    assert moved == {("combined_slip", "share"): 1.0}
+
+
 def test_what_is_learnt_holds_the_car(leaf):
     effects = {"steering_lag": {"time_constant": 0.06}, "heading_misalignment": {"angle": 0.01}}
     settings = DiscoverySettings(windows=60, effects=("steering_lag", "heading_misalignment", "yaw_rate_bias"))

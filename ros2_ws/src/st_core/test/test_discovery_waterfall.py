@@ -10,8 +10,8 @@ from st_core.discovery.following import TOLD, apart, catalogue, following, separ
 from st_core.discovery.loss import Errors, Loss
 from st_core.discovery.result import FoundEffect
 from st_core.discovery.space import Space
-from st_core.discovery.suggested_drive import CATALOGUE
 from st_core.discovery.windows import Windows
+from st_core.manoeuvres import CATALOGUE
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias", "road_bank")
 TRUTH = {"mass": 3.0, "yaw_rate_bias": 2.0}

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from batched import predict_batch
 from effect_values import values_of
 from st_core import effects
 from st_core.augmented import augment, neutral
@@ -13,7 +14,7 @@ from st_core.errors import ConfigurationError
 from st_core.filtering import NANOSECOND
 from st_core.log import DriveLog
 from st_core.models import MODELS
-from st_core.prediction import predict, predict_batch
+from st_core.prediction import predict
 from st_core.readings import corrected_log, readings
 from st_core.types import ControlInput, InputSequence, VehicleState
 

@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from batched import predict_batch
 from effect_registry import restored
 from st_core import effects
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, Effect, Parameter, get_effect, load_folder, register, twins_of
 from st_core.errors import ConfigurationError, StCoreError
-from st_core.prediction import predict, predict_batch
+from st_core.prediction import predict
 from st_core.types import ControlInput, InputSequence, VehicleState
 
 GAIN = Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), source="theory: 1", meaning="share")
@@ -93,7 +94,8 @@ def test_an_incomplete_one_is_refused(attributes, message):
 
 @pytest.mark.parametrize(("change", "message"), [
     ({"null": 3.0}, "null is outside its bounds"), ({"initial": -1.0}, "initial is outside its bounds"),
-    ({"initial": 0.0}, "initial equals null"), ({"bounds": (1.0, 0.0)}, "not two rising numbers"),
+    ({"theory": 3.0}, "theory is outside its bounds"), ({"initial": 0.0}, "initial equals null"),
+    ({"bounds": (1.0, 0.0)}, "not two rising numbers"),
     ({"bounds": (0.0, np.inf)}, "not two rising numbers"), ({"source": " "}, "source is empty"),
     ({"unit": ""}, "unit is empty"),
 ])

@@ -15,6 +15,7 @@ from st_core.models import MODELS
 from st_core.prediction import Predictor
 from st_core.readings import corrected_log, corrected_sample, readings, wanting
 from st_core.types import InsSample, VehicleState
+from steady_circle import cg_to_ins
 
 TRUE = Measured(x=10.0, y=-4.0, yaw=0.7, velocity_x=12.0, velocity_y=0.3, yaw_rate=0.25, acceleration_x=0.4,
                 acceleration_y=2.9, yaw_acceleration=-0.4)
@@ -71,7 +72,7 @@ def test_readings_at_the_ins_are_those_of_a_rigid_body(leaf, base):
     p = model.parameters(leaf)
     w = model.inputs(0.1, -0.5, p)
     shown = readings(model, leaf, STATE, w, p)
-    sample = frames.cg_to_ins(VehicleState(*STATE), 0, leaf.cg_to_ins_x, leaf.cg_to_ins_y)
+    sample = cg_to_ins(VehicleState(*STATE), 0, leaf.cg_to_ins_x, leaf.cg_to_ins_y)
     assert shown[:6] == pytest.approx(sample[1:])
     derivative = model.rhs(STATE, w, p)
     assert shown.yaw_acceleration == derivative[5] and readings(model, leaf, STATE).yaw_acceleration == 0.0

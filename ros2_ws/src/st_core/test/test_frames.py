@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from st_core import frames
 from st_core.types import InsSample, VehicleState
+from steady_circle import cg_to_ins
 
 finite = st.floats(-1.0e3, 1.0e3)
 
@@ -33,7 +34,7 @@ def test_body_and_map_round_trip(x, y, yaw):
 @given(st.builds(VehicleState, finite, finite, finite, finite, st.floats(-7.0, 7.0), st.floats(-3.0, 3.0)),
        st.floats(-3.0, 3.0), st.floats(-1.0, 1.0))
 def test_lever_arm_round_trip(state, arm_x, arm_y):
-    again = frames.ins_to_cg(frames.cg_to_ins(state, 7, arm_x, arm_y), arm_x, arm_y)
+    again = frames.ins_to_cg(cg_to_ins(state, 7, arm_x, arm_y), arm_x, arm_y)
     assert again.as_tuple() == pytest.approx(state.as_tuple(), abs=1e-9)
 
 
@@ -61,7 +62,7 @@ def test_lever_arm_acceleration_is_the_derivative_of_the_velocity():
         return np.array(frames.body_to_map(state.velocity_x, state.velocity_y, state.yaw))
 
     def ins_velocity(t):
-        sample = frames.cg_to_ins(at(t), 0, *arm)
+        sample = cg_to_ins(at(t), 0, *arm)
         return np.array(frames.body_to_map(sample.velocity_x, sample.velocity_y, sample.yaw))
 
     t = 0.4

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from st_core.binning import bins
 from st_core.errors import ConfigurationError
-from st_core.evaluation import ErrorStatistics, Evaluator
+from st_core.evaluation import ErrorStatistics, Evaluator, Statistic
 from st_core.log import DriveLog
 from st_core.log_evaluation import AXES, BLOCK, MODES, EvaluationSettings, evaluate_log, regular_starts
 from st_core.log_signals import LogSignals
@@ -93,14 +93,15 @@ def test_statistics_are_those_of_the_live_evaluator(leaf):
     starts = np.array(sorted({start for _, _, start in scores}))
     result = evaluate_log(MODELS, leaf, log, EvaluationSettings(SHORT), starts)
     for (model, mode), errors in result.errors.items():
-        live = ErrorStatistics()
+        live, samples = ErrorStatistics(), {axis: Statistic() for axis in AXES}
         for (its_model, its_mode, _), score in scores.items():
             if (its_model, its_mode) == (model, mode):
                 live.add(score)
+                for axis in AXES if score.complete else ():
+                    samples[axis].add(getattr(score, axis))
         assert errors.n_starts == live.n_starts > 0
         for axis in AXES:
-            for over, name in (("means", axis), ("samples", f"{axis}_samples")):
-                expected = getattr(live, name)
+            for over, expected in (("means", getattr(live, axis)), ("samples", samples[axis])):
                 assert errors.statistics(axis, over) == pytest.approx((expected.mean, expected.max, expected.rmse))
 
 
@@ -175,7 +176,7 @@ def test_nothing_to_evaluate_is_an_empty_result(leaf):
         result = evaluate_log(MODELS, leaf, one)  # shorter than the horizon; never both known
         assert not result.errors["linear", "hindsight"].n_starts
         assert np.isnan(result.errors["linear", "hindsight"].statistics("lateral")).all()
-        assert np.isnan(result.errors["linear", "hindsight"].profile_max).all()
+        assert np.isnan(result.errors["linear", "hindsight"].profile_rmse).all()
         assert bins(result) == []
     assert not len(regular_starts(apart, 0.1))
 

@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from batched import predict_batch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from st_core.errors import ConfigurationError
 from st_core.models import MODELS, get_model, nonlinear_tyre
-from st_core.prediction import predict, predict_batch
+from st_core.prediction import predict
 from st_core.types import ControlInput, InputSequence, VehicleState
 from st_core.tyres import GRAVITY
 

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from st_core.evaluation import make_score, position_errors
+from st_core.evaluation import make_score, pose_errors
+from st_core.frames import cg_to_ins_position
 from st_core.prediction import predict
 from st_core.types import ControlInput
 from steady_circle import Circle
@@ -38,7 +39,8 @@ def mean_errors(car, angle_deg, acceleration, velocity_y, radius=RADIUS):
     means = []
     for model in MODELS:
         path = predict(model, car, circle.state(0.0), ControlInput(math.radians(angle_deg), 0.0))
-        errors = position_errors(path, *circle.ins_points(path.time), car.cg_to_ins_x, car.cg_to_ins_y)
+        predicted = cg_to_ins_position(path.x, path.y, path.yaw, car.cg_to_ins_x, car.cg_to_ins_y)
+        errors = pose_errors(*predicted, path.yaw, *circle.ins_points(path.time))
         score = make_score(model, "hindsight", 0, path.step, errors)
         means.append((score.longitudinal_mean, score.lateral_mean))
     return np.array(means)

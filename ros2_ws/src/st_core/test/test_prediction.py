@@ -15,7 +15,6 @@ from st_core.prediction import (
     Start,
     configuration_hash,
     predict,
-    predict_batch,
     step_count,
 )
 from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
@@ -147,7 +146,6 @@ def test_invalid_samples_lead_to_staleness_not_to_nan(predictor):
         assert not predictor.add_ins(ins(ms, velocity_y=math.nan))
         predictor.add_steering(now(ms), 0.05)
     assert reason(predictor.start(now(1000))).startswith("INS: newest sample is 0.51 s old")
-    assert predictor.history.ins.counters.invalid == 50
 
 
 @pytest.mark.parametrize("jump_ms", [-3_600_000, -2_000, 2_000, 3_600_000])
@@ -176,7 +174,7 @@ def test_order_duplicates_and_lateness_do_not_change_the_start(leaf):
     for predictor in (straight, mixed):
         for ms in range(0, 990, 10):
             predictor.add_steering(now(ms), 0.05)
-    assert mixed.history.ins.counters.reordered > 0
+    assert order != sorted(order)
     assert mixed.start(now(1000)) == straight.start(now(1000))
 
 
@@ -233,7 +231,7 @@ def test_inputs_of_the_wrong_length_are_refused(leaf):
     with pytest.raises(StCoreError, match=r"velocity_x_dot: shape \(101,\), not \(201,\)"):
         predict("linear", leaf, state, InputSequence(np.zeros(201), np.zeros(101)))
     with pytest.raises(StCoreError, match="road_wheel_angle: shape"):
-        predict_batch("linear", leaf, np.zeros((3, 6)), np.zeros(2), np.zeros(3))
+        predict("linear", leaf, state, InputSequence(np.zeros(3), np.zeros(201)))
 
 
 def test_integers_are_as_good_as_floats(leaf):

@@ -31,7 +31,6 @@ def test_order_of_arrival_does_not_matter(data, times):
     ordered, mixed = filled(sorted(times)), filled(shuffled)
     np.testing.assert_array_equal(mixed.times, ordered.times)
     np.testing.assert_array_equal(mixed.rows, ordered.rows)
-    assert mixed.counters.accepted == len(times)
 
 
 @given(st.lists(st.tuples(st.integers(-(10**13), 10**13) | st.integers(0, 10**9),
@@ -43,9 +42,7 @@ def test_anything_may_arrive(samples):
         assert (np.diff(result.times) > 0).all()
         assert np.isfinite(result.rows).all()
         if len(result):
-            assert result.newest - result.oldest <= 2_000_000_000
-    c = result.counters
-    assert c.accepted + c.invalid + c.duplicate + c.late == len(samples)
+            assert result.newest - result.times[0] <= 2_000_000_000
     # Whatever came before, regular samples afterwards are taken up again.
     start = T0 + 10**13 + 10**12 * (len(samples) % 2)
     for i in range(10):
@@ -84,12 +81,12 @@ def test_angles_go_the_short_way_round():
     assert samples.sample(np.array([T0 + 5 * MS]))[0, 1] == pytest.approx(math.pi)
 
 
-def test_duplicates_and_nan_are_refused_and_counted():
+def test_duplicates_and_nan_are_refused():
     samples = filled([0, 10, 20])
     assert samples.add(T0 + 10 * MS, (99.0, 0.0)) == (None, False)
     assert samples.add(T0 + 30 * MS, (math.nan, 0.0)) == (None, False)
     assert samples.add(T0 + 30 * MS, (0.0, math.inf)) == (None, False)
-    assert (samples.counters.duplicate, samples.counters.invalid, len(samples)) == (1, 2, 3)
+    assert len(samples) == 3
     assert samples.at(T0 + 10 * MS)[0] == 10.0
 
 
@@ -98,14 +95,13 @@ def test_single_stray_samples_do_not_disturb():
     strays = range(-9000, -2000, 1000)  # too far apart to be a clock that stepped back
     for stray in strays:
         assert samples.add(T0 + stray * MS, (0.0, 0.0)) == (None, False)
-    assert samples.counters.late == len(strays) > JUMP_SAMPLES and samples.counters.jumps == 0 and len(samples) == 100
+    assert len(strays) > JUMP_SAMPLES and len(samples) == 100
 
 
 def test_a_clock_that_steps_back_begins_anew_after_a_few_samples():
     samples = filled(range(0, 1000, 10))
     answers = [samples.add(T0 - 3_600_000 * MS + i * 10 * MS, (float(i), 0.0)) for i in range(JUMP_SAMPLES)]
     assert answers == [(None, False)] * (JUMP_SAMPLES - 1) + [(0, True)]
-    assert samples.counters.jumps == 1 and samples.counters.late == 0
     assert samples.rows[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
@@ -131,7 +127,7 @@ def test_memory_follows_the_span():
     samples = filled(range(0, 60_000, 4))
     assert len(samples) == 501
     assert len(samples._times) <= 2048
-    assert samples.newest == T0 + 59_996 * MS and samples.oldest == T0 + 57_996 * MS
+    assert samples.newest == T0 + 59_996 * MS and samples.times[0] == T0 + 57_996 * MS
 
 
 def test_memory_is_bounded_whatever_the_rate(monkeypatch):

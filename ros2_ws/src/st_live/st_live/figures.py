@@ -57,8 +57,7 @@ def _draw_map(axes: Axes, results: Results) -> None:
         x, y = (np.interp(start_ns, track.time_ns, v) for v in (track.x, track.y))
         axes.plot(x, y, "o", ms=4, color="k", zorder=4)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("east, m")
-    axes.set_ylabel("north, m")
+    axes.set(xlabel="east, m", ylabel="north, m")
     axes.set_title(f"Measured track and 5 s predictions from {len(starts)} starts", fontsize=9)
     handles = [Line2D([], [], color=MEASURED_COLOUR, lw=3, alpha=0.45, label="measured")]
     handles += [Line2D([], [], color=MODEL_COLOUR[m], ls=MODEL_LINE[m], label=m) for m in results.models()]

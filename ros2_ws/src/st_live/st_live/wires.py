@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from st_core.errors import StCoreError
-from st_core.vehicle import VehicleParameters
+from st_recordings.car import read_vehicle
 from st_recordings.paths import config, project_root
 from st_sim.errors import SimulationError
 from st_sim.run import check
@@ -18,14 +17,9 @@ START_TIMEOUT = 20.0  # s until the virtual Leaf sends
 
 
 def vehicle_file(given: Path | None) -> Path:
-    """The vehicle file of a run, the Leaf's by default. Raises SuiteError, one line, for one that cannot be used."""
+    """The vehicle file of a run, the Leaf's by default. Raises RunError and StCoreError, one line."""
     path = (given or config("vehicle/leaf.yaml")).absolute()
-    try:
-        VehicleParameters.from_yaml(path.read_text(encoding="utf-8"), str(path))
-    except StCoreError as error:
-        raise SuiteError(str(error)) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SuiteError(f"{path}: cannot be read: {error}") from None
+    read_vehicle(path)
     return path
 
 

@@ -95,9 +95,8 @@ def _draw_close_up(axes: Sequence[plt.Axes], signal: SharedSignal, alignment: Al
         mine = (t_reference >= start) & (t_reference <= start + CLOSE_UP)
         theirs = (t_other >= start) & (t_other <= start + CLOSE_UP)
         _lines(ax, t_reference[mine], signal.reference[mine], t_other[theirs], values[theirs])
-        ax.set_xlim(start, start + CLOSE_UP)
-        ax.set_xlabel("s after the first INS measurement")
-        ax.set_title(f"The liveliest {CLOSE_UP:.0f} s")
+        ax.set(xlim=(start, start + CLOSE_UP), xlabel="s after the first INS measurement",
+               title=f"The liveliest {CLOSE_UP:.0f} s")
     axes[0].set_ylabel(f"{signal.name.split(' (')[0]}, {_unit(signal)}")
 
 
@@ -129,9 +128,7 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
     for peak, style, name in ((alignment.peak, "o", "best"), (alignment.second_peak, "s", "second")):
         if peak is not None and peak[1] > 0:
             ax.plot(peak[0] - zero, peak[1], style, ms=5, color=OTHER_COLOUR, label=f"{name}: {peak[1]:.2f}")
-    ax.set_ylim(-1.05, 1.1)
-    ax.set_xlabel("offset minus the result, s")
-    ax.set_ylabel("correlation")
+    ax.set(ylim=(-1.05, 1.1), xlabel="offset minus the result, s", ylabel="correlation")
     if alignment.peak is not None:
         ax.legend(loc="lower right")
 
@@ -147,6 +144,4 @@ def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignme
     ax.errorbar(time, [w.lag * 1e3 for w in lags], yerr=[w.deviation * 1e3 for w in lags], fmt="o", ms=3, lw=0.8,
                 color=OTHER_COLOUR)
     reach = max(1.0, 1.2 * max(abs(w.lag) + w.deviation for w in lags) * 1e3)
-    ax.set_ylim(-reach, reach)
-    ax.set_xlabel("s from the middle of the common time")
-    ax.set_ylabel("left of the offset, ms")
+    ax.set(ylim=(-reach, reach), xlabel="s from the middle of the common time", ylabel="left of the offset, ms")

@@ -1,7 +1,6 @@
 """A model as files for a controller: CasADi functions or C, and what x, u and p are."""
 
 import json
-import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +14,7 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.stability import lowest_stable_speed
 from st_core.vehicle import VehicleParameters
+from st_recordings.plain_json import finite
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)
@@ -81,7 +81,7 @@ def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, 
         "frame": "x forward, y left, z up; centre of gravity; map x east, y north; yaw counter-clockwise from east",
         "states": [_entry(v) for v in symbolic.states],
         "inputs": [_entry(v) for v in symbolic.inputs],
-        "parameters": [{**_entry(v), "value": _finite(v.value)} for v in symbolic.parameters],
+        "parameters": [{**_entry(v), "value": finite(v.value)} for v in symbolic.parameters],
         "substeps": symbolic.substeps,
         "stable_above_m_s": {f"{step:g}": round(lowest_stable_speed(model, vehicle, step / symbolic.substeps), 3)
                              for step in STEPS},
@@ -93,12 +93,8 @@ def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, 
 
 
 def _entry(variable: Variable) -> dict[str, Any]:
-    return {"name": variable.name, "unit": variable.unit, "lower": _finite(variable.lower),
-            "upper": _finite(variable.upper)}
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    return {"name": variable.name, "unit": variable.unit, "lower": finite(variable.lower),
+            "upper": finite(variable.upper)}
 
 
 def _shapes(names: list[str], size) -> dict[str, list[int]]:

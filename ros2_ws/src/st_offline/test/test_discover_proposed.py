@@ -82,7 +82,7 @@ def test_the_curve_is_drawn_in_the_units_of_an_engineer():
         "°", "%", "m/s²", "rad per rad/s"]
     assert law_figure.shown("1")[0] == 100.0 and law_figure.shown("rad")[0] == pytest.approx(57.2958)
     drawn = law_figure.law_figure(proposal("front_grip", "speed", NEITHER), Place(None, ()))
-    assert "0.800 m without it, 0.500 m with it" in drawn.title and "in 1 and m/s" in drawn.caption
+    assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
 
 
 def test_what_comes_and_goes_is_told_and_a_law_of_time_is_no_file(tmp_path, registry):
@@ -103,6 +103,7 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     file = ModelFile.from_yaml(files["proposed.yaml"].read_text())
     assert set(file.effects) == {"mass", "proposed_rear_steer"} and "PROPOSAL" in file.provenance.note
     lines = "\n".join(proposed.told(said))
+    assert "0.800 m with what is stated above, 0.500 m with the law as well" in lines and "to try it: st demo" in lines
     assert "PROPOSAL" in lines and "do not tell it from: side force on the body over the speed (0.90)" in lines
     assert "mass is stated above, but with this law it has little left to do (without it 0.4% of" in lines
     assert "1 of 1 runs" in lines

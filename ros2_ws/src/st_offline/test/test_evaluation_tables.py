@@ -20,7 +20,7 @@ def errors(mean: np.ndarray, seed: int = 0) -> ModelErrors:
     complete = np.isfinite(mean).all(axis=1)
     profile = np.full((101, 3), np.nan)
     return ModelErrors(complete, samples.mean(axis=1), np.square(samples).mean(axis=1), np.abs(samples).max(axis=1),
-                       samples[:, 20::20], profile, profile, profile)
+                       samples[:, 20::20], profile)
 
 
 def entry(longitudinal, lateral) -> dict:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
+from st_core.vehicle import VehicleParameters
 
 from .paths import config
 from .runs.errors import RunError, check_readable
@@ -62,6 +63,14 @@ def car_named(text: str) -> Car:
 def names() -> list[str]:
     """Of the cars in config/car."""
     return sorted(path.parent.name for path in config("car").glob("*/vehicle.yaml"))
+
+
+def read_vehicle(file: Path) -> VehicleParameters:
+    """The car of a vehicle file. Raises RunError where it cannot be read, ConfigurationError for what it says."""
+    try:
+        return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(file, f"cannot be read: {error}") from None
 
 
 def read_table(file: Path) -> dict:

@@ -8,9 +8,9 @@ from typing import Any
 from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
-from st_core.vehicle import VEHICLE_QUANTITIES, VehicleParameters
+from st_core.vehicle import VEHICLE_QUANTITIES
 
-from .car import Car, car_named, read_table
+from .car import Car, car_named, read_table, read_vehicle
 from .paths import config
 from .runs.errors import RunError
 
@@ -112,7 +112,7 @@ def _vehicle_problems(file: Path) -> list[str]:
         empty = sorted({where for where in _places(document)}, key=list(document).index)
         if empty:
             return [f"{file}: {key}: not filled in{_limit(key)}" for key in empty]
-        VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
     return []

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from st_core.vehicle import VehicleParameters
 
+from .car import read_vehicle
 from .paths import config
 from .runs import RunError
 from .runs.bag import definitions, open_bag
@@ -74,29 +75,27 @@ def configuration_of(records: Mapping[str, Mapping[str, str]],
     if vehicle is None and recorded.vehicle is not None:
         return VehicleParameters.from_yaml(recorded.vehicle, "the vehicle in the recording"), recorded, "the recording"
     file = vehicle or config("car/leaf/vehicle.yaml")
-    try:
-        return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), recorded, str(file)
-    except (OSError, UnicodeDecodeError) as error:
-        raise RunError(file, f"cannot be read: {error}") from None
+    return read_vehicle(file), recorded, str(file)
 
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
     """By model; empty for a recording without any. Raises RunError for predictions of unequal length."""
-    rows: dict[str, list[tuple[int, np.ndarray]]] = {}
+    rows: dict[str, dict[int, np.ndarray]] = {}
     steps: dict[str, set[float]] = {}
     hashes: dict[str, set[str]] = {}
     for layout, data in _messages([bag], PREDICTION, progress):
         states = np.stack([layout.value(data, k) for k in STATE], axis=-1)
         model = layout.example.model
-        rows.setdefault(model, []).append((layout.value(data, "header.stamp"), states))
+        rows.setdefault(model, {})[layout.value(data, "header.stamp")] = states
         steps.setdefault(model, set()).add(float(layout.value(data, "step")))
         hashes.setdefault(model, set()).add(layout.example.configuration_hash)
     found = {}
     for model, entries in rows.items():
-        if len(steps[model]) > 1 or len({len(states) for _, states in entries}) > 1:
+        if len(steps[model]) > 1 or len(set(map(len, entries.values()))) > 1:
             raise RunError(bag, f"predictions of {model} with different horizons or steps are in it")
-        starts, states = _sorted(entries)
-        found[model] = Predictions(starts, states, steps[model].pop(), frozenset(hashes[model]))
+        starts = sorted(entries)
+        found[model] = Predictions(np.array(starts, np.int64), np.stack([entries[s] for s in starts]),
+                                   steps[model].pop(), frozenset(hashes[model]))
     return found
 
 
@@ -115,12 +114,6 @@ def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[
         errors, *flags = zip(*ordered, strict=True)
         found[key] = Scores(np.array(sorted(entries), np.int64), np.stack(errors), *map(np.array, flags))
     return found
-
-
-def _sorted(entries: Sequence[tuple[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    by_start = dict(entries)
-    starts = sorted(by_start)
-    return np.array(starts, np.int64), np.stack([by_start[s] for s in starts])
 
 
 def _messages(bags: Sequence[Path], type_name: str, progress: Progress | None) -> Iterator[tuple[Layout, bytes]]:

@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import json
-import math
 import platform
 from collections import deque
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from st_core.evaluation import Statistic
 
 from .counted import Row, as_dict, counted
 from .paths import source_version
+from .plain_json import finite
 from .runs.bag import definitions, numbers, open_bag
 from .runs.bag_storage import Storage
 from .runs.cdr import Layouts, typestore
@@ -189,11 +189,5 @@ def _statistics(scores: MeanErrors | None) -> dict[str, Any]:
         statistic = Statistic()
         if scores:
             statistic.add(getattr(scores, axis)[complete])
-        result[axis] = {k: _finite(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
+        result[axis] = {k: finite(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
     return result
-
-
-def _finite(value: float) -> float | None:
-    """JSON has no NaN: nothing scored is null."""
-    return float(value) if math.isfinite(value) else None
-

@@ -3,11 +3,9 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import yaml
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -92,15 +90,6 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
         node.declare_parameter(parameter.name, value if value != [] else [""], descriptor)
         setattr(values, parameter.name, value)
     return values
-
-
-def read_yaml_parameters(path: Path, node_name: str) -> dict[str, Any]:
-    """The ros__parameters of one node in a parameter file; for tools that show a configuration without a node."""
-    document = yaml.safe_load(path.read_text()) or {}
-    merged: dict[str, Any] = {}
-    for section in ("/**", node_name):
-        merged.update((document.get(section) or {}).get("ros__parameters") or {})
-    return merged
 
 
 def _origin(node: Node) -> str:

@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
-from st_ros.parameters import ConfigurationError, Parameter, read_yaml_parameters
+from st_ros.parameters import ConfigurationError, Parameter
 
 pytestmark = pytest.mark.ros
 
@@ -49,13 +49,3 @@ def test_choices() -> None:
     assert parameter.check("b") == "b"
     with pytest.raises(ConfigurationError, match="one of a, b"):
         parameter.check("c")
-
-
-def test_values_of_a_node_in_a_file(tmp_path) -> None:
-    file = tmp_path / "p.yaml"
-    file.write_text("""
-/**: {ros__parameters: {a: 1, b: 1}}
-node: {ros__parameters: {b: 2}}
-other: {ros__parameters: {a: 5}}
-""")
-    assert read_yaml_parameters(file, "node") == {"a": 1, "b": 2}

@@ -26,33 +26,10 @@ CAR_CAN_RATE = 1750
 # Identifiers of that recording that our table does not have, with periods in ms; `full` sends them with made-up
 # contents.
 _BACKGROUND = {
-    0x174: 10,
-    0x176: 10,
-    0x180: 10,
-    0x182: 10,
-    0x1CA: 10,
-    0x1CB: 10,
-    0x1D5: 10,
-    0x1D6: 10,
-    0x215: 10,
-    0x216: 10,
-    0x245: 10,
-    0x260: 10,
-    0x280: 20,
-    0x292: 20,
-    0x2DE: 20,
-    0x300: 20,
-    0x354: 40,
-    0x355: 40,
-    0x358: 100,
-    0x35D: 100,
-    0x385: 100,
-    0x510: 100,
-    0x551: 100,
-    0x5C5: 100,
-    0x5E4: 100,
-    0x60D: 100,
-    0x625: 100,
+    **dict.fromkeys((0x174, 0x176, 0x180, 0x182, 0x1CA, 0x1CB, 0x1D5, 0x1D6, 0x215, 0x216, 0x245, 0x260), 10),
+    **dict.fromkeys((0x280, 0x292, 0x2DE, 0x300), 20),
+    **dict.fromkeys((0x354, 0x355), 40),
+    **dict.fromkeys((0x358, 0x35D, 0x385, 0x510, 0x551, 0x5C5, 0x5E4, 0x60D, 0x625), 100),
 }
 
 
@@ -139,16 +116,10 @@ class Background:
 
     def __init__(self, seed: int):
         generator = np.random.default_rng([seed, 6])
-        self._frames = [
-            (
-                period,
-                index % period,
-                Frame(
-                    can.Message(arbitration_id=identifier, is_extended_id=False, data=generator.bytes(8)), VEHICLE_BUS
-                ),
-            )
-            for index, (identifier, period) in enumerate(_BACKGROUND.items())
-        ]
+        self._frames = []
+        for index, (identifier, period) in enumerate(_BACKGROUND.items()):
+            message = can.Message(arbitration_id=identifier, is_extended_id=False, data=generator.bytes(8))
+            self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
         own = 100 + 2 * 50 + 1000 / 60
         listed = sum(1000 / period for period, _, _ in self._frames)
         # The recording has more identifiers than were taken down; the fastest ones stand in for the rest.

@@ -5,7 +5,7 @@ Read here a second time, on purpose without the suite's own reader: a slip in ei
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -30,21 +30,6 @@ _TO_SI = {
     "N/rad": 1.0,
     "1": 1.0,
 }
-
-_CAR_KEYS = (
-    "mass",
-    "yaw_inertia",
-    "wheelbase",
-    "cg_to_front_axle",
-    "cg_height",
-    "cg_to_ins_x",
-    "cg_to_ins_y",
-    "steering_ratio",
-    "steering_wheel_offset",
-    "cornering_stiffness_front",
-    "cornering_stiffness_rear",
-)
-_TYRE_KEYS = ("nominal_load", "p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ey3", "p_ky1", "p_ky2", "p_ky4")
 
 
 @dataclass(frozen=True)
@@ -86,6 +71,10 @@ class Car:
     @property
     def cg_to_rear_axle(self) -> float:
         return self.wheelbase - self.cg_to_front_axle
+
+
+_CAR_KEYS = tuple(one.name for one in fields(Car) if one.name not in ("name", "tyre_front", "tyre_rear"))
+_TYRE_KEYS = tuple(one.name for one in fields(Tyre) if one.name != "lambda_ky")
 
 
 def read_car(file: str | Path) -> Car:

@@ -65,29 +65,7 @@ TRUTH_SCHEMA = {
 
 
 def truth_record(truth: Truth) -> dict[str, object]:
-    record: dict[str, object] = {
-        name: getattr(truth, name)
-        for name in (
-            "time",
-            "x",
-            "y",
-            "z",
-            "yaw",
-            "velocity_x",
-            "velocity_y",
-            "velocity_z",
-            "yaw_rate",
-            "acceleration_x",
-            "acceleration_y",
-            "yaw_acceleration",
-            "roll",
-            "pitch",
-            "steering_wheel_angle",
-            "road_wheel_angle",
-            "gear",
-            "wheel_speed",
-        )
-    }
+    record = {name: getattr(truth, name) for name in ("time", *_UNITS) if name in Truth.__dataclass_fields__}
     forces = truth.forces
     if forces is not None:
         for axle, (left, right) in (("front", (0, 1)), ("rear", (2, 3))):
@@ -208,24 +186,9 @@ class Mf4File:
         from asammdf.blocks import v4_constants as v4
         from asammdf.blocks.source_utils import Source
 
-        rows = np.zeros(
-            len(frames),
-            dtype=[
-                (f"CAN_DataFrame.{name}", kind)
-                for name, kind in (
-                    ("BusChannel", "u1"),
-                    ("ID", "<u4"),
-                    ("IDE", "u1"),
-                    ("DLC", "u1"),
-                    ("DataLength", "u1"),
-                    ("DataBytes", "(8,)u1"),
-                    ("Dir", "u1"),
-                    ("EDL", "u1"),
-                    ("BRS", "u1"),
-                    ("ESI", "u1"),
-                )
-            ],
-        )
+        members = {"BusChannel": "u1", "ID": "<u4", "IDE": "u1", "DLC": "u1", "DataLength": "u1", "DataBytes": "(8,)u1",
+                   "Dir": "u1", "EDL": "u1", "BRS": "u1", "ESI": "u1"}
+        rows = np.zeros(len(frames), [(f"CAN_DataFrame.{name}", kind) for name, kind in members.items()])
         ticks = np.array([t for t, _, _ in frames], dtype=np.int64)
         times = np.round(ticks / self.GRID_NS) * (self.GRID_NS / 1e9)
         rows["CAN_DataFrame.BusChannel"] = bus

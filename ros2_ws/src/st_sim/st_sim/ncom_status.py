@@ -27,25 +27,15 @@ def _xyz(prefix: str, x: float, y: float, z: float, suffix: str = "") -> dict[st
 
 
 def _receiver(name: str) -> dict[str, float]:
-    return {
-        f"{name}.{key}": value
-        for key, value in (
-            ("AntStatus", 0),
-            ("AntPower", 0),
-            ("CpuUsed", 34),
-            ("CoreNoise", 12),
-            ("SerBaud", 14),
-            ("NumSats", _SATELLITES),
-            ("PosMode", _RTK),
-            ("CoreTemp", 41),
-            ("SupplyVolt", 12.1),
-        )
-    }
+    values = {"AntStatus": 0, "AntPower": 0, "CpuUsed": 34, "CoreNoise": 12, "SerBaud": 14, "NumSats": _SATELLITES,
+              "PosMode": _RTK, "CoreTemp": 41, "SupplyVolt": 12.1}
+    return {f"{name}.{key}": value for key, value in values.items()}
 
 
 # What does not change during a drive. Values are typical, none is used by the drive itself except accuracies, origin,
 # UTC offset and undulation. Channels 3 to 5 come every 50 packets, the rest every 100.
 _FIXED: Mapping[int, Mapping[str, float | str]] = {
+    **{channel: {} for channel in (24, 43, 45, 46, 47, 49, 51, 52, 53, 54, 60, 61, 62, 63, 65, 74)},
     3: {"NorthAcc": ACCURACY["position"], "EastAcc": ACCURACY["position"], "AltAcc": 2 * ACCURACY["position"]},
     4: {
         "VnAcc": ACCURACY["velocity"],
@@ -79,9 +69,6 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
     20: {"GpsDiffAge": 1.0, "BaseStationId": "0021"},
     21: {"DiskSpace": 12_000_000 * 1024, "FileSize": 20_000 * 1024},
     22: {"TimeMismatch": 0, "ImuTimeDiff": 0, "ImuTimeMargin": 2, "ImuLoopTime": 10, "OpLoopTime": 4},
-    24: {},
-    43: {},
-    65: {},
     26: _xyz("RemoteLeverArm", 0.0, 0.0, 0.0),
     27: {
         "HeadQuality": 3,
@@ -143,9 +130,6 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
         "OptionStatSpeed": 0.1,
     },
     44: {"WarmupStatus": 0x1F},
-    45: {},
-    46: {},
-    47: {},
     48: {
         "Undulation": UNDULATION,
         "HDOP": 0.7,
@@ -154,12 +138,7 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
         "DatumEllipsoid": 0,
         "DatumEarthFrame": 0,
     },
-    49: {},
     50: {"CmdChars": 0, "CmdPkts": 0, "CmdCharsSkipped": 0, "CmdErrors": 0},
-    51: {},
-    52: {},
-    53: {},
-    54: {},
     55: _receiver("GpsPrimary"),
     56: _receiver("GpsSecondary"),
     57: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05},
@@ -171,14 +150,9 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
         "ImuCalibrationDay": 16000,
         "ImuTemperature": 38.5,
     },
-    60: {},
-    61: {},
-    62: {},
-    63: {},
     64: {"DualPortRamStatus": 9, "GpsPrimary.PosRate": 3, "GpsPrimary.VelRate": 3},
     72: {"AxSf": 1e-4, "AySf": 1e-4, "AzSf": 1e-4},
     73: {"AxSfAcc": 1e-4, "AySfAcc": 1e-4, "AzSfAcc": 1e-4},
-    74: {},
     75: {"SupplyVoltage": 12.4, "ImuRate": 100.0},
     76: {"DiffChars": 0, "DiffPkts": 0, "DiffCharsSkipped": 0, "NtripStatus": 6, "WifiStatus": 1},
     78: {"CanTx": 0, "CanRx": 0, "CanTxOkPercent": 100, "CanRxOkPercent": 100, "CanErrors": 0, "CanLastError": 0},

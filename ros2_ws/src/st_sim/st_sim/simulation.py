@@ -2,17 +2,7 @@
 
 from .car import Car
 from .driver import Driver
-from .plant import (
-    LEAN_RATE,
-    VX,
-    VY,
-    YAW,
-    YAW_RATE,
-    Plant,
-    X,
-    Y,
-    Z,
-)
+from .plant import LEAN_RATE, VX, VY, YAW, YAW_RATE, Plant, X, Y, Z
 from .scenarios import Plan
 from .settings import Settings
 from .truth import DRIVE, Truth

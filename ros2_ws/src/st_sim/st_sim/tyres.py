@@ -1,7 +1,5 @@
 """Lateral force of one tyre: Magic Formula with load dependency, and what drive and brake force leave of it."""
 
-from collections.abc import Callable
-from functools import partial
 from math import atan, sin, sqrt
 from typing import NamedTuple
 
@@ -9,8 +7,6 @@ from .car import Tyre
 
 MINIMUM_LOAD = 50.0
 """N. A wheel that lifts keeps this much, so that no formula divides by zero."""
-
-Force = Callable[[float, float, float], tuple[float, float]]
 
 
 class TyreLaw(NamedTuple):
@@ -69,11 +65,6 @@ def tyre_force(law: TyreLaw, slip_angle: float, load: float, friction_factor: fl
     curvature = min(curvature, 1.0)
     b_alpha = stiffness * sin(p_ky4 * atan(load * knee)) / (shape * peak) * slip_angle
     return peak * sin(shape * atan(b_alpha - curvature * (b_alpha - atan(b_alpha)))), peak
-
-
-def lateral_force(tyre: Tyre, stiffness_factor: float) -> Force:
-    """`tyre_force` of one tyre as a function (slip_angle [rad], load [N], friction_factor) -> (force, peak) [N]."""
-    return partial(tyre_force, tyre_law(tyre, stiffness_factor))
 
 
 def left_by_ellipse(longitudinal: float, peak: float) -> float:

@@ -11,7 +11,7 @@ from st_sim.plant import RACK, STEP, VX, YAW_RATE, Plant, Y, Z
 from st_sim.scenarios import load
 from st_sim.settings import IDEAL, PRESETS, REALISTIC, SETTINGS, overrides, resolve
 from st_sim.simulation import SimulatedCar
-from st_sim.tyres import lateral_force
+from st_sim.tyres import tyre_force, tyre_law
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
@@ -183,7 +183,7 @@ def test_combined_slip_costs_lateral_force():
     bound.state = free.state
     free, bound = free.observe(-6.0 * CAR.mass), bound.observe(-6.0 * CAR.mass)
     for wheel in (0, 1):
-        peak = lateral_force(CAR.tyre_front, 1.0)(0.0, free.load[wheel], 1.0)[1]
+        peak = tyre_force(tyre_law(CAR.tyre_front, 1.0), 0.0, free.load[wheel], 1.0)[1]
         share = math.sqrt(1 - (free.longitudinal[wheel] / peak) ** 2)
         assert share < 0.9
         assert bound.lateral[wheel] == pytest.approx(share * free.lateral[wheel])

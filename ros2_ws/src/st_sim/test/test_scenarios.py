@@ -214,6 +214,12 @@ def test_own_road_from_a_file():
     assert np.abs(d.ay).max() > 2.0
 
 
+def test_pedals_on_straights_and_in_bends_to_both_sides():
+    d = Drive(str(ROOT / "config/manoeuvres/stop_and_go.yaml"), 40)
+    assert d.vx.max() > 10.0 and d.vx.min() < 5.0
+    assert d.ay.max() > 1.5 and d.ay.min() < -1.5
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -1,13 +1,16 @@
-"""Options that several verbs have, in one place: whose recordings these are, and how raw logs become runs."""
+"""What several verbs share: options, whose recordings these are, how raw logs become runs, and how a verb refuses."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from st_recordings.paths import config
 
 if TYPE_CHECKING:
+    from st_core.vehicle import VehicleParameters
     from st_recordings.runs import ReadSettings
     from st_recordings.runs.foreign import SteeringField
 
@@ -24,11 +27,36 @@ def _record(value: str) -> str:
     return value
 
 
+Runs = Annotated[list[Path], typer.Argument(
+    help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False)]
 CarName = Annotated[str | None, typer.Option(
     "--car", help="The car: a name in config/car, or a folder with vehicle.yaml, can.dbc, signals.yaml and car.yaml. "
     "--vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
     "--vehicle", help="Vehicle file; default that of --car, else the Leaf's.", exists=True, dir_okay=False)]
+VehicleOfBag = Annotated[Path | None, typer.Option(
+    "--vehicle", help="Vehicle file; default that of --car, else the one in the recording, else the Leaf's.",
+    exists=True, dir_okay=False)]
+Models = Annotated[list[str], typer.Option(
+    "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")]
+EffectsOfFile = Annotated[Path | None, typer.Option(
+    "--effects", help="Folder of your own effects that a model file uses.", exists=True, file_okay=False)]
+FourthModel = Annotated[Path | None, typer.Option(
+    "--model", help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.", exists=True,
+    dir_okay=False)]
+EffectsOfModel = Annotated[Path | None, typer.Option(
+    "--effects", help="Folder of your own effects that --model uses.", exists=True, file_okay=False)]
+Filtering = Annotated[Literal["causal", "zero-phase"], typer.Option(
+    "--acceleration", help="Filter of the forward speed before its derivative; live, only causal is possible.")]
+Inputs = Annotated[Literal["interpolate", "hold"], typer.Option(
+    "--inputs", help="Measured inputs within an integration step: interpolated, or held over it.")]
+Horizon = Annotated[float, typer.Option(help="Length of a prediction, s; a whole number of steps.")]
+Step = Annotated[float, typer.Option(help="Integration step, s.")]
+MinimumSpeed = Annotated[float, typer.Option(help="No prediction starts below this speed, m/s.")]
+BandsFile = Annotated[Path | None, typer.Option(
+    "--bands", help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False)]
+View = Annotated[bool, typer.Option("--view", help="Show it live in the browser, served on this machine only.")]
+ViewSave = Annotated[Path | None, typer.Option(help="Write the live view to this file (.rrd), for `st view`.")]
 Offset = Annotated[float | None, typer.Option(
     help="INS minus CAN clock, s, set by hand; default: found from the signals.")]
 InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
@@ -54,6 +82,22 @@ Record = Annotated[str, typer.Option(
 SteeringLatency = Annotated[float | None, typer.Option(
     help="s, from the motion of the wheel to the frame; default that of --car, else 0; live: else that of "
     "config/nodes.yaml.", min=0.0, max=1.0)]
+
+
+@contextmanager
+def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
+    """What a verb cannot work with: one line, and exit status 2. more: errors that only this verb has."""
+    # Imported when it runs, see demo.py.
+    from st_core.errors import StCoreError
+    from st_recordings.output import OutputError
+    from st_recordings.runs.errors import RunError
+
+    refused: tuple[type[Exception], ...] = (StCoreError, RunError, OutputError, UnicodeDecodeError, *more)
+    try:
+        yield
+    except refused as error:
+        typer.echo(f"st {verb}: {error}", err=True)
+        raise typer.Exit(2) from None
 
 
 def foreign_steering(topic: str | None, path: str, quantity: str) -> "SteeringField | None":
@@ -116,6 +160,14 @@ def on_the_wires(car: str | None, vehicle: Path | None, dbc: Path | None, signal
 
 
 LEAF = config("car/leaf/vehicle.yaml")
+
+
+def leaf_or(vehicle: Path | None) -> "tuple[VehicleParameters, Path]":
+    """(the car, its file): the Leaf's where none was named. Raises RunError and StCoreError."""
+    from st_recordings.car import read_vehicle
+
+    file = vehicle or LEAF
+    return read_vehicle(file), file
 
 
 def say_whose(verb: str, file: Path | str) -> None:

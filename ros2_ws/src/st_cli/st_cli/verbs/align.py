@@ -5,7 +5,7 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, Dbc, InsCanLatency, Signals, say_whose, whose
+from ._options import CarName, Dbc, InsCanLatency, Signals, refusals, say_whose, whose
 
 VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 
@@ -32,20 +32,16 @@ def align(
     """
     from rich.console import Console
     from st_offline.alignment_figure import alignment_figure
-    from st_recordings.output import OutputError, new_folder
-    from st_recordings.runs.errors import RunError
+    from st_recordings.output import new_folder
     from st_recordings.runs.pairs import read_pair
     from st_recordings.runs.raw import about_alignment
 
     console = Console()
-    try:
+    with refusals("align"):
         _, settings = whose(car, None, dbc, signals, offset=offset, search=search, ins_can_latency=ins_can_latency)
         with console.status("reading and aligning"):
             pair = read_pair(files, settings)
         folder = new_folder(output, f"align-{pair.name}")
-    except (RunError, OutputError) as error:
-        typer.echo(f"st align: {error}", err=True)
-        raise typer.Exit(2) from None
     for warning in pair.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
     if car is None and dbc is None:

@@ -5,6 +5,8 @@ from typing import Literal
 
 import typer
 
+from ._options import refusals
+
 
 def car(
     what: Literal["new", "check"] = typer.Argument(..., help="new, or check.", show_default=False),
@@ -17,17 +19,13 @@ def car(
     mistakes were found; 2 there is no such folder to check, or the folder to write exists.
     """
     from st_recordings.car_skeleton import problems, write_skeleton
-    from st_recordings.runs.errors import RunError
 
-    try:
+    with refusals("car"):
         if what == "new":
             for file in write_skeleton(Path(folder)):
                 typer.echo(file)
             return
         found = problems(folder)
-    except RunError as error:
-        typer.echo(f"st car: {error}", err=True)
-        raise typer.Exit(2) from None
     for line in found:
         typer.echo(f"st car: {line}", err=True)
     if not found:

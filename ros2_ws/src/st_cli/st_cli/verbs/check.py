@@ -3,40 +3,26 @@
 from pathlib import Path
 
 import typer
-from st_recordings.paths import config
 
-from ._options import (
-    CarName,
-    Dbc,
-    InsCanLatency,
-    Offset,
-    Signals,
-    SteeringLatency,
-    SteeringSign,
-    VehicleFile,
-    say_whose,
-    whose,
-)
+from . import _options as shared
 
 
 def check(
-    runs: list[Path] = typer.Argument(
-        ..., help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False
-    ),
-    car: CarName = None,
-    vehicle: VehicleFile = None,
+    runs: shared.Runs,
+    car: shared.CarName = None,
+    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/check-<time>."),
     json: Path | None = typer.Option(None, "--json", help="File of the numbers; default check.json in that folder.",
                                      dir_okay=False),
     propose_cure: Path | None = typer.Option(
         None, help="Write a run.yaml that corrects the findings; for a single run.", dir_okay=False
     ),
-    offset: Offset = None,
-    ins_can_latency: InsCanLatency = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    steering_sign: SteeringSign = None,
-    steering_latency: SteeringLatency = None,
+    offset: shared.Offset = None,
+    ins_can_latency: shared.InsCanLatency = None,
+    dbc: shared.Dbc = None,
+    signals: shared.Signals = None,
+    steering_sign: shared.SteeringSign = None,
+    steering_latency: shared.SteeringLatency = None,
 ) -> None:
     """Find what is wrong with recordings: units, signs, clocks, axes, projections, reference points, sensors.
 
@@ -45,22 +31,12 @@ def check(
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
-    from st_core.errors import StCoreError
-    from st_core.vehicle import VehicleParameters
-    from st_offline.checking.command import CommandError, Job, run_command
-    from st_recordings.output import OutputError
-    from st_recordings.runs import RunError
+    from st_offline.checking.command import Job, run_command
 
-    try:
-        vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
-                              ins_can_latency=ins_can_latency)
-        file = vehicle or config("car/leaf/vehicle.yaml")
-        job = Job(
-            runs, VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file)), str(file),
-            vehicle is not None,
-            read, output, json, propose_cure)
-        status = run_command(job, Console(), lambda file: say_whose("check", file))
-    except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
-        typer.echo(f"st check: {error}", err=True)
-        raise typer.Exit(2) from None
+    with shared.refusals("check"):
+        vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
+                                     ins_can_latency=ins_can_latency)
+        parameters, file = shared.leaf_or(vehicle)
+        job = Job(runs, parameters, str(file), vehicle is not None, read, output, json, propose_cure)
+        status = run_command(job, Console(), lambda file: shared.say_whose("check", file))
     raise typer.Exit(status)

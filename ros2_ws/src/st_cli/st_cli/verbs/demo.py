@@ -5,7 +5,7 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from ._options import Record
+from . import _options as shared
 
 AFTERWARDS = 2.0  # s
 SCENARIOS = (
@@ -31,19 +31,12 @@ def demo(
     effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),
     ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
     seed: int = typer.Option(0, help="Seed of the simulated noise."),
-    model: Path | None = typer.Option(
-        None, help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.", exists=True,
-        dir_okay=False,
-    ),
-    effects: Path | None = typer.Option(
-        None, help="Folder of your own effects that --model uses.", exists=True, file_okay=False
-    ),
-    bands: Path | None = typer.Option(
-        None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False
-    ),
-    record: Record = "needed",
-    view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
-    view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
+    model: shared.FourthModel = None,
+    effects: shared.EffectsOfModel = None,
+    bands: shared.BandsFile = None,
+    record: shared.Record = "needed",
+    view: shared.View = False,
+    view_save: shared.ViewSave = None,
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
 ) -> None:
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
@@ -55,7 +48,7 @@ def demo(
     from st_live.suite import SuiteError
     from st_live.view.window import finish, window
     from st_live.wires import VirtualCar, name_of, vehicle_file
-    from st_recordings.output import OutputError, new_folder
+    from st_recordings.output import new_folder
 
     console = Console()
     what = drive.stem if drive else Path(scenario or "S6").stem
@@ -67,7 +60,7 @@ def demo(
     # The car drives on while the predictor stops, so that no tick at the end goes without inputs.
     options += ["--duration", str(duration + AFTERWARDS)] if duration else []
     options += [word for e in effect for word in ("--effect", e)]
-    try:
+    with shared.refusals("demo", SuiteError):
         car = VirtualCar(vehicle_file(vehicle), options, plant_vehicle and plant_vehicle.absolute())
         fourth = fourth_model(model, effects, car.vehicle)
         shown = window(view, view_save)
@@ -75,9 +68,6 @@ def demo(
         parameters = with_bands(
             node_parameters(folder, car.vehicle, car.bridge_parameters(), fourth, record == "all"), bands)
         outcome = run(folder, parameters, what, duration, car.start, console, shown)
-    except (SuiteError, OutputError) as error:
-        typer.echo(f"st demo: {error}", err=True)
-        raise typer.Exit(2) from None
     source = "recorded drive" if drive else "virtual Leaf"
     about = {"what": what, "source": source, "vehicle": name_of(car.vehicle), "seed": seed}
     status = conclude(folder, outcome, about, console)

@@ -8,18 +8,7 @@ import typer
 from st_core.channels import CHANNELS
 from typer.core import TyperCommand
 
-from ._options import (
-    LEAF,
-    CarName,
-    Dbc,
-    Offset,
-    Signals,
-    SteeringLatency,
-    SteeringSign,
-    VehicleFile,
-    say_whose,
-    whose,
-)
+from . import _options as shared
 
 REFERENCE = "--reference"
 
@@ -54,16 +43,14 @@ def spread(words: Sequence[str]) -> list[str]:
 
 
 def discover(
-    runs: list[Path] = typer.Argument(
-        ..., help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False
-    ),
+    runs: shared.Runs,
     reference: list[Path] = typer.Option(
         [], REFERENCE, help="Drives of the healthy car, all paths up to the next option; the search starts from them "
         "instead of the vehicle file."
     ),
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
-    car: CarName = None,
-    vehicle: VehicleFile = None,
+    car: shared.CarName = None,
+    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(
         ",".join(CHANNELS), help="Measurements to use, separated by commas."
@@ -83,11 +70,11 @@ def discover(
     jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; an empty text for none."),
     report: bool = typer.Option(True, help="Draw figures and report; otherwise write numbers, model and vehicle only."),
-    offset: Offset = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    steering_sign: SteeringSign = None,
-    steering_latency: SteeringLatency = None,
+    offset: shared.Offset = None,
+    dbc: shared.Dbc = None,
+    signals: shared.Signals = None,
+    steering_sign: shared.SteeringSign = None,
+    steering_latency: shared.SteeringLatency = None,
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     fresh: bool = typer.Option(False, "--fresh", help="Read and search again; use nothing from an earlier call."),
 ) -> None:
@@ -98,26 +85,18 @@ def discover(
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
     from st_core.discovery import DiscoverySettings
-    from st_core.errors import StCoreError
-    from st_core.vehicle import VehicleParameters
-    from st_offline.discovery.command import CommandError, Job, run_command
-    from st_recordings.output import OutputError
-    from st_recordings.runs import RunError
+    from st_offline.discovery.command import Job, run_command
 
-    try:
-        vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
-        file = vehicle or LEAF
-        text = file.read_text(encoding="utf-8")
+    with shared.refusals("discover"):
+        vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
+        parameters, file = shared.leaf_or(vehicle)
         job = Job(
-            runs, reference, base, VehicleParameters.from_yaml(text, str(file)), str(file), text,
+            runs, reference, base, parameters, str(file), file.read_text(encoding="utf-8"),
             DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify),
             read, effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose)
         status = run_command(job, Console())
-    except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
-        typer.echo(f"st discover: {error}", err=True)
-        raise typer.Exit(2) from None
     if vehicle is None:
-        say_whose("discover", file)
+        shared.say_whose("discover", file)
     raise typer.Exit(status)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from ._options import LEAF, CarName, VehicleFile, say_whose, whose
+from ._options import CarName, VehicleFile, leaf_or, refusals, say_whose, whose
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,28 +34,21 @@ def effects(
     """
     from rich.console import Console
     from st_core.effects import load_folder
-    from st_core.errors import StCoreError
-    from st_core.vehicle import VehicleParameters
-    from st_recordings.runs.errors import RunError
 
     if what not in ("list", "check"):
         typer.echo(f"st effects: {what!r} is neither list nor check", err=True)
         raise typer.Exit(2)
-    try:
+    with refusals("effects", OSError):
         if own is not None:
             load_folder(str(own.absolute()))
         if what == "list":
             _listed(Console())
             return
         named = whose(car, vehicle)[0]
-        file = named or LEAF
-        parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        parameters, file = leaf_or(named)
         kept = _checked(files or (), parameters, Console())
         if named is None:
             say_whose("effects", file)
-    except (RunError, StCoreError, OSError, UnicodeDecodeError) as error:
-        typer.echo(f"st effects: {error}", err=True)
-        raise typer.Exit(2) from None
     raise typer.Exit(0 if kept else 1)
 
 

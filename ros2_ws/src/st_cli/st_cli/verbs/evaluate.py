@@ -6,23 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from ._options import (
-    LEAF,
-    CarName,
-    Dbc,
-    InsCanLatency,
-    Offset,
-    Signals,
-    SteeringIs,
-    SteeringLatency,
-    SteeringPath,
-    SteeringSign,
-    SteeringTopic,
-    VehicleFile,
-    foreign_steering,
-    say_whose,
-    whose,
-)
+from . import _options as shared
 
 if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
@@ -31,42 +15,32 @@ MODELS = ["kinematic", "linear", "nonlinear"]
 
 
 def evaluate(
-    runs: list[Path] = typer.Argument(
-        ..., help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False
-    ),
-    model: list[str] = typer.Option(
-        MODELS, "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable."
-    ),
-    effects: Path | None = typer.Option(
-        None, help="Folder of your own effects that a model file uses.", exists=True, file_okay=False
-    ),
-    car: CarName = None,
-    vehicle: VehicleFile = None,
+    runs: shared.Runs,
+    model: shared.Models = MODELS,
+    effects: shared.EffectsOfFile = None,
+    car: shared.CarName = None,
+    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
     at: str = typer.Option("", help="Starts drawn in detail, s: 1,10,19,28. Default: four spread over the run."),
-    acceleration: Literal["causal", "zero-phase"] = typer.Option(
-        "causal", help="Filter of the forward speed before its derivative; live, only causal is possible."
-    ),
-    inputs: Literal["interpolate", "hold"] = typer.Option(
-        "interpolate", help="Measured inputs within an integration step: interpolated, or held over it."
-    ),
+    acceleration: shared.Filtering = "causal",
+    inputs: shared.Inputs = "interpolate",
     table: Literal["means", "samples"] = typer.Option(
         "means", help="Statistics shown: over the horizon means, as the paper, or over all samples."
     ),
-    horizon: float = typer.Option(5.0, help="Length of a prediction, s; a whole number of steps."),
-    step: float = typer.Option(0.05, help="Integration step, s."),
+    horizon: shared.Horizon = 5.0,
+    step: shared.Step = 0.05,
     interval: float = typer.Option(0.1, help="Time between starts, s."),
-    minimum_speed: float = typer.Option(0.5, help="No prediction starts below this speed, m/s."),
+    minimum_speed: shared.MinimumSpeed = 0.5,
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
-    offset: Offset = None,
-    ins_can_latency: InsCanLatency = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    steering_sign: SteeringSign = None,
-    steering_latency: SteeringLatency = None,
-    steering_topic: SteeringTopic = None,
-    steering_field: SteeringPath = "data",
-    steering_is: SteeringIs = "road",
+    offset: shared.Offset = None,
+    ins_can_latency: shared.InsCanLatency = None,
+    dbc: shared.Dbc = None,
+    signals: shared.Signals = None,
+    steering_sign: shared.SteeringSign = None,
+    steering_latency: shared.SteeringLatency = None,
+    steering_topic: shared.SteeringTopic = None,
+    steering_field: shared.SteeringPath = "data",
+    steering_is: shared.SteeringIs = "road",
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False
@@ -86,22 +60,19 @@ def evaluate(
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
-    from st_core.errors import StCoreError
     from st_core.log_evaluation import EvaluationSettings
     from st_core.prediction import PredictionSettings
-    from st_offline.evaluation.command import CommandError, run_command
+    from st_offline.evaluation.command import run_command
     from st_offline.evaluation.work import Task, load_bands, load_models
-    from st_recordings.output import OutputError
-    from st_recordings.runs import RunError
 
-    try:
+    with shared.refusals("evaluate"):
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
         models = tuple(model_named(name) for name in dict.fromkeys(model))
-        vehicle, read = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
-                              ins_can_latency=ins_can_latency,
-                              steering=foreign_steering(steering_topic, steering_field, steering_is))
+        vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
+                                     ins_can_latency=ins_can_latency,
+                                     steering=shared.foreign_steering(steering_topic, steering_field, steering_is))
         parameters, car_from = car_of(vehicle, models, effects)
         task = Task(
             vehicle=parameters,
@@ -115,13 +86,9 @@ def evaluate(
             effects=effects,
         )
         load_bands(task, load_models(task))
-        status = run_command(runs, task, output, table, car_from, workers, scheduler, Console(),
-                             advise)
-    except (StCoreError, CommandError, OutputError, RunError, UnicodeDecodeError) as error:
-        typer.echo(f"st evaluate: {error}", err=True)
-        raise typer.Exit(2) from None
+        status = run_command(runs, task, output, table, car_from, workers, scheduler, Console(), advise)
     if vehicle is None:
-        say_whose("evaluate", car_from)
+        shared.say_whose("evaluate", car_from)
     raise typer.Exit(status)
 
 
@@ -143,7 +110,6 @@ def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
     """
     from st_core.effects import load_folder
     from st_core.model_file import ModelFile
-    from st_core.vehicle import VehicleParameters
 
     if effects is not None:
         load_folder(str(effects.absolute()))
@@ -152,8 +118,8 @@ def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
             held = ModelFile.from_yaml(text, origin).vehicle
             if held is not None:
                 return held, origin
-    file = vehicle or LEAF
-    return VehicleParameters.from_yaml(file.read_text(), str(file)), str(file)
+    parameters, file = shared.leaf_or(vehicle)
+    return parameters, str(file)
 
 
 def _numbers(text: str) -> tuple[float, ...]:

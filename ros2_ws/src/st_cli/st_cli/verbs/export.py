@@ -6,15 +6,13 @@ from typing import Literal
 
 import typer
 
-from ._options import LEAF, CarName, VehicleFile, say_whose, whose
+from ._options import CarName, EffectsOfFile, VehicleFile, leaf_or, refusals, say_whose, whose
 
 
 def export(
     model: str = typer.Argument(..., help="kinematic, linear, nonlinear, or a model file (.yaml).", show_default=False),
     kind: Literal["casadi", "c"] = typer.Option("casadi", "--format", help="CasADi functions, or C with a header."),
-    effects: Path | None = typer.Option(
-        None, help="Folder of your own effects that a model file uses.", exists=True, file_okay=False
-    ),
+    effects: EffectsOfFile = None,
     car: CarName = None,
     vehicle: VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the files; default runs/export-<time>."),
@@ -26,10 +24,7 @@ def export(
     acados and other CasADi users load the .casadi files as they are; see examples/mpc.
     """
     from st_core.effects import load_folder
-    from st_core.errors import StCoreError
-    from st_core.vehicle import VehicleParameters
     from st_recordings.output import new_folder
-    from st_recordings.runs.errors import RunError
 
     if importlib.util.find_spec("casadi") is None:
         typer.echo("st export: casadi is not installed: pip install casadi", err=True)
@@ -37,18 +32,14 @@ def export(
     from st_offline.model_export import export as write
     from st_offline.model_export import load_model
 
-    try:
+    with refusals("export", OSError):
         named = whose(car, vehicle)[0]
-        file = named or LEAF
-        parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
+        parameters, file = leaf_or(named)
         if effects is not None:
             load_folder(str(effects.absolute()))
         chosen, its = load_model(model, parameters, str(file))
         folder = new_folder(output, "export")
         written = write(chosen, its, folder, kind, substeps, free)
-    except (OSError, RunError, StCoreError, UnicodeDecodeError) as error:
-        typer.echo(f"st export: {error}", err=True)
-        raise typer.Exit(2) from None
     if named is None and its is parameters:
         say_whose("export", file)
     for path in written:

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import typer
 
+from ._options import refusals
+
 
 def foxglove(
     port: int = typer.Option(8765, help="Of the WebSocket.", min=1, max=65535),
@@ -25,7 +27,7 @@ def foxglove(
     from st_recordings.paths import config
 
     console = Console()
-    try:
+    with refusals("foxglove", SuiteError):
         car = vehicle_file(vehicle)
         domain = chosen_domain_id() if domain is None else domain
         markers = merge(config("nodes.yaml"), {"markers": {"vehicle_file": str(car)}})["markers"]
@@ -42,6 +44,3 @@ def foxglove(
                     time.sleep(0.5)
             except KeyboardInterrupt:
                 console.print()
-    except SuiteError as error:
-        typer.echo(f"st foxglove: {error}", err=True)
-        raise typer.Exit(2) from None

@@ -4,35 +4,23 @@ from pathlib import Path
 
 import typer
 
-from ._options import (
-    LEAF,
-    CarName,
-    Dbc,
-    InsCanLatency,
-    Offset,
-    Signals,
-    SteeringLatency,
-    SteeringSign,
-    VehicleFile,
-    say_whose,
-    whose,
-)
+from . import _options as shared
 
 
 def import_(
     paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
-    car: CarName = None,
-    vehicle: VehicleFile = None,
+    car: shared.CarName = None,
+    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(
         None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."
     ),
-    offset: Offset = None,
+    offset: shared.Offset = None,
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
-    steering_sign: SteeringSign = None,
-    steering_latency: SteeringLatency = None,
-    ins_can_latency: InsCanLatency = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
+    steering_sign: shared.SteeringSign = None,
+    steering_latency: shared.SteeringLatency = None,
+    ins_can_latency: shared.InsCanLatency = None,
+    dbc: shared.Dbc = None,
+    signals: shared.Signals = None,
     force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
     strict: bool = typer.Option(False, "--strict", help="Refuse runs whose alignment is doubtful."),
 ) -> None:
@@ -42,21 +30,15 @@ def import_(
     were not (each says why); 2: nothing could be done.
     """
     from rich.console import Console
-    from st_core.errors import StCoreError
-    from st_core.vehicle import VehicleParameters
     from st_recordings.output import OutputError, new_folder
     from st_recordings.runs.errors import RunError
     from st_recordings.runs.sources import find_runs
 
     console = Console()
-    try:
-        vehicle, settings = whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
-                                  search=search, ins_can_latency=ins_can_latency, doubtful=not strict)
-        file = vehicle or LEAF
-        parameters = VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
-    except (OSError, UnicodeDecodeError, RunError, StCoreError) as error:
-        typer.echo(f"st import: {error}", err=True)
-        raise typer.Exit(2) from None
+    with shared.refusals("import"):
+        vehicle, settings = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
+                                         search=search, ins_can_latency=ins_can_latency, doubtful=not strict)
+        parameters, file = shared.leaf_or(vehicle)
     found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not found:
         typer.echo(f"st import: {', '.join(map(str, paths))}: no raw logs (.ncom with CAN logs) are in there", err=True)
@@ -71,7 +53,7 @@ def import_(
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)
     if vehicle is None:
-        say_whose("import", file)
+        shared.say_whose("import", file)
     if written < len(found):
         raise typer.Exit(1 if written else 2)
 

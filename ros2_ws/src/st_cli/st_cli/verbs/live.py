@@ -5,7 +5,7 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from ._options import CarName, Dbc, Record, Signals, SteeringLatency, SteeringSign, VehicleFile, on_the_wires, say_whose
+from . import _options as shared
 
 
 def live(
@@ -14,29 +14,22 @@ def live(
     ncom_port: int = typer.Option(3000, help="UDP port to which the RT sends NCOM.", min=1, max=65535),
     ncom_address: str = typer.Option("0.0.0.0", help="Local address to listen on; the RT broadcasts: all by default."),
     ncom_sender: str = typer.Option("", help="Accept packets from this address only."),
-    car: CarName = None,
-    vehicle: VehicleFile = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    steering_sign: SteeringSign = None,
-    steering_latency: SteeringLatency = None,
+    car: shared.CarName = None,
+    vehicle: shared.VehicleFile = None,
+    dbc: shared.Dbc = None,
+    signals: shared.Signals = None,
+    steering_sign: shared.SteeringSign = None,
+    steering_latency: shared.SteeringLatency = None,
     duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C.", min=1.0),
-    model: Path | None = typer.Option(
-        None, help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.", exists=True,
-        dir_okay=False,
-    ),
-    effects: Path | None = typer.Option(
-        None, help="Folder of your own effects that --model uses.", exists=True, file_okay=False
-    ),
+    model: shared.FourthModel = None,
+    effects: shared.EffectsOfModel = None,
     realtime: bool = typer.Option(
         False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."
     ),
-    bands: Path | None = typer.Option(
-        None, help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False
-    ),
-    record: Record = "needed",
-    view: bool = typer.Option(False, "--view", help="Show it live in the browser, served on this machine only."),
-    view_save: Path | None = typer.Option(None, help="Write the live view to this file (.rrd), for `st view`."),
+    bands: shared.BandsFile = None,
+    record: shared.Record = "needed",
+    view: shared.View = False,
+    view_save: shared.ViewSave = None,
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
@@ -48,14 +41,13 @@ def live(
     from st_live.suite import SuiteError
     from st_live.view.window import finish, window
     from st_live.wires import bridge_parameters, name_of, vehicle_file
-    from st_recordings.output import OutputError, new_folder
-    from st_recordings.runs.errors import RunError
+    from st_recordings.output import new_folder
 
     console = Console()
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     bus = {"interface": can_interface, "channel": can_channel}
-    try:
-        named = on_the_wires(car, vehicle, dbc, signals, steering_sign, steering_latency)
+    with shared.refusals("live", SuiteError):
+        named = shared.on_the_wires(car, vehicle, dbc, signals, steering_sign, steering_latency)
         vehicle = vehicle_file(named.vehicle)
         fourth = fourth_model(model, effects, vehicle)
         shown = window(view, view_save)
@@ -63,12 +55,9 @@ def live(
         bridges = bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
         parameters = with_bands(node_parameters(folder, vehicle, bridges, fourth, record == "all"), bands)
         if named.vehicle is None:
-            say_whose("live", vehicle)
+            shared.say_whose("live", vehicle)
         outcome = run(folder, parameters, "live", duration, None, console, shown, supervised=True,
                       realtime=realtime)
-    except (RunError, SuiteError, OutputError) as error:
-        typer.echo(f"st live: {error}", err=True)
-        raise typer.Exit(2) from None
     source = f"{can_interface}:{can_channel}, NCOM port {ncom_port}"
     status = conclude(folder, outcome, {"what": "live", "source": source, "vehicle": name_of(vehicle)}, console)
     finish(shown, console)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, say_whose_bag, whose
+from ._options import CarName, VehicleOfBag, refusals, say_whose_bag, whose
 
 TOLERANCE = 0.001  # m
 
@@ -12,10 +12,7 @@ TOLERANCE = 0.001  # m
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
     car: CarName = None,
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file; default that of --car, else the one in the recording, else the Leaf's.", exists=True,
-        dir_okay=False
-    ),
+    vehicle: VehicleOfBag = None,
     tolerance: float = typer.Option(TOLERANCE, help="m; the largest difference that passes.", min=0.0),
     again: bool = typer.Option(False, "--replay", help="Play it through the nodes, and compare what they say now."),
     force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
@@ -27,22 +24,16 @@ def verify(
     2 nothing to compare.
     """
     from rich.console import Console
-    from st_core.errors import StCoreError
     from st_live.suite import SuiteError
     from st_live.verification import recordings_of
     from st_live.verify_command import verify_command
     from st_offline.checking.gate import passed_bag
     from st_offline.checking.shown import say
-    from st_recordings.output import OutputError
-    from st_recordings.runs import RunError
 
-    try:
+    with refusals("verify", SuiteError):
         vehicle = whose(car, vehicle)[0]
         say_whose_bag("verify", bag, vehicle)
         console = Console()
         say(bag.name, passed_bag(recordings_of(bag)[0], vehicle, force), console)
         status = verify_command(bag, vehicle, tolerance, again, output, console)
-    except (RunError, StCoreError, SuiteError, OutputError) as error:
-        typer.echo(f"st verify: {error}", err=True)
-        raise typer.Exit(2) from None
     raise typer.Exit(status)

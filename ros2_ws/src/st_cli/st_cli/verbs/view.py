@@ -4,7 +4,7 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, say_whose_bag, whose
+from ._options import CarName, refusals, say_whose_bag, whose
 
 
 def view(
@@ -21,13 +21,11 @@ def view(
     import tempfile
 
     from rich.console import Console
-    from st_core.errors import StCoreError
     from st_live.suite import SuiteError
     from st_live.view.window import Window
-    from st_recordings.runs import RunError
 
     console = Console()
-    try:
+    with refusals("view", SuiteError):
         vehicle = whose(car, vehicle)[0]
         window = Window(page=not save, save=save)
         with tempfile.TemporaryDirectory(prefix="st-view-") as name:
@@ -48,6 +46,3 @@ def view(
                     window.linger(console)
                 finally:
                     window.close()
-    except (RunError, StCoreError, SuiteError) as error:
-        typer.echo(f"st view: {error}", err=True)
-        raise typer.Exit(2) from None

@@ -118,8 +118,7 @@ def _cure(channel: str, correct: dict[str, float]) -> Cure:
     """Wheel speeds and a second INS output are no channels of a run: there is nothing to paste."""
     if channel in ("wheel_speed", "ins_speed"):
         return Cure("look", "look at the source of it: unit, wheel radius, clock")
-    words = ", ".join(f"{key}: {value:g}" for key, value in correct.items())
-    return Cure("run.yaml", f"correct: {{{channel}: {{{words}}}}}", {"correct": {channel: correct}})
+    return Cure.correct(channel, **correct)
 
 
 def identity(found: Agreement | None, expected: Expected, title: str, measured: float = 1.0,

@@ -85,9 +85,9 @@ def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Fin
     grave = Severity.WARNING if abs(late.value) >= LIMITS.grave_lag else Severity.NOTE
     severity = max(LIMITS.severity(effect), grave, key=ORDER[::-1].index)
     value = float(f"{late.value:.4g}")
-    cure = Cure("run.yaml", f"correct: {{yaw: {{earlier: {value:g}}}}}", {"correct": {"yaw": {"earlier": value}}})
     text = f"yaw {'lags' if value > 0.0 else 'leads'} yaw rate and positions by {size_of(late)} s"
-    return earlier, [Finding("yaw_lag", severity, ("yaw",), text, late.value, "s", late.interval, (), effect, cure)]
+    return earlier, [Finding("yaw_lag", severity, ("yaw",), text, late.value, "s", late.interval, (), effect,
+                             Cure.correct("yaw", earlier=value))]
 
 
 def _factors(coarse: list[Finding]) -> dict[str, float]:
@@ -122,8 +122,7 @@ def _once(coarse: list[Finding], fine: list[Finding], estimates: dict[str, Estim
 def _of_all(cure: Cure, value: float) -> Cure:
     """That of a unit or a turn, where the whole value is more than it."""
     (channel, (key,)), = cure.entry["correct"].items()
-    number = float(f"{1.0 / value if key == 'scale' else -value:.6g}")
-    return Cure("run.yaml", f"correct: {{{channel}: {{{key}: {number:g}}}}}", {"correct": {channel: {key: number}}})
+    return Cure.correct(channel, **{key: float(f"{1.0 / value if key == 'scale' else -value:.6g}")})
 
 
 def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns: int,

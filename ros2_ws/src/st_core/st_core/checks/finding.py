@@ -1,7 +1,7 @@
 """What a check of a recording gives: findings, what was measured of each channel, and the identities behind them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any, Literal
 
@@ -29,6 +29,12 @@ class Cure:
     kind: Literal["run.yaml", "vehicle", "option", "look"]
     line: str
     entry: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def correct(cls, channel: str, **values: float) -> "Cure":
+        """Of a channel of the run; values: fields of `corrections.Correction`."""
+        words = ", ".join(f"{key}: {value:g}" for key, value in values.items())
+        return cls("run.yaml", f"correct: {{{channel}: {{{words}}}}}", {"correct": {channel: values}})
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,7 @@ class Channel:
     missing: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)

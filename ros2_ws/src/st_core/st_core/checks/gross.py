@@ -15,7 +15,7 @@ import numpy as np
 
 from .finding import Cure, Finding, Severity
 from .limits import LIMITS
-from .motion import Motion, integral, windows
+from .motion import Motion, Windows, integral, windows
 from .ratios import LEAST_WAY, LEAST_WINDOWS, near, ratios
 
 LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; share of the way by which positions may miss velocity and yaw
@@ -53,8 +53,7 @@ def _one_yaw(found: list[Finding]) -> list[Finding]:
     correct = dict(clockwise.cure.entry["correct"]["yaw"])
     correct["add"] += offset.cure.entry["correct"]["yaw"]["add"]
     text = f"{clockwise.text.partition(':')[0]}, and not from north: yaw is from east, counter-clockwise"
-    cure = Cure("run.yaml", f"correct: {{yaw: {{scale: {correct['scale']:.6g}, add: {correct['add']:.6g}}}}}",
-                {"correct": {"yaw": correct}})
+    cure = Cure.correct("yaw", **correct)
     return [replace(clockwise, text=text, cure=cure) if one is clockwise else one for one in told.values()]
 
 
@@ -128,10 +127,8 @@ def _yaw_rate(motion: Motion, factor: float, against: str = "yaw") -> tuple[Moti
     reason = (f": {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
               ": it counts the other way (left is positive)" if exact == -1.0 else "")
     text = f"yaw_rate is {factor:.3g} times what {against} says{reason}"
-    cure = Cure("run.yaml", f"correct: {{yaw_rate: {{scale: {1.0 / exact:.6g}}}}}",
-                {"correct": {"yaw_rate": {"scale": 1.0 / exact}}})
     return (motion.with_(yaw_rate=motion.yaw_rate / exact),
-            _error("yaw_rate_scale", ("yaw_rate",), text, factor, cure))
+            _error("yaw_rate_scale", ("yaw_rate",), text, factor, Cure.correct("yaw_rate", scale=1.0 / exact)))
 
 
 def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
@@ -139,17 +136,13 @@ def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
     if factor > 0.0:
         text = (f"yaw is {factor:.3g} times what yaw rate and course say"
                 + (f": {ANGLES[size]}?" if size in ANGLES else ""))
-        cure = Cure("run.yaml", f"correct: {{yaw: {{scale: {1.0 / size:.6g}}}}}",
-                    {"correct": {"yaw": {"scale": 1.0 / size}}})
         mended = motion.with_(yaw=_without_wraps(motion, motion.yaw / size))
-        return mended, _error("yaw_scale", ("yaw",), text, factor, cure)
+        return mended, _error("yaw_scale", ("yaw",), text, factor, Cure.correct("yaw", scale=1.0 / size))
     unit = f" in {ANGLES[size]}" if size in ANGLES else ""
     text = f"yaw counts clockwise{unit}: a compass heading from north? Yaw is from east, counter-clockwise"
     scale = -1.0 / size
-    cure = Cure("run.yaml", f"correct: {{yaw: {{scale: {scale:.6g}, add: {np.pi / 2:.6g}}}}}",
-                {"correct": {"yaw": {"scale": scale, "add": np.pi / 2}}})
     mended = motion.with_(yaw=_without_wraps(motion, scale * motion.yaw + np.pi / 2))
-    return mended, _error("yaw_convention", ("yaw",), text, factor, cure)
+    return mended, _error("yaw_convention", ("yaw",), text, factor, Cure.correct("yaw", scale=scale, add=np.pi / 2))
 
 
 def _angle(factor: float) -> float:
@@ -172,10 +165,7 @@ def _axes(motion: Motion) -> tuple[Motion, Finding | None]:
     r = ratios(motion)
     if not (near(r.yaw_course, -1.0, LIMITS.unit) and near(r.yaw_rate, 1.0, LIMITS.unit)):
         return motion, None
-    east, north = motion.velocity_map
-    over = windows(motion.time, 1.0)
-    derived = over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north))
-    measured = over.change(motion.x) + 1j * over.change(motion.y)
+    _, measured, derived = _ways(motion, *motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
     axes: dict[int, tuple[str, np.ndarray, np.ndarray, dict[str, Any]]] = {
@@ -200,9 +190,7 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
     speed, length = unit_of(1.0 / r.way, SPEEDS), unit_of(r.way, LENGTHS)
     if length and not speed:
         text = f"x and y are {r.way:.4g} times what velocity says: {LENGTHS[length]}?"
-        entry = {"correct": {"position": {"scale": 1.0 / length}}}
-        finding = _error("position_scale", ("x", "y"), text, r.way,
-                         Cure("run.yaml", f"correct: {{position: {{scale: {1.0 / length:.6g}}}}}", entry))
+        finding = _error("position_scale", ("x", "y"), text, r.way, Cure.correct("position", scale=1.0 / length))
         return motion.with_(x=motion.x / length, y=motion.y / length), finding
     if not speed and r.way < FARTHEST:
         text = f"x and y are {r.way:.3g} times what velocity says: latitude and longitude? They are wanted in m"
@@ -216,29 +204,29 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
     name, channel = ("velocity_x_scale", "velocity_x") if alone else ("velocity_scale", "velocity")
     channels = ("velocity_x",) if alone else ("velocity_x", "velocity_y")
     text = f"{' and '.join(channels)} {'is' if alone else 'are'} {1.0 / r.way:.3g} times what positions say{unit}"
-    cure = Cure("run.yaml", f"correct: {{{channel}: {{scale: {1.0 / factor:.6g}}}}}",
-                {"correct": {channel: {"scale": 1.0 / factor}}})
-    return (forward if alone else both), _error(name, channels, text, 1.0 / r.way, cure)
+    return (forward if alone else both), _error(name, channels, text, 1.0 / r.way,
+                                                Cure.correct(channel, scale=1.0 / factor))
+
+
+def _ways(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[Windows, np.ndarray, np.ndarray]:
+    """(windows of a second, change of position, integrated velocity): east + i north [m]."""
+    over = windows(motion.time, 1.0)
+    return (over, over.change(motion.x) + 1j * over.change(motion.y),
+            over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north)))
 
 
 def _misfit(motion: Motion) -> float:
     """Median distance [m] between change of position and integrated velocity over a second, best turn removed."""
-    over = windows(motion.time, 1.0)
-    east, north = motion.velocity_map
-    derived = over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north))
-    measured = over.change(motion.x) + 1j * over.change(motion.y)
+    over, measured, derived = _ways(motion, *motion.velocity_map)
     turn = np.sum(measured * np.conj(derived))
     return float(np.median(np.abs(measured - derived * turn / max(abs(turn), 1e-300)))) if len(over) else 0.0
 
 
 def _of_map(motion: Motion) -> tuple[Motion, Finding | None]:
     """Velocities east and north: positions go their way without any yaw."""
-    over = windows(motion.time, 1.0)
+    over, measured, derived = _ways(motion, motion.velocity_x, motion.velocity_y)
     if len(over) < LEAST_WINDOWS or not np.ptp(motion.yaw) > LEAST_FOLLOWED:
         return motion, None
-    derived = over.change(integral(motion.time, motion.velocity_x)) + 1j * over.change(
-        integral(motion.time, motion.velocity_y))
-    measured = over.change(motion.x) + 1j * over.change(motion.y)
     misfit = float(np.median(np.abs(measured - derived)))
     if misfit > ALONG * float(np.median(np.abs(measured))) or not misfit < ALONG * _misfit(motion):
         return motion, None
@@ -251,25 +239,21 @@ def _of_map(motion: Motion) -> tuple[Motion, Finding | None]:
 
 def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
     """Yaw against the direction of travel: north for east, or reversed."""
-    over = windows(motion.time, 1.0)
-    east, north = motion.velocity_map
-    derived = over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north))
-    measured = over.change(motion.x) + 1j * over.change(motion.y)
+    over, measured, derived = _ways(motion, *motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     if len(over) < LEAST_WINDOWS or size < LEAST_WAY or abs(total) < 0.5 * size or abs(np.angle(total)) < 0.35:
         return motion, None
     angle = float(np.angle(total))
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is rarer than a sign
-        cure = Cure("run.yaml", "correct: {velocity_x: {scale: -1}}", {"correct": {"velocity_x": {"scale": -1.0}}})
         return motion.with_(velocity_x=-motion.velocity_x), _error(
-            "velocity_x_scale", ("velocity_x",), "velocity_x counts the other way (forward is positive)", -1.0, cure)
+            "velocity_x_scale", ("velocity_x",), "velocity_x counts the other way (forward is positive)", -1.0,
+            Cure.correct("velocity_x", scale=-1.0))
     exact = quarter if abs(angle - quarter) < 0.1 else angle
     turns: dict[float, str] = {
         1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
     words = turns.get(round(exact / (np.pi / 2), 3), "")
     text = f"yaw is {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) off the direction in which positions move{words}"
-    cure = Cure("run.yaml", f"correct: {{yaw: {{add: {-exact:.6g}}}}}", {"correct": {"yaw": {"add": -float(exact)}}})
-    finding = replace(_error("yaw_offset", ("yaw",), text, angle, cure), unit="rad")
+    finding = replace(_error("yaw_offset", ("yaw",), text, angle, Cure.correct("yaw", add=-float(exact))), unit="rad")
     return motion.with_(yaw=motion.yaw - exact), finding

@@ -2,6 +2,7 @@
 told once. Nothing of it leaves the checks."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -106,6 +107,14 @@ def windows(time: np.ndarray, length: float, longest_gap: float = LONGEST_GAP) -
     whole = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
     first, last = first[whole], last[whole]
     return Windows(first, last, time[first])
+
+
+def stretches(times: np.ndarray, apart: float) -> tuple[tuple[float, float], ...]:
+    """Instants [s] that are no further apart than that, as (first, last)."""
+    if not len(times):
+        return ()
+    edges = [0, *(np.flatnonzero(np.diff(times) > apart) + 1).tolist(), len(times)]
+    return tuple((float(times[a]), float(times[b - 1])) for a, b in pairwise(edges))
 
 
 def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:

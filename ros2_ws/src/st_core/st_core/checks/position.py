@@ -125,8 +125,8 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     if not misfit(mirrored) < min(0.8 * min(rivals), min(rivals) - LEAST_GAIN):
         return motion, []
     text = "velocity_y counts the other way (left is positive)"
-    cure = Cure("run.yaml", "correct: {velocity_y: {scale: -1}}", {"correct": {"velocity_y": {"scale": -1.0}}})
-    return mirrored, [Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), text, -1.0, cure=cure)]
+    return mirrored, [Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), text, -1.0,
+                              cure=Cure.correct("velocity_y", scale=-1.0))]
 
 
 def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float]) -> dict[str, Estimate]:
@@ -217,9 +217,7 @@ def _cure(name: str, value: float) -> Cure:
         "position_lag": ("position", {"earlier": value}), "velocity_lag": ("velocity", {"earlier": value}),
         "position_reference": ("position", {"ahead": -value}),
     }[name] if value else ("", {})
-    rounded = {key: float(f"{number:.5g}") for key, number in entry.items()}
-    words = ", ".join(f"{key}: {number:g}" for key, number in rounded.items())
-    return Cure("run.yaml", f"correct: {{{channel}: {{{words}}}}}", {"correct": {channel: rounded}})
+    return Cure.correct(channel, **{key: float(f"{number:.5g}") for key, number in entry.items()})
 
 
 def _mended(motion: Motion, found: dict[str, Estimate]) -> Motion:

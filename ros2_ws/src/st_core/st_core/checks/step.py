@@ -1,7 +1,6 @@
 """Is the integration step short enough for this car at the speeds of a run? See `stability`."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from ..models import Model, get_model
 from ..stability import MOST_SUBSTEPS, growth, slip_speed_needed, stable
 from ..vehicle import VehicleParameters
 from .finding import Cure, Finding, Severity
+from .motion import stretches
 
 SPEEDS = 40
 """looked at, between the lowest and the highest of the run."""
@@ -61,8 +61,4 @@ def _cure(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[
 def _stretches(log: DriveLog, chosen: np.ndarray) -> tuple[tuple[float, float], ...]:
     """Where a mask over the INS samples holds, in s after the first of them; () for the whole run."""
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
-    times = seconds[chosen]
-    if not len(times) or chosen.all():
-        return ()
-    edges = [0, *(np.flatnonzero(np.diff(times) > TOGETHER) + 1).tolist(), len(times)]
-    return tuple((float(times[a]), float(times[b - 1])) for a, b in pairwise(edges))
+    return () if chosen.all() else stretches(seconds[chosen], TOGETHER)

@@ -13,7 +13,7 @@ import numpy as np
 
 from .finding import Cure, Finding, Severity
 from .limits import LIMITS
-from .motion import LONGEST_GAP, MOVING, Motion, integral
+from .motion import LONGEST_GAP, MOVING, Motion, integral, stretches
 from .sampling import resolution
 
 SIGMAS = 6.0  # robust standard deviations from which on a step is none of the noise
@@ -88,7 +88,7 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray, rounding: float)
     its = (back | forward) & (np.abs(away) < 1.6 * age) & (crosswise < CROSSWISE * np.abs(rest))
     return its, [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", (max(share - half, 0.0), min(share + half, 1.0)),
-        _stretches(motion.time[1:][back]), effect,
+        stretches(motion.time[1:][back], 5.0)[:20], effect,
         Cure("look", "stamp positions with their own time, or leave out rows with an old one"))]
 
 
@@ -159,12 +159,3 @@ def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     text = f"the stamps jitter by {deviation * 1e3:.1f} ms, the motion does not: they were made on arrival"
     return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", None, (), effect,
                     Cure("look", "use the time of measurement (GPS time), not that of reception"))]
-
-
-def _stretches(times: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """Runs of instants that are less than 5 s apart."""
-    if not len(times):
-        return ()
-    edges = np.flatnonzero(np.diff(times) > 5.0)
-    first, last = np.concatenate(([0], edges + 1)), np.concatenate((edges, [len(times) - 1]))
-    return tuple((float(times[a]), float(times[b])) for a, b in zip(first, last, strict=True))[:20]

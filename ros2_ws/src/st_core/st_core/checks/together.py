@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
 from ..identification.result import symmetric_interval
+from ..random_effects import random_effects
 from .finding import Checked
 
 FEWEST = 3  # runs
@@ -46,9 +47,7 @@ class Together:
                 "load or the day")
 
     def as_dict(self) -> dict[str, Any]:
-        return {"name": self.name, "unit": self.unit, "runs": self.runs, "told": self.told, "mean": self.mean,
-                "interval": list(self.interval), "between": self.between, "lowest": self.lowest,
-                "highest": self.highest, "alike": self.alike, "text": self.text}
+        return {**asdict(self), "text": self.text}
 
 
 def together(runs: Sequence[Checked]) -> list[Together]:
@@ -83,13 +82,6 @@ def _pooled(name: str, unit: str, rows: np.ndarray, told: int) -> Together:
 
 def _random_effects(rows: np.ndarray) -> tuple[float, tuple[float, float], float, float]:
     """(mean, its interval, standard deviation between rows, Cochran's Q) of rows (value, low, high)."""
-    values, deviation = rows[:, 0], np.maximum((rows[:, 2] - rows[:, 1]) / (2 * 1.96), 1e-12)
-    weights = deviation**-2.0
-    mean = float(weights @ values / weights.sum())
-    excess = float(weights @ (values - mean) ** 2)
-    freedom = max(len(values) - 1, 1)
-    variance = max(excess - freedom, 0.0) / max(weights.sum() - (weights**2).sum() / weights.sum(), 1e-300)
-    weights = 1.0 / (deviation**2 + variance)
-    mean = float(weights @ values / weights.sum())
-    interval = symmetric_interval(mean, float(weights.sum() ** -0.5), freedom)
-    return mean, interval, float(np.sqrt(variance)), excess
+    deviation = np.maximum((rows[:, 2] - rows[:, 1]) / (2 * 1.96), 1e-12)
+    mean, error, between, excess = random_effects(rows[:, 0], np.square(deviation))
+    return mean, symmetric_interval(mean, error, max(len(rows) - 1, 1)), float(np.sqrt(between)), excess

@@ -99,15 +99,14 @@ def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
     exact = factor if 1.0 / LIMITS.steering_unit < abs(value) / factor < LIMITS.steering_unit else abs(value)
     reason = known.get(exact, "")
     signed = float(np.copysign(exact, value))
-    cure = float(f"{1.0 / signed:.6g}")
     other_way = "it counts the other way (left is positive)" if value < 0.0 else ""
     words = " and ".join(filter(None, (reason, other_way)))
     name = "steering_sign" if exact == 1.0 else "steering_scale"
     or_else = "  # or, for CAN logs, the other steering_sign in car.yaml" if name == "steering_sign" else ""
     text = f"road_wheel_angle is {value:.3g} times what yaw rate and speed say" + (f": {words}?" if words else "")
+    cure = Cure.correct("road_wheel_angle", scale=float(f"{1.0 / signed:.6g}"))
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", scale.interval, (), None,
-                   Cure("run.yaml", f"correct: {{road_wheel_angle: {{scale: {cure:g}}}}}{or_else}",
-                        {"correct": {"road_wheel_angle": {"scale": cure}}}))
+                   replace(cure, line=f"{cure.line}{or_else}"))
 
 
 def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters) -> Finding | None:
@@ -118,11 +117,9 @@ def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParame
     effect = _sideways(missed / HORIZON * 2.0, speed, vehicle)
     verb = "lags" if late.value > 0.0 else "leads"
     text = f"the steering {verb} the car's motion by {size_of(late)} s, the car's own response allowed for"
-    value = float(f"{late.value:.3g}")
+    cure = Cure.correct("road_wheel_angle", earlier=float(f"{late.value:.3g}"))
     return Finding("steering_lag", _at_most_warning(effect), ("road_wheel_angle",), text, late.value, "s",
-                   late.interval, (), effect, Cure(
-                       "run.yaml", f"correct: {{road_wheel_angle: {{earlier: {value:g}}}}}  # or --steering-latency",
-                       {"correct": {"road_wheel_angle": {"earlier": value}}}))
+                   late.interval, (), effect, replace(cure, line=f"{cure.line}  # or --steering-latency"))
 
 
 def _offset(found: Agreement, speed: float, vehicle: VehicleParameters, hand_wheel: bool) -> Finding | None:
@@ -142,9 +139,7 @@ def _offset(found: Agreement, speed: float, vehicle: VehicleParameters, hand_whe
 def _straight(left: float, vehicle: VehicleParameters, hand_wheel: bool) -> Cure:
     """left: what the road wheels read when the car goes straight [rad]."""
     if not hand_wheel:
-        add = float(f"{-left:.4g}")
-        return Cure("run.yaml", f"correct: {{road_wheel_angle: {{add: {add:g}}}}}",
-                    {"correct": {"road_wheel_angle": {"add": add}}})
+        return Cure.correct("road_wheel_angle", add=float(f"{-left:.4g}"))
     wheel = vehicle.steering_wheel_offset + left * vehicle.steering_ratio
     return Cure("vehicle", f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
                            "  # check with st identify steering-offset", {"steering_wheel_offset": wheel})
@@ -215,10 +210,8 @@ def _heading(one: Estimate, forward: np.ndarray) -> Finding | None:
     effect = abs(one.value) * float(np.median(forward)) * HORIZON
     text = (f"the heading points {size_of(one)} rad ({abs(one.value) * DEGREE:.2f} deg) to the {side(one)} of where "
             "the car goes when it goes straight: the INS is mounted askew, or the road is banked")
-    value = float(f"{-one.value:.4g}")
     return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, one.value, "rad",
-                   one.interval, (), effect, Cure("run.yaml", f"correct: {{heading: {{add: {value:g}}}}}",
-                                                  {"correct": {"heading": {"add": value}}}))
+                   one.interval, (), effect, Cure.correct("heading", add=float(f"{-one.value:.4g}")))
 
 
 def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:

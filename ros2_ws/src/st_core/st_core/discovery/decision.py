@@ -10,8 +10,6 @@ from .result import Outcome, Reason
 STATED, NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, BOUND, VARIES, MINOR = (
     "stated", "too small", "may be chance", "not surely there", "not worth it", "refuted by the sensors", "on a bound",
     "varies", "minor")
-RULES = (NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, BOUND, VARIES)
-"""In the order in which they are asked; the first that refuses an effect is its verdict."""
 
 
 @dataclass(frozen=True)

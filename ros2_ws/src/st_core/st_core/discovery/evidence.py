@@ -7,6 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
+from ..random_effects import random_effects
 from .fit import Fit, Problem, Slopes
 from .levels import Level
 from .loss import Quadratic
@@ -215,12 +216,12 @@ def falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
 
 def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
     """Distance of the effect's values to their nearest bounds, in usual sizes. A bound at the null, or at what theory
-    says (the initial value), is none."""
+    says, is none."""
     space, nearest = problem.space, np.inf
-    expected = {p.name: (p.null, p.initial) for p in get_effect(effect).parameters}
     for i in space.indices(effect):
+        null = next(p.null for p in get_effect(effect).parameters if p.name == space.free[i].parameter)
         for edge in (space.low[i], space.high[i]):
-            if edge not in expected[space.free[i].parameter]:
+            if edge not in (null, space.free[i].theory):
                 nearest = min(nearest, abs(fit.vector[i] - edge) / space.scale[i])
     return float(nearest)
 
@@ -302,7 +303,7 @@ def of_null(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called: list[str]) -> Agreement:
-    """How much of an effect each part of the driving shows, by random effects (DerSimonian and Laird 1986).
+    """How much of an effect each part of the driving shows, by random effects.
 
     Along the values stated, d, a part shows the share a = 1 + what its own gradient moves it by, everything else that
     was fitted being free but held a little to the whole. Variances carry the design effect of dependent windows.
@@ -334,19 +335,10 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called:
     return pooled(np.array(shares), np.array(variances), names)
 
 
-def random_effects(shares: np.ndarray, variances: np.ndarray) -> tuple[float, float]:
-    """(Cochran's Q, variance between the parts) of two shares or more (DerSimonian and Laird 1986)."""
-    w = 1.0 / variances
-    q = float(w @ np.square(shares - w @ shares / w.sum()))
-    return q, max((q - (len(shares) - 1)) / float(w.sum() - np.square(w).sum() / w.sum()), 0.0)
-
-
 def pooled(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
     said = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
     if len(shares) < 2:
         return Agreement(said, 1.0, 0.0)
-    q, between = random_effects(shares, variances)
-    w = 1.0 / (variances + between)
-    mean = float(w @ shares / w.sum())
+    mean, error, between, q = random_effects(shares, variances)
     return Agreement(said, float(stats.chi2.sf(q, len(shares) - 1)),
-                     float(stats.norm.sf(mean / np.sqrt(between + 1.0 / w.sum()))))
+                     float(stats.norm.sf(mean / np.sqrt(between + error**2))))

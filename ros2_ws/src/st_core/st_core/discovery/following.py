@@ -9,11 +9,12 @@ import numpy as np
 from ..augmented import augment
 from ..errors import StCoreError
 from ..log import OPTIONAL_INS_SIGNALS
+from ..manoeuvres import CATALOGUE
 from .evidence import inverse
 from .fit import Fit, Problem
 from .loss import Errors, Loss
 from .result import FoundEffect, NextManoeuvre, Separability
-from .suggested_drive import CATALOGUE, drive
+from .suggested_drive import drive
 from .windows import Windows
 
 TIMES = 3  # each manoeuvre is driven, as ISO 7401 asks for at least

@@ -104,13 +104,11 @@ def _design(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray
 
 
 def textbook(space: Space) -> np.ndarray:
-    """(p,) the library's usual sizes of what any real car has: physics at the initial values of its effects."""
+    """(p,) what theory says of any car; the base stays of the kind that was asked for."""
     vector = space.null.copy()
     for i, free in enumerate(space.free):
-        effect = get_effect(free.effect)
-        if effect.kind == "physics" and not effect.lifts:
-            expected = next(p.initial for p in effect.parameters if p.name == free.parameter)
-            vector[i] = expected if expected in free.bounds else vector[i]
+        if free.theory is not None and not get_effect(free.effect).lifts:
+            vector[i] = free.theory
     return vector
 
 

@@ -236,9 +236,7 @@ class Search:
         q = fit.quadratic
         rest = tuple(n for n in fit.names if n != name)
         gone = np.isin(fit.which, np.setdiff1d(p.space.indices(name), p.space.indices(*rest)))
-        d = _held_at(q, np.where(gone, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0), ~gone)
-        h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
-        return float(d @ h @ d - 2.0 * g @ d)
+        return _held_at(q, np.where(gone, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0), ~gone)[0]
 
     def _pruned(self, vector: np.ndarray, names: list[str]) -> Fit | None:
         """From many effects at once, held a little, without those that are missed least; None if that is not new."""
@@ -257,12 +255,10 @@ class Search:
         everything = p.everything(vector)
         q = p.loss.quadratic(p.errors.at(vector), everything.values)
         back = (p.start - vector) / p.space.scale
-        h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
 
         def cost(kept: list[str]) -> float:
             free = np.isin(everything.which, p.which(kept))
-            d = _held_at(q, np.where(free, 0.0, back), free)
-            return float(d @ h @ d - 2.0 * g @ d)
+            return _held_at(q, np.where(free, 0.0, back), free)[0]
         while names:
             now = cost(names)
             missed = {n: cost([m for m in names if m != n]) - now for n in names}
@@ -346,20 +342,19 @@ class Search:
         p = self.problem
         everything = np.arange(len(p.space))
         free = np.isin(everything, p.which((*rest, other)))
-        d = _held_at(q, np.where(free, 0.0, (p.start - fit.vector) / p.space.scale), free)
-        cost = float(d @ q.hessian.sum(axis=0) @ d - 2.0 * q.gradient.sum(axis=0) @ d)
+        cost, d = _held_at(q, np.where(free, 0.0, (p.start - fit.vector) / p.space.scale), free)
         return cost, p.moved(fit.vector, everything, d)
 
 
-def _held_at(q: Quadratic, fixed: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """The best step with some of its parts `fixed`, the others `free`."""
+def _held_at(q: Quadratic, fixed: np.ndarray, free: np.ndarray) -> tuple[float, np.ndarray]:
+    """(loss more, the best step) with some parts of the step `fixed`, the others `free`."""
     d = np.array(fixed)
+    h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
     if free.any():
-        h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         a = h[np.ix_(free, free)]
         a = a + 1e-6 * (np.trace(a) / len(a) + 1e-9) * np.eye(len(a))
         d[free] = np.linalg.solve(a, g[free] - h[np.ix_(free, ~free)] @ d[~free])
-    return d
+    return float(d @ h @ d - 2.0 * g @ d), d
 
 
 def no_worse(difference: np.ndarray) -> float:

@@ -27,6 +27,7 @@ class Free:
     usual: float
     bounds: tuple[float, float]
     sign: float
+    theory: float | None
 
 
 class Space:
@@ -46,7 +47,7 @@ class Space:
         self.model = everything.with_values(values)
         self.null = np.append(self.model.vector, 0.0)
         self.free = tuple(Free(e, p.name, p.unit, float(null), usual_size(e, p.unit), p.bounds,
-                               1.0 if p.initial > p.null else -1.0)
+                               1.0 if p.initial > p.null else -1.0, p.theory)
                           for (e, p), null in zip(self.model.free, self.null[:-1], strict=True))
         self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
         self._places = {name: np.flatnonzero(self.effect_of == name).tolist() for name in dict.fromkeys(self.effect_of)}

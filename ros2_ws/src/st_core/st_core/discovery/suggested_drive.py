@@ -6,7 +6,7 @@ from ..augmented import AugmentedModel
 from ..channels import CHANNELS, FURTHER
 from ..handling import understeer_coefficient
 from ..log import DriveLog
-from ..manoeuvres import CATALOGUE, Manoeuvre
+from ..manoeuvres import Manoeuvre
 from ..prediction import predict
 from ..readings import corrected_steering, true_readings
 from ..types import InputSequence, VehicleState
@@ -17,8 +17,6 @@ PERIOD = STEP / 2
 """s, of the simulated log."""
 LEAD = 4.0
 """s before the start in which the hands come to where they are at the start, so that the drive begins steadily."""
-
-__all__ = ["CATALOGUE", "drive"]
 
 
 def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:

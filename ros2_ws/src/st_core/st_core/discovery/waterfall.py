@@ -7,7 +7,8 @@ from scipy import stats
 
 from ..channels import OF_COLUMN, UNITS
 from ..effects import get_effect
-from .evidence import TWO_SIDED, agreement, covariance, inverse, random_effects
+from ..random_effects import random_effects
+from .evidence import TWO_SIDED, agreement, covariance, inverse
 from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
@@ -92,9 +93,8 @@ def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
     if len(said) < 3:
         return 0.0
     shares, deviations = np.array(list(said.values())).T
-    _, between = random_effects(shares, np.square(deviations))
-    error = 1.0 / (1.0 / (np.square(deviations) + between)).sum()
-    return TWO_SIDED * float(np.sqrt(between + error))
+    _, error, between, _ = random_effects(shares, np.square(deviations))
+    return TWO_SIDED * float(np.sqrt(between + error**2))
 
 
 def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,

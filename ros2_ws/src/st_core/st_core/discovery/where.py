@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -65,7 +65,7 @@ def survey(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehiclePara
     expected = sample(reference, model, vehicle, settings, gain) if reference else None
     if expected is not None:
         common = [c for c in samples.squares if c in expected.squares and np.isfinite(expected.squares[c]).any()]
-        samples = _only(samples, common)
+        samples = replace(samples, squares={c: samples.squares[c] for c in common})
     sigma = {channel: (noise or {}).get(channel, 0.0) for channel in samples.squares}
     ranges, members = membership(samples)
     bins = excesses(samples, members, ranges, expected, sigma, settings.seed, RESAMPLES)
@@ -78,11 +78,6 @@ def survey(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehiclePara
     statements = tuple(s for channel in samples.squares
                        for s in _statements(channel, bins, parts, places, samples, expected is not None))
     return Survey(statements, samples, expected, bins, tuple(parts), tuple(places))
-
-
-def _only(samples: Samples, channels: Sequence[str]) -> Samples:
-    return Samples(samples.names, samples.run, samples.time, samples.x, samples.y, samples.block, samples.conditions,
-                   {c: samples.squares[c] for c in channels})
 
 
 def _significant(found: list[Cell]) -> list[Cell]:

@@ -9,7 +9,7 @@ miss alike. Which bins count is decided over all bins at once (Benjamini and Hoc
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -175,6 +175,5 @@ def judged(found: list[BinExcess]) -> tuple[BinExcess, ...]:
         return ()
     p = np.array([f.p for f in found])
     adjusted = stats.false_discovery_control(p, method="bh")
-    return tuple(BinExcess(f.channel, f.range, f.excess, f.interval, f.p, f.blocks, f.level, f.covered,
-                           bool(q <= FALSE_DISCOVERIES and f.excess >= RELEVANT))
+    return tuple(replace(f, significant=bool(q <= FALSE_DISCOVERIES and f.excess >= RELEVANT))
                  for f, q in zip(found, adjusted, strict=True))

@@ -186,7 +186,7 @@ class Windows:
         log, width = self.joined, round(2 * STEP / NANOSECOND)
         signals = Signals(log, 0.1)
         names = {"x": False, "y": False, "yaw": False, "velocity_x": False} | {
-            name: channel.smoothed for channel in self.channels for name in channel.measured_by}
+            name: channel.smoothed for channel in self.channels for name in channel.signals}
         result = {}
         for name, smooth in names.items():
             values = getattr(log, name)
@@ -198,7 +198,7 @@ class Windows:
     @cached_property
     def known(self) -> np.ndarray:
         """(n, m) which errors of a window, all points and columns in a row, have a measurement."""
-        there = [np.isfinite([self._measured[name] for name in channel.measured_by]).all(axis=0)
+        there = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                  for channel in self.channels for _ in channel.columns]
         return np.stack(there, axis=-1).reshape(len(self), -1)
 
@@ -264,7 +264,7 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
 
 def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
     """All runs on one clock, PAUSE_NS apart, and what was added to the times of each."""
-    names = dict.fromkeys((*INS_SIGNALS, *(name for channel in CHANNELS.values() for name in channel.measured_by)))
+    names = dict.fromkeys((*INS_SIGNALS, *(name for channel in CHANNELS.values() for name in channel.signals)))
     offsets, at = [], 0
     for run in runs:
         offsets.append(at - run.start_ns)

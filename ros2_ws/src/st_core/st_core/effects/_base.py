@@ -1,6 +1,5 @@
 """What an effect is, and the registry of all effects."""
 
-import difflib
 import math
 import re
 import sys
@@ -13,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from ..channels import CHANNELS
 from ..errors import ConfigurationError
+from ..yaml_text import nearest
 
 KINDS = ("kinematic", "linear", "nonlinear")
 DYNAMIC = frozenset(("linear", "nonlinear"))
@@ -31,7 +31,8 @@ class Parameter:
     limits, inclusive. source: where initial and bounds come from. meaning: in a few words, sign included.
     odd: changes sign when left and right are exchanged. fit: False for a constant of the car that the effect needs and
     a fit leaves alone; null is then its default. identity: the estimate of `st_core.checks.check` that measures it
-    without a fit to the car, same value, sign and unit; "" where there is none.
+    without a fit to the car, same value, sign and unit; "" where there is none. theory: what physics says it is in any
+    car; None where that is of the single car.
     Raises ConfigurationError when these contradict each other.
     """
 
@@ -45,13 +46,15 @@ class Parameter:
     odd: bool = False
     fit: bool = True
     identity: str = ""
+    theory: float | None = None
 
     def __post_init__(self):
         low, high = self.bounds
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise ConfigurationError(f"parameter {self.name}: bounds {self.bounds} are not two rising numbers")
-        for which in ("null", "initial"):
-            if not low <= getattr(self, which) <= high:
+        for which in ("null", "initial", "theory"):
+            value = getattr(self, which)
+            if value is not None and not low <= value <= high:
                 raise ConfigurationError(f"parameter {self.name}: {which} is outside its bounds")
         if self.fit and self.null == self.initial:
             raise ConfigurationError(f"parameter {self.name}: initial equals null; a fit would start at nothing")
@@ -233,8 +236,7 @@ def _check_attributes(effect: type[Effect]) -> None:
         if key.startswith("_"):
             continue
         if key not in vars(Effect) and key not in Effect.__annotations__:
-            near = difflib.get_close_matches(key, [*vars(Effect), *Effect.__annotations__], n=1)
-            raise ConfigurationError(f"unknown attribute {key}{f', did you mean {near[0]}?' if near else ''}")
+            raise ConfigurationError(f"unknown attribute {key}{nearest(key, [*vars(Effect), *Effect.__annotations__])}")
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
             raise ConfigurationError(f"{key} must be a @staticmethod")
 
@@ -291,9 +293,8 @@ def get_effect(name: str) -> type[Effect]:
     if name in UNLISTED:
         return UNLISTED[name]
     if name not in EFFECTS:
-        near = difflib.get_close_matches(name, EFFECTS, n=1)
-        hint = f", did you mean {near[0]}?" if near else ""
-        raise ConfigurationError(f"unknown effect {name!r}{hint}; known are {', '.join(sorted(EFFECTS))}")
+        known = ", ".join(sorted(EFFECTS))
+        raise ConfigurationError(f"unknown effect {name!r}{nearest(name, EFFECTS)}; known are {known}")
     return EFFECTS[name]
 
 

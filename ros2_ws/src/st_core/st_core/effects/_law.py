@@ -47,6 +47,11 @@ class Car(NamedTuple):
     load_rear: float
 
 
+def load(vehicle) -> Car:
+    per_length = GRAVITY * vehicle.mass / vehicle.wheelbase
+    return Car(per_length * vehicle.cg_to_rear_axle, per_length * vehicle.cg_to_front_axle)
+
+
 def bump(t):
     """Cubic B-spline: 2/3 at 0, 1/6 at +-1, 0 from +-2 on."""
     far, near = maximum(2.0 - absolute(t), 0.0 * t), maximum(1.0 - absolute(t), 0.0 * t)
@@ -113,9 +118,7 @@ class Law(Effect):
     order = 90
     parameters = _parameters()
 
-    @staticmethod
-    def constants(vehicle):
-        return load(vehicle)
+    constants = staticmethod(load)
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, at, given, theta):
@@ -184,9 +187,7 @@ class LawTimed(Effect):
     signals = ("run_time",)
     parameters = _parameters()
 
-    @staticmethod
-    def constants(vehicle):
-        return load(vehicle)
+    constants = staticmethod(load)
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, at, given, theta):
@@ -196,11 +197,6 @@ class LawTimed(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):
         return gripped(forces, slip_front, slip_rear, at, curve(given[0], theta), theta)
-
-
-def load(vehicle) -> Car:
-    per_length = GRAVITY * vehicle.mass / vehicle.wheelbase
-    return Car(per_length * vehicle.cg_to_rear_axle, per_length * vehicle.cg_to_front_axle)
 
 
 def remembered(at, theta):

@@ -1,6 +1,5 @@
 """Effects of the user: every module of a folder. The import system does the looking and reading."""
 
-import difflib
 import hashlib
 import importlib
 import pkgutil
@@ -10,6 +9,7 @@ from importlib.machinery import FileFinder
 from types import ModuleType
 
 from ..errors import ConfigurationError
+from ..yaml_text import nearest
 from ._base import EFFECTS, Effect, source_file
 
 
@@ -77,9 +77,8 @@ def _check_others(names: Iterable[str], known: Iterable[str], folder: str) -> No
         for key in ("twins", "members"):
             for other in getattr(EFFECTS[name], key):
                 if other not in known:
-                    near = difflib.get_close_matches(other, known, n=1)
                     raise ConfigurationError(f"{folder}: effect {name}: {key}: there is no effect {other}"
-                                             f"{f', did you mean {near[0]}?' if near else ''}")
+                                             f"{nearest(other, known)}")
 
 
 def _import(module: str, file: str) -> None:

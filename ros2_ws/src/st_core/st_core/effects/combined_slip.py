@@ -39,7 +39,7 @@ class CombinedSlip(Effect):
     order = 80
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: the whole ellipse",
-                  source="theory: 1"),
+                  source="theory", theory=1.0),
     )
 
     @staticmethod

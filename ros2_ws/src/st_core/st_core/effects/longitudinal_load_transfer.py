@@ -6,7 +6,6 @@ height is what the base model lacks: all of it for linear tyres, the excess over
 How a tyre answers is the Magic Formula's of the vehicle file, two tyres per axle, F_z their loads with the file's CG.
 """
 
-from ..models.nonlinear_tyre import Parameters as TyreParameters
 from ..models.nonlinear_tyre import axle_loads
 from ..models.nonlinear_tyre import parameters as tyre_parameters
 from ..tyres import magic_formula_coefficients, magic_formula_force
@@ -35,9 +34,7 @@ class LongitudinalLoadTransfer(Effect):
                   meaning="of the CG, beyond the base model's", source="CG of passenger cars 0.4-0.8 m"),
     )
 
-    @staticmethod
-    def constants(vehicle) -> TyreParameters:
-        return tyre_parameters(vehicle)
+    constants = staticmethod(tyre_parameters)
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):

@@ -20,9 +20,7 @@ class SteeredDriveForce(Effect):
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: all of it", source="theory: 1"),
     )
 
-    @staticmethod
-    def constants(vehicle):
-        return drive_of(vehicle)
+    constants = staticmethod(drive_of)
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, at, given, theta):

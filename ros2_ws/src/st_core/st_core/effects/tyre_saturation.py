@@ -20,12 +20,10 @@ class TyreSaturation(Effect):
     order = 10
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: tyres as in the vehicle file",
-                  source="theory: 1"),
+                  source="theory", theory=1.0),
     )
 
-    @staticmethod
-    def constants(vehicle):
-        return tyre_parameters(vehicle)
+    constants = staticmethod(tyre_parameters)
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):

@@ -21,12 +21,10 @@ class TyreSlip(Effect):
     prepared = ("sine", "cosine", "velocity_x_dot")
     parameters = (
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: tyres as in the vehicle file",
-                  source="theory: 1"),
+                  source="theory", theory=1.0),
     )
 
-    @staticmethod
-    def constants(vehicle):
-        return linear_parameters(vehicle)
+    constants = staticmethod(linear_parameters)
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):

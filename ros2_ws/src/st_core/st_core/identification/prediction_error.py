@@ -70,7 +70,6 @@ class Fit:
     noise: np.ndarray
     run_of: np.ndarray
     time: np.ndarray
-    evaluations: int
     at_bound: tuple[str, ...] = field(default=())
 
     def bootstrap(self, count: int, seed: int) -> resampling.Drawn:
@@ -144,12 +143,11 @@ class PredictionError:
         values = np.array(self.start if start is None else start, float)
         free = np.array([i for i in range(len(self.names)) if i not in fixed], int)
         counted = np.sqrt(np.ones(len(self.starts)) if weights is None else np.asarray(weights, float))[self.run_of]
-        evaluations, rounds = 0, 1 if noise is not None else MOST_ROUNDS
+        rounds = 1 if noise is not None else MOST_ROUNDS
         noise = _size(self.residuals(values)) if noise is None else noise
         for number in range(rounds):
             solution = self._solve(values, free, noise, counted)
             values[free] = solution.x * self._scale[free]
-            evaluations += solution.nfev + len(free) * solution.njev
             left = _size(solution.fun.reshape(-1, 2) * noise)
             if number + 1 == rounds or np.abs(left / noise - 1.0).max() < SETTLED:
                 break
@@ -159,7 +157,7 @@ class PredictionError:
         bound = tuple(n for i, n in enumerate(self.names)
                       if i in free and not lower[i] + near[i] < values[i] < upper[i] - near[i])
         return Fit(self.names, values, solution.fun, solution.jac / self._scale[free], noise,
-                   np.repeat(self.run_of, 2), np.repeat(self.time, 2), evaluations, bound)
+                   np.repeat(self.run_of, 2), np.repeat(self.time, 2), bound)
 
     def _solve(self, values: np.ndarray, free: np.ndarray, noise: np.ndarray, counted: np.ndarray) -> OptimizeResult:
         latest: dict[bytes, np.ndarray] = {}

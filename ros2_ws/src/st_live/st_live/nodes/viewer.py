@@ -19,8 +19,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from st_core.vehicle import VehicleParameters
 from st_msgs.msg import ErrorSummary, InsStatus, Prediction, PredictionError, PredictorStatus, Steering
+from st_recordings.car import read_vehicle
 from st_ros.polling import PolledSubscription
 from st_ros.scheduling import lower
 
@@ -79,12 +79,11 @@ def main() -> int:
     parser.add_argument("--save", type=Path, help="file to write as well, .rrd")
     options = parser.parse_args()
     lower(VIEW_NICE)
-    car = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
     sinks = [*([rr.GrpcSink(options.server)] if options.server else ()),
              *([rr.FileSink(str(options.save))] if options.save else ())]
     drawing = recording(options.title, FLUSH, *sinks)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    viewer = Viewer(Feed(Scene(drawing, car), options.map_frame))
+    viewer = Viewer(Feed(Scene(drawing, read_vehicle(options.vehicle)), options.map_frame))
 
     def stop(number: int, frame: FrameType | None) -> None:
         viewer.stop = True

@@ -18,6 +18,7 @@ from st_recordings.runs import RunError, RunSource, read
 
 from ..evaluation.drawing import Place
 from ..evaluation.work import Task, load_models
+from ..terminal import line, tell_files
 from . import shown
 from .choice import Key, cheapest
 from .cost import Cost, costs
@@ -48,7 +49,7 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
     chosen = shown.choice_rows(cheapest(advice.costs, advice.worths, tolerance))
     console.print(shown.table(chosen, shown.choice_title(tolerance), ""))
     for (model, step), why in advice.unusable.items():
-        console.print(f"[yellow]{escape(model)}, {step:g} s: {escape(why)}[/yellow]", highlight=False, soft_wrap=True)
+        line(f"[yellow]{escape(model)}, {step:g} s: {escape(why)}[/yellow]", console)
     if task.folder is None:
         return
     file = task.folder / "advice.csv"
@@ -58,8 +59,7 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
         writer.writerows(found)
     if advice.worths:
         shown.figure(advice.costs, advice.worths, tolerance, Place(task.folder, task.formats))
-    console.print(f"  {escape(str(file))}  [dim]cost, error and band of each model and step[/dim]", highlight=False,
-                  soft_wrap=True)
+    tell_files({file: "cost, error and band of each model and step"}, console)
 
 
 def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advice:

@@ -9,6 +9,7 @@ from rich.table import Table
 from st_predictor.palette import MODEL_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..terminal import rows_table
 from .choice import Key, paid, speed_label
 from .cost import Cost
 from .worth import SHARE, Worth
@@ -40,13 +41,8 @@ def choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str
 
 
 def table(found: Sequence[Mapping[str, str]], title: str, caption: str) -> Table:
-    shown = Table(title=title, title_justify="left", title_style="bold", box=None, caption=caption,
-                  caption_justify="left", padding=(0, 1))
-    for name in found[0] if found else ():
-        shown.add_column(name, overflow="fold")
-    for row in found:
-        shown.add_row(*row.values())
-    return shown
+    return rows_table(found, title=title, title_justify="left", title_style="bold", caption=caption,
+                      caption_justify="left", padding=(0, 1))
 
 
 def caption(worths: Mapping[Key, Worth]) -> str:

@@ -19,6 +19,7 @@ from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
 from ..checking.gate import passed
 from ..evaluation.work import Task, load_models, model_hashes
+from ..terminal import line
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,8 @@ def run_command(job: Job, console: Console) -> int:
     except OSError as error:
         raise OutputError(f"{job.output}: cannot be written: {error.strerror}") from None
     starts = sum(len(one.conditions) for one in samples)
-    console.print(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} "
-                  f"starts; {len(samples)} runs can promise {most_promised(len(samples)):.1%} at most",
-                  highlight=False, soft_wrap=True)
+    line(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} starts; "
+         f"{len(samples)} runs can promise {most_promised(len(samples)):.1%} at most", console)
     return 1 if problems else 0
 
 
@@ -77,7 +77,7 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
                 samples.append(run_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
         except (RunError, StCoreError) as error:
             problems.append(f"{source.name}: {' '.join(str(error).split())}")
-            console.print(f"[red]{escape(problems[-1])}[/red]", highlight=False, soft_wrap=True)
+            line(f"[red]{escape(problems[-1])}[/red]", console)
             continue
         recordings.update({Path(file).name: digest for file, digest in run.provenance["files"].items()})
     return samples

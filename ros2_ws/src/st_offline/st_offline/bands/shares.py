@@ -16,6 +16,7 @@ from st_core.vehicle import VehicleParameters
 from st_predictor.palette import MODEL_COLOUR
 
 from ..evaluation.drawing import GRID, WIDTH, Drawn, Place, finish, style
+from ..terminal import rows_table
 from .sums import Sums
 
 REMAINS = "what remains"
@@ -88,13 +89,9 @@ def shares_table(shares: Mapping[str, Any], width: int) -> Table | None:
     rows = share_rows(shares)
     if not rows:
         return None
-    table = Table(title="What the error is made of, inputs as they were: shares of its mean square, along | across",
-                  box=None, width=min(width, 140))
-    for title in rows[0]:
-        table.add_column(title, overflow="fold")
-    for row in rows:
-        table.add_row(*row.values())
-    return table
+    return rows_table(
+        rows, title="What the error is made of, inputs as they were: shares of its mean square, along | across",
+        width=min(width, 140))
 
 
 def share_figures(shares: Mapping[str, Any], place: Place) -> list[Drawn]:

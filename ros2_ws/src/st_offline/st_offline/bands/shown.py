@@ -5,6 +5,7 @@ from typing import Any
 
 from rich.table import Table
 
+from ..terminal import rows_table
 from .sums import finished, pooled_sums
 
 HOW_TO_GET = ("[dim]bands: none given; `st calibrate RUN… --vehicle FILE --output bands.yaml` learns them from "
@@ -33,15 +34,10 @@ def bands_table(reports: Sequence[Any], width: int) -> Table | None:
     if not any(report.bands for report in reports):
         return None
     content = finished(pooled_sums([report.bands for report in reports]))
-    rows = band_rows(content)
     known = content["known_recordings"]
     caption = f"{len(known)} of the files were calibrated with: that is no test of the bands" if known else None
-    table = Table(title="Bands: how often the whole path lies inside", box=None, caption=caption, width=min(width, 200))
-    for title in rows[0]:
-        table.add_column(title, overflow="fold")
-    for row in rows:
-        table.add_row(*row.values())
-    return table
+    return rows_table(band_rows(content), title="Bands: how often the whole path lies inside", caption=caption,
+                      width=min(width, 200))
 
 
 def _last(seconds: dict[str, dict[str, float]] | None) -> dict[str, float] | None:

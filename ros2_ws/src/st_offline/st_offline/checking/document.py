@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from st_core.checks import SCHEMA, Checked, Cure, Finding, Identity, Severity, together
 from st_core.vehicle import VehicleParameters
+from st_recordings.plain_json import finite
 from st_recordings.results import versions
 from st_recordings.runs import RunSource
 
-from ..plain_json import finite
 from . import words
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from st_core.checks import Checked, Extras, Finding, Severity, check
 from st_core.checks.step import step_too_long
+from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
@@ -19,6 +20,8 @@ from . import words
 from .document import documents
 
 STEP = PredictionSettings().step
+PROBLEMS = (RunError, StCoreError, MemoryError, OSError)
+"""What may be wrong with one of many runs: the others go on."""
 ADVICE = "mend it as `st check` proposes, or go on all the same with --force"
 
 
@@ -83,3 +86,12 @@ def passed(where: Path | str, log: DriveLog, vehicle: VehicleParameters, extras:
     findings = checked_log(log, vehicle, extras, models, step).findings
     refuse(where, findings, force)
     return documents(findings)
+
+
+def in_words(error: Exception, source: RunSource) -> str:
+    """One line on one of PROBLEMS."""
+    if isinstance(error, MemoryError):
+        return f"{source.where}: too large for the memory of this machine"
+    if isinstance(error, OSError):
+        return f"{error.filename or source.where}: {error.strerror or error}"
+    return " ".join(str(error).split())

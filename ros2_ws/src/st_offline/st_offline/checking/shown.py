@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.markup import escape
 from st_core.checks import Checked, Finding, Severity, together
 
+from ..terminal import line, tell_problem
 from . import words
 from .document import CheckedRun
 
@@ -15,11 +16,10 @@ STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"
 def show(run: CheckedRun, console: Console) -> None:
     """The verdict in a line, then what was found."""
     if run.problem:
-        console.print(f"[red]{escape(run.name)}[/red]: {escape(run.problem)}", highlight=False, soft_wrap=True)
+        tell_problem(run.name, run.problem, console)
         return
-    console.print(f"[bold]{escape(run.name)}[/bold]: [{_colour(run.checked)}]{escape(words.verdict(run.checked))}[/]  "
-                  f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]",
-                  highlight=False, soft_wrap=True)
+    line(f"[bold]{escape(run.name)}[/bold]: [{_colour(run.checked)}]{escape(words.verdict(run.checked))}[/]  "
+         f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]", console)
     for finding in run.checked.findings:
         _show_finding(finding, console)
 
@@ -30,13 +30,13 @@ def _colour(checked: Checked) -> str:
 
 
 def _show_finding(finding: Finding, console: Console) -> None:
-    console.print(f"  [{STYLE[finding.severity]}]{finding.severity.value}[/] [bold]{escape(finding.name)}[/bold]: "
-                  f"{escape(finding.text)}", highlight=False, soft_wrap=True)
+    line(f"  [{STYLE[finding.severity]}]{finding.severity.value}[/] [bold]{escape(finding.name)}[/bold]: "
+         f"{escape(finding.text)}", console)
     about = [words.where(finding), words.effect(finding)]
-    console.print(f"    [dim]{escape('; '.join(filter(None, about)))}[/dim]", highlight=False, soft_wrap=True)
+    line(f"    [dim]{escape('; '.join(filter(None, about)))}[/dim]", console)
     if finding.cure:
-        console.print(f"    cure, {escape(words.cure(finding.cure))}" if words.PLACE[finding.cure.kind] else
-                      f"    cure: {escape(finding.cure.line)}", highlight=False, soft_wrap=True)
+        line(f"    cure, {escape(words.cure(finding.cure))}" if words.PLACE[finding.cure.kind] else
+             f"    cure: {escape(finding.cure.line)}", console)
 
 
 def show_together(runs: Sequence[Checked], console: Console) -> None:
@@ -45,11 +45,10 @@ def show_together(runs: Sequence[Checked], console: Console) -> None:
     if found:
         console.print("[bold]all runs together[/bold]", highlight=False)
     for one in found:
-        console.print(f"  {escape(one.text)}", highlight=False, soft_wrap=True)
+        line(f"  {escape(one.text)}", console)
 
 
 def say(name: str, findings: Sequence[Finding], console: Console) -> None:
     """The findings of a run a line each, for verbs that speak of other things."""
     for finding in findings:
-        console.print(f"[{STYLE[finding.severity]}]{escape(name)}: {escape(words.line(finding))}[/]", highlight=False,
-                      soft_wrap=True)
+        line(f"[{STYLE[finding.severity]}]{escape(name)}: {escape(words.line(finding))}[/]", console)

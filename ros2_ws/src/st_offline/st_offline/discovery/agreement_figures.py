@@ -101,8 +101,7 @@ def bound(scene: Scene) -> Drawn | None:
         axes = figure.add_subplot(grid[0])
         _shares(axes, list(enumerate(told)))
         axes.set_yticks(range(len(told)), [v.where for v in told], fontsize=7)
-        axes.set_ylim(len(told) - 0.5, -0.5)
-        axes.set_xlabel("share")
+        axes.set(ylim=(len(told) - 0.5, -0.5), xlabel="share")
         if count:
             _maps(figure, [figure.add_subplot(grid[k + 1]) for k in range(count)], groups, shown, scene)
         title = (f"Tied to {one.to}, and not named: something like {quantities.plain(one.resembles)} "

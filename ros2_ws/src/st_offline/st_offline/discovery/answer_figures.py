@@ -42,9 +42,8 @@ def waterfall(scene: Scene) -> Drawn | None:
         _label(axes, last, len(steps) + 1, quantities.metres(last))
         axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
         axes.set_yticks(range(len(steps) + 2), [*rows, "with all that was found"])
-        axes.set_ylim(len(steps) + 1.6, -0.6)
-        axes.set_xlim(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps)))
-        axes.set_xlabel("mean position error after 5 s on held-out driving, m")
+        axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
+                 xlabel="mean position error after 5 s on held-out driving, m")
         handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
                    Patch(color=AFTER, label="with what was found"), Patch(color=AFTER, alpha=0.65, label="taken away"),
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]

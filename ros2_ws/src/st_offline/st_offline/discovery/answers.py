@@ -2,10 +2,8 @@
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
-from functools import cache as remembered
 from itertools import repeat
 from pathlib import Path
 from types import NoneType
@@ -20,6 +18,8 @@ from st_core.log import DriveLog
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
 
+from .drives import code_of, name_of, put
+
 FORMAT = 1  # of what is kept; another number makes older files useless
 
 
@@ -27,22 +27,16 @@ def key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: Vehicl
         settings: DiscoverySettings, effects: Mapping[str, str], identities: Mapping[str, Sequence[float]]) -> str:
     """Of everything an answer depends on, the code included."""
     values = base.values if isinstance(base, AugmentedModel) else {}
-    content = [FORMAT, _code(), [_digest(log) for log in runs], [_digest(log) for log in reference], vehicle.hash,
-               _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
+    content = [FORMAT, code_of(st_core), [_digest(log) for log in runs], [_digest(log) for log in reference],
+               vehicle.hash, _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in identities.items())]
-    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
+    return name_of(content)
 
 
 def keep(file: Path, found: Discovery) -> None:
-    """Written beside and moved into place, so that a start cut short leaves nothing half. A full disk is no reason."""
+    """Into the file that `kept` reads; nothing where it cannot be written."""
     content = {**found.document(), "base": _model(found.base), "model": found.model and _model(found.model)}
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        beside = file.with_name(f".{file.stem}.{os.getpid()}.json")
-        beside.write_text(json.dumps(content), encoding="utf-8")
-        beside.replace(file)
-    except OSError:
-        return
+    put(file, lambda beside: beside.write_text(json.dumps(content), encoding="utf-8"))
 
 
 def kept(file: Path) -> Discovery | None:
@@ -87,10 +81,3 @@ def _digest(log: DriveLog) -> str:
         if isinstance(values, np.ndarray):
             content.update(field.name.encode() + values.tobytes())
     return content.hexdigest()
-
-
-@remembered
-def _code() -> str:
-    """Of the code of the core: what another version found is not believed."""
-    files = sorted(Path(st_core.__file__).parent.rglob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

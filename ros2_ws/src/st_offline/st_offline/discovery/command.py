@@ -8,28 +8,29 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import Progress
 from st_core.checks import pooled
 from st_core.discovery import Discovery, DiscoverySettings, discover
 from st_core.discovery.where import survey
 from st_core.effects import load_folder
+from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.proposals import Proposals, propose, wanted
 from st_core.vehicle import VehicleParameters
 from st_recordings.output import new_folder
+from st_recordings.plain_json import as_text, finite
 from st_recordings.runs import ReadSettings, find_runs
 
 from ..checking.document import findings_in
 from ..checking.shown import say
-from ..evaluation.command import FORMATS
-from ..evaluation.drawing import Drawn, Place
-from ..plain_json import finite
+from ..evaluation.drawing import Drawn, Place, check_formats
+from ..terminal import progress_bars
 from . import answers, proposed
 from .agreement_figures import agreement, bound
 from .answer_figures import budget, certificate, runs, waterfall
-from .document import document, model_file, write_json
+from .document import document, model_file
 from .drive_figures import maps, over_time, paths
 from .drives import Drive, cache_folder, read_drives
 from .figures import Scene, candidates, conditions, gap
@@ -38,10 +39,6 @@ from .mending import Mended, mend
 from .page import write_page
 from .question import Question
 from .shown import show
-
-
-class CommandError(RuntimeError):
-    """Nothing can be started; one line for the user."""
 
 
 @dataclass(frozen=True)
@@ -68,16 +65,13 @@ class Job:
 
 
 def run_command(job: Job, console: Console) -> int:
-    """Exit status: 0 answered from all runs, 1 some runs could not be used. Raises CommandError, StCoreError."""
-    unknown = [form for form in job.formats if form not in FORMATS]
-    if unknown:
-        raise CommandError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
+    """Exit status: 0 answered from all runs, 1 some runs could not be used. Raises ConfigurationError, StCoreError."""
+    check_formats(job.formats)
     own = own_effects(job.effects)
     base = base_model(job.base, job.vehicle, job.vehicle_file)
     folder = new_folder(job.output, "discover")
     marks = [time.perf_counter()]
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    with progress_bars(console) as progress:
         suspect, healthy = _read(job, progress)
         marks.append(time.perf_counter())
         found, earlier = _answer(job, base, suspect, healthy, own, progress)
@@ -112,15 +106,16 @@ def own_effects(folder: Path | None) -> dict[str, str]:
 
 
 def base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Model:
-    """The base model of a name or a model file. Raises CommandError or ConfigurationError, one line."""
+    """The base model of a name or a model file. Raises ConfigurationError, one line."""
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
-            raise CommandError(f"--base {name}: there are {', '.join(MODELS)}, or a model file (.yaml)")
+            raise ConfigurationError(f"--base {name}: there are {', '.join(MODELS)}, or a model file (.yaml)")
         return get_model(name)
     try:
         text = Path(name).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise CommandError(f"--base {name}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        why = getattr(error, "strerror", None) or error
+        raise ConfigurationError(f"--base {name}: cannot be read: {why}") from None
     file = ModelFile.from_yaml(text, name)
     file.check_vehicle(vehicle, vehicle_file)
     return file.model()
@@ -130,32 +125,32 @@ def _read(job: Job, progress: Progress) -> tuple[list[Drive], list[Drive]]:
     sources = find_runs(job.runs)
     healthy = find_runs(job.reference) if job.reference else []
     if not sources:
-        raise CommandError("no recording found")
+        raise ConfigurationError("no recording found")
     bar = progress.add_task("reading the runs", total=len(sources) + len(healthy))
     cache = cache_folder() if job.cached else None
     drives = read_drives([*sources, *healthy], job.vehicle, job.read, job.jobs, cache, lambda: progress.advance(bar),
                          job.force)
     suspect, reference = drives[:len(sources)], drives[len(sources):]
     if not _logs(suspect):
-        raise CommandError("no run can be used: " + "; ".join(d.problem for d in suspect))
+        raise ConfigurationError("no run can be used: " + "; ".join(d.problem for d in suspect))
     if healthy and not _logs(reference):
-        raise CommandError("no --reference run can be used: " + "; ".join(d.problem for d in reference))
+        raise ConfigurationError("no --reference run can be used: " + "; ".join(d.problem for d in reference))
     _refuse_twice(suspect, reference)
     return suspect, _named_apart(suspect, reference)
 
 
 def _refuse_twice(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
-    """Raises CommandError for a drive on both lists, and for a reference that says it is of another car."""
+    """Raises ConfigurationError for a drive on both lists, and for a reference that says it is of another car."""
     mine = {digest for d in suspect if d.log is not None for digest in d.about["files"].values()}
     cars = {d.about["vehicle"]: d.name for d in suspect if d.log is not None and d.about["vehicle"]}
     for drive in (d for d in reference if d.log is not None):
         if mine & set(drive.about["files"].values()):
-            raise CommandError(f"{drive.name} is given as a run and as --reference: what is suspect cannot be the "
-                               "healthy car; take it off one of the lists")
+            raise ConfigurationError(f"{drive.name} is given as a run and as --reference: what is suspect cannot be "
+                                     "the healthy car; take it off one of the lists")
         if drive.about["vehicle"] and cars and drive.about["vehicle"] not in cars:
             car, name = next(iter(cars.items()))
-            raise CommandError(f"--reference {drive.name} is of {drive.about['vehicle']!r}, {name} of {car!r}, as "
-                               "their recordings say: a reference is the same car while it was healthy")
+            raise ConfigurationError(f"--reference {drive.name} is of {drive.about['vehicle']!r}, {name} of {car!r}, "
+                                     "as their recordings say: a reference is the same car while it was healthy")
 
 
 def _named_apart(suspect: Sequence[Drive], reference: Sequence[Drive]) -> list[Drive]:
@@ -238,7 +233,7 @@ def write_results(found: Discovery, question: Question, mended: Mended | None, f
         digests = {f"{name}: {Path(file).name}": digest for name, run in about["runs"].items()
                    for file, digest in run["files"].items()}
         files |= proposed.write(laws, question.vehicle, list(about["runs"]), about["created"], digests, folder)
-    write_json(files["discovery.json"], content)
+    files["discovery.json"].write_text(as_text(content), encoding="utf-8")
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}
         write_page(files["report.html"], found, mended, content, drawn, proposed.told(laws) if laws else ())

@@ -1,6 +1,5 @@
 """The files of a discovery: discovery.json (schema in docs/manual/discovery.md) and model.yaml."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
@@ -9,9 +8,9 @@ from typing import Any
 
 from st_core.discovery import Discovery
 from st_core.model_file import Interval, ModelFile, Provenance
+from st_recordings.plain_json import finite
 from st_recordings.results import versions
 
-from ..plain_json import finite
 from .mending import Mended
 from .question import Question
 
@@ -85,7 +84,3 @@ def model_file(found: Discovery, question: Question, mended: Mended) -> ModelFil
     if not kept:
         return None
     return ModelFile(whole.base, kept, whole.vehicle, whole.vehicle_name, whole.vehicle_hash, about)
-
-
-def write_json(file: Path, content: Mapping[str, Any]) -> None:
-    file.write_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")

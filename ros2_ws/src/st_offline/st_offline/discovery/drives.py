@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, fields
 from functools import cache as remembered
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,15 +17,15 @@ from st_core import checks
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
+from st_recordings.plain_json import finite
 from st_recordings.recorded import recorded_configuration
-from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
+from st_recordings.runs import LoadedRun, ReadSettings, RunSource, read
 from st_recordings.runs.load import hashes
 from st_recordings.runs.readers import READERS
 from st_recordings.runs.run_types import signal_files
 
 from ..checking.document import documents, findings_in
-from ..checking.gate import Refused, checked_log, refuse
-from ..plain_json import finite
+from ..checking.gate import PROBLEMS, Refused, checked_log, in_words, refuse
 
 FORMAT = 3  # of what is kept; another number makes older files useless
 
@@ -87,12 +88,8 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         return drive
     except Refused as error:
         return Drive(source.name, None, {"findings": documents(error.findings)}, str(error))
-    except (RunError, StCoreError) as error:
-        return Drive(source.name, None, {}, " ".join(str(error).split()))
-    except MemoryError:
-        return Drive(source.name, None, {}, f"{source.where}: too large for the memory of this machine")
-    except OSError as error:
-        return Drive(source.name, None, {}, f"{error.filename or source.where}: {error.strerror or error}")
+    except PROBLEMS as error:
+        return Drive(source.name, None, {}, in_words(error, source))
 
 
 def cache_folder(name: str = "drives") -> Path | None:
@@ -101,6 +98,29 @@ def cache_folder(name: str = "drives") -> Path | None:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / name
     except RuntimeError:
         return None
+
+
+def name_of(content: Any) -> str:
+    """A file name for everything that what is kept depends on."""
+    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
+
+
+@remembered
+def code_of(package: ModuleType) -> str:
+    """Of the code of a package: what another version found is not believed."""
+    files = sorted(Path(package.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def put(file: Path, write: Callable[[Path], object]) -> None:
+    """Written beside and moved into place, so that a start cut short leaves nothing half. A full disk is no reason."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        beside = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
+        write(beside)
+        beside.replace(file)
+    except OSError:
+        return
 
 
 def _recorded_vehicle(source: RunSource, run: LoadedRun) -> str:
@@ -115,29 +135,16 @@ def _key(source: RunSource, files: dict[str, str], vehicle: VehicleParameters, s
     tables = signal_files(source, settings) if READERS[source.kind].with_can else ()
     table = [hashlib.sha256(f.read_bytes()).hexdigest() for f in tables]
     options = {k: v for k, v in asdict(settings).items() if k not in ("dbc", "signals")}
-    content = [FORMAT, _checks(), source.name, source.kind, sorted(files.values()), table, vehicle.hash, options,
+    content = [FORMAT, code_of(checks), source.name, source.kind, sorted(files.values()), table, vehicle.hash, options,
                {k: v for k, v in source.settings.items() if k not in ("dbc", "signals")}]
-    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
-
-
-@remembered
-def _checks() -> str:
-    """Of the code of the checks: what another version found is not believed."""
-    files = sorted(Path(checks.__file__).parent.glob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    return name_of(content)
 
 
 def _keep(file: Path, drive: Drive) -> None:
-    """Written beside and moved into place, so that a start cut short leaves nothing half. A full disk is no reason."""
     arrays = {f.name: getattr(drive.log, f.name) for f in fields(DriveLog)
               if isinstance(getattr(drive.log, f.name), np.ndarray)}
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        beside = file.with_name(f".{file.stem}.{os.getpid()}.npz")
-        np.savez(beside, about=json.dumps({"name": drive.name, **drive.about}), **arrays)
-        beside.replace(file)
-    except OSError:
-        return
+    about = json.dumps({"name": drive.name, **drive.about})
+    put(file, lambda beside: np.savez(beside, about=about, **arrays))
 
 
 def _restored(file: Path) -> Drive | None:

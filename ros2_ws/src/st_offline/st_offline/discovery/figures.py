@@ -113,8 +113,7 @@ def conditions(scene: Scene) -> Drawn | None:
             axes.set_xticks(range(len(mine)), [_tick(b) for b in mine], fontsize=7, rotation=30, ha="right",
                             rotation_mode="anchor")
             unit = "" if mine[0].range.low is None else f", {mine[0].range.label.rsplit(' ', 1)[1]}"
-            axes.set_xlabel(quantity + unit)
-            axes.set_yscale("log")
+            axes.set(xlabel=quantity + unit, yscale="log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(lambda v, _: f"{v:g}")
             axes.yaxis.set_minor_formatter(lambda v, _: "")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from st_core.effects import load_folder
 from st_core.model_file import Estimate, ModelFile, Provenance
-from st_core.proposals import Proposals
+from st_core.proposals import Proposal, Proposals
 from st_core.proposals.places import QUANTITIES
 from st_core.vehicle import VehicleParameters
 
@@ -70,20 +70,35 @@ def told(found: Proposals) -> list[str]:
     less = [f"these drives hardly show {places}: nothing is said of laws there"] if unseen else []
     if one is None:
         return [f"nothing is proposed: {found.why}", *less]
+    return [*_what(one, found.why), *_doubts(one), *less]
+
+
+def _what(one: Proposal, why: str) -> list[str]:
+    """The law, what it is worth, and its curve as formulas."""
     c = one.candidate
     quantity, unit = law_words.quantity(c), QUANTITIES[c.quantity]
-    lines = [f"PROPOSAL, for you to keep or delete: {law_in_words(one)}", f"worth: {found.why}"]
+    without, with_it = one.position_5s
+    lines = [f"PROPOSAL, for you to keep or delete: {law_in_words(one)}",
+             f"position error after 5 s, on runs it was not fitted to: {without:.3f} m with what is stated above, "
+             f"{with_it:.3f} m with the law as well; {why}"]
     causes = one.readings[0].causes if one.readings else ""
     if causes:
         lines.append(f"what does that in textbooks, not seen in these drives: {causes}")
     lines += [f"{'or' if k else 'as a formula:'} {r.text} ({r.shape}; {r.explained:.0%} of what the curve explains)"
               for k, r in enumerate(one.readings)]
-    lines.append(f"y: {law_words.axis(c)} [{c.unit}]; u: {quantity} [{unit}], driven from {c.low:.3g} to {c.high:.3g}, "
-                 "the curve is constant beyond")
+    squares = str.maketrans({"^": None, "2": "²"})
+    lines.append(f"y: {law_words.axis(c)} [{c.unit.translate(squares)}]; u: {quantity} [{unit.translate(squares)}], "
+                 f"driven from {c.low:.3g} to {c.high:.3g}, the curve is constant beyond")
     least = int(one.deviation.argmax())
     (up, shown_up), (across, shown_across) = shown(c.unit), shown(unit)
     lines.append(f"least sure at {quantity} {across * one.at[least]:.3g} {shown_across}: {up * one.value[least]:.2g} ± "
                  f"{up * words.SURE * one.deviation[least]:.2g} {shown_up}; driving there would pin it down")
+    return lines
+
+
+def _doubts(one: Proposal) -> list[str]:
+    """What else it may be, where it is not, and how to try it."""
+    lines = []
     if one.others:
         names = "; ".join(f"{law_words.named(name)} ({cosine:.2f})" for name, cosine in one.others.items())
         lines.append(f"these drives do not tell it from: {names}. In brackets how alike what they change is: 1 the "
@@ -96,9 +111,12 @@ def told(found: Proposals) -> list[str]:
         told_of = ", ".join(f"{name} {share:.1f} ± {deviation:.1f}" for name, (share, deviation) in
                             one.shares.by_run.items())
         lines.append(f"it comes and goes: hardly there in {', '.join(absent)} (share of it by run: {told_of})")
-    if c.quantity == "run_time":
+    if one.candidate.quantity != "run_time":
+        lines.append("to try it: st demo, st live or st evaluate with --model proposed.yaml, --effects effects and the "
+                     "vehicle file that was given here")
+    else:
         lines.append("no effect file is written: the time in the run is not known of a drive to come")
     worse = [name for name, (before, after) in one.runs.items() if after > before]
     lines.append(f"it helps in {len(one.runs) - len(worse)} of {len(one.runs)} runs"
                  + (f", not in {', '.join(worse)}" if worse else ""))
-    return lines + less
+    return lines

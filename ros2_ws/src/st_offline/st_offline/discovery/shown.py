@@ -8,6 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 from st_core.discovery import Discovery
 
+from ..terminal import tell_files, tell_problem
 from . import quantities, words
 from .drives import Drive
 from .mending import Mended
@@ -34,11 +35,10 @@ def show(found: Discovery, mended: Mended | None, failed: Sequence[Drive], files
     for warning in found.warnings:
         console.print(f"[yellow]{escape(warning)}[/yellow]", highlight=False)
     for drive in failed:
-        console.print(f"[red]{escape(drive.name)}[/red]: {escape(drive.problem)}", highlight=False, soft_wrap=True)
+        tell_problem(drive.name, drive.problem, console)
     if earlier:
         console.print("[dim]The answer of an earlier call with the same inputs; --fresh searches anew.[/dim]")
-    for name, file in files.items():
-        console.print(f"  {escape(str(file))}  [dim]{WHAT[name]}[/dim]", highlight=False, soft_wrap=True)
+    tell_files({file: WHAT[name] for name, file in files.items()}, console)
 
 
 def _answers(lines: Sequence[tuple[str, Sequence[str]]], console: Console) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from st_core.vehicle import VehicleParameters
+from st_recordings.car import read_vehicle
 from st_recordings.paths import config
 
 from .animation import animate
@@ -89,9 +89,7 @@ def draw(folder: Path, st: Sequence[str], console: Console) -> None:
             if not found:
                 raise GalleryError(f"{exhibit.command} left no {exhibit.picture}")
             shutil.copyfile(found[0], folder / f"gallery_{number}.png")
-        leaf = config("vehicle/leaf.yaml")
-        car = VehicleParameters.from_yaml(leaf.read_text(encoding="utf-8"), str(leaf))
-        animate(Path(name, "run"), car, folder / "gallery_drive.webp", *ANIMATED)
+        animate(Path(name, "run"), read_vehicle(config("vehicle/leaf.yaml")), folder / "gallery_drive.webp", *ANIMATED)
 
 
 def _shown(command: str) -> str:

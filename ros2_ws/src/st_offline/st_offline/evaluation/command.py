@@ -7,7 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, TaskID
+from st_core.errors import ConfigurationError
 from st_recordings.output import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
 
@@ -16,13 +17,14 @@ from ..bands.shown import HOW_TO_GET, bands_table
 from ..bands.sums import pooled_sums
 from ..checking.document import findings_in
 from ..checking.shown import say
+from ..terminal import line, progress_bars, tell_files, tell_problem
 from . import fleet
 from .document import Choices, settings_in_words, write_results
+from .drawing import check_formats
 from .overview import finding
 from .tables import terminal_table
 from .work import RunReport, Task
 
-FORMATS = ("png", "pdf", "svg")
 WHAT_IS_WHAT = {
     "page": "the whole report, one file", "json": "every number, docs/manual/evaluation.md", "table": "the table above",
     "latex": "the same in the paper's form", "seconds": "by second of the horizon", "bins": "by condition",
@@ -30,18 +32,12 @@ WHAT_IS_WHAT = {
 }
 
 
-class CommandError(RuntimeError):
-    """Nothing can be started; one line for the user."""
-
-
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
                 scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
     """Exit status: 0 when every run was evaluated, 1 when some were. tolerance: [m], for advice on the model; None: no
-    advice. Raises CommandError, OutputError.
+    advice. Raises ConfigurationError, OutputError.
     """
-    unknown = [form for form in task.formats if form not in FORMATS]
-    if unknown:
-        raise CommandError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
+    check_formats(task.formats)
     began = time.perf_counter()
     sources = find_runs(paths)
     _refuse_if_all([source.problem for source in sources])
@@ -55,7 +51,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         files = write_results(found, choices, title)
     console.print(terminal_table(good, over, title, console.width))
     for key, value in settings_in_words(choices).items():
-        console.print(f"[dim]{key}: {escape(value)}[/dim]", highlight=False, soft_wrap=True)
+        line(f"[dim]{key}: {escape(value)}[/dim]", console)
     tested = bands_table(good, console.width)
     console.print(HOW_TO_GET if tested is None else tested, highlight=False, soft_wrap=tested is None)
     if shares := shares_table(finished_shares(pooled_sums([report.bands for report in good])), console.width):
@@ -66,26 +62,24 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in found:
         say(report.name, findings_in(report.about), console)
-    for key, what in WHAT_IS_WHAT.items():
-        console.print(f"  {escape(str(files[key]))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
+    tell_files({files[key]: what for key, what in WHAT_IS_WHAT.items()}, console)
     failed = [report for report in found if report.problem]
     for report in failed:
-        console.print(f"[red]{escape(report.name)}[/red]: {escape(report.problem)}", highlight=False, soft_wrap=True)
+        tell_problem(report.name, report.problem, console)
     console.print(_times(good, time.perf_counter() - began), highlight=False)
     return 1 if failed else 0
 
 
 def _refuse_if_all(problems: Sequence[RunError | str | None]) -> None:
     if all(problems):
-        raise CommandError("no run can be used: " + "; ".join(map(str, problems)))
+        raise ConfigurationError("no run can be used: " + "; ".join(map(str, problems)))
 
 
 def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
                  console: Console) -> list[RunReport]:
     """Every run, in the order of the sources, problems said at once."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     found: dict[str, RunReport] = {}
-    with Progress(*columns, console=console, transient=True) as progress:
+    with progress_bars(console) as progress:
         runs = progress.add_task("runs", total=len(sources))
         starts = progress.add_task("", visible=False)
         try:
@@ -94,7 +88,7 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
                 found[report.name] = report
                 progress.advance(runs)
         except fleet.WorkersError as error:
-            raise CommandError(str(error)) from None
+            raise ConfigurationError(str(error)) from None
     return [found[source.name] for source in sources]
 
 

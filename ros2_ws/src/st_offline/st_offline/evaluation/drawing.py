@@ -4,6 +4,7 @@ import io
 import itertools
 import re
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
+from st_core.errors import ConfigurationError
 from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 
 TEXT, GRID, BAD, WARN = "#1c2126", "#e6e6e6", "#b3261e", "#b26a00"
@@ -28,6 +30,7 @@ SETTINGS = {
     **RC, "text.color": TEXT, "axes.edgecolor": TEXT, "axes.labelcolor": TEXT, "xtick.color": TEXT, "ytick.color": TEXT,
     "grid.color": GRID, "svg.fonttype": "none", "svg.hashsalt": "st", "font.family": "sans-serif", "pdf.fonttype": 42,
 }
+FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
 TITLE_LETTERS = 104  # of a line of the title
 TICK_ROOM = 0.09  # inch
@@ -52,6 +55,13 @@ class Place:
     folder: Path | None
     formats: tuple[str, ...]
     prefix: str = ""
+
+
+def check_formats(formats: Sequence[str]) -> None:
+    """Raises ConfigurationError for one that is not known."""
+    unknown = [form for form in formats if form not in FORMATS]
+    if unknown:
+        raise ConfigurationError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
 
 
 def style():

@@ -49,8 +49,7 @@ def segments(drawing: Drawing) -> Drawn | None:
             axes.plot(seen.x, seen.y, **drawing.line(model.name))
         axes.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {evaluation.conditions['speed'][row]:.1f} m/s",
                        fontsize=9)
-        axes.set_xlabel("east, m")
-        axes.set_ylabel("" if column else "north, m")
+        axes.set(xlabel="east, m", ylabel="" if column else "north, m")
         for k, axis in ((0, "longitudinal"), (1, "lateral")):
             axes = figure.add_subplot(layout[1 + k, column], sharey=first[k])
             first[k] = first[k] or axes
@@ -58,9 +57,8 @@ def segments(drawing: Drawing) -> Drawn | None:
             for model in drawing.models:
                 errors = block.errors[model.name, "hindsight"][column]
                 axes.plot(evaluation.horizon, errors[:, k], **drawing.line(model.name))
-            axes.set_xlim(0, length)
-            axes.set_ylabel("" if column else f"{axis}, m\n(+ = {SIDE[axis]})")
-            axes.set_xlabel("horizon, s" if k else "")
+            axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(+ = {SIDE[axis]})",
+                     xlabel="horizon, s" if k else "")
             axes.tick_params(labelleft=not column)
     legend(figure, drawing, [Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured, the horizon")])
     ends = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())
@@ -90,8 +88,7 @@ def _measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: floa
     axes.plot(x[::every], y[::every], color=MEASURED_COLOUR, lw=5, alpha=0.45, solid_capstyle="butt")
     axes.plot(x[:1], y[:1], "o", ms=4, color=TEXT, zorder=5)
     axes.set_aspect("equal", adjustable="box")
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
+    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
 
 
 def horizon_means(drawing: Drawing) -> Drawn:
@@ -138,9 +135,7 @@ def error_against_horizon(drawing: Drawing) -> Drawn:
         # The forecast's guess at the driver is many times the model's own error: a logarithm keeps both in sight.
         axes.set_yscale("log")
         axes.set_ylim(bottom=0.01)
-        axes.set_xlim(0, evaluation.horizon[-1])
-        axes.set_xlabel("horizon, s")
-        axes.set_ylabel(f"{axis} RMSE, m")
+        axes.set(xlim=(0, evaluation.horizon[-1]), xlabel="horizon, s", ylabel=f"{axis} RMSE, m")
         axes.yaxis.set_major_formatter("{x:g}")
     legend(figure, drawing, [Line2D([], [], color=TEXT, lw=0.9, ls=":", label="forecast: inputs held")])
     parts = []
@@ -175,8 +170,7 @@ def error_against_acceleration(drawing: Drawing) -> Drawn:
             if axis == "lateral" and len(medians):
                 at = int(np.abs(medians).argmax())
                 largest[model.name] = (float(medians[at]), float(middles[at]))
-        axes.set_xlabel("mean lateral acceleration, m/s² (+ = left)")
-        axes.set_ylabel(AXIS_LABEL[axis])
+        axes.set(xlabel="mean lateral acceleration, m/s² (+ = left)", ylabel=AXIS_LABEL[axis])
     legend(figure, drawing, [Line2D([], [], color=TEXT, marker=".", ls="", ms=4, label="one start")])
     parts = [f"{model} {value:+.2f} m at {at:+.1f} m/s²" for model, (value, at) in largest.items()]
     title = f"{drawing.name}: largest median lateral error: {', '.join(parts)}"

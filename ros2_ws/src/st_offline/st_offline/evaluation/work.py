@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from st_core.bands import Bands
 from st_core.effects import load_folder
-from st_core.errors import ConfigurationError, StCoreError
+from st_core.errors import ConfigurationError
 from st_core.log_evaluation import AXES, EvaluationSettings, LogEvaluation, evaluate_log
 from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
@@ -23,7 +23,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
 from ..checking.document import documents
-from ..checking.gate import Refused, passed
+from ..checking.gate import PROBLEMS, Refused, in_words, passed
 from . import statistics
 from .beside import beside
 from .drawing import Drawn, Place
@@ -88,12 +88,8 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
             return _evaluate(source, task, progress)
     except Refused as error:
         return RunReport(source.name, problem=str(error), about={"findings": documents(error.findings)})
-    except (RunError, StCoreError) as error:
-        return RunReport(source.name, problem=" ".join(str(error).split()))
-    except MemoryError:
-        return RunReport(source.name, problem=f"{source.where}: too large for the memory of this machine")
-    except OSError as error:
-        return RunReport(source.name, problem=f"{error.filename or source.where}: {error.strerror or error}")
+    except PROBLEMS as error:
+        return RunReport(source.name, problem=in_words(error, source))
 
 
 def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunReport:
@@ -175,9 +171,12 @@ def _scorer(bands: Bands, signals: LogSignals):
 def _band_sums(scorer, run: LoadedRun, models: Sequence[Model], signals: LogSignals, task: Task) -> dict[str, Any]:
     from ..bands.shares import intervals_of, share_sums
 
-    files = [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
     return scorer.sums(run.provenance["files"]) | share_sums(models, task.vehicle, signals, task.settings,
-                                                             intervals_of(files))
+                                                             intervals_of(model_files(task)))
+
+
+def model_files(task: Task) -> list[ModelFile]:
+    return [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
 
 
 def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
@@ -197,8 +196,7 @@ def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
 
 def model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
     """Hash of the model file by name of each model; "" for those that come from none."""
-    files = [ModelFile.from_yaml(*reversed(one)) for one in task.models if not isinstance(one, str)]
-    return {model.name: "" for model in models} | {file.model().name: file.hash for file in files}
+    return {model.name: "" for model in models} | {file.model().name: file.hash for file in model_files(task)}
 
 
 def _why_nothing(evaluation: LogEvaluation, overlap: float) -> str:

@@ -68,15 +68,12 @@ def draw(found: Identification, place: Place) -> Drawn:
             left.plot(np.degrees(grid), level + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
             use = row & data["usable"]
             right.plot(pitch[use], data["single"][use], marker, color=TEXT, ms=4.5, mfc="none")
-        left.set_xlabel("pitch, deg")
-        left.set_ylabel("load on the rear wheels, kg")
+        left.set(xlabel="pitch, deg", ylabel="load on the rear wheels, kg")
         left.legend(title="lift", fontsize=8)
         right.axhspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
         right.axhline(estimate.value, color=MODEL_COLOUR["augmented"], label="fit through all rows")
         right.axhline(data["average"], color=MEASURED_COLOUR, ls="--", label="average over pitch angles")
-        right.set_xlim(0.0, None)
-        right.set_xlabel("pitch, deg")
-        right.set_ylabel("CG height, m")
+        right.set(xlim=(0.0, None), xlabel="pitch, deg", ylabel="CG height, m")
         right.legend(fontsize=8)
         title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {estimate.interval95[0]:.3f} to " \
                 f"{estimate.interval95[1]:.3f} m"

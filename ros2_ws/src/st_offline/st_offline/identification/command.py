@@ -1,6 +1,5 @@
 """What `st identify` does: compute, say it, write it down."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -15,6 +14,7 @@ from st_core.identification.apply import against_file, apply, stale_scales
 from st_core.identification.result import Identification, IdentificationError
 from st_core.vehicle import VehicleParameters
 from st_recordings.output import new_folder
+from st_recordings.plain_json import as_text
 from st_recordings.results import versions
 from st_recordings.runs.load import file_hashes
 
@@ -22,6 +22,7 @@ from ..checking.document import documents
 from ..checking.shown import say
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
+from ..terminal import line, tell_files
 from .experiment import Experiment, Setup
 from .experiments import EXPERIMENTS
 from .shown import HEADS, rows
@@ -53,10 +54,9 @@ def run(job: Job, console: Console) -> int:
     with console.status("writing"):
         files = write(job, found, car, about(job, now))
     show(found, job.setup.vehicle, stale, console)
-    for name, what in (("identification.json", "values, uncertainties, verdicts"),
-                       ("vehicle.yaml", "the car with them"),
-                       ("report.html", "figures, correlations, data used and left out")):
-        console.print(f"  {escape(str(files[name]))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
+    tell_files({files["identification.json"]: "values, uncertainties, verdicts",
+                files["vehicle.yaml"]: "the car with them",
+                files["report.html"]: "figures, correlations, data used and left out"}, console)
     return 0 if any(e.status != "unidentifiable" for one in found for e in one.estimates) else 1
 
 
@@ -90,15 +90,15 @@ def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Seq
         console.print(table)
         for estimate in one.estimates:
             words = f"{estimate.parameter}: {estimate.verdict}"
-            console.print(f"  {escape(words)}", highlight=False, soft_wrap=True)
+            line(f"  {escape(words)}", console)
         for coverage in one.coverage:
-            console.print(f"  [dim]{escape(coverage.words())}[/dim]", highlight=False, soft_wrap=True)
+            line(f"  [dim]{escape(coverage.words())}[/dim]", console)
         for name, why in one.rejected:
-            console.print(f"  [dim]left out: {escape(name)}: {escape(why)}[/dim]", highlight=False, soft_wrap=True)
+            line(f"  [dim]left out: {escape(name)}: {escape(why)}[/dim]", console)
         for warning in one.warnings:
-            console.print(f"  [yellow]{escape(warning)}[/yellow]", highlight=False, soft_wrap=True)
+            line(f"  [yellow]{escape(warning)}[/yellow]", console)
     for sentence in stale:
-        console.print(f"  [yellow]{escape(sentence)}[/yellow]", highlight=False, soft_wrap=True)
+        line(f"  [yellow]{escape(sentence)}[/yellow]", console)
 
 
 def checked(found: Sequence[Identification]) -> dict[str, tuple[Finding, ...]]:
@@ -120,8 +120,8 @@ def write(job: Job, found: Sequence[Identification], car: VehicleParameters, fac
     place = Place(new_folder(job.folder, ""), FORMATS)
     figures = [draw(one, place) if (draw := EXPERIMENTS[one.what].draw) else None for one in found]
     texts = {
-        "identification.json": _json({key: entry for one in found for key, entry in one.document().items()}),
-        "details.json": _json({**facts, "experiments": [details(one) for one in found]}),
+        "identification.json": as_text({key: entry for one in found for key, entry in one.document().items()}),
+        "details.json": as_text({**facts, "experiments": [details(one) for one in found]}),
         "vehicle.yaml": car.to_yaml(),
         "report.html": page(found, figures, job.setup.vehicle, facts),
     }
@@ -156,7 +156,3 @@ def page(found: Sequence[Identification], figures: Sequence[Drawn | None], vehic
         title=title, found=list(zip(found, figures, strict=True)), about=facts,
         recordings={name: {"findings": documents(findings)} for name, findings in checked(found).items()},
         heads=HEADS, rows=lambda one: rows(one, vehicle))
-
-
-def _json(content: dict[str, Any]) -> str:
-    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

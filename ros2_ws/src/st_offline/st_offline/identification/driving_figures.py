@@ -29,12 +29,10 @@ def offset(found: Identification, place: Place) -> Drawn:
                                         (found.estimates[1], BETTER, "mean of windows")):
             left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
             left.axhline(estimate.value * DEG, color=colour, label=label)
-        left.set_xlabel("driving, s (runs one after the other, straights only)")
-        left.set_ylabel("hand wheel when straight, deg")
+        left.set(xlabel="driving, s (runs one after the other, straights only)", ylabel="hand wheel when straight, deg")
         left.legend(loc="best")
         right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
-        right.set_xlabel("yaw rate simulated - measured, deg/s")
-        right.set_ylabel("predictions")
+        right.set(xlabel="yaw rate simulated - measured, deg/s", ylabel="predictions")
         first, second = (e.value * DEG for e in found.estimates[:2])
         return finish(figure, place, "steering-offset",
                       f"Steering offset {first:.2f} deg by the yaw rate, {second:.2f} deg by the mean reading",
@@ -52,14 +50,12 @@ def mounting(found: Identification, place: Place) -> Drawn:
             left.plot(data["curvature"][here], data["slope"][here], ".", ms=2.5, label=name)
         ends = np.array([data["curvature"].min(), data["curvature"].max()])
         left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
-        left.set_xlabel("yaw rate / forward velocity, 1/m (left +)")
-        left.set_ylabel("lateral / forward velocity, slip removed")
+        left.set(xlabel="yaw rate / forward velocity, 1/m (left +)", ylabel="lateral / forward velocity, slip removed")
         if len(data["names"]) <= 8:
             left.legend(markerscale=3, fontsize=7)
         right.plot(data["speed"][thin], data["residual"][thin] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
         right.axhline(0.0, color=TEXT, lw=0.8)
-        right.set_xlabel("forward velocity, m/s")
-        right.set_ylabel("left over, mm/s")
+        right.set(xlabel="forward velocity, m/s", ylabel="left over, mm/s")
         lever, angle = found["cg_to_ins_x"], found["ins_misalignment"]
         return finish(figure, place, "ins", f"INS {_value(lever)} ahead of the CG, heading turned by {_value(angle)}",
                       "Slope of the line: INS ahead of the rear axle. Where it crosses zero curvature: misalignment.")
@@ -94,8 +90,7 @@ def stiffness(found: Identification, place: Place) -> Drawn:
                     front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT, label=label, zorder=3,
                     **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
                        for axis, e in (("x", front), ("y", rear))})
-        panels[1, 0].set_xlabel("front, kN/rad")
-        panels[1, 0].set_ylabel("rear, kN/rad")
+        panels[1, 0].set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
         panels[1, 0].legend()
         _profiles(panels[1, 1], found.estimates, data.get("profiles", ()))
         return finish(figure, place, "stiffness", f"Cornering stiffness {_both(found)} by prediction",
@@ -152,8 +147,7 @@ def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[I
             estimate = one[f"cornering_stiffness_{axle}"]
             axes.plot(ends * DEG, (force.mean() - estimate.value * (ends - middle)) * 1e-3, color=colour,
                       label=f"{label}: {estimate.value * 1e-3:.1f} kN/rad")
-        axes.set_xlabel(f"{axle} slip angle, deg (+ slides left)")
-        axes.set_ylabel(f"{axle} axle force, kN (left +)")
+        axes.set(xlabel=f"{axle} slip angle, deg (+ slides left)", ylabel=f"{axle} axle force, kN (left +)")
         axes.legend(fontsize=8)
 
 
@@ -164,8 +158,7 @@ def _profiles(axes: plt.Axes, estimates: Sequence[Estimate], profiles) -> None:
         axes.plot(share, one.deviance, "o-", ms=3, color=colour,
                   label=estimate.parameter.replace("cornering_stiffness_", ""))
     axes.axhline(3.84, color=TEXT, lw=0.8, ls=":")
-    axes.set_xlabel("beside the estimate, %")
-    axes.set_ylabel("rise of the deviance, 1")
+    axes.set(xlabel="beside the estimate, %", ylabel="rise of the deviance, 1")
     if profiles:
         axes.legend()
 

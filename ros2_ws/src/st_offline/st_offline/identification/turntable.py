@@ -40,8 +40,7 @@ def draw(found: Identification, place: Place) -> Drawn:
         level = float(np.degrees(np.mean(list(data["levels"].values()))))
         left.plot(ends, level + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
                   label=f"hand wheel / {estimate.value:.2f}")
-        left.set_xlabel("hand-wheel angle, deg (left +)")
-        left.set_ylabel("wheel angle, deg (left +)")
+        left.set(xlabel="hand-wheel angle, deg (left +)", ylabel="wheel angle, deg (left +)")
         for k, name in enumerate(dict.fromkeys(data["sweeps"])):
             row = sweeps == name
             right.plot(hand[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5, mfc="none",
@@ -51,8 +50,7 @@ def draw(found: Identification, place: Place) -> Drawn:
             curve = data["cubic"][0] * grid + data["cubic"][1] * grid**3
             right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
         right.axhline(0.0, color=MODEL_COLOUR["augmented"])
-        right.set_xlabel("hand-wheel angle, deg (left +)")
-        right.set_ylabel("mean wheel angle minus line, deg")
+        right.set(xlabel="hand-wheel angle, deg (left +)", ylabel="mean wheel angle minus line, deg")
         handles = [pair for axes in (left, right) for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
         figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
         title = f"Steering ratio {estimate.value:.2f}, 95 % interval {estimate.interval95[0]:.2f} to " \

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from rosbags.typesys.store import Typestore
@@ -16,7 +15,7 @@ from st_core.log import DriveLog
 
 from ..paths import project_root
 from .bag_extras import bag_extras, extra_fields
-from .bag_storage import Storage, Topic, open_storage
+from .bag_storage import Storage, Topic, information, open_storage
 from .cdr import typestore
 from .errors import RunError, check_readable
 from .foreign import SteeringField, steering_columns, steering_topic, unknown
@@ -66,9 +65,8 @@ def holds_odometry(path: Path) -> bool:
     """A look at the list of topics, for folders with all kinds of recordings; True where it cannot be told."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         try:
-            about = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-            return _is_a_drive({t["topic_metadata"]["type"] for t in about["topics_with_message_count"]})
-        except (OSError, yaml.YAMLError, KeyError, TypeError):
+            return _is_a_drive({t["topic_metadata"]["type"] for t in information(path)["topics_with_message_count"]})
+        except (KeyError, TypeError):
             return True
     if path.is_file() and path.suffix.lower() == ".mcap":
         summary = summary_of(path)

@@ -53,7 +53,7 @@ class Storage(Protocol):
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
     """Raises RunError for what is none, or was not closed."""
-    if path.is_dir() and _is_compressed(path):
+    if path.is_dir() and information(path).get("compression_mode"):
         return Rosbags(path, store)
     suffixes = {f.suffix.lower() for f in files}
     if suffixes == {".mcap"}:
@@ -64,12 +64,13 @@ def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage
                    "give the folder that ros2 bag or the recorder made")
 
 
-def _is_compressed(path: Path) -> bool:
+def information(path: Path) -> dict[str, Any]:
+    """What metadata.yaml of a bag says; nothing where it cannot be read."""
     try:
         about = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-        return bool(about.get("compression_mode"))
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        return False
+    except (OSError, yaml.YAMLError, KeyError, TypeError):
+        return {}
+    return about if isinstance(about, dict) else {}
 
 
 class Mcap:

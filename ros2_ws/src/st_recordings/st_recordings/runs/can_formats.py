@@ -3,12 +3,9 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .mf4 import MAKERS_CONTAINERS
-
-if TYPE_CHECKING:
-    import can
 
 MF4_EXTENSIONS = (".mf4", ".mdf")
 _BLF_HEAD = 16  # bytes: "LOBJ", length of the head, version, length of the object, kind
@@ -21,7 +18,7 @@ class Format:
     name: str
     extensions: tuple[str, ...]
     mark: Callable[[bytes], bool]
-    reader: Callable[[str], Iterable["can.Message"]]
+    reader: Callable[[str], Iterable[Any]]
 
 
 def _is_candump(head: bytes) -> bool:
@@ -29,17 +26,17 @@ def _is_candump(head: bytes) -> bool:
     return line.startswith(b"(") and b") " in line and b"#" in line
 
 
-def _python_can(module: str, name: str, **options: Any) -> Callable[[str], Iterable["can.Message"]]:
-    return lambda file: getattr(import_module(f"can.io.{module}"), name)(file, **options)
+def _io(name: str) -> Any:
+    return import_module(f"can.io.{name}")
 
 
-def _blf(file: str) -> Iterable["can.Message"]:
+def _blf(file: str) -> Iterable[Any]:
     from can.io import blf
 
     class Reader(blf.BLFReader):
         """python-can's reader never gets past an object that says it has no length."""
 
-        def _parse_data(self, data: bytes) -> Iterator["can.Message"]:
+        def _parse_data(self, data: bytes) -> Iterator[Any]:
             at = data.find(b"LOBJ", 0, 8)
             while 0 <= at <= len(data) - _BLF_HEAD:
                 length = int.from_bytes(data[at + 8:at + 12], "little")
@@ -52,11 +49,11 @@ def _blf(file: str) -> Iterable["can.Message"]:
 
 
 FORMATS = (
-    Format("candump", (".log", ".candump"), _is_candump, _python_can("canutils", "CanutilsLogReader")),
+    Format("candump", (".log", ".candump"), _is_candump, lambda file: _io("canutils").CanutilsLogReader(file)),
     Format("Vector ASC", (".asc",), lambda head: head.lstrip()[:5].lower() == b"date " or b"\nbase hex" in head,
-           _python_can("asc", "ASCReader", relative_timestamp=False)),
+           lambda file: _io("asc").ASCReader(file, relative_timestamp=False)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _blf),
     Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or b";   Message Number" in head,
-           _python_can("trc", "TRCReader")),
+           lambda file: _io("trc").TRCReader(file)),
 )
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *MAKERS_CONTAINERS}

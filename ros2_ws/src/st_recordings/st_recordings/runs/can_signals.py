@@ -138,6 +138,3 @@ def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndar
     first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
     following = (months + 1).astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
     return np.where(possible & (day <= following - first), first + day - 1.0, np.nan)
-
-
-__all__ = ["CanSignals", "Signal", "decode_signals", "load_signal_table", "steering_of"]

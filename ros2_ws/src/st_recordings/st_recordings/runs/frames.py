@@ -113,7 +113,3 @@ def set_back(steps: Sequence[float]) -> list[str]:
         return []
     times = f"{len(steps)} times, first " if len(steps) > 1 else ""
     return [f"the logger's clock was set back {times}by {-steps[0]:.3f} s; what follows was put behind it"]
-
-
-__all__ = ["ERROR", "EXTENDED", "FD", "REMOTE", "SENT", "Frames", "continued", "empty", "in_file_order", "joined",
-           "set_back", "without_duplicates"]

@@ -12,6 +12,7 @@ from st_core.errors import StCoreError
 from st_core.log import OPTIONAL_INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 
+from ..plain_json import finite
 from .can_logs import CanLog, read_can_logs
 from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, steering_of
 from .clocks import INS_ON_CAN, align_clocks
@@ -127,8 +128,8 @@ def about_alignment(alignment: Alignment) -> dict[str, Any]:
     return {
         "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
         "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
-        "offset_deviation_s": _finite(alignment.offset_deviation),
-        "drift_deviation_ppm": _finite(alignment.drift_deviation), "common_time_s": alignment.overlap,
+        "offset_deviation_s": finite(alignment.offset_deviation),
+        "drift_deviation_ppm": finite(alignment.drift_deviation), "common_time_s": alignment.overlap,
     }
 
 
@@ -146,7 +147,3 @@ def latency_in_words(source: RunSource, settings: ReadSettings) -> str:
     latency, deviation = clock_settings(source, settings)["latency"]
     given = settings.ins_can_latency or source.settings.get("ins_can_latency")
     return f"{latency * 1e3:g} ± {deviation * 1e3:g} ms, {'given' if given else 'assumed'}"
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -1,5 +1,6 @@
 """Numbers as JSON has them: no NaN, no infinity, no arrays."""
 
+import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -15,3 +16,8 @@ def finite(value: Any) -> Any:
         return value
     number = float(value)
     return number if math.isfinite(number) else None
+
+
+def as_text(content: Mapping[str, Any]) -> str:
+    """The text of a file, to be read by people too."""
+    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

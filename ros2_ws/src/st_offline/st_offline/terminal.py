@@ -1,0 +1,39 @@
+"""What every verb shows on the terminal alike: progress, tables of rows, lines, the files it wrote."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+
+def progress_bars(console: Console) -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=console, transient=True)
+
+
+def rows_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
+    """Columns by the titles of the rows. options: of rich's Table."""
+    table = Table(box=None, **options)
+    for title in rows[0] if rows else ():
+        table.add_column(title, overflow="fold")
+    for row in rows:
+        table.add_row(*row.values())
+    return table
+
+
+def line(text: str, console: Console) -> None:
+    """One line, however long; text may hold markup."""
+    console.print(text, highlight=False, soft_wrap=True)
+
+
+def tell_problem(name: str, problem: str, console: Console) -> None:
+    line(f"[red]{escape(name)}[/red]: {escape(problem)}", console)
+
+
+def tell_files(files: Mapping[Path, str], console: Console) -> None:
+    """Files, with what they are."""
+    for file, what in files.items():
+        line(f"  {escape(str(file))}  [dim]{what}[/dim]", console)
