@@ -157,7 +157,8 @@ def said(**changes: object) -> list[str]:
 
 
 def test_the_passenger_reads_speed_steering_position_mode_and_one_light() -> None:
-    assert said() == ["# 36 km/h", "## wheels 2.9° left · 2.0 m/s² right", "## RTK integer · all well", "picture 0.1 s old"]
+    assert said() == ["# 36 km/h", "## wheels 2.9° left · 2.0 m/s² right", "## RTK integer · all well",
+                      "picture 0.1 s old"]
     assert "## wheels - · 2.0 m/s² right" in said(road_wheel_angle=None)
     assert "## wheels 0.0° · 2.0 m/s² right" in said(road_wheel_angle=-1e-4)
     assert "## RTK float (9 s ago) · all well" in said(mode="RTK float", mode_age=9.0)
