@@ -181,12 +181,13 @@ def _page(result: dict) -> str:
     hidden = ", ".join(f"`{name}={value:g}`" for name, value in HIDDEN.items())
     return "\n".join((
         "# The closed loop, live", "",
+        "See how far predictions are off with a wrong vehicle file, and how far after `st discover` has corrected it.",
         "Written by `./st bench closed_loop`; do not edit. The virtual Leaf (`realistic`) is driven through bridges",
         f"and nodes with {hidden}, and a vehicle file whose steering ratio is",
         f"{100 * (WRONG - 1):.0f} % wrong: {len(DRIVES)} drives of {SECONDS:g} s ({', '.join(DRIVES)}).",
-        "`st discover` gets the recorded bags and that file, nothing else. Then a road it has not seen",
+        "`st discover` receives the recorded bags and that file, nothing else. Then a new road",
         f"({UNSEEN}) is driven live twice: with the file as it was, and with what `st discover` wrote.", "",
-        f"Found (factor 1/{WRONG:g} = {1 / WRONG:.3f} is the truth of the ratio); held-out 5 s position {base:.2f} → "
+        f"Found (the true factor of the ratio is 1/{WRONG:g} = {1 / WRONG:.3f}); held-out 5 s position {base:.2f} → "
         f"{augmented:.2f} m:", "",
         "| effect | value, 95 % interval |", "|---|---|", *(said(e) for e in result["found"]), "",
         f"Kept, not named: {', '.join(e['name'] for e in result['kept']) or 'nothing'}.", "",

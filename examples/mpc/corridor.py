@@ -176,14 +176,17 @@ def compared(seeds: int, model: str) -> dict[str, dict[str, float]]:
     ways = {"as it is": None, "tightened": Margin(*learnt, HORIZON),
             f"tightened as {NEAR:g} s ahead": Margin(*learnt, NEAR)}
     for name, used in ways.items():
-        drives = [drive(controller, car, vehicle, gates(), seed, used) for seed in range(seeds)]
-        depths = np.array([one.depth for one in drives])
-        found[name] = {
-            "seeds": seeds, "violations": int((depths > TOUCHED).sum()), "deepest": float(depths.max()),
-            "depth_median": float(np.median(depths)), "error_rms": float(np.mean([one.error for one in drives])),
-            "cost": float(np.mean([one.cost for one in drives]))}
+        found[name] = figures([drive(controller, car, vehicle, gates(), seed, used) for seed in range(seeds)])
         print(name, found[name], flush=True)
     return found
+
+
+def figures(drives: Sequence[Outcome]) -> dict[str, float]:
+    """Of all cars."""
+    depths = np.array([one.depth for one in drives])
+    return {"seeds": len(drives), "violations": int((depths > TOUCHED).sum()), "deepest": float(depths.max()),
+            "depth_median": float(np.median(depths)), "error_rms": float(np.mean([one.error for one in drives])),
+            "cost": float(np.mean([one.cost for one in drives]))}
 
 
 def main() -> int:

@@ -83,6 +83,11 @@ def test_a_file_that_holds_one_of_two_names_says_so(logs):
     assert any("holds the first of yaw inertia × 0.860 or mass × 1.02; these drives do not tell" in t for t in told)
 
 
+def test_changes_of_the_vehicle_file_have_their_unit():
+    assert words.keys({"steering_wheel_offset": (0.0, 0.0208), "steering_ratio": (16.3, 15.05)}) == \
+        "steering_wheel_offset 0 → 0.0208 rad, steering_ratio 16.3 → 15.05"
+
+
 def test_what_is_kept_is_told_by_all_its_names(logs):
     found = discovery(logs, (("tyre_stiffness", {"factor": 1.2}, 0.5),), 1.7,
                       alternatives={"tyre_stiffness": ("mass",)})

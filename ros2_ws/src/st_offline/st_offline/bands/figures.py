@@ -1,5 +1,6 @@
 """Figures of bands: the reliability diagram, and how wide they are."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -52,11 +53,12 @@ def _sharpness(models: dict[str, Any], place: Place) -> Drawn:
             axes.set_ylabel(f"half-width {name}, m")
         panels[0, column].set_title(words)
         panels[1, column].set_xlabel("time ahead, s")
-    _legend(figure, models)
+    _legend(figure, models, [Line2D([], [], color=TEXT, lw=1.6, label="90 %"),
+                             Line2D([], [], color=TEXT, lw=0.7, label="50 %")])
     return finish(figure, place, "bands_sharpness", "How wide the bands are, on average over the starts",
                   "Thick: 90 %; thin: 50 %. The whole path lies inside, along, across and in heading at once.")
 
 
-def _legend(figure: plt.Figure, models: dict[str, Any]) -> None:
+def _legend(figure: plt.Figure, models: dict[str, Any], more: Sequence[Line2D] = ()) -> None:
     handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), ls=MODEL_LINE.get(m, "solid"), label=m) for m in models]
-    figure.legend(handles=handles, loc="outside lower left", ncols=6)
+    figure.legend(handles=[*handles, *more], loc="outside lower left", ncols=6)

@@ -17,6 +17,7 @@ from st_core.discovery.result import (
     WhereStatement,
 )
 from st_core.effects import EFFECTS
+from st_core.vehicle import VEHICLE_QUANTITIES
 
 from .mending import Mended
 from .quantities import change, channel, fitted_shortly, metres, plain, short_values, size, values
@@ -277,8 +278,14 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
 
 
 def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
-    """Keys of a vehicle file before and after."""
-    return ", ".join(f"{key} {before:.5g} → {after:.5g}" for key, (before, after, *_) in changes_of.items())
+    """Keys of a vehicle file before and after; SI, with the unit where there is one: the file may use another."""
+    return ", ".join(f"{key} {before:.5g} → {after:.5g} {_unit(key)}".rstrip()
+                     for key, (before, after, *_) in changes_of.items())
+
+
+def _unit(key: str) -> str:
+    quantity = VEHICLE_QUANTITIES.get(key)
+    return quantity.si_unit.removesuffix("1") if quantity else ""
 
 
 def verdict(found: Discovery, mended: Mended | None) -> list[tuple[str, list[str]]]:
