@@ -33,9 +33,9 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
                  f"{before:.3f} m without it, {after:.3f} m with it")
         units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
         first = f"As a formula: {one.readings[0].text}, {units}. " if one.readings else ""
-        caption = (f"{first}Dotted, zero: the model without the law. Fitted through the simulator beside everything that was "
-                   "found; beyond the range driven the curve stays as it is at the end of it. Where nothing was driven "
-                   "within the range it is a smooth bridge. No other figure or table holds the law.")
+        caption = (f"{first}Dotted, zero: the model without the law. Fitted through the simulator beside everything "
+                   "that was found; beyond the range driven the curve stays as it is at the end of it. Within, where "
+                   "nothing was driven, it is a smooth bridge. No other figure or table holds the law.")
         return finish(figure, place, "law", title, caption)
 
 
