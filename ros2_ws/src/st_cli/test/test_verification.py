@@ -182,6 +182,13 @@ def test_what_depends_on_the_first_sample_a_node_heard_is_left_out_and_said(live
     assert verify(live.folder).largest > 0.001  # it is no other fault
 
 
+def test_a_recording_too_short_to_compare_says_so(live, monkeypatch):
+    live.write()
+    monkeypatch.setattr(verification, "SETTLED", 1e6)
+    result = st_verify(live.folder)
+    assert result.exit_code == 2 and "all 120 predictions start too soon" in result.output.replace("\n", " ")
+
+
 def test_a_score_of_its_own_is_found(live):
     live.score_shift = -0.005
     found = verify(live.write())
