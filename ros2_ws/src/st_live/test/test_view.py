@@ -157,11 +157,12 @@ def said(**changes: object) -> list[str]:
 
 
 def test_the_passenger_reads_speed_steering_position_mode_and_one_light() -> None:
-    assert said() == ["# 36 km/h", "## wheels 2.9° left", "## 2.0 m/s² right", "## RTK integer", "## all well",
+    assert said() == ["# 36 km/h", "## wheels 2.9° left · 2.0 m/s² right", "## RTK integer · all well",
                       "picture 0.1 s old"]
-    assert "## wheels -" in said(road_wheel_angle=None) and "## wheels 0.0°" in said(road_wheel_angle=-1e-4)
-    assert "## RTK float (9 s ago)" in said(mode="RTK float", mode_age=9.0)
-    assert "## position mode not heard" in said(mode="")
+    assert "## wheels - · 2.0 m/s² right" in said(road_wheel_angle=None)
+    assert "## wheels 0.0° · 2.0 m/s² right" in said(road_wheel_angle=-1e-4)
+    assert "## RTK float (9 s ago) · all well" in said(mode="RTK float", mode_age=9.0)
+    assert "## position mode not heard · all well" in said(mode="")
     assert not any("old" in line for line in said(age=None))  # a recording is as old as it is
     assert "## the picture stands: 3 s old" in said(age=3.2)
 

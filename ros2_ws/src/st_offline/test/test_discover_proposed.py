@@ -83,13 +83,15 @@ def test_the_curve_is_drawn_in_the_units_of_an_engineer():
     assert law_figure.shown("1")[0] == 100.0 and law_figure.shown("rad")[0] == pytest.approx(57.2958)
     drawn = law_figure.law_figure(proposal("front_grip", "speed", NEITHER), Place(None, ()))
     assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
+    pushed = law_figure.law_figure(proposal("yaw_moment", "acceleration_x", NEITHER), Place(None, ()))
+    assert "y in rad/s², u in m/s². " in pushed.caption
 
 
 def test_what_comes_and_goes_is_told_and_a_law_of_time_is_no_file(tmp_path, registry):
     one = replace(proposal("both_grip", "run_time", 0.0), shares=Shares({"lap": (1.2, 0.1), "other": (0.1, 0.1)}, 1e-6))
     said = Proposals(one, "it takes away 10 %", {})
     lines = "\n".join(proposed.told(said))
-    assert "comes and goes: hardly there in other (share of it by run: lap 1.2 ± 0.1, other 0.1 ± 0.1)" in lines
+    assert "comes and goes: hardly there in other (share of it by run, 95 %: lap 1.2 ± 0.2, other 0.1 ± 0.2)" in lines
     assert "no effect file is written" in lines
     assert proposed.write(said, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 
@@ -108,7 +110,8 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     assert "mass is stated above, but with this law it has little left to do (without it 0.4% of" in lines
     assert "1 of 1 runs" in lines
     assert "least sure at lateral acceleration -6 m/s²: " in lines
-    assert "± 1.1 °; driving there would pin it down" in lines
+    assert "± 1.1 ° (95 %); driving there would pin it down" in lines
+    assert "y = 2 u (in proportion; 97% of" in lines and "which is no result of these drives: a cause" in lines
     content = proposed.document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
 

@@ -63,8 +63,8 @@ def harmful(laws: Laws, name: str, before: np.ndarray, after: np.ndarray, limits
 def taken_away(laws: Laws, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
     """In words. falls: (b,) of the held-out loss. closer: (n,) fall of the position error [m]."""
     gain, low = (-np.expm1(-total / laws.loss.number) for total in (falls.sum(), least(falls, limits.doubt)))
-    return (f"takes away {gain:.1%} of the size of the errors (95 %: at least {low:.1%}) and "
-            f"{100 * mean_of(closer):.1f} cm after 5 s on runs it was not fitted to")
+    return (f"takes away {gain:.1%} of the size of the errors left, all channels together (95 %: at least {low:.1%}), "
+            f"and {100 * mean_of(closer):.1f} cm after 5 s, on runs it was not fitted to")
 
 
 def worthless(laws: Laws, name: str, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:

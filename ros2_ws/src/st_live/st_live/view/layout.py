@@ -38,9 +38,9 @@ def blueprint() -> rrb.Blueprint:
         rrb.Horizontal(
             rrb.Vertical(ahead, rrb.Tabs(plot("steering"), plot("speed"), plot("lateral_acceleration")),
                          row_shares=[3, 1]),
-            rrb.Vertical(rrb.Horizontal(around, rrb.Vertical(passenger, words), column_shares=[1, 1.3]),
-                         plot("lateral"), plot("longitudinal"),
-                         row_shares=[1.8, 1, 1]),
+            rrb.Vertical(rrb.Horizontal(around, passenger, column_shares=[1, 1.6]), words,
+                         rrb.Tabs(plot("lateral"), plot("longitudinal")),
+                         row_shares=[1.9, 1.1, 1]),
             column_shares=[1, 1.35],
         ),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),

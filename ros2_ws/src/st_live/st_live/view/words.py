@@ -70,8 +70,9 @@ def passenger(velocity_x: float, yaw_rate: float, road_wheel_angle: float | None
     position = mode or "position mode not heard"
     if mode and mode_age > STATUS_OLD:
         position += f" ({mode_age:.0f} s ago)"
-    lines = [f"# {3.6 * velocity_x:.0f} km/h", f"## wheels {angle}", f"## {_sided(lateral, ' m/s²')}", f"## {position}",
-             f"## {name}", said]
+    # Two to a line: all of it stays in sight in a window of 1100 by 560 pixels.
+    lines = [f"# {3.6 * velocity_x:.0f} km/h", f"## wheels {angle} · {_sided(lateral, ' m/s²')}",
+             f"## {position} · {name}", said]
     if age is not None:
         lines.append(f"## the picture stands: {age:.0f} s old" if age > OLD else f"picture {age:.1f} s old")
     return "\n\n".join(line for line in lines if line)

@@ -44,10 +44,12 @@ def waterfall(scene: Scene) -> Drawn | None:
         axes.set_yticks(range(len(steps) + 2), [*rows, "with all that was found"])
         axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
                  xlabel="mean position error after 5 s on held-out driving, m")
+        rises = any(s.position_5s.augmented > s.position_5s.base for s in steps)
         handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
                    Patch(color=AFTER, label="with what was found"), Patch(color=AFTER, alpha=0.65, label="taken away"),
+                   *([Patch(color=BAD, alpha=0.65, label="made worse")] if rises else []),
                    Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
-        figure.legend(handles=handles, loc="outside lower left", ncols=4)
+        figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
         caption = ("One effect more in each row, all values fitted anew; every error is on driving its values were not "
                    "fitted to. Line: 95 % of the change.")
         return finish(figure, scene.place, "waterfall", words.title(scene.found), caption)

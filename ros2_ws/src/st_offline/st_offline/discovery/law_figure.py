@@ -25,15 +25,17 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
         curve.plot(at, value, color=AFTER, label="proposed law")
         curve.set_ylabel(f"{textwrap.fill(law_words.axis(c), 28)}, {unit}")
         curve.legend(loc="best")
+        driven.set_axisbelow(True)
         driven.bar(at, 100.0 * one.density, width=at[1] - at[0], color=MEASURED_COLOUR)
         driven.set(ylabel="share of the\ndriving, %", xlabel=f"{law_words.quantity(c)}, {across_unit}")
         before, after = one.position_5s
         title = (f"PROPOSAL: {law_in_words(one)}; position error after 5 s, on runs it was not fitted to: "
                  f"{before:.3f} m without it, {after:.3f} m with it")
-        first = (f"First reading: {one.readings[0].text}, y in {c.unit}, u in {QUANTITIES[c.quantity]}. "
-                 if one.readings else "")
-        caption = (f"{first}Zero: the model without the law. Fitted through the simulator beside everything that was "
-                   "found; beyond the range driven the curve stays as it is at the end of it.")
+        units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
+        first = f"As a formula: {one.readings[0].text}, {units}. " if one.readings else ""
+        caption = (f"{first}Dotted, zero: the model without the law. Fitted through the simulator beside everything "
+                   "that was found; beyond the range driven the curve stays as it is at the end of it. Within, where "
+                   "nothing was driven, it is a smooth bridge. No other figure or table holds the law.")
         return finish(figure, place, "law", title, caption)
 
 

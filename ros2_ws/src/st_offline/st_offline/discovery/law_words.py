@@ -16,8 +16,8 @@ AXES = {
     "front_force": "lateral force of the front axle, to the left, over its static load",
     "rear_force": "lateral force of the rear axle, to the left, over its static load",
     "front_grip": "lateral force of the front axle larger by", "rear_grip": "lateral force of the rear axle larger by",
-    "both_grip": "lateral force of both axles larger by", "yaw_moment": "yaw acceleration to the left, by a moment",
-    "side_force": "lateral acceleration to the left, by a force", "sensor_yaw_rate": "yaw rate is shown too large by",
+    "both_grip": "lateral force of both axles larger by", "yaw_moment": "yaw moment to the left, over the yaw inertia",
+    "side_force": "side force to the left, over the mass", "sensor_yaw_rate": "yaw rate is shown too large by",
     "sensor_acceleration_y": "lateral acceleration is shown too large by",
     "sensor_velocity_y": "lateral velocity is shown too large by", "sensor_heading": "heading is shown too large by",
 }
@@ -31,6 +31,8 @@ QUANTITIES = {
     "east": "cosine of the course", "position_x": "position to the east", "position_y": "position to the north",
     "run_time": "time in the run",
 }
+SHAPES = {"linear": "in proportion", "straight line": "straight line with an offset"}
+"""Where the name of a shape says too little."""
 
 
 def place(c: Candidate) -> str:

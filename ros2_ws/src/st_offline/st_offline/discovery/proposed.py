@@ -78,13 +78,14 @@ def _what(one: Proposal, why: str) -> list[str]:
     c = one.candidate
     quantity, unit = law_words.quantity(c), QUANTITIES[c.quantity]
     without, with_it = one.position_5s
-    lines = [f"PROPOSAL, for you to keep or delete: {law_in_words(one)}",
+    lines = [f"PROPOSAL, not yet a finding: {law_in_words(one)}",
              f"position error after 5 s, on runs it was not fitted to: {without:.3f} m with what is stated above, "
              f"{with_it:.3f} m with the law as well; {why}"]
     causes = one.readings[0].causes if one.readings else ""
     if causes:
-        lines.append(f"what does that in textbooks, not seen in these drives: {causes}")
-    lines += [f"{'or' if k else 'as a formula:'} {r.text} ({r.shape}; {r.explained:.0%} of what the curve explains)"
+        lines.append(f"causes that textbooks name, which is no result of these drives: {causes}")
+    lines += [f"{'or' if k else 'as a formula:'} {r.text} ({law_words.SHAPES.get(r.shape, r.shape)}; "
+              f"{r.explained:.0%} of what the curve explains)"
               for k, r in enumerate(one.readings)]
     squares = str.maketrans({"^": None, "2": "²"})
     lines.append(f"y: {law_words.axis(c)} [{c.unit.translate(squares)}]; u: {quantity} [{unit.translate(squares)}], "
@@ -92,7 +93,7 @@ def _what(one: Proposal, why: str) -> list[str]:
     least = int(one.deviation.argmax())
     (up, shown_up), (across, shown_across) = shown(c.unit), shown(unit)
     lines.append(f"least sure at {quantity} {across * one.at[least]:.3g} {shown_across}: {up * one.value[least]:.2g} ± "
-                 f"{up * words.SURE * one.deviation[least]:.2g} {shown_up}; driving there would pin it down")
+                 f"{up * words.SURE * one.deviation[least]:.2g} {shown_up} (95 %); driving there would pin it down")
     return lines
 
 
@@ -108,12 +109,13 @@ def _doubts(one: Proposal) -> list[str]:
                      "the size of the errors comes back): it may have stood in for this law")
     absent = one.shares.absent() if one.shares.differ < DIFFER else []
     if absent:
-        told_of = ", ".join(f"{name} {share:.1f} ± {deviation:.1f}" for name, (share, deviation) in
+        told_of = ", ".join(f"{name} {share:.1f} ± {words.SURE * deviation:.1f}" for name, (share, deviation) in
                             one.shares.by_run.items())
-        lines.append(f"it comes and goes: hardly there in {', '.join(absent)} (share of it by run: {told_of})")
+        lines.append(f"it comes and goes: hardly there in {', '.join(absent)} (share of it by run, 95 %: {told_of})")
     if one.candidate.quantity != "run_time":
         lines.append("to try it: st demo, st live or st evaluate with --model proposed.yaml, --effects effects and the "
-                     "vehicle file that was given here")
+                     "vehicle file that was given here, not vehicle.yaml: proposed.yaml holds what is stated above, "
+                     "fitted anew beside the law. Keep its files or delete them")
     else:
         lines.append("no effect file is written: the time in the run is not known of a drive to come")
     worse = [name for name, (before, after) in one.runs.items() if after > before]
