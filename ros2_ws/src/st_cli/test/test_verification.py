@@ -182,6 +182,24 @@ def test_what_depends_on_the_first_sample_a_node_heard_is_left_out_and_said(live
     assert verify(live.folder).largest > 0.001  # it is no other fault
 
 
+def test_a_recording_too_short_to_compare_says_so(live, monkeypatch):
+    live.write()
+    monkeypatch.setattr(verification, "SETTLED", 1e6)
+    result = st_verify(live.folder)
+    assert result.exit_code == 2 and "all 120 predictions start too soon" in result.output.replace("\n", " ")
+
+
+@pytest.mark.parametrize("period", [0.1, 0.5, 1.0, 2.0])
+def test_a_slow_predictor_is_compared_and_one_started_again_begins_anew(period):
+    rng = np.random.default_rng(1)
+    starts = np.arange(60) * period + rng.normal(0.0, 2e-3, 60)
+    starts[30:] += 10 * period + 2.0
+    starts_ns = np.round(1e9 * starts).astype(np.int64)
+    kept = verification.settled(starts_ns, starts_ns[:1], cutoff=5.0)
+    assert not kept[0] and not kept[30]
+    assert kept.sum() >= 60 - 2 * (1 + int(0.7 / period))
+
+
 def test_a_score_of_its_own_is_found(live):
     live.score_shift = -0.005
     found = verify(live.write())

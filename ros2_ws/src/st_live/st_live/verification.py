@@ -169,10 +169,13 @@ def settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np
     """Whether the forward acceleration at a start no longer depends on which INS sample was the first to be heard.
 
     starts_ns: of predictions, rising. A predictor that was started again begins anew, so the time counts from the first
-    start since the recording knows the INS, and from the first after every pause. cutoff: of the filter [Hz].
+    start since the recording knows the INS, and from the first after every pause: of PAUSE, or of three intervals where
+    the predictor is slower. cutoff: of the filter [Hz].
     """
     known = starts_ns >= ins_time_ns[0] if len(ins_time_ns) else np.zeros(len(starts_ns), bool)
-    begins = np.diff(starts_ns, prepend=starts_ns[:1] - round(2e9 * PAUSE)) > round(1e9 * PAUSE)
+    between = np.diff(starts_ns)
+    pause = max(round(1e9 * PAUSE), 3 * np.median(between)) if len(between) else 0
+    begins = np.concatenate([np.ones(min(len(starts_ns), 1), bool), between > pause])
     begins |= np.diff(known, prepend=False)
     since_ns = starts_ns - np.maximum.accumulate(np.where(begins, starts_ns, starts_ns[:1]))
     return known & (since_ns > SETTLED / (2.0 * np.pi * cutoff) * 1e9)

@@ -28,7 +28,10 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, again: boo
             raise SuiteError(outcome.problem or failed)
         found = _verified(folder, vehicle, console)
     if found is None or not found.n_starts:
-        console.print("nothing to compare: no prediction was made from this recording")
+        settling = sum(c.n_settling for c in found.comparisons) if found else 0
+        why = (f"all {settling} predictions start too soon after the first sample heard" if settling
+               else "no prediction was made from this recording")
+        console.print(f"nothing to compare: {why}")
         return 2
     console.print(_table(found))
     for warning in found.warnings:
