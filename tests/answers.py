@@ -88,7 +88,7 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
         next_manoeuvre=NextManoeuvre("sweep", ("steering_ratio", "front_stiffness"), 5.5, {"sweep": 5.5, "step": 2.0},
                                      3, 30.0, 14.0, "they differ most there"),
         separability=(Separability("steering_ratio", "front_stiffness", 0.97, 2.2),),
-        certificate=Certificate(powers, 0, 0, False), signature=("It grows with speed.",),
+        certificate=Certificate(powers, 0, 0, False), signature=("it grows with speed",) * (outcome == "unknown"),
         runs=tuple(Run(log.name, "suspect", log.duration, k % 2, 40) for k, log in enumerate(runs))
         + tuple(Run(log.name, "reference", log.duration, 0, 40) for log in reference),
         start="reference" if reference else "vehicle file", base=start, model=model,

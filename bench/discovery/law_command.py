@@ -19,7 +19,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="st bench discovery --laws", description=(
         "Laws no library holds, hidden in two plants: what is proposed, against the truth. Block L: twelve laws, M: "
         "six effects taken out of the library, N: nothing left."))
-    parser.add_argument("--set", default="development", help="development, sealed, or any other word")
+    parser.add_argument("--set", default="development", help="development, sealed, sealed-2, or any other word")
     parser.add_argument("--until", type=float, metavar="MINUTES", help="begin no case after this time")
     parser.add_argument("--skip", type=int, default=0, metavar="CASES", help="leave out the first, opened before")
     parser.add_argument("--plain", action="store_true", help="leave out oracle and baselines")

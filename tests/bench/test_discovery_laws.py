@@ -110,16 +110,18 @@ def test_scores_by_hand():
     assert score.slot_right(record(law=in_a_set))
     assert score.misnamed(right) == [] and score.misnamed(missed) == ["rear_stiffness"]  # a lag is in the virtual Leaf
     assert score.seconds(right) == pytest.approx(30.0)
-    assert not score.noticed(missed) and score.noticed(record(law=None, outcome="unknown"))
-    measured = {name: value for name, value, *_ in score.scores([right, missed, elsewhere])}
-    assert measured["noticed (proposed or *unknown*)"].startswith("2 of 3")
+    assert score.noticed(missed) and not score.noticed(record(law=None, wanted=False))
+    unseen = record(law=None, wanted=False, plant="escort")
+    measured = {name: value for name, value, *_ in score.scores([right, missed, elsewhere, unseen])}
+    assert measured["noticed (proposed, or said to be missing)"].startswith("3 of 4")
+    assert measured["... on the virtual Leaf, where nothing else is missing"].startswith("3 of 3")
     assert measured["right slot, or a set that holds it, of proposals"].startswith("1 of 2")
 
 
 def test_the_page_shows_failures_as_they_are():
     nothing = record(block="N", index=0, hidden="nothing", position={"base": 0.1, "found": 0.1, "proposed": 0.1})
     del nothing["baselines"]
-    page = as_markdown([record(), record(index=19, law=None, alone=["rear_stiffness"]), nothing])
+    page = as_markdown([record(), record(index=19, law=None, wanted=False, alone=["rear_stiffness"]), nothing])
     assert "1 of 60 N" in page and "Development" in page
     assert "a proposal where nothing is left" in page and "not noticed; stated alone: rear_stiffness" in page
     assert "u \\|u\\|" in page or "square" not in page

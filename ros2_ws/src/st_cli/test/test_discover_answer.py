@@ -102,6 +102,16 @@ def test_without_a_name(logs, outcome, said):
     assert said in words.title(discovery(logs, (), 1.72, outcome=outcome))
 
 
+def test_what_remains_unexplained_is_told_beside_the_names(logs):
+    named = discovery(logs, STEPS, 1.72)
+    much = replace(named, signature=("errors are 3.1 times the noise",))
+    said = "; more is missing that no known effect explains: errors are 3.1 times the noise"
+    assert words.title(much) == words.title(named) + said
+    assert "something that is not in the library; errors are 3.1 times the noise" in words.what(much)
+    assert any("a name may stand for a part of it" in text for text in words.to_do(much, None))
+    assert not any("more is missing" in text for text in words.to_do(named, None))
+
+
 def test_what_is_bound_is_told_and_not_named(logs):
     found = discovery(logs, (), 1.72, bound=(tied(logs),), outcome="bound")
     assert words.title(found).endswith("something like crosswind (0.090 m), tied to run; nothing is named")

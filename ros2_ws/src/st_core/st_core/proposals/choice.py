@@ -7,6 +7,7 @@ from scipy import stats
 
 from ..discovery.limits import Limits
 from .curve_fit import Fitted, Laws
+from .places import Candidate
 from .screening import Screened
 
 REFITTED = 10  # laws fitted through the simulator
@@ -67,11 +68,18 @@ def taken_away(laws: Laws, falls: np.ndarray, closer: np.ndarray, limits: Limits
             f"and {100 * mean_of(closer):.1f} cm after 5 s, on runs it was not fitted to")
 
 
-def worthless(laws: Laws, name: str, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
-    """Why a law is not worth it, "" where it is: too little on runs it was not fitted to, or perhaps nothing."""
+def worthless(laws: Laws, law: Candidate, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
+    """Why a law is not worth it, "" where it is: too little on runs it was not fitted to, perhaps nothing, or the path
+    is no better with it by a chance above `limits.false_alarm`: to be misled by a law is as grave as a false one. Of a
+    law of what a sensor shows, a better path is not asked."""
     little = falls.sum() < limits.worth * laws.loss.number and mean_of(closer) < limits.worth_position
     if little or least(falls, limits.doubt) <= 0.0:
-        return f"{name} is sure, but {taken_away(laws, falls, closer, limits)}"
+        return f"{law.name} is sure, but {taken_away(laws, falls, closer, limits)}"
+    blocks = by_block(laws, closer)
+    blocks = blocks[np.isfinite(blocks)]
+    if not law.of_sensor and len(blocks) > 1 and least(blocks, limits.false_alarm) <= 0.0:
+        return (f"{law.name} is sure, but it is not sure that the predicted path is better with it: it "
+                f"{taken_away(laws, falls, closer, limits)}")
     return ""
 
 

@@ -82,6 +82,11 @@ class Candidate:
         return LawMemory.name if self.quantity in MEMORY or self.by in MEMORY else Law.name
 
     @property
+    def of_sensor(self) -> bool:
+        """Whether it is about what a sensor shows, not about how the car moves."""
+        return self.place.startswith("sensor_")
+
+    @property
     def changes_sides(self) -> bool:
         """Whether its mirror image has the other sign: a push to one side whichever way the car turns."""
         return self.parity == NEITHER and not self.by and not self.place.endswith("_grip")

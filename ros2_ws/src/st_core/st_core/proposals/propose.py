@@ -89,7 +89,7 @@ def _tried(laws: Laws, without: Fitted, sure: Sequence[Screened], vehicle: Vehic
         fit = laws.fit(one.candidate, without, one.smooth)
         name, after = one.candidate.name, held_out_positions(laws, fit)
         wrong = refused(laws, fit, vehicle) or harmful(laws, name, before, after, limits)
-        little = worthless(laws, name, without.held_out - fit.held_out, before - after, limits)
+        little = worthless(laws, one.candidate, without.held_out - fit.held_out, before - after, limits)
         if wrong or little:
             against[one] = wrong or little
         else:

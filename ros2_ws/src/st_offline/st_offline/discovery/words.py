@@ -85,6 +85,9 @@ def changes(found: Discovery) -> str:
     return f"5 s position error {metres(gap.base)} → {metres(gap.augmented)} (held-out)"
 
 
+UNEXPLAINED = "more is missing that no known effect explains"
+
+
 def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
@@ -93,12 +96,13 @@ def title(found: Discovery) -> str:
     if found.outcome == "unknown":
         known = f"; in addition {told}" if told else ""
         return f"{changes(found)}: something is missing that no known effect explains{known}"
+    more = f"; {UNEXPLAINED}: {found.signature[0]}" if found.signature else ""
     if told:
-        return f"{changes(found)}: {told}"
+        return f"{changes(found)}: {told}{more}"
     if found.outcome == "bound":
         tied = ", ".join(f"something like {plain(b.resembles)} ({metres(b.position_5s)}), tied to {b.to}"
                          for b in found.bound)
-        return f"{changes(found)}: {tied}; nothing is named"
+        return f"{changes(found)}: {tied}; nothing is named{more}"
     return f"{changes(found)}: nothing is missing with certainty"
 
 
@@ -123,8 +127,8 @@ def what(found: Discovery) -> list[str]:
         others = ", ".join(map(plain, effect.alternatives))
         parts.append(f"{plain(effect.name)}{f' (or {others}: not ruled out)' if others else ''}, {effect.kind}: "
                      + values(effect.name, effect.parameters) + (f"; {physics}" if physics else ""))
-    if found.outcome == "unknown":
-        parts.append(" ".join(("something that is not in the library.", *found.signature)))
+    if found.outcome == "unknown" or found.signature:
+        parts.append("; ".join(("something that is not in the library", *found.signature)))
     return parts or ["no effect is added to the model"]
 
 
@@ -267,7 +271,10 @@ def to_do(found: Discovery, mended: Mended | None) -> list[str]:
         kept = ", ".join(by_any_name(found, e) for e in found.minor)
         told.append(f"model.yaml also contains {kept}: part of the fit, but too small compared with what remains; "
                     "do not take it for a property of the car")
-    if found.outcome == "unknown":
+    if found.signature and found.effects:
+        told.append("more is missing than is named, and a name may stand for a part of it: compare the values with "
+                    "what you know of the car")
+    if found.outcome == "unknown" or found.signature:
         told.append("see where and when the model fails; you can add your own effect (docs/manual/effects.md)")
     shows = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
     if found.outcome == "not_testable":
