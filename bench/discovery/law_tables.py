@@ -43,7 +43,8 @@ def _methods(records: Sequence[Record]) -> list[str]:
 def _origin(records: Sequence[Record]) -> str:
     sets, versions = (", ".join(sorted({r[key] for r in records})) for key in ("set", "version"))
     counts = ", ".join(f"{sum(r['block'] == b for r in records)} of {n} {b}" for b, n in COUNTS.items())
-    looked = "" if sets.startswith("sealed") else " **Development cases: they were looked at while the method was written.**"
+    looked = ("" if sets.startswith("sealed") else
+              " **Development cases: they were looked at while the method was written.**")
     return (f"Set: {sets}. Version {versions}. Cases: {counts} (L: laws no library holds, M: an effect taken out of "
             f"the library, N: nothing left to find).{looked} In brackets: 95 % Wilson interval.")
 
