@@ -74,16 +74,17 @@ class BandMessages:
             self._messages[model] = [self._made(*key, widths) for key, widths in of_model.items()]
 
     def _made(self, mode: str, level: float, widths: np.ndarray) -> Band:
-        arrays = {axis: array("f", bytes(4 * len(widths))) for axis in AXES}
-        # Views of both, because a message holds arrays of its own, and copying is then all that is left to do.
-        self._copies += [(memoryview(arrays[axis]), memoryview(column))
+        zeros = array("f", bytes(4 * len(widths)))
+        message = Band(mode=mode, level=level, **dict.fromkeys(AXES, zeros))
+        # A message makes arrays of its own; with views of both sides, copying is all that is left to do.
+        self._copies += [(memoryview(getattr(message, axis)), memoryview(column))
                          for axis, column in zip(AXES, widths.T, strict=True)]
-        return Band(mode=mode, level=level, **arrays)
+        return message
 
     def fill(self) -> Mapping[str, list[Band]]:
         """By model; valid until the next call."""
-        for message, column in self._copies:
-            message[:] = column
+        for target, column in self._copies:
+            target[:] = column
         return self._messages
 
 
