@@ -26,7 +26,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("laws.jsonl"),
                         help="file of JSON lines; cases in it are not computed again")
     parser.add_argument("--tables", type=Path, nargs="+", metavar="FILE",
-                        help="run nothing: write the scores into docs/manual/proposals.md from these files")
+                        help="run nothing: write the scores into docs/measurements/proposals.md from these files")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
         law_tables.write(read_all(chosen.tables))

@@ -1,4 +1,4 @@
-"""Blocks L, M and N as a part of docs/manual/proposals.md: scores, other methods, every law, all that failed."""
+"""Blocks L, M and N as a part of docs/measurements/proposals.md: scores, other methods, every law, all that failed."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from .paths import ROOT
 from .tables import table
 
 Record = dict[str, Any]
-PAGE = ROOT / "docs" / "manual" / "proposals.md"
+PAGE = ROOT / "docs" / "measurements" / "proposals.md"
 BEGIN, END = "<!-- scores: written by ./st bench discovery --laws --tables FILE ... -->", "<!-- end of scores -->"
 
 
