@@ -35,7 +35,7 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
         first = f"As a formula: {one.readings[0].text}, {units}. " if one.readings else ""
         caption = (f"{first}Dotted, zero: the model without the law. Fitted through the simulator beside everything "
                    "that was found; beyond the range driven the curve stays as it is at the end of it. Within, where "
-                   "nothing was driven, it is a smooth bridge. No other figure or table holds the law.")
+                   "nothing was driven, it is a smooth bridge. The other figures do not contain the law.")
         return finish(figure, place, "law", title, caption)
 
 
