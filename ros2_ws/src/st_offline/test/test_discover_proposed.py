@@ -168,15 +168,16 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
                         [Option(brake, 0.5 * one.deviation, {rival: 6.0}, (4.0, 0.0)),
                          Option(sweep, 0.8 * one.deviation, {rival: 1.5}, (0.0, 0.1))])
     one = replace(one, drives=drives)
-    assert "with the vehicle file, y = 1 is a moment of 2925 N m" in text_of(Proposals(one, "", {}))
+    assert "y = 1 rad/s² is a moment of 2925 N m, by the yaw inertia of the" in text_of(Proposals(one, "", {}))
     told = "\n".join(next_drive_words.sentences(one))
     assert "from side force on the body over the speed: brake_in_turn, 3 times" in told
-    assert "then differ by 6.0 standard deviations of the noise; now by 1.0" in told
-    assert "for a surer curve: the same. The largest 95 % interval then falls from ± 0.02 to ± 0.0098 rad/s²" in told
+    assert "The two then differ 6.0 times as clearly" in told
+    assert "for a surer curve: brake_in_turn. The largest 95 % interval then falls" in told
+    assert "from ± 0.02 to ± 0.0098 rad/s²" in told
     assert "for -3 to -2 m/s²: brake_in_turn" in told and "no manoeuvre of the catalogue stays at 1 to 1.5 m/s²" in told
     assert next_drive_words.named(one) == ["brake_in_turn"]
     content = proposed.document(Proposals(one, "", {}))["proposal"]["next_drives"]
     assert content["tells_apart"] == {"manoeuvre": "brake_in_turn", "from": rival}
     assert content["pins_down"] == "brake_in_turn" and len(content["options"]) == 2
     weak = replace(one, drives=replace(drives, options=drives.options[1:]))
-    assert "no manoeuvre of the catalogue tells it from the laws" in "\n".join(next_drive_words.sentences(weak))
+    assert "no manoeuvre of the catalogue tells it much better from" in "\n".join(next_drive_words.sentences(weak))

@@ -13,6 +13,7 @@ from ..manoeuvres import Manoeuvre
 from .curve_fit import RIDGE, Fitted, Laws
 from .places import ODD, Candidate, driven
 
+CLEARER = 1.3  # times the strength now: a manoeuvre that brings less tells hardly more
 SPARSE = 0.1  # of the driving that falls on a point if all of the range is driven alike: less is thin
 OF_A_PLACE = ("run_time", "position_x", "position_y", "north", "east")  # no manoeuvre reaches them by itself
 Range = tuple[float, float]
@@ -45,10 +46,14 @@ class NextDrives:
         return best if best is not None and best.deviation.max() < deviation.max() else None
 
     def tells_apart(self) -> tuple[Option, str] | None:
-        """The largest smallest strength over all laws not told apart, and that law; None below TOLD."""
+        """The largest smallest strength over all laws not told apart, and that law; None below TOLD, and where it is
+        hardly larger than now."""
         weakest = [(option, min(option.apart, key=option.apart.__getitem__)) for option in self.options if option.apart]
         best = max(weakest, key=lambda pair: pair[0].apart[pair[1]], default=None)
-        return best if best is not None and best[0].apart[best[1]] >= TOLD else None
+        if best is None:
+            return None
+        option, law = best
+        return best if option.apart[law] >= max(TOLD, CLEARER * self.now[law]) else None
 
 
 def thin_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:

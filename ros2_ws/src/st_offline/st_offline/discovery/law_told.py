@@ -48,8 +48,9 @@ def told(found: Proposals, answer: Discovery, vehicle: VehicleParameters, start:
     if one is None:
         return Told([("proposal", [f"none: {law_words.in_words(found.why, found.tried)}"]), *less])
     groups: Groups = [("proposal", _proposal(one)), ("worth", _worth(one, answer, found.why)),
-                      ("formula", _formula(one, vehicle)), ("how sure", _sure(one)), ("or instead", _doubts(one)),
-                      ("next drive", next_drive_words.sentences(one)), *less, ("files", _files(one))]
+                      ("formula", _formula(one, vehicle)), ("how sure is the curve", _sure(one)),
+                      ("or instead", _doubts(one)), ("next drive for it", next_drive_words.sentences(one)), *less,
+                      ("files", _files(one, answer.model is not None))]
     filled = [(question, lines) for question, lines in groups if lines]
     tables = [by_run(one, answer), *values_beside(one, answer, vehicle)]
     return Told(filled, tables, _commands(one, start), _headline(one))
@@ -119,12 +120,17 @@ def _doubts(one: Proposal) -> list[str]:
     return lines
 
 
-def _files(one: Proposal) -> list[str]:
+def _files(one: Proposal, corrected: bool) -> list[str]:
+    """corrected: whether there is an answer without the law, too."""
     if one.candidate.quantity == "run_time":
         return ["no effect file is written, because the time in a run says nothing of a future drive"]
-    return [f"effects/{name_of(one)}.py holds the law. proposed.yaml is the model with it, for the vehicle file that "
-            "was given: it holds the corrections of that file too, fitted anew beside the law. It is refused with "
-            "vehicle.yaml, where they would count twice"]
+    lines = [f"effects/{name_of(one)}.py holds the law. proposed.yaml is the model with it"]
+    if corrected:
+        lines.append("predict either without the law, with vehicle.yaml and model.yaml, or with it: with the vehicle "
+                     "file that was given, proposed.yaml and effects. proposed.yaml holds the corrections of the "
+                     "vehicle file too, fitted anew beside the law; with vehicle.yaml they would count twice, and that "
+                     "is refused")
+    return lines
 
 
 def _commands(one: Proposal, start: Start) -> list[tuple[str, str]]:

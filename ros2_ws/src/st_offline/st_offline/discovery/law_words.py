@@ -57,12 +57,13 @@ def axis(c: Candidate) -> str:
 
 
 def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
-    """What y = 1 is as a force or moment of that car, "" for what is none."""
+    """What y is as a force or moment of that car, "" for what is none."""
     weight = 9.81 * vehicle.mass / vehicle.wheelbase
-    sizes = {"yaw_moment": f"moment of {vehicle.yaw_inertia:.4g} N m", "side_force": f"force of {vehicle.mass:.4g} N",
-             "front_force": f"force of {weight * vehicle.cg_to_rear_axle:.4g} N",
-             "rear_force": f"force of {weight * vehicle.cg_to_front_axle:.4g} N"}
-    return f"with the vehicle file, y = 1 is a {sizes[c.place]}" if c.place in sizes and not c.by else ""
+    sizes = {"yaw_moment": f"1 rad/s² is a moment of {vehicle.yaw_inertia:.4g} N m, by the yaw inertia",
+             "side_force": f"1 m/s² is a force of {vehicle.mass:.4g} N, by the mass",
+             "front_force": f"1 is a force of {weight * vehicle.cg_to_rear_axle:.4g} N, by the axle load",
+             "rear_force": f"1 is a force of {weight * vehicle.cg_to_front_axle:.4g} N, by the axle load"}
+    return f"y = {sizes[c.place]} of the vehicle file" if c.place in sizes and not c.by else ""
 
 
 def law(c: Candidate, constant: bool = False) -> str:

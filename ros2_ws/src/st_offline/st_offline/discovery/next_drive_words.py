@@ -23,23 +23,22 @@ def sentences(one: Proposal) -> list[str]:
     if c.quantity in OF_A_PLACE:
         return ["drive the same again, once beginning elsewhere on the course and once in the other direction, and add "
                 f"these runs: only then can {law_words.quantity(c)}, the road and the time be told apart"]
-    lines, named = [], []
+    lines: list[str] = []
     apart = drives.tells_apart()
     if apart is not None:
         option, rival = apart
-        named.append(option)
-        lines.append(f"to tell it from {law_words.named(rival)}: {_driven(option)}. The two then differ by "
-                     f"{option.apart[rival]:.1f} standard deviations of the noise; now by {drives.now[rival]:.1f}")
+        lines.append(f"to tell it from {law_words.named(rival)}: {_driven(option, lines)}. The two then differ "
+                     f"{option.apart[rival] / max(drives.now[rival], 1e-9):.1f} times as clearly")
     elif one.others and drives.options:
-        lines.append("no manoeuvre of the catalogue tells it from the laws it may be instead: measure the cause on the "
-                     "car")
+        lines.append("no manoeuvre of the catalogue tells it much better from the laws it may be instead: look for the "
+                     "cause on the car")
     surest = drives.pins_down(one.deviation)
     if surest is not None:
         up, unit = shown(c.unit)
-        lines.append(f"for a surer curve: {'the same' if surest in named else _driven(surest)}. The largest 95 % "
+        lines.append(f"for a surer curve: {_driven(surest, lines)}. The largest 95 % "
                      f"interval then falls from ± {up * words.SURE * one.deviation.max():.2g} to ± "
                      f"{up * words.SURE * surest.deviation.max():.2g} {unit}")
-    return [*lines, *_thin(one)]
+    return [*lines, *_thin(one, lines)]
 
 
 def named(one: Proposal) -> list[str]:
@@ -56,22 +55,25 @@ def _through(one: Proposal, k: int) -> Option | None:
     return best if best is not None and best.seconds[k] >= SECONDS else None
 
 
-def _thin(one: Proposal) -> list[str]:
-    """Which manoeuvre spends most time in each range that was hardly driven."""
-    lines, drives, missed = [], one.drives, []
+def _thin(one: Proposal, before: Sequence[str]) -> list[str]:
+    """Which manoeuvre spends most time in each range that was hardly driven. before: lines that are said already."""
+    lines: list[str] = []
+    drives, missed = one.drives, []
     for k, between in enumerate(drives.thin):
         best = _through(one, k)
         if best is None:
             missed.append(between)
             continue
-        lines.append(f"for {ranges(one, [between])}: {_driven(best)}; {best.seconds[k]:.1f} s of each drive are in "
-                     "that range")
+        lines.append(f"for {ranges(one, [between])}: {_driven(best, (*before, *lines))}; {best.seconds[k]:.1f} s of "
+                     "each drive are in that range")
     if missed:
         lines.append(f"no manoeuvre of the catalogue stays at {ranges(one, missed)} of the "
                      f"{law_words.quantity(one.candidate)}: drive some seconds there by hand, turning to both sides")
     return lines
 
 
-def _driven(option: Option) -> str:
+def _driven(option: Option, before: Sequence[str]) -> str:
+    """A manoeuvre, described where it is not yet."""
     m = option.manoeuvre
-    return f"{m.name}, {TIMES} times {m.duration:.0f} s ({m.meaning}, from {m.speed:.1f} m/s)"
+    whole = f"{m.name}, {TIMES} times {m.duration:.0f} s ({m.meaning.replace('^2', '²')}, from {m.speed:.1f} m/s)"
+    return m.name if any(whole in line for line in before) else whole

@@ -72,7 +72,7 @@ def waterfall(found: Discovery) -> Table | None:
     """The steps from base to model; None without any."""
     if not found.steps:
         return None
-    table = Table("step", "value", "after 5 s, m", "less, m", "95 %", box=None, padding=(0, 1))
+    table = Table("step", "value then", "after 5 s, m", "less, m", "95 %", box=None, padding=(0, 1))
     for column in table.columns[2:]:
         column.justify = "right"
     table.add_row("start", found.start, f"{found.steps[0].position_5s.base:.3f}", "", "")

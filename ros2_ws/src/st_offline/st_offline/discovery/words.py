@@ -241,7 +241,7 @@ def following(found: Discovery) -> str:
     first, second = map(plain, n.separates)
     now = next((p.strength for p in found.separability if {p.first, p.second} == set(n.separates)), 0.0)
     return (f"{n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would separate {first} and {second} "
-            f"by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}; {n.reason}")
+            f"by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}; {plain(n.reason)}")
 
 
 def to_do(found: Discovery, mended: Mended | None) -> list[str]:
