@@ -79,12 +79,26 @@ def timing(motion: Motion, extras: Extras) -> list[Finding]:
         # Samples without an acceleration were kept, those without another channel were not.
         left = len(motion.steering_time if channel in STEERING else motion.time)
         share = count / max(left if channel.startswith("acceleration") else left + count, 1)
-        if count:
+        if share > FEW and not channel.startswith("acceleration") and (
+                rate := _even_rate(motion.steering_time if channel in STEERING else motion.time)):
+            told.append(Finding("values_missing", Severity.NOTE, (channel,), f"{channel}: {100 * share:.2g} % of the rows "
+                                f"hold no value, and those that do are evenly spaced: it was recorded at {rate:.3g} Hz",
+                                share, "1", None, (), None, Cure("look", "nothing, if that is the rate of the sensor")))
+        elif count:
             severity = Severity.WARNING if share > FEW else Severity.NOTE
             told.append(Finding("values_missing", severity, (channel,), f"{channel}: {count} rows hold no usable value "
                                 f"({100 * share:.2g} %); they were left out", share, "1", None, (), None,
                                 Cure("look", "look at what the logger writes there")))
     return told
+
+
+def _even_rate(time: np.ndarray) -> float:
+    """Hz of samples that are evenly spaced but for one in a hundred, else 0: rows left empty in between lack nothing."""
+    spacing = np.diff(time)
+    if len(spacing) < 20:
+        return 0.0
+    usual = float(np.median(spacing))
+    return 1.0 / usual if np.mean(np.abs(spacing - usual) > 0.5 * usual) <= FEW else 0.0
 
 
 def _stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
