@@ -138,8 +138,8 @@ def _bus_problems(car: Car) -> list[str]:
     try:
         if any(_places(read_table(car.signals))):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: names in "
-                    f"{car.dbc.name} of the message and the signal with the steering wheel angle; if all recordings are CSV "
-                    "or bags, delete both files"]
+                    f"{car.dbc.name} of the message and the signal with the steering wheel angle; if all recordings "
+                    "are CSV or bags, delete both files"]
         table = load_table(car.dbc, car.signals)
     except (RunError, TableError) as error:
         return [str(error)]

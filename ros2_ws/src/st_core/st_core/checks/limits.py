@@ -20,7 +20,8 @@ class Limits:
     quantity that agree less have not been shown to be one quantity.
     bias_acceleration [m/s^2]: 0.1 is 0.6 degrees of mounting or road. tyre [m/s^2]: no road tyre gives more.
     steering_unit: factor by which steering and curvature of any healthy car may differ beyond the understeer of its
-    file (ratio, wheelbase, guessed stiffnesses). steering_lag [s]: what a car itself may need. steering_offset [rad]: at the road wheels.
+    file (ratio, wheelbase, guessed stiffnesses). steering_lag [s]: what a car itself may need. steering_offset [rad]:
+    at the road wheels.
     mounting [m]: how well a tape finds the measuring point. heading [rad]: 0.1 degree, what a dual antenna knows.
     """
 
