@@ -229,7 +229,12 @@ ELSEWHERE = {"most": "test_discovery.py"}
 """Limits that the search itself needs, and where they are tested."""
 
 
-@pytest.mark.parametrize("limit", [f.name for f in fields(Limits) if f.name not in ELSEWHERE])
+def test_every_limit_has_an_answer_that_it_turns():
+    without = {field.name for field in fields(Limits)} - {*TURNED, *ELSEWHERE}
+    assert not without, f"limits without a line in TURNED of {Path(__file__).name}: {', '.join(sorted(without))}"
+
+
+@pytest.mark.parametrize("limit", TURNED)
 def test_limit_turns_an_answer(limit):
     asked, off, on, without = TURNED[limit]
     assert asked(LIMITS) == on

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from discovery_drives import NOISE, linear_problem, recorded
+from discovery_drives import COLUMNS, NOISE, linear_problem, recorded
 from scipy import stats
 from st_core.discovery import DiscoverySettings, noise
 from st_core.discovery.evidence import (
@@ -163,10 +163,10 @@ def test_sensors_confirm_or_contradict():
 def test_shares_of_the_columns():
     """An effect of one column only takes nothing away from the others; the noise is what is told."""
     problem = linear_problem(FEW, {"mass": 1.0}, 7)
-    problem.noise = np.full(6, 0.01)
+    problem.noise = np.full(len(COLUMNS), 0.01)
     rows = np.full(problem.errors.noise.shape, 0.02)
     half = rows.copy()
-    half[:, 1::6] = 0.005
+    half[:, 1::len(COLUMNS)] = 0.005
     problem.errors.noise = rows
     problem.errors.truth = problem.start
     told = shares(problem, rows, half)

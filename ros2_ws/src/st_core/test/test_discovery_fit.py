@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from discovery_drives import linear_problem, recorded
+from discovery_drives import COLUMNS, linear_problem, recorded
 from scipy import optimize, stats
 from st_core.augmented import augment
 from st_core.channels import OF_COLUMN
@@ -78,20 +78,20 @@ def test_scale_is_what_two_thirds_of_the_errors_are_below():
 
 def test_scale_stops_at_the_resolution_of_the_sensors():
     problem = small_noise(linear_problem(FEW, {}, 1), 1e-9)
-    smallest = [channel.smallest for channel in OF_COLUMN.values()] * 4
+    smallest = [OF_COLUMN[column].smallest for column in COLUMNS] * 4
     np.testing.assert_array_equal(problem.loss.scale, smallest)
 
 
 def test_what_was_not_measured_does_not_count():
     problem = linear_problem(FEW, {"mass": 1.0}, 2)
-    problem.errors.windows.known[1:, 2::6] = False  # one column, at all points
+    problem.errors.windows.known[1:, 2::len(COLUMNS)] = False  # one column, at all points
     problem.errors.windows.known[5] = False  # one window
     loss = Loss(problem.errors, problem.start)
     before = loss.total(problem.start)
-    assert loss.number == (160 - 1) * 20 + 4
+    assert loss.number == (160 - 1) * 4 * (len(COLUMNS) - 1) + 4
     assert loss.by_window(problem.start)[5] == 0.0
     scale = loss.scale.copy()
-    problem.errors.noise[1:, 2::6] = 1e3
+    problem.errors.noise[1:, 2::len(COLUMNS)] = 1e3
     problem.errors.noise[5] = np.nan
     assert loss.total(problem.start) == before
     loss.scale = scale
@@ -106,7 +106,7 @@ def test_prediction_that_diverges_is_far_off_and_says_nothing_of_slopes():
     problem.errors.noise[7] = np.nan  # measured, lost by a later vector only
     problem.errors.noise[8] = 1e9
     after = loss.by_window(problem.start)
-    assert after[7] == after[8] == pytest.approx(24 * rho(np.array(FURTHEST)))
+    assert after[7] == after[8] == pytest.approx(4 * len(COLUMNS) * rho(np.array(FURTHEST)))
     np.testing.assert_array_equal(np.delete(after, (7, 8)), np.delete(before, (7, 8)))
     q = loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
     assert not q.gradient[7:9].any() and not q.hessian[7:9].any()
@@ -117,7 +117,7 @@ def test_windows_without_any_prediction_at_the_start_are_left_out():
     problem = linear_problem(FEW, {}, 3)
     problem.errors.noise[7] = np.nan
     loss = Loss(problem.errors, problem.start)
-    assert loss.number == (160 - 1) * 24 and loss.by_window(problem.start)[7] == 0.0
+    assert loss.number == (160 - 1) * 4 * len(COLUMNS) and loss.by_window(problem.start)[7] == 0.0
 
 
 def test_quadratic_touches_the_loss_and_lies_above_it():
@@ -163,8 +163,9 @@ def test_slopes_of_the_simulation_have_the_sign_of_the_effect(leaf):
     runs = recorded(leaf, {"steering_offset": {"angle": 0.005}}, 1, ("slalom",), noise=0.0)
     loss = Loss(Errors(Windows(runs, leaf, settings), space), space.null)
     own = space.indices("steering_offset")
+    lateral = loss.errors.windows.columns.index("position_lateral") - len(loss.errors.windows.columns)
     rows, fall = loss.errors.at(space.null), loss.slopes(space.null, own)[0]
-    np.testing.assert_allclose(fall[:, -2], rows[:, -2], rtol=0.1)  # one usual size: all of the lateral error
+    np.testing.assert_allclose(fall[:, lateral], rows[:, lateral], rtol=0.1)  # one usual size: all of the lateral error
 
 
 # Solvers

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from discovery_drives import linear_problem, recorded
+from discovery_drives import COLUMNS, linear_problem, recorded
 from st_core.discovery import DiscoverySettings, Limits, certificate, waterfall
 from st_core.discovery.evidence import screen
 from st_core.discovery.fit import Problem
@@ -35,7 +35,7 @@ def explained():
 
 def test_errors_at_the_end_are_those_of_the_last_point(explained):
     problem, final, ends, *_ = explained
-    rows = problem.held_out_rows(final, problem.apart).reshape(320, 4, 6)[:, -1]
+    rows = problem.held_out_rows(final, problem.apart).reshape(320, 4, len(COLUMNS))[:, -1]
     of = ends.of(final)
     np.testing.assert_allclose(of["yaw_rate"], np.square(rows[:, 1]))
     np.testing.assert_allclose(of["position_5s"], np.hypot(rows[:, 4], rows[:, 5]))
@@ -179,7 +179,7 @@ def test_value_with_a_reference_is_the_change_since():
 def test_promised_power_is_what_imitated_drives_show():
     problem = linear_problem(FEW, {}, 5, common=0.3)
     problem.errors.signatures *= 0.8  # so that a quarter of a usual size is not worth it, and half of it is
-    problem.noise = np.full(6, 0.02)  # nothing is left that noise does not explain
+    problem.noise = np.full(len(COLUMNS), 0.02)  # nothing is left that noise does not explain
     base = fitted(problem)
     scores = screen(problem, base, np.random.default_rng(0))
     promised = certificate.predicted(problem, base, scores, Limits())
