@@ -245,6 +245,9 @@ def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding
     text = (f"the measuring point lies {size_of(one)} m {where} the declared one (cg_to_ins_x "
             f"{vehicle.cg_to_ins_x:.2f} m)")
     value = vehicle.cg_to_ins_x + one.value
+    low, high = (vehicle.cg_to_ins_x + vehicle.cg_to_rear_axle + end for end in one.interval)
+    if low < 0.0 < high:
+        text += ": at the rear axle?"
     return Finding("measuring_point", _at_most_warning(effect), ("velocity_y", "x", "y"), text, one.value, "m",
                    one.interval, (), effect, Cure(
                        "vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}",
