@@ -21,7 +21,7 @@ class Expected:
     does to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of
     error [m]. correlation: below which the two are not compared.
     least_spread: standard deviation of the channel below which no lag is told [unit].
-    factors: names of units by the factor they make.
+    factors: names of units by the factor they make. why: what a bias may come from, in words.
     """
 
     channel: str
@@ -35,6 +35,7 @@ class Expected:
     least_spread: float = 0.0
     correlation: float = LIMITS.correlation
     factors: Mapping[float, str] = field(default_factory=dict)
+    why: str = ""
 
     @property
     def say(self) -> str:
@@ -59,13 +60,13 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     size, divided = abs(scale.value), scale.value if told else 1.0
     if lag.sure and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread:
         rate = float(np.std(np.gradient(found.derived, found.time)))
-        text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag)} s"
+        text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag)} s{or_else(found)}"
         told.append(_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
                              abs(lag.value) >= expected.grave[0]))
     if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
         side = "high" if bias.value > 0.0 else "low"
         unit = expected.unit.replace("^2", "²")
-        text = f"{name} is {size_of(bias)} {unit} too {side} against {expected.against}"
+        text = f"{name} is {size_of(bias)} {unit} too {side} against {expected.against}{expected.why}"
         told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
                              {"add": -bias.value / divided}, abs(bias.value) / size >= expected.grave[2]))
     return told, {f"{name}_lag": lag, f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
@@ -81,6 +82,13 @@ def in_words(one: Estimate) -> str:
 def size_of(one: Estimate) -> str:
     """As in_words, without the sign."""
     return in_words(one).removeprefix("-")
+
+
+def or_else(found: Agreement, response: float = 0.0) -> str:
+    """What the lag may be instead, in words; response: of the car, as in the lag that is told [s]."""
+    other = sorted(late + response for late in found.alike)
+    named = " or ".join(f"{'lags' if late > 0.0 else 'leads'} by {abs(late):.2f} s" for late in other)
+    return f" (or {named}: the drive repeats itself, and that fits as well)" if named else ""
 
 
 def _factor(scale: float, expected: Expected) -> float | None:
