@@ -65,7 +65,8 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
 def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advice:
     """Raises ConfigurationError where no run can be used."""
     settings = {one.prediction.step: one for one in steps(task.settings)}
-    models, samples = load_models(task), {}
+    models = load_models(task)
+    samples: dict[Key, list[RunSamples]] = {}
     unusable: dict[Key, str] = {}
     longest: LogSignals | None = None
     with warnings.catch_warnings():

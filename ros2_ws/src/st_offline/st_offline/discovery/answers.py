@@ -45,8 +45,8 @@ def kept(file: Path) -> Discovery | None:
         content = json.loads(file.read_text(encoding="utf-8"))
         models = {name: content[name] and augment(*content[name]) for name in ("base", "model")}
         hints = get_type_hints(Discovery)
-        return Discovery(**models, **{f.name: restored(hints[f.name], content[f.name]) for f in fields(Discovery)
-                                      if f.name not in models})
+        return Discovery(**{f.name: models[f.name] if f.name in models else restored(hints[f.name], content[f.name])
+                            for f in fields(Discovery)})
     except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
         return None
 
@@ -54,7 +54,7 @@ def kept(file: Path) -> Discovery | None:
 def restored(kind: Any, value: Any) -> Any:
     """What `Discovery.document` made lists and dicts of, as dataclasses, tuples and mappings of the type `kind`."""
     origin, inner = get_origin(kind), get_args(kind)
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
         return kind(**{name: restored(hints[name], entry) for name, entry in value.items()})
     if origin is tuple:
