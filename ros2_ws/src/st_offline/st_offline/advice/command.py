@@ -89,13 +89,13 @@ def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advic
             raise ConfigurationError("--advise: no run is as long as the horizon; give longer ones")
         paid = costs(models, task.vehicle, longest, settings)
     worths = {}
-    for (model, step), runs in samples.items():
-        if not runs or (model, step) in unusable:
+    for (name, step), runs in samples.items():
+        if not runs or (name, step) in unusable:
             continue
         try:
-            worths[model, step] = worth(runs, model, settings[step])
+            worths[name, step] = worth(runs, name, settings[step])
         except StCoreError as error:
-            unusable[model, step] = str(error)
+            unusable[name, step] = str(error)
     return Advice(paid, worths, unusable, tolerance)
 
 

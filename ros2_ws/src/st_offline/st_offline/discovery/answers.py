@@ -43,10 +43,10 @@ def kept(file: Path) -> Discovery | None:
     """The answer in a file of `keep`; None where there is none, or a damaged one."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        models = {name: content[name] and augment(*content[name]) for name in ("base", "model")}
         hints = get_type_hints(Discovery)
-        return Discovery(**{f.name: models[f.name] if f.name in models else restored(hints[f.name], content[f.name])
-                            for f in fields(Discovery)})
+        parts = {name: restored(kind, content[name]) for name, kind in hints.items() if name not in ("base", "model")}
+        parts |= {name: content[name] and augment(*content[name]) for name in ("base", "model")}
+        return Discovery(**parts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
         return None
 
