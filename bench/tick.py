@@ -24,7 +24,7 @@ def run() -> dict:
     path = config("vehicle/leaf.yaml")
     vehicle = VehicleParameters.from_yaml(path.read_text(), origin=str(path))
     predictor, live = Predictor(vehicle, MODELS, PredictionSettings()), LiveBands(drawn_bands(vehicle), MODELS)
-    messages = BandMessages()
+    messages = BandMessages(live.stated)
     for k in range(200):
         time_ns = k * 10_000_000
         predictor.add_ins(InsSample(time_ns, 10 * k * 0.01, 0.0, 0.0, 10.0, 0.05, 0.2))
@@ -36,9 +36,9 @@ def run() -> dict:
         if isinstance(start, Skip):
             raise RuntimeError(start.reason)
         if with_bands := bool(k % 2):
-            stated = live(conditions_now(predictor.history, start.time_ns))
-            if len(messages.fill(stated)) != len(MODELS):
+            if not live(conditions_now(predictor.history, start.time_ns)):
                 raise RuntimeError("no band at these conditions")
+            messages.fill()
         for model in MODELS:
             predictor.run(start, model)
         times[with_bands].append((time.perf_counter() - begin) * 1e3)

@@ -2,7 +2,7 @@
 
 import struct
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,23 @@ def read_messages(directory: Path, topics: Collection[str] = ()) -> dict[str, li
         for connection, _, raw in reader.messages(wanted):
             messages[connection.topic].append(reader.deserialize(raw, connection.msgtype))
     return messages
+
+
+def from_where_both_heard(*known: Iterable[tuple[str, int]]) -> list[list[tuple[str, int]]]:
+    """Of what two nodes know of several publishers, as (publisher, stamp): from the stamp on at which both knew all.
+
+    Nodes find each publisher in their own time, which may be after its first messages.
+    """
+    both = [list(one) for one in known]
+    first = max(min(stamp for name, stamp in one if name == publisher)
+                for one in both for publisher in {name for name, _ in one})
+    return [sorted(each for each in one if each[1] >= first) for one in both]
+
+
+def ticks_before(first_ns: int, zero_ns: int, rate: float = 10.0) -> int:
+    """How many predictions a recorder that found the predictor late may have missed: the ticks of its rate [Hz] since
+    the inputs began, up to the first prediction that it has."""
+    return round((first_ns - zero_ns) * 1e-9 * rate)
 
 
 def nanoseconds(stamp: Any) -> int:

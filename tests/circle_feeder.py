@@ -13,6 +13,7 @@ from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from st_msgs.msg import Steering
+from st_ros import spin
 from st_ros.stamps import from_nanoseconds
 
 SETTLING = 0.5
@@ -44,7 +45,7 @@ def main() -> None:
     options = parse_arguments()
     rclpy.init()
     node = rclpy.create_node("feeder")
-    qos = QoSProfile(depth=50)
+    qos = QoSProfile(depth=1000)  # as the bridges: what UDP loses is sent again up to three seconds later
     ins = node.create_publisher(Odometry, "ins/odometry", qos)
     steering = node.create_publisher(Steering, "vehicle/steering", qos)
     clock = node.create_publisher(Clock, "/clock", qos) if options.loop else None
@@ -74,6 +75,7 @@ def main() -> None:
             angle.valid = not within(t, options.invalid_steering)
             angle.header.stamp = from_nanoseconds(stamp_ns)
             steering.publish(angle)
+    spin.settle(node)
     node.destroy_node()
     rclpy.shutdown()
 

@@ -16,6 +16,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Steering, TrackedParameters
+from st_ros import spin
 from st_ros.stamps import from_nanoseconds
 from winding_road import Truth, winding_road
 
@@ -52,6 +53,7 @@ def main() -> None:
         angle.header.stamp = message.header.stamp
         steering.publish(angle)
     heard.wait_for(options.seconds - 1.0)
+    spin.settle(node)
     node.destroy_node()
     rclpy.shutdown()
 

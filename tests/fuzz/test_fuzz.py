@@ -58,11 +58,19 @@ def _raise(data: bytes, folder: Path) -> str:
 
 
 def _waste(data: bytes, folder: Path) -> str:
-    held = b"x" * (512 << 20)  # written to, or the system would not hand it out
+    held = b"x" * (harness.MOST_MEMORY + (64 << 20))  # written to, or the system would not hand it out
     return f"fine, {len(held)}"
 
 
-@pytest.mark.parametrize(("run", "message"), [(_hang, "Hang"), (_raise, "KeyError"), (_waste, "MB of memory")])
+def _waste_slowly(data: bytes, folder: Path) -> str:
+    held = _waste(data, folder)
+    _hang(data, folder)
+    return held
+
+
+@pytest.mark.parametrize(("run", "message"), [
+    (_hang, "Hang"), (_raise, "KeyError"), (_waste, "MB of memory"), (_waste_slowly, "Hang.*MB of memory"),
+])
 def test_the_harness_sees(run, message):
     with pytest.raises(Finding, match=message):
         check(_failing(run), b"x")

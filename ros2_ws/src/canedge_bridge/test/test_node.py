@@ -231,13 +231,15 @@ def spoil(run, angle):
 def test_wrong_checksum(mode, rig):
     run = rig(checks=f"['Leaf_Steering=drop', 'Leaf_Steering.checksum={mode}']")
     assert run.received("vehicle/steering", run.steer).valid
-    run.seen["vehicle/steering"].clear()
     spoil(run, 0.1)
     run.steer(0.2)
-    wanted = 2 if mode == "warn" else 1
-    assert run.spin(lambda: len(run.seen["vehicle/steering"]) == wanted)
-    valid = [m.valid for m in run.seen["vehicle/steering"]]
-    assert valid == ([False, True] if mode == "warn" else [True])
+
+    def after():  # frames of angle 0 that were sent before may still come
+        return [(round(m.steering_wheel_angle, 1), m.valid) for m in run.seen["vehicle/steering"]
+                if m.steering_wheel_angle > 0.05]
+
+    assert run.spin(lambda: (0.2, True) in after())
+    assert after() == ([(0.1, False), (0.2, True)] if mode == "warn" else [(0.2, True)])
     assert run.spin(lambda: run.values("frames").get("Leaf_Steering wrong checksum") == "1", feed=run.steer)
     assert run.values("frames").get("Leaf_Steering dropped") == (None if mode == "warn" else "1")
     assert run.stop()[0] == 0
@@ -255,8 +257,9 @@ def test_anything_on_the_bus_and_it_still_works(rig, frame):
     assert run.spin(lambda: run.check("plausibility")[0] == ERROR)
     assert "SteeringWheelAngle decodes to nonsense" in run.check("plausibility")[1]
     run.seen["vehicle/ins_on_can"].clear()
-    run.bus.send(good)
-    assert run.spin(lambda: any(abs(m.yaw_rate - 0.25) < 1e-3 for m in run.seen["vehicle/ins_on_can"]))
+    # Again and again, as on a bus: while the node has not read all the nonsense, its socket is full and drops frames.
+    assert run.spin(lambda: any(abs(m.yaw_rate - 0.25) < 1e-3 for m in run.seen["vehicle/ins_on_can"]),
+                    feed=lambda: run.bus.send(good))
     run.received("vehicle/steering", run.steer)
     assert run.spin(lambda: run.check("plausibility")[0] == OK, feed=run.steer)
     assert run.values("bus")["frames not handled"] == "0"

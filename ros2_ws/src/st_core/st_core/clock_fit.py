@@ -181,6 +181,18 @@ def _block_scores(details: Sequence[_Detail]) -> np.ndarray:
     return sums.T @ sums * (used / max(used - 4, 1))
 
 
+def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
+                     span: tuple[float, float]) -> tuple[np.ndarray, np.ndarray] | None:
+    """(lags [s], mean of the signals' correlations there) within span [s]; None where no lag has enough overlap."""
+    rows = [masked_correlation(p.reference, p.other, minimum_overlap) for p in pairs]
+    low = max(lags[0] for lags, _ in rows)
+    high = min(lags[-1] for lags, _ in rows)
+    lags = np.arange(max(low, span[0]), min(high, span[1]) + STEP / 2, STEP)
+    if not len(lags):
+        return None
+    return lags, np.mean([np.interp(lags, row_lags, row) for row_lags, row in rows], axis=0)
+
+
 def coarse_offset(
     pairs: Sequence[Pair], minimum_overlap: float, exclusion: float, span: tuple[float, float] = (-np.inf, np.inf)
 ) -> tuple[tuple[float, float], tuple[float, float]] | None:
@@ -189,13 +201,10 @@ def coarse_offset(
     exclusion: the second peak lies at least this far from the first [s], and beyond the valley next to it.
     None where no lag has enough overlap.
     """
-    rows = [masked_correlation(p.reference, p.other, minimum_overlap) for p in pairs]
-    low = max(lags[0] for lags, _ in rows)
-    high = min(lags[-1] for lags, _ in rows)
-    lags = np.arange(max(low, span[0]), min(high, span[1]) + STEP / 2, STEP)
-    if not len(lags):
+    curve = mean_correlation(pairs, minimum_overlap, span)
+    if curve is None:
         return None
-    r = np.mean([np.interp(lags, row_lags, row) for row_lags, row in rows], axis=0)
+    lags, r = curve
     best = int(np.argmax(r))
     if r[best] <= 0:
         return None

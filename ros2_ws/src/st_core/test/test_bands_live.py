@@ -6,7 +6,18 @@ from itertools import count
 import numpy as np
 import pytest
 from st_core.alignment import MeasurementHistory
-from st_core.bands import Bands, Coverages, LiveBands, Seen, calibrate, conditions_at, conditions_now, run_samples
+from st_core.bands import (
+    Bands,
+    Coverages,
+    LiveBands,
+    Seen,
+    activity_instants,
+    calibrate,
+    conditions_at,
+    conditions_now,
+    run_samples,
+    steering_activity,
+)
 from st_core.bands.coverage import ALTERNATIVE, HORIZONS, Coverage
 from st_core.bands.file import configuration_of
 from st_core.evaluation import make_score
@@ -64,9 +75,9 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
         start_ns = time_ns - 3_000_000  # between two samples
         here, = conditions_at(signals, np.array([start_ns]))
         assert conditions_now(history, start_ns) == pytest.approx(here, rel=1e-6, abs=1e-9)
-        found = live(here)
-        assert bool(found) == bool(bands.seen(here[None])[0]) == (live.why_not(here) == "")
-        for model, stated in found.items():
+        found = live(here.tolist())
+        assert found == bool(bands.seen(here[None])[0]) == (live.why_not(here) == "")
+        for model, stated in live.stated.items() if found else ():
             for (mode, level), widths in stated.items():
                 assert widths == pytest.approx(bands.half_widths(model, mode, here, level)[0], rel=2e-7)  # float32
                 compared += 1
@@ -75,11 +86,26 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
 
 def test_no_band_where_the_steering_before_is_not_known_or_the_conditions_were_never_calibrated(bands):
     live = LiveBands(bands, MODELS)
-    assert live(np.array([10.0, 1.0, 0.5, math.nan])) == {} and live(np.array([35.0, 0.1, 0.1, 0.01])) == {}
-    assert "steering activity not known" in live.why_not(np.array([10.0, 1.0, 0.5, math.nan]))
-    assert "35.0 m/s" in live.why_not(np.array([35.0, 0.1, 0.1, 0.01]))
+    assert not live((10.0, 1.0, 0.5, math.nan)) and not live((35.0, 0.1, 0.1, 0.01))
+    assert "steering activity not known" in live.why_not((10.0, 1.0, 0.5, math.nan))
+    assert "35.0 m/s" in live.why_not((35.0, 0.1, 0.1, 0.01))
     empty = MeasurementHistory(2.0, 0.1, 5.0)
     assert np.isnan(conditions_now(empty, SECOND)).all()
+
+
+@pytest.mark.parametrize("maximum_gap", [0.02, 0.1, 2.0])
+def test_the_angles_before_a_start_are_those_of_the_history_with_gaps_and_without(maximum_gap):
+    draw, found = np.random.default_rng(7), set()
+    for _ in range(200):
+        history = MeasurementHistory(3.0, maximum_gap, 5.0)
+        times = SECOND + np.cumsum(draw.integers(1_000_000, 12_000_000, 400))
+        for time_ns in np.delete(times, slice(*np.sort(draw.integers(0, 400, 2)))).tolist():
+            history.add_steering(time_ns, draw.uniform(-0.5, 0.5))
+        start_ns = int(draw.choice(times)) + int(draw.integers(0, 2)) * 500_000
+        exact = steering_activity(history.steering.sample(activity_instants(start_ns))[:, 0])
+        assert conditions_now(history, start_ns)[3] == pytest.approx(exact, rel=1e-12, nan_ok=True)
+        found.add(bool(np.isnan(exact)))
+    assert found == {True, False}
 
 
 def a_score(start_ns, errors, complete=True):

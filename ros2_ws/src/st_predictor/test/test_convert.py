@@ -17,6 +17,7 @@ from st_core.types import STATE_NAMES, ControlInput, InsSample, Trajectory, Vehi
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Prediction
 from st_predictor import convert
+from st_predictor.nodes._bands import BandMessages, read_bands
 from st_recordings.bag_metadata import INFINITE_NS
 from st_ros.stamps import from_nanoseconds
 from support import ROOT
@@ -120,3 +121,14 @@ def test_qos_in_the_words_of_a_bag() -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=2))
     assert convert.recorded_qos(latched).durability == "transient_local"
     assert convert.recorded_qos(latched).to_entry()["deadline"] == {"sec": 2, "nsec": 0}
+
+
+def test_a_band_message_says_what_was_stated_last() -> None:
+    widths = np.zeros((3, 5), np.float32)
+    messages = BandMessages({"linear": {("forecast", 0.9): widths.T}})
+    for scale in (1.0, 2.0):
+        widths[:] = scale * np.arange(15.0).reshape(3, 5)
+        prediction = Prediction(x=[0.0] * 5, bands=messages.fill()["linear"])
+        again = deserialize_message(serialize_message(prediction), Prediction)
+        (question, read), = read_bands(again).items()
+        assert question == ("forecast", 0.9) and read.T.tolist() == widths.tolist()

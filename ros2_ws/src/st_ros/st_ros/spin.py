@@ -58,7 +58,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
             if hasattr(node, "close"):
                 node.close()
             if rclpy.ok():
-                _settle(node)
+                settle(node)
             status = status or getattr(node, "exit_status", 0)
             if executor is not None:
                 # Left to the interpreter's exit, its destructor may find the context gone and complain.
@@ -75,8 +75,8 @@ def _freeze() -> None:
     gc.freeze()
 
 
-def _settle(node: Node) -> None:
-    """Wait until the reliable subscribers have what was published."""
+def settle(node: Node) -> None:
+    """Wait until the reliable subscribers have what was published, at most `LAST_WORDS`."""
     end = time.monotonic() + LAST_WORDS
     for publisher in node.publishers:
         publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))

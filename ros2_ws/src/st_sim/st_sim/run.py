@@ -119,15 +119,24 @@ class _Run:
 
 
 def _bus(options: argparse.Namespace) -> tuple[Path, Path]:
-    """DBC and signal table of the Leaf, whatever car drives: those beside the vehicle file, else those of --config."""
+    """DBC and signal table of the Leaf, whatever car drives: those beside the vehicle file, else those of a config."""
     folder = options.vehicle.resolve().parent
-    config = options.config or options.vehicle.absolute().parents[1]
-    for dbc, signals in ((folder / "can.dbc", folder / "signals.yaml"),
-                         (config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml")):
-        here = dbc.exists() and signals.exists() and (options.config is None or dbc.is_relative_to(config))
+    tables = [(config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml") for config in _configs(options)]
+    for dbc, signals in ((folder / "can.dbc", folder / "signals.yaml"), *tables):
+        here = dbc.exists() and signals.exists() and (options.config is None or dbc.is_relative_to(options.config))
         if here and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
-    raise SimulationError(f"--config {config}: has no can/leaf_ze0.dbc and can/leaf_ze0.yaml; give the folder that has")
+    raise SimulationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the bus "
+                          "of the virtual car, are in config/ of the project; give that folder")
+
+
+def _configs(options: argparse.Namespace) -> list[Path]:
+    """That given; else the one the vehicle file is in, and that of the checkout: a car may be anywhere."""
+    if options.config:
+        return [options.config]
+    checkout, here = os.environ.get("ST_ENVIRONMENT"), Path.cwd()
+    roots = [*([Path(checkout)] if checkout else []), here, *here.parents]
+    return [options.vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
 
 
 def _prepare(options: argparse.Namespace) -> _Run:
@@ -278,7 +287,7 @@ def _parser() -> argparse.ArgumentParser:
         "--config",
         type=Path,
         metavar="DIR",
-        help="folder with can/leaf_ze0.dbc and .yaml; default: the one --vehicle is in",
+        help="folder with can/leaf_ze0.dbc and .yaml; default: the one --vehicle is in, else that of the checkout",
     )
     parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, a recorded drive to its end")
     parser.add_argument("--seed", type=_seed, default=0, help="of everything random")

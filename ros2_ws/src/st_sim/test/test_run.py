@@ -219,14 +219,29 @@ def test_signal_closes_the_files_of_file_mode(tmp_path):
     assert (tmp_path / "run.log").read_text().endswith("\n")
 
 
-def test_another_car_drives_on_the_bus_of_the_leaf(tmp_path):
-    """The folder of a car of one's own has a DBC of its own, which the virtual car cannot send."""
+@pytest.mark.parametrize("given", [["--config", str(ROOT / "config")], []])
+def test_another_car_drives_on_the_bus_of_the_leaf(tmp_path, monkeypatch, given):
+    """The folder of a car of one's own, anywhere, has a DBC of its own, which the virtual car cannot send."""
+    monkeypatch.delenv("ST_ENVIRONMENT", raising=False)
+    monkeypatch.chdir(ROOT / "tests")
     (tmp_path / "vehicle.yaml").write_text(LEAF.read_text())
     (tmp_path / "can.dbc").write_text(DBC.read_text().replace("Leaf_Steering", "Mine"))
     (tmp_path / "signals.yaml").write_text(SIGNALS.read_text().replace("Leaf_Steering", "Mine"))
     words = ["--vehicle", str(tmp_path / "vehicle.yaml"), "--to-files", str(tmp_path / "run"), "--duration", "1"]
-    assert run.main([*words, "--config", str(ROOT / "config")]) == 0
+    assert run.main([*words, *given]) == 0
     assert (tmp_path / "run" / "run.log").stat().st_size > 10_000
+
+
+def test_without_the_bus_of_the_leaf_it_says_where_that_is(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv("ST_ENVIRONMENT", raising=False)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "vehicle.yaml").write_text(LEAF.read_text())
+    assert run.main(["--vehicle", "vehicle.yaml", "--to-files", "run", "--duration", "1"]) == 2
+    assert capsys.readouterr().err == (
+        "virtual_leaf: --config is missing: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the bus of the virtual car, are in "
+        "config/ of the project; give that folder\n")
+    monkeypatch.setenv("ST_ENVIRONMENT", str(ROOT))
+    assert run.main(["--vehicle", "vehicle.yaml", "--to-files", "run", "--duration", "1"]) == 0
 
 
 @pytest.mark.parametrize(

@@ -1,30 +1,48 @@
-"""Bands while driving: half-widths for all models and both questions, from what is known when a prediction starts."""
+"""Bands while driving: half-widths for all models and both questions, from what is known when a prediction starts.
 
-from collections.abc import Iterable
+Both functions run once a tick, each time after a tenth of a second of other work, with the caches cold. What counts
+then is how many different operations there are: they take a few hundred microseconds more than their arithmetic.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from ..alignment import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
 from ..log_evaluation import MODES
+from ..timeseries import TimeSeries
 from .band import LEVELS
-from .conditions import activity_instants, conditions, steering_activity
+from .conditions import activity_instants, magnitudes, steering_activity
 from .file import Bands
-from .scale import features, floor_at, interpolation
+from .scale import features_of_one, floor_at, interpolation
 
 Stated = dict[tuple[str, float], np.ndarray]
 """By mode and level: half-widths (points + 1, 3), float32 as in messages, along, across [m] and yaw [rad], 0 at the
 start."""
 
 
-def conditions_now(history: MeasurementHistory, time_ns: int) -> np.ndarray:
-    """(4,) as `conditions.CONDITIONS` at an instant [ns], as `conditions_at` has them of the recorded drive; NaN where
-    not known.
+def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ...]:
+    """Four numbers as `conditions.CONDITIONS` at an instant [ns], as `conditions_at` has them of the recorded drive;
+    NaN where not known.
     """
     row = history.ins.at(time_ns)
-    activity = steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0])
-    if row is None:
-        return conditions(np.nan, np.nan, np.nan, activity)
-    return conditions(row[VELOCITY_X], row[YAW_RATE], row[DERIVATIVE], activity)
+    activity = float(steering_activity(_angles_before(history.steering, time_ns)))
+    velocity, rate, acceleration = (math.nan if row is None else row[k] for k in (VELOCITY_X, YAW_RATE, DERIVATIVE))
+    return magnitudes(velocity, rate, acceleration, activity)
+
+
+def _angles_before(steering: TimeSeries, time_ns: int) -> np.ndarray:
+    """Angles (21,) [rad] at `activity_instants`; NaN where not known."""
+    instants = activity_instants(time_ns)
+    times = steering.times
+    first = int(times.searchsorted(instants[0], side="right")) - 1
+    near = times[max(first, 0):]
+    whole = first >= 0 and time_ns <= times[-1] and (near[1:] - near[:-1]).max() <= steering.maximum_gap_ns
+    if not whole or steering.breaks:
+        return steering.sample(instants)[:, 0]
+    # The same numbers in a third of the time. Relative to the start, as floats cannot tell instants 256 ns apart.
+    return np.interp(instants - time_ns, near - time_ns, steering.rows[first:, 0])
 
 
 class LiveBands:
@@ -32,36 +50,38 @@ class LiveBands:
 
     models: those that predict; each must be in the bands (see `Bands.check`). Levels: those of LEVELS that the file
     states.
+
+    stated: by model, the half-widths of the last call that found any; the arrays stay the same, their content changes.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
         self._seen = bands.seen
-        self._questions = [(model, mode) for model in models for mode in MODES if (model, mode) in bands.bands]
-        chosen = [bands.bands[question] for question in self._questions]
+        questions = [(model, mode) for model in models for mode in MODES if (model, mode) in bands.bands]
+        chosen = [bands.bands[question] for question in questions]
         self.levels = tuple(level for level in LEVELS if all(level in band.factors for band in chosen))
-        knots = chosen[0].scale.knots
-        self._coefficients = np.concatenate([band.scale.coefficients.reshape(-1, band.scale.coefficients.shape[-1])
-                                             for band in chosen])
-        self._shape = len(chosen), 3, len(knots)
-        self._between = interpolation(knots, chosen[0].scale.time).T
-        self._floor = np.square([floor_at(band.scale.floor, band.scale.time).T for band in chosen])
-        self._factors = np.array([[band.factors[level] for level in self.levels] for band in chosen])[:, :, None, None]
+        scale = chosen[0].scale
+        self._between = interpolation(scale.knots, scale.time).T
+        coefficients = np.concatenate([2.0 * band.scale.coefficients for band in chosen])
+        self._coefficients = coefficients.reshape(-1, coefficients.shape[-1])
+        self._floor = np.square(np.concatenate([floor_at(band.scale.floor, band.scale.time).T for band in chosen]))
+        self._factors = np.repeat([[band.factors[level] for band in chosen] for level in self.levels], 3, axis=1)
+        widths = np.zeros((len(self.levels), len(chosen), 3, len(scale.time) + 1), np.float32)
+        self._ahead = widths.reshape(len(self.levels), -1, widths.shape[-1])[..., 1:]
+        self.stated: Mapping[str, Stated] = {model: {} for model, _ in questions}
+        for (model, mode), of_question in zip(questions, widths.swapaxes(0, 1), strict=True):
+            for level, one in zip(self.levels, of_question, strict=True):
+                self.stated[model][mode, level] = one.T
 
-    def why_not(self, condition: np.ndarray) -> str:
-        """For conditions (4,) without a band: why, in one line; empty where there is one."""
+    def why_not(self, condition: Sequence[float]) -> str:
+        """For conditions, four numbers, without a band: why, in one line; empty where there is one."""
         return self._seen.why_not(condition)
 
-    def __call__(self, condition: np.ndarray) -> dict[str, Stated]:
-        """By model, under conditions (4,); empty where they were never calibrated."""
-        if not self._seen(condition[None])[0]:
-            return {}
-        logs = (self._coefficients @ features(condition)).reshape(self._shape) @ self._between
-        scale = np.sqrt(np.exp(np.clip(2.0 * logs, -60.0, 60.0)) + self._floor)
-        widths = np.zeros((*self._factors.shape[:2], 3, scale.shape[2] + 1), np.float32)
-        np.multiply(self._factors, scale[:, None], out=widths[..., 1:], casting="same_kind")
-        found: dict[str, Stated] = {}
-        for (model, mode), of_question in zip(self._questions, widths, strict=True):
-            stated = found.setdefault(model, {})
-            for level, one in zip(self.levels, of_question, strict=True):
-                stated[mode, level] = one.T
-        return found
+    def __call__(self, condition: Sequence[float]) -> bool:
+        """Make `stated` anew under conditions, four numbers; False, and nothing done, where they were never calibrated.
+        """
+        if not self._seen.one(condition):
+            return False
+        logs = (self._coefficients @ features_of_one(condition)).reshape(-1, len(self._between)) @ self._between
+        scale = np.sqrt(np.exp(np.minimum(np.maximum(logs, -60.0), 60.0)) + self._floor)
+        np.multiply(self._factors[:, :, None], scale, out=self._ahead, casting="same_kind")
+        return True

@@ -14,6 +14,7 @@ went well, would widen the band everywhere. Checked by: test_bands.py, on errors
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -40,7 +41,8 @@ HATS = (1.5, 3.0, 4.5, 6.0, 7.5)
 
 
 _FLOORS, _OFFSETS, _UNITS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
-_LEFT, _RIGHT = np.array(list(itertools.combinations_with_replacement(range(4), 2))).T
+_PAIRS = tuple(itertools.combinations_with_replacement(range(4), 2))
+_LEFT, _RIGHT = np.array(_PAIRS).T
 
 
 def features(conditions: np.ndarray) -> np.ndarray:
@@ -53,6 +55,14 @@ def features(conditions: np.ndarray) -> np.ndarray:
     logs = np.log((np.maximum(z, _FLOORS) + _OFFSETS) / _UNITS)
     hats = np.maximum(0.0, 1.0 - np.abs(z[..., 1:2] - HATS) / HATS[0])
     return np.concatenate([np.ones_like(z[..., :1]), logs, logs[..., _LEFT] * logs[..., _RIGHT], hats], axis=-1)
+
+
+def features_of_one(condition: Sequence[float]) -> list[float]:
+    """`features` of one start's four conditions, on floats: half the time, a third where the caches are cold."""
+    logs = [math.log((max(value, floor) + offset) / unit)
+            for value, floor, offset, unit in zip(condition, _FLOORS, _OFFSETS, _UNITS, strict=True)]
+    hats = [max(0.0, 1.0 - abs(condition[1] - hat) / HATS[0]) for hat in HATS]
+    return [1.0, *logs, *(logs[k] * logs[m] for k, m in _PAIRS), *hats]
 
 
 def knots_of(horizon: float) -> np.ndarray:

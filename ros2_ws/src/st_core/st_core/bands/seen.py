@@ -1,5 +1,7 @@
 """Which conditions a band was calibrated under; elsewhere there is none, rather than a wrong one."""
 
+import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,14 +14,13 @@ FEWEST_STARTS = 10
 """Of a run in a cell of speed and lateral acceleration: one second of driving."""
 FEWEST_RUNS = 2
 """With so many starts in a cell: how much runs differ there cannot be told from one, whatever the number of starts."""
-CELLED = {CONDITIONS.index("speed"): np.array(SPEED), CONDITIONS.index("lateral_acceleration"):
-          np.array(LATERAL_ACCELERATION)}
+CELLED = {CONDITIONS.index("speed"): SPEED, CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION}
 """Edges by column of the conditions."""
 
 
 def cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row and column (n,) of conditions (n, 4): numbers of their bins of speed and lateral acceleration."""
-    row, column = (edges.searchsorted(conditions[:, k], side="right") - 1 for k, edges in CELLED.items())
+    row, column = (np.searchsorted(edges, conditions[:, k], side="right") - 1 for k, edges in CELLED.items())
     return row, column
 
 
@@ -47,9 +48,16 @@ class Seen:
         rows = np.where(known[:, None], conditions, 0.0)
         return known & (self.starts[cells(rows)] > 0) & (rows[:, 2:] <= self.most).all(axis=1)
 
-    def why_not(self, condition: np.ndarray) -> str:
-        """For conditions (4,) without a band: why, in one line; empty where there is one."""
-        if self(condition[None])[0]:
+    def one(self, condition: Sequence[float]) -> bool:
+        """Whether one start's conditions, four numbers, were calibrated; False where one is not known."""
+        if not all(map(math.isfinite, condition)):
+            return False
+        row, column = (bisect_right(edges, condition[k]) - 1 for k, edges in CELLED.items())
+        return bool(self.starts[row, column] > 0) and condition[2] <= self.most[0] and condition[3] <= self.most[1]
+
+    def why_not(self, condition: Sequence[float]) -> str:
+        """For conditions, four numbers, without a band: why, in one line; empty where there is one."""
+        if self.one(condition):
             return ""
         for name, value in zip(CONDITIONS, condition, strict=True):
             if not np.isfinite(value):

@@ -59,7 +59,7 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     size, divided = abs(scale.value), scale.value if told else 1.0
     if lag.sure and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread:
         rate = float(np.std(np.gradient(found.derived, found.time)))
-        text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag)} s"
+        text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag)} s{or_else(found)}"
         told.append(_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
                              abs(lag.value) >= expected.grave[0]))
     if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
@@ -81,6 +81,13 @@ def in_words(one: Estimate) -> str:
 def size_of(one: Estimate) -> str:
     """As in_words, without the sign."""
     return in_words(one).removeprefix("-")
+
+
+def or_else(found: Agreement, response: float = 0.0) -> str:
+    """What the lag may be instead, in words; response: of the car, as in the lag that is told [s]."""
+    other = sorted(late + response for late in found.alike)
+    named = " or ".join(f"{'lags' if late > 0.0 else 'leads'} by {abs(late):.2f} s" for late in other)
+    return f" (or {named}: the drive repeats itself, and that fits as well)" if named else ""
 
 
 def _factor(scale: float, expected: Expected) -> float | None:

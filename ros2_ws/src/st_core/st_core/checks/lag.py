@@ -3,15 +3,18 @@
     measured(t) = scale derived(t - lag) + bias
 
 The lag is that of `st align` (clock_fit: joint fit of offset and gain behind a common low-pass), scale and bias a
-regression at that lag, each with the interval of resampled blocks.
+regression at that lag, each with the interval of resampled blocks. A drive that repeats itself fits as well a period
+later: of the lags that only chance tells apart the least one is taken, and the others are named beside it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from ..clock_correlation import STEP, Resampled, resample
-from ..clock_fit import Pair, coarse_offset, fit
+from ..clock_fit import Fit, Pair, fit, mean_correlation
 from ..clock_types import LONGEST_SPAN
 from ..identification.result import symmetric_interval
 from .regression import Estimate, Regression
@@ -21,12 +24,15 @@ LEAST = 15.0  # s in common
 NOTHING, UNITY = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
 CLEARLY = 1.25  # factor by which a bias must leave less than a scale before it is told instead
 CERTAIN = 0.98  # correlation from which on noise makes less than 4 % of a scale
+RESAMPLED = 1e-4  # share of the variance; interpolation and filters leave 1 % of a signal, so less tells nothing apart
+OFF_GRID = 0.1  # share of the variance that half a step beside its place takes from a maximum, at the cut-offs in use
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
     """lag [s], scale [1] and bias [unit], measured against derived. correlation: at that lag. spread: standard
     deviation of the derived quantity. time, measured, derived: the filtered series at that lag, for the eye.
+    alike: other lags [s] that fit as well but for chance, because the drive repeats itself.
     """
 
     lag: Estimate
@@ -37,6 +43,7 @@ class Agreement:
     time: np.ndarray
     measured: np.ndarray
     derived: np.ndarray
+    alike: tuple[float, ...] = ()
 
 
 def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray, cutoff: float,
@@ -54,8 +61,7 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
         return None
     pair = Pair("", reference, other)
     try:
-        coarse = coarse_offset([pair], LEAST, 0.0, (-LONGEST, LONGEST))
-        solution = fit([pair], coarse[0][0] if coarse else 0.0, 0.0, free_drift=False)
+        solution, *others = _solutions(pair, cutoff)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not abs(solution.offset) <= LONGEST:
@@ -68,7 +74,47 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
     problem = Regression(at, there[:, None], {"scale": derived_there[:, None], "bias": np.ones((len(at), 1))}, seed)
     correlation = float(np.corrcoef(derived_there, there)[0, 1]) if float(np.std(there)) > 0.0 else 0.0
     scale, bias = _line(problem, derived_there, correlation, biased)
-    return Agreement(lag, scale, bias, correlation, float(np.std(derived_there)), at, there, derived_there)
+    return Agreement(lag, scale, bias, correlation, float(np.std(derived_there)), at, there, derived_there,
+                     tuple(-one.offset for one in others))
+
+
+def _solutions(pair: Pair, cutoff: float) -> list[Fit]:
+    """The best one and all that chance could have made better, the least offset first.
+
+        (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T   independent samples of what is left in T
+    """
+    curve = mean_correlation([pair], LEAST, (-LONGEST, LONGEST))
+    if curve is None or not curve[1].max() > 0.0:
+        return [fit([pair], 0.0, 0.0, free_drift=False)]
+    lags, left = curve[0], 1.0 - np.maximum(curve[1], 0.0) ** 2
+    best = int(np.argmin(left))
+    peaks = 1 + np.flatnonzero((left[1:-1] < left[:-2]) & (left[1:-1] <= left[2:]))
+    known = min(float(side.known.sum()) for side in (pair.reference, pair.other))
+    found: list[Fit] = []
+    for start in (best, *peaks[left[peaks] <= _chance(known, cutoff) * left[best] + OFF_GRID]):
+        one = fit([pair], float(lags[start]), 0.0, free_drift=False)
+        if all(abs(one.offset - other.offset) > STEP for other in found):
+            found.append(one)
+    if len(found) == 1:
+        return found
+    rest, common = _rest(pair, [one.offset for one in found])
+    alike = [one for one, size in zip(found, rest, strict=True) if size <= _chance(common, cutoff) * min(rest)]
+    return sorted(alike, key=lambda one: abs(one.offset))
+
+
+def _chance(samples: float, cutoff: float) -> float:
+    """Ratio that two variances of one size differ by at most, but for once in forty."""
+    freedom = max(2.0 * cutoff * STEP * samples, 1.0)
+    return float(fisher.ppf(0.975, freedom, freedom))
+
+
+def _rest(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
+    """(1 - r^2 at each offset, samples), over the same samples: the ends of a filtered derivative are its worst."""
+    there = [_at(pair.reference, pair.other, offset) for offset in offsets]
+    common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in there])) == len(there))
+    values = pair.other.values[common]
+    r = [float(np.corrcoef(derived[np.isin(rows, common)], values)[0, 1]) for rows, derived in there]
+    return [max(1.0 - one**2, RESAMPLED) for one in r], len(common)
 
 
 def _line(problem: Regression, derived: np.ndarray, correlation: float, biased: bool) -> tuple[Estimate, Estimate]:

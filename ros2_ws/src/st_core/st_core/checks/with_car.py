@@ -12,7 +12,7 @@ import numpy as np
 
 from ..handling import linear_system
 from ..vehicle import VehicleParameters
-from .channel import size_of
+from .channel import or_else, size_of
 from .finding import Cure, Finding, Identity, Severity
 from .lag import NOTHING, Agreement, agreement
 from .limits import HORIZON, LIMITS
@@ -45,14 +45,18 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
                               or abs(float(found.derived.mean())) > found.spread):
         found = replace(found, scale=scale, bias=NOTHING)
     scale = held("steering_scale", found.scale)
+    # Steering that falls where curvature rises is the driver's answer to what else turns the car: of no age.
+    answers = found.correlation * scale.value < 0.0
     speed = float(np.median(motion.velocity_x[moving]))
-    late = held("steering_lag", found.lag.shifted(response_time(vehicle, speed)))
-    told = [one for one in (_unit(scale, vehicle), _late(late, found, speed, vehicle),
+    response = response_time(vehicle, speed)
+    late = held("steering_lag", found.lag.shifted(response))
+    told = [one for one in (_unit(scale, vehicle),
+                            None if answers else _late(late, found, speed, vehicle, or_else(found, response)),
                             _offset(found, speed, vehicle, hand_wheel)) if one]
     shown = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
                      "from yaw rate and speed", found.time, found.measured, found.derived,
                      ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
-    estimates = {"steering_scale": scale, "steering_sign": scale, "steering_lag": late,
+    estimates = {"steering_scale": scale, "steering_sign": scale, **({} if answers else {"steering_lag": late}),
                  "steering_offset": held("steering_offset", found.bias)}
     return told, estimates, shown
 
@@ -109,14 +113,15 @@ def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
                    replace(cure, line=f"{cure.line}{or_else}"))
 
 
-def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters) -> Finding | None:
+def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters,
+          or_else: str) -> Finding | None:
     if not late.sure or abs(late.value) < LIMITS.steering_lag:
         return None
     # A late input leads the path astray by the turn that is missed meanwhile.
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
     effect = _sideways(missed / HORIZON * 2.0, speed, vehicle)
     verb = "lags" if late.value > 0.0 else "leads"
-    text = f"the steering {verb} the car's motion by {size_of(late)} s, the car's own response allowed for"
+    text = f"the steering {verb} the car's motion by {size_of(late)} s{or_else}, the car's own response allowed for"
     cure = Cure.correct("road_wheel_angle", earlier=float(f"{late.value:.3g}"))
     return Finding("steering_lag", _at_most_warning(effect), ("road_wheel_angle",), text, late.value, "s",
                    late.interval, (), effect, replace(cure, line=f"{cure.line}  # or --steering-latency"))

@@ -30,6 +30,7 @@ from st_recordings.runs.bag import definitions
 from st_recordings.runs.cdr import typestore
 from st_recordings.runs.foreign import SteeringField, steering_value
 from st_recordings.runs.foreign import stamp_of as instant_of
+from st_ros import spin
 from st_ros.polling import PolledSubscription
 from st_ros.stamps import from_nanoseconds
 
@@ -148,6 +149,7 @@ class Player:
         return 0
 
     def close(self) -> None:
+        spin.settle(self._node)
         self._node.destroy_node()
 
     def _publishers(self, connections: Sequence[Any]) -> dict[str, Publisher]:

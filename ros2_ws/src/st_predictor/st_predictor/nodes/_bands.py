@@ -31,24 +31,26 @@ class PredictionBands:
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, models: Mapping[str, str],
                  settings: PredictionSettings):
         self._live: LiveBands | None = None
-        self._messages = BandMessages()
         self._missing = ""
         file = params.load_bands(values)
         if file is not None:
             place = f"bands_file: {values.bands_file}: "
             params.checked(values, lambda: file.check(vehicle, models, EvaluationSettings(settings)), place)
             self._live = LiveBands(file, models)
+            self._messages = BandMessages(self._live.stated)
             levels = " and ".join(f"{100 * level:g} %" for level in self._live.levels)
             self._text = f"{levels}, learnt from {file.runs} runs"
 
-    def at(self, history: MeasurementHistory, time_ns: int) -> dict[str, list[Band]]:
+    def at(self, history: MeasurementHistory, time_ns: int) -> Mapping[str, list[Band]]:
         """By model, for predictions that start at an instant [ns]; empty without a band. Valid until the next call."""
         if self._live is None:
             return {}
         condition = conditions_now(history, time_ns)
-        found = self._live(condition)
-        self._missing = "" if found else self._live.why_not(condition)
-        return self._messages.fill(found)
+        if self._live(condition):
+            self._missing = ""
+            return self._messages.fill()
+        self._missing = self._live.why_not(condition)
+        return {}
 
     def check(self) -> Check:
         """For the diagnostics."""
@@ -60,26 +62,30 @@ class PredictionBands:
 
 
 class BandMessages:
-    """The bands of predictions as messages that are filled again and again: making them anew takes five times as long.
+    """Half-widths as messages that are filled again and again: making them anew takes ten times as long.
+
+    stated: by model; its arrays are read at every `fill`.
     """
 
-    def __init__(self) -> None:
-        self._made: dict[tuple[str, str, float], tuple[Band, list[np.ndarray]]] = {}
+    def __init__(self, stated: Mapping[str, Stated]):
+        self._messages: dict[str, list[Band]] = {}
+        self._copies: list[tuple[memoryview, memoryview]] = []
+        for model, of_model in stated.items():
+            self._messages[model] = [self._made(*key, widths) for key, widths in of_model.items()]
 
-    def fill(self, found: Mapping[str, Stated]) -> dict[str, list[Band]]:
-        """By model; valid until the next call."""
-        return {model: [self._filled((model, mode, level), widths) for (mode, level), widths in stated.items()]
-                for model, stated in found.items()}
-
-    def _filled(self, key: tuple[str, str, float], widths: np.ndarray) -> Band:
-        if key not in self._made:
-            zeros = array("f", bytes(4 * len(widths)))
-            message = Band(mode=key[1], level=key[2], **dict.fromkeys(AXES, zeros))
-            self._made[key] = message, [np.frombuffer(getattr(message, axis), np.float32) for axis in AXES]
-        message, columns = self._made[key]
-        for column, values in zip(columns, widths.T, strict=True):
-            column[:] = values
+    def _made(self, mode: str, level: float, widths: np.ndarray) -> Band:
+        zeros = array("f", bytes(4 * len(widths)))
+        message = Band(mode=mode, level=level, **dict.fromkeys(AXES, zeros))
+        # A message makes arrays of its own; with views of both sides, copying is all that is left to do.
+        self._copies += [(memoryview(getattr(message, axis)), memoryview(column))
+                         for axis, column in zip(AXES, widths.T, strict=True)]
         return message
+
+    def fill(self) -> Mapping[str, list[Band]]:
+        """By model; valid until the next call."""
+        for target, column in self._copies:
+            target[:] = column
+        return self._messages
 
 
 def read_bands(message: Prediction) -> Stated:
