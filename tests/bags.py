@@ -64,6 +64,12 @@ def from_where_both_heard(*known: Iterable[tuple[str, int]]) -> list[list[tuple[
     return [sorted(each for each in one if each[1] >= first) for one in both]
 
 
+def from_where_all_heard(*topics: list[int]) -> list[list[int]]:
+    """Stamps of several topics of one node, from the one on at which a recorder had found them all."""
+    first = max(stamps[0] for stamps in topics)
+    return [[stamp for stamp in stamps if stamp >= first] for stamps in topics]
+
+
 def ticks_before(first_ns: int, zero_ns: int, rate: float = 10.0) -> int:
     """How many predictions a recorder that found the predictor late may have missed: the ticks of its rate [Hz] since
     the inputs began, up to the first prediction that it has."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from driven import drive, weave
 from st_core.checks import Severity, check
+from st_core.handling import understeer_coefficient
 
 DEGREES = 57.29577951308232
 
@@ -42,3 +43,13 @@ def test_signals_that_do_not_belong_together(log, leaf, wrong, name):
 ])
 def test_several_that_do_not(log, leaf, wrong):
     assert errors(replace(log, **wrong(log)), leaf)
+
+
+def test_understeer_of_a_fast_car_is_no_unit(leaf):
+    soft = replace(leaf, cornering_stiffness_front=0.6 * leaf.cornering_stiffness_front)
+    fast = drive(soft, 24.0, weave(0.03), 40.0)
+    assert 24.0**2 * understeer_coefficient(soft) > 0.8
+    assert errors(fast, soft) == {}
+    hand = errors(replace(fast, road_wheel_angle=fast.steering_wheel_angle), soft)["steering_scale"]
+    assert "the angle of the steering wheel" in hand.text
+    assert hand.cure.entry["correct"]["road_wheel_angle"]["scale"] == pytest.approx(1.0 / soft.steering_ratio, rel=1e-4)

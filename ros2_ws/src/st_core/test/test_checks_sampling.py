@@ -120,9 +120,21 @@ def test_gaps(log, leaf, seconds, severity):
 
 @pytest.mark.parametrize(("rows", "severity"), [(3, Severity.NOTE), (400, Severity.WARNING)])
 def test_rows_without_a_value(log, rows, severity):
-    one = found(log, extras=Extras(missing={"yaw_rate": rows}))["values_missing"]
+    kept = np.ones(len(log.x), bool)
+    kept[np.random.default_rng(1).choice(len(kept), rows, replace=False)] = False
+    one = found(log.with_ins(kept), extras=Extras(missing={"yaw_rate": rows}))["values_missing"]
     assert one.channels == ("yaw_rate",) and one.severity is severity
-    assert one.value == pytest.approx(rows / (len(log.x) + rows))
+    assert one.value == pytest.approx(rows / len(log.x))
+
+
+def test_a_slower_sensor_in_the_same_rows_lacks_nothing(log):
+    every = slice(None, None, 4)
+    slow = replace(log, steering_time_ns=log.steering_time_ns[every], road_wheel_angle=log.road_wheel_angle[every],
+                   steering_wheel_angle=log.steering_wheel_angle[every])
+    missing = len(log.steering_time_ns) - len(slow.steering_time_ns)
+    one = found(slow, extras=Extras(missing={"road_wheel_angle": missing}))["values_missing"]
+    assert one.severity is Severity.NOTE and "25 Hz" in one.text
+    assert one.value == pytest.approx(0.75, abs=0.01)
 
 
 @pytest.mark.parametrize(("channel", "share"), [("road_wheel_angle", 0.5), ("yaw_rate", 0.5), ("acceleration_x", 1.0)])

@@ -43,7 +43,7 @@ def test_document_is_what_identification_json_holds():
 def test_coverage_counts_filled_bins():
     coverage = Coverage("speed", "m/s", np.array([0.0, 5.0, 10.0, 15.0]), np.array([100, 3, 50]), 20, 3)
     assert (coverage.filled, coverage.enough) == (2, False)
-    assert coverage.words() == "speed: 2 of 3 bins from 0 to 15 m/s hold 20 samples, 3 are needed"
+    assert coverage.words() == "speed: 2 of 3 bins from 0 to 15 m/s hold at least 20 samples (needed: 3)"
 
 
 def test_a_value_at_a_limit_of_the_file_is_said():

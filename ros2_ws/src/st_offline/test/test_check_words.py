@@ -76,6 +76,7 @@ def test_numbers_have_the_digits_their_interval_bears(value, interval, unit, tex
 
 def test_where_and_effect():
     assert words.where(DEGREES) == "whole run" and words.where(JUMPS) == "1.0 to 1.5 s, 3.0 to 3.2 s"
+    assert words.where(Finding("a", Severity.NOTE, (), "t", where=((0.71, 0.72), (3.0, 3.2)))) == "0.7 s, 3.0 to 3.2 s"
     many = tuple((float(k), k + 0.5) for k in range(9))
     assert words.where(Finding("a", Severity.NOTE, (), "t", where=many)).endswith("3.0 to 3.5 s and 5 more")
     assert words.effect(DEGREES) == "shifts the position after 5 s by about 130 m" and words.effect(COARSE) == ""

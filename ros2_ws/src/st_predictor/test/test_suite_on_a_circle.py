@@ -16,7 +16,15 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from bags import from_where_both_heard, health, nanoseconds, read_messages, stamps, ticks_before
+from bags import (
+    from_where_all_heard,
+    from_where_both_heard,
+    health,
+    nanoseconds,
+    read_messages,
+    stamps,
+    ticks_before,
+)
 from circle_feeder import pose_at
 from mcap.reader import make_reader
 from ros_processes import Processes, wait_for
@@ -77,13 +85,12 @@ def test_all_end_with_status_zero_and_closed_files(run: Run) -> None:
 
 def test_each_tick_carries_three_predictions_and_paths(run: Run) -> None:
     """From the tick on at which the recorder knows all six publishers; that may be after the first."""
-    every = [stamps(run.messages[f"/predictor/{m}/{kind}"]) for m in MODELS for kind in ("prediction", "path")]
-    first = max(one[0] for one in every)
-    ticks, *others = ([stamp for stamp in one if stamp >= first] for one in every)
+    ticks, *others = from_where_all_heard(
+        *(stamps(run.messages[f"/predictor/{m}/{kind}"]) for m in MODELS for kind in ("prediction", "path")))
     assert all(other == ticks for other in others)
     assert len(set(ticks)) == len(ticks) > FEWEST
     status = run.messages["/predictor/status"][-1]
-    assert 0 <= status.predicted - len(ticks) <= ticks_before(first, run.zero_ns)
+    assert 0 <= status.predicted - len(ticks) <= ticks_before(ticks[0], run.zero_ns)
     assert status.due == status.predicted + status.skipped_stale + status.skipped_overrun + status.skipped_slow
 
 

@@ -15,7 +15,15 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from bags import from_where_both_heard, health, nanoseconds, read_messages, stamps, ticks_before
+from bags import (
+    from_where_all_heard,
+    from_where_both_heard,
+    health,
+    nanoseconds,
+    read_messages,
+    stamps,
+    ticks_before,
+)
 from ros_processes import Processes, executable, wait_for
 from support import ROOT
 
@@ -165,8 +173,9 @@ def test_overrun_skips_ticks_and_queues_none(processes: Processes) -> None:
     status = messages["/predictor/status"][-1]
     assert status.skipped_overrun > status.predicted > 0
     assert status.due == status.predicted + status.skipped_overrun + status.skipped_stale + status.skipped_slow
-    ticks = stamps(messages["/predictor/nonlinear/prediction"])
-    assert ticks == sorted(set(ticks)) == stamps(messages["/predictor/kinematic/prediction"])
+    ticks, others = from_where_all_heard(
+        *(stamps(messages[f"/predictor/{model}/prediction"]) for model in ("nonlinear", "kinematic")))
+    assert ticks == sorted(set(ticks)) == others
     warnings = {name: [text for _, level, text in said if level == WARN] for name, said in health(messages).items()}
     assert any("skipped by overrun" in text for text in warnings["predictor: timing"])
     assert any("another vehicle" in text for text in warnings["evaluator: scoring"])

@@ -8,6 +8,7 @@ from typing import Any
 from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
+from st_core.stability import slip_speed_needed
 from st_core.vehicle import VEHICLE_QUANTITIES
 
 from .car import Car, car_named, read_table, read_vehicle
@@ -28,6 +29,10 @@ HINTS = {
     "cornering_stiffness_rear": "at first from a comparable car, later identified",
 }
 """What no other car can lend, and how it is got."""
+STEP = 0.05
+"""s, of the integration, as of every prediction unless another is asked for."""
+SPEEDS = tuple(0.5 * k for k in range(1, 81))
+"""m/s, at which the models have to be stable with that step."""
 ZERO = ("cg_to_ins_y", "steering_wheel_offset")
 _ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
 
@@ -112,10 +117,14 @@ def _vehicle_problems(file: Path) -> list[str]:
         empty = sorted({where for where in _places(document)}, key=list(document).index)
         if empty:
             return [f"{file}: {key}: not filled in{_limit(key)}" for key in empty]
-        read_vehicle(file)
+        vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
-    return []
+    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, SPEEDS, STEP)
+    if needed is None or needed <= vehicle.minimum_slip_speed:
+        return []
+    return [f"{file}: minimum_slip_speed: {vehicle.minimum_slip_speed:g} m/s is too low for integration steps of "
+            f"{1e3 * STEP:g} ms; {needed:g} m/s or more is stable"]
 
 
 def _bus_problems(car: Car) -> list[str]:
@@ -129,7 +138,8 @@ def _bus_problems(car: Car) -> list[str]:
     try:
         if any(_places(read_table(car.signals))):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: names in "
-                    f"{car.dbc.name} of the message and the signal with the steering wheel angle"]
+                    f"{car.dbc.name} of the message and the signal with the steering wheel angle; if all recordings "
+                    "are CSV or bags, delete both files"]
         table = load_table(car.dbc, car.signals)
     except (RunError, TableError) as error:
         return [str(error)]

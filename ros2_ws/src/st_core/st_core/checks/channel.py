@@ -21,7 +21,7 @@ class Expected:
     does to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of
     error [m]. correlation: below which the two are not compared.
     least_spread: standard deviation of the channel below which no lag is told [unit].
-    factors: names of units by the factor they make.
+    factors: names of units by the factor they make. why: what a bias may come from, in words.
     """
 
     channel: str
@@ -35,6 +35,7 @@ class Expected:
     least_spread: float = 0.0
     correlation: float = LIMITS.correlation
     factors: Mapping[float, str] = field(default_factory=dict)
+    why: str = ""
 
     @property
     def say(self) -> str:
@@ -65,7 +66,7 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
         side = "high" if bias.value > 0.0 else "low"
         unit = expected.unit.replace("^2", "²")
-        text = f"{name} is {size_of(bias)} {unit} too {side} against {expected.against}"
+        text = f"{name} is {size_of(bias)} {unit} too {side} against {expected.against}{expected.why}"
         told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
                              {"add": -bias.value / divided}, abs(bias.value) / size >= expected.grave[2]))
     return told, {f"{name}_lag": lag, f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}

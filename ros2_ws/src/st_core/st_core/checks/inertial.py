@@ -29,6 +29,7 @@ WHEEL_SCALE = 0.03  # 1; tyres wear and are pumped up by that
 SPEED_SPREAD = 0.5  # m/s; at one speed only slip and noise would be compared
 WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some turns
 FACTORS = {1.0 / G: "g"}
+LEANS = ": mounted askew, or the road is not level?"
 SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 once too often"}
 
 Told = tuple[list[Finding], dict[str, Estimate], Identity | None]
@@ -65,7 +66,7 @@ def accelerations(motion: Motion, seed: int) -> list[Told]:
         found = agreement(motion.time, derived, motion.time, measured, ACCELERATION_CUTOFF, seed)
         expected = Expected(name, "velocity and yaw rate" if name[-1] == "y" else "velocity", "m/s^2", lags[name],
                             ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, GRAVE_ACCELERATION),
-                            factors=FACTORS)
+                            factors=FACTORS, why=LEANS)
         title = f"{'lateral' if name[-1] == 'y' else 'forward'} acceleration: sensor against velocity"
         told.append((*judged(found, expected), identity(found, expected, title)))
     return told

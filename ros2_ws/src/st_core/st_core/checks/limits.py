@@ -19,8 +19,9 @@ class Limits:
     pass for a delay of the steering. correlation: two roads to a
     quantity that agree less have not been shown to be one quantity.
     bias_acceleration [m/s^2]: 0.1 is 0.6 degrees of mounting or road. tyre [m/s^2]: no road tyre gives more.
-    steering_unit: factor by which steering and curvature of any healthy car may differ (ratio, understeer, wheelbase
-    of another file). steering_lag [s]: what a car itself may need. steering_offset [rad]: at the road wheels.
+    steering_unit: factor by which steering and curvature of any healthy car may differ beyond the understeer of its
+    file (ratio, wheelbase, guessed stiffnesses). steering_lag [s]: what a car itself may need. steering_offset [rad]:
+    at the road wheels.
     mounting [m]: how well a tape finds the measuring point. heading [rad]: 0.1 degree, what a dual antenna knows.
     """
 

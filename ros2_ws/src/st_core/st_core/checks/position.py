@@ -33,8 +33,8 @@ AXES = {"x_scale", "y_scale"}
 TEXT = {
     "x_scale": "x is {value:.4f} ± {half:.4f} of what velocity says: projected with the cosine of another latitude?",
     "y_scale": "y is {value:.4f} ± {half:.4f} of what velocity says: another earth radius or scale?",
-    "sphere": "{axis} is {value:.4f} ± {half:.4f} of what velocity says: projected with one radius of the earth?",
-    "map_shear": "x grows by {value:+.4f} ± {half:.4f} m for each metre north: projected far from its origin?",
+    "sphere": "{axis} is {value:.4f} ± {half:.4f} of what velocity says: projected as if the earth were a sphere?",
+    "map_shear": "x {grows} by {size:.4f} ± {half:.4f} m for each metre north: projected far from its origin?",
     "velocity_scale": "velocity is {value:.4f} ± {half:.4f} times what positions say",
     "yaw_offset": "yaw is {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too far {side} for positions and velocities",
     "position_lag": "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s",
@@ -193,7 +193,8 @@ def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
     small = name in AXES and abs(one.value) < SPHERE
     text = TEXT["sphere" if small else name].format(
         axis=name[0], value=shown.value, size=abs(shown.value), half=half, degrees=np.rad2deg(abs(shown.value)),
-        side="left" if more else "right", lag="lag" if more else "lead", ahead="ahead of" if more else "behind")
+        side="left" if more else "right", lag="lag" if more else "lead", ahead="ahead of" if more else "behind",
+        grows="grows" if more else "shrinks")
     severity = LIMITS.severity(effect)
     if UNIT.get(name) == "s" and abs(one.value) >= LIMITS.grave_lag and severity is Severity.NOTE:
         severity = Severity.WARNING

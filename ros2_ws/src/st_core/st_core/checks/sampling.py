@@ -80,11 +80,32 @@ def timing(motion: Motion, extras: Extras) -> list[Finding]:
         left = len(motion.steering_time if channel in STEERING else motion.time)
         share = count / max(left if channel.startswith("acceleration") else left + count, 1)
         if count:
-            severity = Severity.WARNING if share > FEW else Severity.NOTE
-            told.append(Finding("values_missing", severity, (channel,), f"{channel}: {count} rows hold no usable value "
-                                f"({100 * share:.2g} %); they were left out", share, "1", None, (), None,
-                                Cure("look", "look at what the logger writes there")))
+            time = motion.steering_time if channel in STEERING else motion.time
+            slower = _even_rate(time) if share > FEW and not channel.startswith("acceleration") else 0.0
+            told.append(_missing(channel, count, share, slower))
     return told
+
+
+def _missing(channel: str, count: int, share: float, slower: float) -> Finding:
+    """slower: Hz of a sensor that fills only some of the rows, 0 where that is not why they are empty."""
+    if slower:
+        text = (f"{channel}: {100 * share:.2g} % of the rows hold no value, and those that do are evenly spaced: it "
+                f"was recorded at {slower:.3g} Hz")
+        cure = "nothing, if that is the rate of the sensor"
+    else:
+        text = f"{channel}: {count} rows hold no usable value ({100 * share:.2g} %); they were left out"
+        cure = "look at what the logger writes there"
+    severity = Severity.NOTE if slower or share <= FEW else Severity.WARNING
+    return Finding("values_missing", severity, (channel,), text, share, "1", None, (), None, Cure("look", cure))
+
+
+def _even_rate(time: np.ndarray) -> float:
+    """Hz of samples that are evenly spaced but for one in a hundred, else 0."""
+    spacing = np.diff(time)
+    if len(spacing) < 20:
+        return 0.0
+    usual = float(np.median(spacing))
+    return 1.0 / usual if np.mean(np.abs(spacing - usual) > 0.5 * usual) <= FEW else 0.0
 
 
 def _stamps(signal: str, stamps: np.ndarray) -> list[Finding]:

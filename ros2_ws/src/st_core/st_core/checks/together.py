@@ -44,7 +44,7 @@ class Together:
                     "it belongs to the sensor, its mounting, the projection or the car, and may be believed")
         return (f"{self.name} differs between the {self.runs} runs by more than their intervals allow, "
                 f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it belongs to the place, the "
-                "load or the day")
+                "load or the day, or to a fault of some of the runs")
 
     def as_dict(self) -> dict[str, Any]:
         return {**asdict(self), "text": self.text}

@@ -1,7 +1,8 @@
 """Identities with the car, within bounds so generous that only a fault of the recording leaves them.
 
-Steering: atan(L r / v_x) is what a car without slip steers; understeer, ratio and wheelbase of a real one change it by
-some ten per cent, a wrong unit by 57. Rear axle: a slow car's rear axle goes where it points, so at the INS point
+Steering: atan(L r / v_x) is what a car without slip steers; ratio and wheelbase of a real one change it by some ten per
+cent, understeer at 20 m/s by 80, a wrong unit by 57 times. Rear axle: a slow car's rear axle goes where it points, so
+at the INS point
 
     v_y = -a v_x + d r - s v_x^2 r      a: heading reported too far left, d: ahead of the rear axle, s: slip of the rear
 """
@@ -10,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..handling import linear_system
+from ..handling import linear_system, understeer_coefficient
 from ..vehicle import VehicleParameters
 from .channel import or_else, size_of
 from .finding import Cure, Finding, Identity, Severity
@@ -37,8 +38,9 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
     derived = np.arctan(vehicle.wheelbase * curvature)
     found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, seed)
     scale = _scale(motion, derived, seed)
+    own = _understeered(motion.velocity_x, derived, vehicle)
     if found is None or abs(found.correlation) < LIMITS.correlation:
-        unit = scale and _unit(scale, vehicle)
+        unit = scale and _unit(scale, own, vehicle)
         return [unit] if unit else [], {}, None
     # One bend throughout: its size and an offset look alike.
     if scale is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
@@ -50,7 +52,7 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
     speed = float(np.median(motion.velocity_x[moving]))
     response = response_time(vehicle, speed)
     late = held("steering_lag", found.lag.shifted(response))
-    told = [one for one in (_unit(scale, vehicle),
+    told = [one for one in (_unit(scale, own, vehicle),
                             None if answers else _late(late, found, speed, vehicle, or_else(found, response)),
                             _offset(found, speed, vehicle, hand_wheel)) if one]
     shown = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
@@ -71,6 +73,18 @@ def _scale(motion: Motion, derived: np.ndarray, seed: int) -> Estimate | None:
     return problem.estimates(("scale",))["scale"]
 
 
+def _understeered(speed: np.ndarray, derived: np.ndarray, vehicle: VehicleParameters) -> float:
+    """Factor by which a car with the understeer K of its file steers more over the drive than one without slip.
+
+        1 + K v^2, weighted by the square of the angle; 1 for a file that oversteers
+    """
+    known = np.isfinite(derived)
+    weight = np.square(derived[known])
+    if not weight.any():
+        return 1.0
+    return 1.0 + max(understeer_coefficient(vehicle), 0.0) * float(np.average(np.square(speed[known]), weights=weight))
+
+
 def response_time(vehicle: VehicleParameters, speed: float) -> float:
     """By how much the yaw rate of a linear car lags its steering in slow changes [s].
 
@@ -88,19 +102,21 @@ def _sideways(error: float, speed: float, vehicle: VehicleParameters) -> float:
     return abs(0.5 * speed * gain * error) * HORIZON**2
 
 
-def _unit(scale: Estimate, vehicle: VehicleParameters) -> Finding | None:
+def _unit(scale: Estimate, own: float, vehicle: VehicleParameters) -> Finding | None:
+    """own: factor that the car's understeer explains; the file's stiffnesses may be guessed, so it may also be 1."""
     value = scale.value
     if abs(value) < STOPPED:
         return None
-    if scale.interval[1] > 1.0 / LIMITS.steering_unit and scale.interval[0] < LIMITS.steering_unit:
+    if scale.interval[1] > 1.0 / LIMITS.steering_unit and scale.interval[0] < LIMITS.steering_unit * own:
         return None
     ratio = f"steering ratio {vehicle.steering_ratio:g} of the vehicle file"
     known = {DEGREE: "degrees", vehicle.steering_ratio: f"the angle of the steering wheel ({ratio})",
              DEGREE * vehicle.steering_ratio: f"the angle of the steering wheel in degrees ({ratio})",
              1.0 / DEGREE: "converted to rad twice", 1.0 / vehicle.steering_ratio: "divided by the ratio twice",
              1.0: ""}
-    factor = min(known, key=lambda f: abs(np.log(abs(value) / f)))
-    exact = factor if 1.0 / LIMITS.steering_unit < abs(value) / factor < LIMITS.steering_unit else abs(value)
+    size = abs(value) / own
+    factor = min(known, key=lambda f: abs(np.log(size / f)))
+    exact = factor if 1.0 / LIMITS.steering_unit < size / factor < LIMITS.steering_unit else size
     reason = known.get(exact, "")
     signed = float(np.copysign(exact, value))
     other_way = "it counts the other way (left is positive)" if value < 0.0 else ""
@@ -229,6 +245,9 @@ def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding
     text = (f"the measuring point lies {size_of(one)} m {where} the declared one (cg_to_ins_x "
             f"{vehicle.cg_to_ins_x:.2f} m)")
     value = vehicle.cg_to_ins_x + one.value
+    low, high = (vehicle.cg_to_ins_x + vehicle.cg_to_rear_axle + end for end in one.interval)
+    if low < 0.0 < high:
+        text += ": at the rear axle?"
     return Finding("measuring_point", _at_most_warning(effect), ("velocity_y", "x", "y"), text, one.value, "m",
                    one.interval, (), effect, Cure(
                        "vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}",

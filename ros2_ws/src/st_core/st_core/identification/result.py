@@ -68,7 +68,7 @@ class Coverage:
 
     def words(self) -> str:
         return (f"{self.signal}: {self.filled} of {len(self.counts)} bins from {self.edges[0]:.4g} to "
-                f"{self.edges[-1]:.4g} {self.unit} hold {self.needed} samples, {self.bins_needed} are needed")
+                f"{self.edges[-1]:.4g} {self.unit} hold at least {self.needed} samples (needed: {self.bins_needed})")
 
 
 @dataclass(frozen=True)

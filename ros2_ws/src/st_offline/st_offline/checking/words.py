@@ -80,15 +80,20 @@ def where(finding: Finding) -> str:
     """The stretches of the run, or "whole run"."""
     if not finding.where:
         return "whole run"
-    shown = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in finding.where[:MOST_STRETCHES])
+    shown = ", ".join(_stretch(*ends) for ends in finding.where[:MOST_STRETCHES])
     more = len(finding.where) - MOST_STRETCHES
     return shown + (f" and {more} more" if more > 0 else "")
+
+
+def _stretch(start: float, end: float) -> str:
+    first, last = f"{start:.1f}", f"{end:.1f}"
+    return f"{first} s" if first == last else f"{first} to {last} s"
 
 
 def effect(finding: Finding) -> str:
     """What it does to a position after 5 s; empty where that means nothing."""
     if finding.effect is None and any(channel.startswith("acceleration") for channel in finding.channels):
-        return "none on a prediction; identify and discover are misled"
+        return "no effect on a prediction, but identify and discover are misled"
     if finding.effect is None:
         return "no prediction would mean anything" if finding.severity is Severity.ERROR else ""
     size = f"{finding.effect:.0f}" if finding.effect >= 10.0 else f"{finding.effect:.2g}"
