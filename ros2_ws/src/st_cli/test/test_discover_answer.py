@@ -1,5 +1,6 @@
 """What st discover says of an answer, in words, on the page and in its figures; answers kept; lists of references."""
 
+import html
 import json
 import math
 import re
@@ -21,6 +22,8 @@ from st_offline.discovery.document import document
 from st_offline.discovery.drive_figures import maps, over_time, paths
 from st_offline.discovery.drives import read_drive
 from st_offline.discovery.figures import Scene, candidates, conditions, gap
+from st_offline.discovery.law_tables import Table
+from st_offline.discovery.law_told import Told
 from st_offline.discovery.mending import Mended, mend
 from st_offline.discovery.page import write_page
 from st_offline.discovery.question import Question
@@ -184,6 +187,25 @@ def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, 
     order = [said.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "+ steering ratio", "what")]
     assert order == sorted(order)
     assert "part of the error" in said and "--fresh searches anew" in said
+
+
+def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, capsys):
+    from rich.console import Console
+
+    found = discovery(logs, STEPS, 1.72)
+    question = Question([drive], [], "nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), {})
+    command = "./st evaluate " + " ".join(f"'a drive {k}/bag'" for k in range(9))
+    told = Told([("proposal", ["a law, <b>bold"])], [Table("By run", "Note.", ("run", "m"), [("[weave]", "0.1")])],
+                [("predict", command)], "PROPOSAL: a law")
+    page = tmp_path / "report.html"
+    write_page(page, found, None, document(found, question, None, {}), [waterfall(scene(found, logs))], told)
+    text = html.unescape(page.read_text())
+    show(found, None, [], {"report.html": page}, False, Console(width=60), told)
+    said = capsys.readouterr().out
+    for shown in (text, said):
+        order = [shown.index(part) for part in ("PROPOSAL: a law", "a law, <b>bold", "By run", "[weave]", command)]
+        assert order == sorted(order)
+    assert "<b>bold" not in page.read_text()
 
 
 def test_an_answer_is_kept_whole(logs, tmp_path):

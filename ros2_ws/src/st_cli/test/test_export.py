@@ -111,9 +111,10 @@ def test_what_is_refused(tmp_path, arguments, message):
     assert result.exit_code == 2 and message in result.output and len(result.output.splitlines()) == 1
 
 
-def test_a_model_file_without_its_car_wants_the_right_one(tmp_path):
+@pytest.mark.parametrize("embed", [False, True])
+def test_a_model_file_wants_the_right_car(tmp_path, embed):
     path = tmp_path / "model.yaml"
-    path.write_text(ModelFile.of(augment("linear", ["mass"]), vehicle(), Provenance(), embed=False).to_yaml())
+    path.write_text(ModelFile.of(augment("linear", ["mass"]), vehicle(), Provenance(), embed=embed).to_yaml())
     wrong = run(path, "--vehicle", ROOT / "config/vehicle/hyundai_genesis.yaml", "--output", tmp_path / "out")
     assert wrong.exit_code == 2 and "the values hold for" in wrong.output
     assert run(path, "--output", tmp_path / "out").exit_code == 0

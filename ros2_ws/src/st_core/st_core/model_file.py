@@ -16,7 +16,7 @@ fit its hash was changed since and is refused, one without a hash is taken as it
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from . import __version__
@@ -27,6 +27,7 @@ from .vehicle import VehicleParameters
 from .yaml_text import check_keys, load, number, quoted
 
 Interval = tuple[float, float] | None
+MOST_DIFFERENCES = 3  # told of two cars
 HEADER = "# Model file: base model, effects on top of it (SI units, 95 % intervals), and where they come from.\n"
 
 
@@ -83,7 +84,9 @@ class ModelFile:
         if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
             wanted, there = (f"{name!r} {digest[:12]}" for name, digest in (
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
-            raise ConfigurationError(f"vehicle.hash: the values hold for {wanted}, {origin} is {there}; "
+            different = _differences(self.vehicle, vehicle) if self.vehicle else ""
+            differ = f" (they differ in {different})" if different else ""
+            raise ConfigurationError(f"vehicle.hash: the values hold for {wanted}, {origin} is {there}{differ}; "
                                      "take the vehicle file they were found with")
 
     @property
@@ -213,3 +216,22 @@ def _text(where: str, value: Any) -> str:
     if isinstance(value, bool | int | float | list | dict) or value is None:
         raise ConfigurationError(f"{where}: {value!r} is not a text; put it in quotes")
     return str(value)
+
+
+def _differences(one: VehicleParameters, other: VehicleParameters) -> str:
+    """Keys whose numbers differ, MOST_DIFFERENCES of them: "mass: 1590, 1700"; "" where none does."""
+    mine, its = _numbers(asdict(one)), _numbers(asdict(other))
+    told = [f"{key}: {mine[key]:g}, {its[key]:g}" for key in mine if mine[key] != its.get(key, mine[key])]
+    more = len(told) - MOST_DIFFERENCES
+    return "; ".join(told[:MOST_DIFFERENCES]) + (f"; {more} more" if more > 0 else "")
+
+
+def _numbers(values: Mapping[str, Any], before: str = "") -> dict[str, float]:
+    """Every number of a vehicle file, by its key."""
+    found = {}
+    for key, value in values.items():
+        if isinstance(value, float | int):
+            found[before + key] = value
+        elif isinstance(value, Mapping) and key not in ("sources", "provenance"):
+            found |= _numbers(value, f"{before}{key}.")
+    return found

@@ -21,18 +21,19 @@ STEPS = (0.01, 0.02, 0.05, 0.1)
 """s; for each of them the description says from which speed on it is stable."""
 
 
-def load_model(name: str, vehicle: VehicleParameters, origin: str) -> tuple[Model, VehicleParameters]:
+def load_model(name: str, vehicle: VehicleParameters, origin: str, asked: bool) -> tuple[Model, VehicleParameters]:
     """The model of a name or of a model file, and the car it is for: that of the file where one is embedded.
 
-    origin: of `vehicle`, for errors. Raises ConfigurationError, one line, for what is no model or belongs to another
-    car, OSError for a file that cannot be read.
+    origin: of `vehicle`, for errors. asked: it was named, and is not taken for want of one. Raises
+    ConfigurationError, one line, for what is no model or belongs to another car, OSError for a file that cannot be
+    read.
     """
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
             raise ConfigurationError(f"{name}: there are {', '.join(MODELS)}, or a model file (.yaml)")
         return get_model(name), vehicle
     file = ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
-    if file.vehicle is None:
+    if asked or file.vehicle is None:
         file.check_vehicle(vehicle, origin)
     return file.model(), file.vehicle or vehicle
 

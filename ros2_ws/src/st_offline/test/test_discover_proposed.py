@@ -10,13 +10,15 @@ from effect_registry import restored
 from st_core.augmented import augment
 from st_core.contract import check_effect
 from st_core.effects import EFFECTS, Measured, load_folder
+from st_core.manoeuvres import CATALOGUE
 from st_core.model_file import ModelFile
 from st_core.models import MODELS
 from st_core.proposals import Candidate, Proposal, Proposals, Reading, wanted
+from st_core.proposals.next_drive import NextDrives, Option
 from st_core.proposals.places import ASKED, NEITHER, PAIRS
 from st_core.proposals.scrutiny import Shares
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery import law_figure, law_file, law_words, proposed
+from st_offline.discovery import law_figure, law_file, law_told, law_words, next_drive_words, proposed
 from st_offline.evaluation.drawing import Place
 from support import ROOT
 
@@ -40,6 +42,13 @@ def proposal(place: str, quantity: str, parity: float, by: str = "") -> Proposal
 
 
 registry = pytest.fixture(restored)
+LAP = replace(drive(CAR, 10.0, lambda time: 0.05 * np.sin(time), seconds=5.0), name="lap")
+ANSWER = discovery([LAP], [("mass", {"factor": 1.2}, 0.8)], 1.0)
+START = law_told.Start(["my drives/lap.csv"], ["--car", "leaf", "--offset", "0.1"], ["--car", "leaf"], "out")
+
+
+def text_of(said: Proposals) -> str:
+    return "\n".join(line for _, lines in law_told.told(said, ANSWER, CAR, START).groups for line in lines)
 
 
 @pytest.mark.parametrize(("place", "quantity", "parity", "by"), EVERY, ids=[f"{p}-{q}-{b}" for p, q, _, b in EVERY])
@@ -90,9 +99,10 @@ def test_the_curve_is_drawn_in_the_units_of_an_engineer():
 def test_what_comes_and_goes_is_told_and_a_law_of_time_is_no_file(tmp_path, registry):
     one = replace(proposal("both_grip", "run_time", 0.0), shares=Shares({"lap": (1.2, 0.1), "other": (0.1, 0.1)}, 1e-6))
     said = Proposals(one, "it takes away 10 %", {})
-    lines = "\n".join(proposed.told(said))
+    lines = text_of(said)
     assert "comes and goes: hardly there in other (share of it by run, 95 %: lap 1.2 ± 0.2, other 0.1 ± 0.2)" in lines
-    assert "no effect file is written" in lines
+    assert "no effect file is written" in lines and "once beginning elsewhere on the course" in lines
+    assert law_told.told(said, ANSWER, CAR, START).commands == []
     assert proposed.write(said, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 
 
@@ -104,21 +114,20 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     assert text.startswith('"""PROPOSAL') and "m/s^2" in text and "y = 2 u" in text and "lap" in text
     file = ModelFile.from_yaml(files["proposed.yaml"].read_text())
     assert set(file.effects) == {"mass", "proposed_rear_steer"} and "PROPOSAL" in file.provenance.note
-    lines = "\n".join(proposed.told(said))
-    assert "0.800 m with what is stated above, 0.500 m with the law as well" in lines and "to try it: st demo" in lines
-    assert "PROPOSAL" in lines and "do not tell it from: side force on the body over the speed (0.90)" in lines
+    lines = text_of(said)
+    assert "above, 0.500 m with the law as well; noise alone leaves 0.060 m" in lines
+    assert "do not tell it from: side force on the body over the speed (0.90)" in lines
     assert "mass is stated above, but with this law it has little left to do (without it 0.4% of" in lines
     assert "1 of 1 runs" in lines
-    assert "least sure at lateral acceleration -6 m/s²: " in lines
-    assert "± 1.1 ° (95 %); driving there would pin it down" in lines
-    assert "y = 2 u (in proportion; 97% of" in lines and "which is no result of these drives: a cause" in lines
+    assert "least sure at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
+    assert "y = 2 u (in proportion; has 97% of" in lines and "is caused by: a cause. These drives do not show" in lines
+    assert "u: lateral acceleration (left +), m/s²" in lines
     content = proposed.document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
 
 
 def test_a_law_is_looked_for_where_much_is_left():
-    lap = replace(drive(CAR, 10.0, lambda time: 0.05 * np.sin(time), seconds=5.0), name="lap")
-    found = discovery([lap], (), 1.0)
+    found = discovery([LAP], (), 1.0)
     nothing, much = replace(found, outcome="none", signature=()), ("errors are 4.0 times the noise",)
     assert not wanted(nothing)
     assert wanted(replace(nothing, outcome="unknown")) and wanted(replace(nothing, outcome="named", signature=much))
@@ -127,5 +136,48 @@ def test_a_law_is_looked_for_where_much_is_left():
 def test_without_a_proposal_the_reason_is_told(tmp_path):
     said = Proposals(None, "no law is sure", {})
     assert proposed.write(said, CAR, [], "", {}, tmp_path) == {} and not list(tmp_path.iterdir())
-    assert proposed.told(said) == ["nothing is proposed: no law is sure"]
+    assert law_told.told(said, ANSWER, CAR, START) == law_told.Told([("proposal", ["none: no law is sure"])])
+    said = Proposals(None, "the curve of side_force over speed runs into its bound",
+                     {"side_force over speed": (0.1, 0.2)})
+    assert "none: the curve of side force on the body over the speed runs into its bound" in text_of(said)
     assert proposed.document(said)["proposal"] is None and proposed.document(None) == {}
+
+
+def test_the_error_of_every_run_and_both_sizes_of_a_value_are_tabled():
+    by_run, values = law_told.told(Proposals(proposal("rear_steer", "acceleration_y", -1.0), "", {}), ANSWER, CAR,
+                                   START).tables
+    assert by_run.rows == [("lap", "1.000", "0.800", "0.500", "−0.300 (−38 %)"),
+                           ("all windows", "1.000", "0.800", "0.500", "−0.300 (−38 %)")]
+    assert values.rows == [("mass", "× 1.20; mass 1590 → 1908 kg", "× 1.10; mass 1590 → 1749 kg")]
+
+
+def test_commands_can_be_copied():
+    told = law_told.told(Proposals(proposal("rear_steer", "acceleration_y", -1.0), "", {}), ANSWER, CAR, START)
+    commands = dict(told.commands)
+    assert commands["test the file"] == "./st effects check out/effects/proposed_rear_steer.py --car leaf"
+    assert commands["search for more"] == ("./st discover 'my drives/lap.csv' --car leaf --offset 0.1 --base "
+                                           "out/proposed.yaml --effects out/effects")
+    assert "--model nonlinear --model out/proposed.yaml --effects out/effects" in commands["predict drives with it"]
+
+
+def test_what_to_drive_next_is_said_with_what_it_brings():
+    one = proposal("yaw_moment", "acceleration_x", NEITHER)
+    brake, sweep = (next(m for m in CATALOGUE if m.name == name) for name in ("brake_in_turn", "sweep"))
+    rival = "side_force over speed"
+    drives = NextDrives([(-3.0, -2.0), (1.0, 1.5)], {rival: 1.0},
+                        [Option(brake, 0.5 * one.deviation, {rival: 6.0}, (4.0, 0.0)),
+                         Option(sweep, 0.8 * one.deviation, {rival: 1.5}, (0.0, 0.1))])
+    one = replace(one, drives=drives)
+    assert "y = 1 rad/s² is a moment of 2925 N m, by the yaw inertia of the" in text_of(Proposals(one, "", {}))
+    told = "\n".join(next_drive_words.sentences(one))
+    assert "from side force on the body over the speed: brake_in_turn, 3 times" in told
+    assert "The two then differ 6.0 times as clearly" in told
+    assert "for a surer curve: brake_in_turn. The largest 95 % interval then falls" in told
+    assert "from ± 0.02 to ± 0.0098 rad/s²" in told
+    assert "for -3 to -2 m/s²: brake_in_turn" in told and "no manoeuvre of the catalogue stays at 1 to 1.5 m/s²" in told
+    assert next_drive_words.named(one) == ["brake_in_turn"]
+    content = proposed.document(Proposals(one, "", {}))["proposal"]["next_drives"]
+    assert content["tells_apart"] == {"manoeuvre": "brake_in_turn", "from": rival}
+    assert content["pins_down"] == "brake_in_turn" and len(content["options"]) == 2
+    weak = replace(one, drives=replace(drives, options=drives.options[1:]))
+    assert "no manoeuvre of the catalogue tells it much better from" in "\n".join(next_drive_words.sentences(weak))

@@ -1,6 +1,6 @@
 """`st discover`: name what vehicle file, sensors and model lack."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -88,16 +88,25 @@ def discover(
     from st_offline.discovery.command import Job, run_command
 
     with shared.refusals("discover"):
+        whose = _typed({"--car": car, "--vehicle": vehicle})
+        reading = _typed({"--dbc": dbc, "--signals": signals, "--steering-sign": steering_sign,
+                          "--steering-latency": steering_latency, "--offset": offset})
         vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
         parameters, file = shared.leaf_or(vehicle)
         job = Job(
             runs, reference, base, parameters, str(file), file.read_text(encoding="utf-8"),
             DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify),
-            read, effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose)
+            read, effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose, (*whose, *reading),
+            whose)
         status = run_command(job, Console())
     if vehicle is None:
         shared.say_whose("discover", file)
     raise typer.Exit(status)
+
+
+def _typed(options: Mapping[str, Any]) -> tuple[str, ...]:
+    """Those that were given, as words of a command line."""
+    return tuple(word for name, value in options.items() if value is not None for word in (name, str(value)))
 
 
 def _parts(text: str) -> list[str]:

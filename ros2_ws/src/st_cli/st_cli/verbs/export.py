@@ -37,7 +37,7 @@ def export(
         parameters, file = leaf_or(named)
         if effects is not None:
             load_folder(str(effects.absolute()))
-        chosen, its = load_model(model, parameters, str(file))
+        chosen, its = load_model(model, parameters, str(file), named is not None)
         folder = new_folder(output, "export")
         written = write(chosen, its, folder, kind, substeps, free)
     if named is None and its is parameters:

@@ -1,6 +1,6 @@
 """The drive to do next: which of the catalogue would tell the names of an answer apart, or show an effect at all."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +9,8 @@ import numpy as np
 from ..augmented import augment
 from ..errors import StCoreError
 from ..log import OPTIONAL_INS_SIGNALS
-from ..manoeuvres import CATALOGUE
+from ..manoeuvres import CATALOGUE, Manoeuvre
+from ..models import Model
 from .evidence import inverse
 from .fit import Fit, Problem
 from .loss import Errors, Loss
@@ -30,14 +31,12 @@ class Catalogue:
     curvature: dict[str, np.ndarray]
 
 
-def catalogue(problem: Problem, fit: Fit) -> Catalogue:
+def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
     """All manoeuvres at speeds like those driven, simulated with the bare base model: size and kind of the motion are
-    what matters here."""
-    windows, space = problem.errors.windows, problem.space
-    model = augment(space.model.base, {})
+    what matters here. The windows of one drive each, with the channels that were recorded."""
+    model = augment(base, {})
     fastest = FASTER * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)
-    result = {}
     for manoeuvre in CATALOGUE:
         if manoeuvre.speed > fastest:
             continue
@@ -52,8 +51,14 @@ def catalogue(problem: Problem, fit: Fit) -> Catalogue:
             continue
         unknown: dict[str, Any] = {n: None for n in OPTIONAL_INS_SIGNALS if getattr(windows.joined, n) is None}
         driven = Windows([replace(log, **unknown)], windows.vehicle, settings)
-        if not len(driven):
-            continue
+        if len(driven):
+            yield manoeuvre, driven
+
+
+def catalogue(problem: Problem, fit: Fit) -> Catalogue:
+    """What every manoeuvre would tell."""
+    space, result = problem.space, {}
+    for manoeuvre, driven in simulated(problem.errors.windows, space.model.base):
         loss = Loss(Errors(driven, space, problem.errors.threads), fit.vector)
         loss.scale = problem.loss.scale
         rows = loss.errors.at(fit.vector)

@@ -294,7 +294,8 @@ def get_effect(name: str) -> type[Effect]:
         return UNLISTED[name]
     if name not in EFFECTS:
         known = ", ".join(sorted(EFFECTS))
-        raise ConfigurationError(f"unknown effect {name!r}{nearest(name, EFFECTS)}; known are {known}")
+        raise ConfigurationError(f"unknown effect {name!r}{nearest(name, EFFECTS)}; if it is your own, give the "
+                                 f"folder of its file with --effects; known are {known}")
     return EFFECTS[name]
 
 

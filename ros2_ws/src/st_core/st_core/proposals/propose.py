@@ -14,6 +14,7 @@ from ..vehicle import VehicleParameters
 from .choice import best_of, harmful, not_told_apart, taken_away, to_fit, worthless
 from .curve_fit import Fitted, Laws, RunWindows
 from .exchange import exchanged
+from .next_drive import next_drives, thin_ranges
 from .places import driven
 from .readings import readings
 from .result import Proposal, Proposals
@@ -54,7 +55,8 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     without = laws.without()
     screened = screen(laws, without, vehicle, settings.seed, tick)
     if not screened:
-        return Proposals(None, "no law changes any prediction of these drives", {})
+        return Proposals(None, "no law changes any prediction of these drives: drive to both sides, with pedals, at "
+                         "more than one speed", {})
     chances = chances_of(screened, laws.blocks)
     number = laws.loss.number
     tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
@@ -63,8 +65,9 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     sure = sorted((s for s in screened if chances[s.candidate.name] <= limits.false_alarm), key=lambda s: -s.gain)
     if not sure:
         name, (gain, chance) = next(iter(tried.items()))
-        return Proposals(None, f"no law is sure: the best, {name}, gains {gain:.3f} held out, and something gains as "
-                         f"much by chance with probability {chance:.2g}", tried, visible)
+        return Proposals(None, f"no law is sure. The best, {name}, lowers the loss on held-out driving by {gain:.3f} "
+                         f"for each error, and chance finds as much with probability {chance:.2g}; less than "
+                         f"{limits.false_alarm:g} is asked for", tried, visible)
     fits, worthy, against = _tried(laws, without, sure, vehicle, limits, tick)
     if not worthy:
         return Proposals(None, next(iter(against.values())), tried, visible)
@@ -105,7 +108,8 @@ def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
         return "one run was driven; whether a law holds on another drive cannot be seen: give two or more"
     blocks = int(windows.block.max()) + 1 if len(windows) else 0
     if len(windows) < 3 or blocks < FEWEST:
-        return f"{blocks} blocks of {settings.block:g} s were driven; a curve asks for {FEWEST}"
+        return (f"{blocks} blocks of {settings.block:g} s were driven; a curve asks for {FEWEST}: drive longer, or "
+                "give more runs")
     return ""
 
 
@@ -119,7 +123,8 @@ def _judged(best: Screened, fits: Fits, without: Fitted, laws: Laws, chances: Ma
     before, after = (held_out_positions(laws, f) for f in (without, fit))
     rivals = [one for one in fits if one is not best]
     apart = not_told_apart(np.array([fits[one].held_out - fit.held_out for one in rivals]), limits.doubt, settings.seed)
-    others = {one.candidate.name: cosine(laws, fit, fits[one]) for one, near in zip(rivals, apart, strict=True) if near}
+    alike = {one.candidate.name: fits[one] for one, near in zip(rivals, apart, strict=True) if near}
+    others = {name: cosine(laws, fit, other) for name, other in alike.items()}
     needless = exchanged(laws, best.candidate, fit, without, stated, limits)
     c = best.candidate
     u = driven(laws.windows, vehicle)[c.quantity]
@@ -132,10 +137,11 @@ def _judged(best: Screened, fits: Fits, without: Fitted, laws: Laws, chances: Ma
     runs = {name: (float(np.nanmean(before[mine])), float(np.nanmean(after[mine])))
             for k, name in enumerate(laws.windows.names) if (mine := laws.windows.run == k).any()
             and np.isfinite(before[mine]).any() and np.isfinite(after[mine]).any()}
+    drives = next_drives(laws, c, fit, alike, best.design, at, deviation, thin_ranges(at, density, c.parity))
     proposal = Proposal(c, fit.coefficients, at, value, deviation, density, gain, chance,
                         (float(np.nanmean(before)), float(np.nanmean(after))), runs, _beside(laws, fit), others,
                         readings(c, fit.coefficients, laws.seen(fit), laws.fold),
-                        shares(laws, fit), needless)
+                        shares(laws, fit), needless, drives)
     return Proposals(proposal, f"it {taken_away(laws, falls, before - after, limits)}", tried)
 
 

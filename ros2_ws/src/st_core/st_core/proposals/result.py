@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..augmented import AugmentedModel
+from .next_drive import NextDrives
 from .places import FACTORS, USUAL, Candidate
 from .readings import Reading
 from .scrutiny import Shares
@@ -24,6 +25,7 @@ class Proposal:
     at the values fitted beside the law. others: laws that do no worse, with the cosine of what both change [1].
     readings: the curve in words, best first. shares: how much of it each run shows. needless: effects of the answer
     that the law leaves too little to do, with the share of the size of the errors [1] that comes back without each.
+    drives: what was hardly driven, and what to drive next.
     """
 
     candidate: Candidate
@@ -41,6 +43,7 @@ class Proposal:
     readings: Sequence[Reading] = ()
     shares: Shares = field(default_factory=lambda: Shares({}, 1.0))
     needless: Mapping[str, float] = field(default_factory=dict)
+    drives: NextDrives = field(default_factory=NextDrives)
 
 
 @dataclass(frozen=True)

@@ -35,12 +35,13 @@ def refused(laws: Laws, fit: Fitted, vehicle: VehicleParameters) -> str:
     assert fit.candidate is not None
     name = fit.candidate.name
     if np.abs(fit.coefficients).max() > (1.0 - NEAR) * HIGHEST:
-        return f"the curve of {name} runs into its bound of {HIGHEST:g} usual sizes: nothing physical was found"
+        return (f"the curve of {name} runs into its bound of {HIGHEST * fit.candidate.usual:.3g} {fit.candidate.unit}, "
+                "which is beyond any physical law: see what st check says of the sensors, and the vehicle file")
     model = laws.space_of(fit.candidate).at(fit.vector)
     low, high = np.quantile(laws.windows.speeds[np.isfinite(laws.windows.speeds)], [0.05, 0.95])
     slow = max(float(low), vehicle.minimum_slip_speed)
     problem = unsteady(get_model(model.base), model, vehicle, np.linspace(slow, max(float(high), slow), 4))
-    return f"with {name} the simulated car is not stable: {problem}" if problem else ""
+    return f"with {name} the simulated car is not stable, so that it cannot predict: {problem}" if problem else ""
 
 
 def shares(laws: Laws, fit: Fitted) -> Shares:

@@ -27,7 +27,7 @@ from ..checking.document import findings_in
 from ..checking.shown import say
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
-from . import answers, proposed
+from . import answers, law_told, proposed
 from .agreement_figures import agreement, bound
 from .answer_figures import budget, certificate, runs, waterfall
 from .document import document, model_file
@@ -44,7 +44,8 @@ from .shown import show
 @dataclass(frozen=True)
 class Job:
     """Arguments of the verb. vehicle_text: of vehicle_file. output: None for runs/discover-<time>. propose: None where
-    much is left unexplained."""
+    much is left unexplained. given: the options that say whose the recordings are, as typed, for the commands that the
+    answer suggests; given_vehicle: those of them that every verb takes."""
 
     runs: Sequence[Path]
     reference: Sequence[Path]
@@ -62,6 +63,8 @@ class Job:
     cached: bool = True
     force: bool = False
     propose: bool | None = None
+    given: Sequence[str] = ()
+    given_vehicle: Sequence[str] = ()
 
 
 def run_command(job: Job, console: Console) -> int:
@@ -89,12 +92,18 @@ def run_command(job: Job, console: Console) -> int:
         if drawn is not None and laws and laws.proposal:
             drawn.insert(0, law_figure(laws.proposal, place))
         mended = mend(found, question)
-        files = write_results(found, question, mended, folder, drawn, seconds, laws)
+        told = law_told.told(laws, found, job.vehicle, start(job, folder)) if laws else None
+        files = write_results(found, question, mended, folder, drawn, seconds, laws, told)
     for drive in (*suspect, *healthy):
         say(drive.name, findings_in(drive.about), console)
     show(found, mended, [d for d in (*suspect, *healthy) if d.problem], files, earlier, console,
-         [*proposed.told(laws), f"the search for a law took {seconds['propose']:.0f} s"] if laws else ())
+         told)
     return 1 if any(d.problem for d in (*suspect, *healthy)) else 0
+
+
+def start(job: Job, folder: Path) -> law_told.Start:
+    """As it was typed, so that the commands of the answer can be copied."""
+    return law_told.Start([*map(str, job.runs)], job.given, job.given_vehicle, str(folder))
 
 
 def own_effects(folder: Path | None) -> dict[str, str]:
@@ -117,7 +126,10 @@ def base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Mode
         why = getattr(error, "strerror", None) or error
         raise ConfigurationError(f"--base {name}: cannot be read: {why}") from None
     file = ModelFile.from_yaml(text, name)
-    file.check_vehicle(vehicle, vehicle_file)
+    try:
+        file.check_vehicle(vehicle, vehicle_file)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"--base {name}: {error}") from None
     return file.model()
 
 
@@ -218,8 +230,9 @@ def draw(found: Discovery, question: Question, place: Place) -> list[Drawn]:
 
 def write_results(found: Discovery, question: Question, mended: Mended | None, folder: Path,
                   drawn: Sequence[Drawn] | None, seconds: dict[str, float],
-                  laws: Proposals | None = None) -> dict[str, Path]:
-    """All files; by what they are. drawn: None for no page. laws: what is proposed beyond the library."""
+                  laws: Proposals | None = None, told: law_told.Told | None = None) -> dict[str, Path]:
+    """All files; by what they are. drawn: None for no page. laws: what is proposed beyond the library; told: in words.
+    """
     files = {"discovery.json": folder / "discovery.json"}
     if mended is not None:
         model = model_file(found, question, mended)
@@ -236,5 +249,5 @@ def write_results(found: Discovery, question: Question, mended: Mended | None, f
     files["discovery.json"].write_text(as_text(content), encoding="utf-8")
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}
-        write_page(files["report.html"], found, mended, content, drawn, proposed.told(laws) if laws else ())
+        write_page(files["report.html"], found, mended, content, drawn, told)
     return files

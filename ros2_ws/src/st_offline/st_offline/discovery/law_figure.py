@@ -23,10 +23,17 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
         curve.fill_between(at, value - band, value + band, color=AFTER, alpha=0.25, lw=0, label="95 % interval")
         curve.plot(at, value, color=AFTER, label="proposed law")
+        for k, (low, high) in enumerate(one.drives.thin):
+            for axes in (curve, driven):
+                axes.axvspan(across * low, across * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
+                             label="hardly driven" if axes is curve and not k else None)
         curve.set_ylabel(f"{textwrap.fill(law_words.axis(c), 28)}, {unit}")
         curve.legend(loc="best")
         driven.set_axisbelow(True)
         driven.bar(at, 100.0 * one.density, width=at[1] - at[0], color=MEASURED_COLOUR)
+        # Most driving is at constant speed, straight on: on a linear scale the rest could not be seen.
+        driven.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
+        driven.yaxis.set_major_formatter("{x:g}")
         driven.set(ylabel="share of the\ndriving, %", xlabel=f"{law_words.quantity(c)}, {across_unit}")
         before, after = one.position_5s
         title = (f"PROPOSAL: {law_in_words(one)}; position error after 5 s, on runs it was not fitted to: "
@@ -35,7 +42,7 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
         first = f"As a formula: {one.readings[0].text}, {units}. " if one.readings else ""
         caption = (f"{first}Dotted, zero: the model without the law. Fitted through the simulator beside everything "
                    "that was found; beyond the range driven the curve stays as it is at the end of it. Within, where "
-                   "nothing was driven, it is a smooth bridge. No other figure or table holds the law.")
+                   "nothing was driven, it is a smooth bridge. The other figures do not contain the law.")
         return finish(figure, place, "law", title, caption)
 
 

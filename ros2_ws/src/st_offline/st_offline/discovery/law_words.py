@@ -1,6 +1,9 @@
 """A law in the words of a vehicle engineer."""
 
+from collections.abc import Iterable
+
 from st_core.proposals import Candidate
+from st_core.vehicle import VehicleParameters
 
 PLACES = {
     "front_steer": "steering of the front wheels", "rear_steer": "steering of the rear wheels",
@@ -31,6 +34,11 @@ QUANTITIES = {
     "east": "cosine of the course", "position_x": "position to the east", "position_y": "position to the north",
     "run_time": "time in the run",
 }
+SIGNS = {"acceleration_x": " (braking −)", "steering": " (left +)", "lagging_steering": " (left +)",
+         "acceleration_y": " (left +)", "lean": " (left +)", "yaw_rate": " (left +)",
+         "steering_rate": " (to the left +)", "slip_front": " (axle moving to its left +)",
+         "slip_rear": " (axle moving to its left +)"}
+"""Which way a quantity is positive."""
 SHAPES = {"linear": "in proportion", "straight line": "straight line with an offset"}
 """Where the name of a shape says too little."""
 
@@ -48,6 +56,16 @@ def axis(c: Candidate) -> str:
     return f"{AXES[c.place]}{f', for each unit of {QUANTITIES[c.by]}' if c.by else ''}"
 
 
+def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
+    """What y is as a force or moment of that car, "" for what is none."""
+    weight = 9.81 * vehicle.mass / vehicle.wheelbase
+    sizes = {"yaw_moment": f"1 rad/s² is a moment of {vehicle.yaw_inertia:.4g} N m, by the yaw inertia",
+             "side_force": f"1 m/s² is a force of {vehicle.mass:.4g} N, by the mass",
+             "front_force": f"1 is a force of {weight * vehicle.cg_to_rear_axle:.4g} N, by the axle load",
+             "rear_force": f"1 is a force of {weight * vehicle.cg_to_front_axle:.4g} N, by the axle load"}
+    return f"y = {sizes[c.place]} of the vehicle file" if c.place in sizes and not c.by else ""
+
+
 def law(c: Candidate, constant: bool = False) -> str:
     by = f", for each {QUANTITIES[c.by]}" if c.by else ""
     if constant:
@@ -62,3 +80,10 @@ def named(name: str) -> str:
     if where not in PLACES or what not in QUANTITIES:
         return name
     return f"{PLACES[where]} over the {QUANTITIES[what]}" + (f" times {QUANTITIES[by]}" if by else "")
+
+
+def in_words(text: str, names: Iterable[str]) -> str:
+    """A sentence with the names of laws in it in the same words."""
+    for name in sorted(names, key=len, reverse=True):  # the name of one may begin with that of another
+        text = text.replace(name, named(name))
+    return text

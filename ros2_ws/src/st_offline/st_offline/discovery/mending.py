@@ -94,6 +94,18 @@ def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, 
     return {key: pair for key, pair in pairs.items() if not math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-12)}
 
 
+def changed(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[str, float]
+            ) -> dict[str, tuple[float, float]]:
+    """(before, after) of every key of a vehicle file that could hold an effect; nothing for one that none can hold."""
+    if not effect.fold:
+        return {}
+    try:
+        pairs = _changes(vehicle, fold(vehicle, (effect,), {effect.name: values}))
+    except StCoreError:  # beyond the limits of a vehicle file
+        return {}
+    return {key: pair for key, pair in pairs.items() if not key.endswith("lambda_ky")}
+
+
 def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
     """The vehicle with these effects in its parameters. Raises ConfigurationError where that is no car."""
     for effect in effects:

@@ -9,14 +9,15 @@ from st_core.discovery import Discovery
 from ..evaluation.drawing import Drawn
 from ..pages import template
 from . import quantities, words
+from .law_told import Told
 from .mending import Mended
 
 VERDICTS = ("stated", "alternative", "bound")  # first in the table of all effects
 
 
 def write_page(file: Path, found: Discovery, mended: Mended | None, content: dict[str, Any],
-               figures: Sequence[Drawn], law: Sequence[str] = ()) -> None:
-    """content: of discovery.json. law: lines on what is proposed beyond the library."""
+               figures: Sequence[Drawn], law: Told | None = None) -> None:
+    """content: of discovery.json. law: what is proposed beyond the library."""
     about = content["provenance"]
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     order = {verdict: place for place, verdict in enumerate(VERDICTS)}

@@ -1,4 +1,4 @@
-"""A proposed law beside the results of a discovery: files, the part of discovery.json, sentences."""
+"""A proposed law beside the results of a discovery: files, and the part of discovery.json."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,14 +6,11 @@ from pathlib import Path
 from st_core.effects import load_folder
 from st_core.model_file import Estimate, ModelFile, Provenance
 from st_core.proposals import Proposal, Proposals
+from st_core.proposals.next_drive import TIMES
 from st_core.proposals.places import QUANTITIES
 from st_core.vehicle import VehicleParameters
 
-from . import law_words, words
-from .law_figure import shown
-from .law_file import effect_file, law_in_words, name_of, title
-
-DIFFER = 0.01  # chance below which runs do not show the same law
+from .law_file import effect_file, name_of, title
 
 
 def write(found: Proposals, vehicle: VehicleParameters, runs: Sequence[str], created: str, digests: dict[str, str],
@@ -56,69 +53,18 @@ def document(found: Proposals | None) -> dict:
                                             "deviation": one.deviation.tolist(), "density": one.density.tolist()},
         "gain": one.gain, "chance": one.chance, "position_5s": list(one.position_5s),
         "runs": {name: list(pair) for name, pair in one.runs.items()}, "others": dict(one.others),
-        "needless": dict(one.needless),
+        "needless": dict(one.needless), "next_drives": _drives(one),
         "shares": {name: list(pair) for name, pair in one.shares.by_run.items()}, "differ": one.shares.differ,
         "readings": [{"shape": r.shape, "text": r.text, "explained": r.explained, "causes": r.causes}
                      for r in one.readings]}}
 
 
-def told(found: Proposals) -> list[str]:
-    """Lines for terminal and page."""
-    one = found.proposal
-    unseen = found.unseen()
-    places = ", ".join(law_words.PLACES[name] for name in unseen)
-    less = [f"these drives hardly show {places}: nothing is said of laws there"] if unseen else []
-    if one is None:
-        return [f"nothing is proposed: {found.why}", *less]
-    return [*_what(one, found.why), *_doubts(one), *less]
-
-
-def _what(one: Proposal, why: str) -> list[str]:
-    """The law, what it is worth, and its curve as formulas."""
-    c = one.candidate
-    quantity, unit = law_words.quantity(c), QUANTITIES[c.quantity]
-    without, with_it = one.position_5s
-    lines = [f"PROPOSAL, not yet a finding: {law_in_words(one)}",
-             f"position error after 5 s, on runs it was not fitted to: {without:.3f} m with what is stated above, "
-             f"{with_it:.3f} m with the law as well; {why}"]
-    causes = one.readings[0].causes if one.readings else ""
-    if causes:
-        lines.append(f"causes that textbooks name, which is no result of these drives: {causes}")
-    lines += [f"{'or' if k else 'as a formula:'} {r.text} ({law_words.SHAPES.get(r.shape, r.shape)}; "
-              f"{r.explained:.0%} of what the curve explains)"
-              for k, r in enumerate(one.readings)]
-    squares = str.maketrans({"^": None, "2": "²"})
-    lines.append(f"y: {law_words.axis(c)} [{c.unit.translate(squares)}]; u: {quantity} [{unit.translate(squares)}], "
-                 f"driven from {c.low:.3g} to {c.high:.3g}, the curve is constant beyond")
-    least = int(one.deviation.argmax())
-    (up, shown_up), (across, shown_across) = shown(c.unit), shown(unit)
-    lines.append(f"least sure at {quantity} {across * one.at[least]:.3g} {shown_across}: {up * one.value[least]:.2g} ± "
-                 f"{up * words.SURE * one.deviation[least]:.2g} {shown_up} (95 %); driving there would pin it down")
-    return lines
-
-
-def _doubts(one: Proposal) -> list[str]:
-    """What else it may be, where it is not, and how to try it."""
-    lines = []
-    if one.others:
-        names = "; ".join(f"{law_words.named(name)} ({cosine:.2f})" for name, cosine in one.others.items())
-        lines.append(f"these drives do not tell it from: {names}. In brackets how alike what they change is: 1 the "
-                     "same, 0 nothing in common")
-    for name, share in one.needless.items():
-        lines.append(f"{name} is stated above, but with this law it has little left to do (without it {share:.1%} of "
-                     "the size of the errors comes back): it may have stood in for this law")
-    absent = one.shares.absent() if one.shares.differ < DIFFER else []
-    if absent:
-        told_of = ", ".join(f"{name} {share:.1f} ± {words.SURE * deviation:.1f}" for name, (share, deviation) in
-                            one.shares.by_run.items())
-        lines.append(f"it comes and goes: hardly there in {', '.join(absent)} (share of it by run, 95 %: {told_of})")
-    if one.candidate.quantity != "run_time":
-        lines.append("to try it: st demo, st live or st evaluate with --model proposed.yaml, --effects effects and the "
-                     "vehicle file that was given here, not vehicle.yaml: proposed.yaml holds what is stated above, "
-                     "fitted anew beside the law. Keep its files or delete them")
-    else:
-        lines.append("no effect file is written: the time in the run is not known of a drive to come")
-    worse = [name for name, (before, after) in one.runs.items() if after > before]
-    lines.append(f"it helps in {len(one.runs) - len(worse)} of {len(one.runs)} runs"
-                 + (f", not in {', '.join(worse)}" if worse else ""))
-    return lines
+def _drives(one: Proposal) -> dict:
+    drives, apart = one.drives, one.drives.tells_apart()
+    surest = drives.pins_down(one.deviation)
+    return {"thin": [list(between) for between in drives.thin],
+            "tells_apart": {"manoeuvre": apart[0].manoeuvre.name, "from": apart[1]} if apart else None,
+            "pins_down": surest.manoeuvre.name if surest else None, "apart_now": dict(drives.now), "options": [
+                {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed, "lateral": o.manoeuvre.lateral,
+                 "duration": o.manoeuvre.duration, "times": TIMES, "largest_deviation": float(o.deviation.max()),
+                 "apart": dict(o.apart), "seconds_in_thin": list(o.seconds)} for o in drives.options]}

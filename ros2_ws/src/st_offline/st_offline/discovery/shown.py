@@ -11,27 +11,30 @@ from st_core.discovery import Discovery
 from ..terminal import tell_files, tell_problem
 from . import quantities, words
 from .drives import Drive
+from .law_told import Told
 from .mending import Mended
 
 WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
         "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
-        "effects": "the law proposed, as an effect: --effects of st discover, st demo, st live",
+        "effects": "the law proposed, as an effect; its folder: --effects of st evaluate, st demo, st live",
         "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
         "model.yaml": "what a vehicle file cannot hold: --model of st demo, st live, st evaluate"}
 
 
 def show(found: Discovery, mended: Mended | None, failed: Sequence[Drive], files: Mapping[str, Path], earlier: bool,
-         console: Console, law: Sequence[str] = ()) -> None:
-    """Runs, answer, waterfall, budget. earlier: whether the answer is that of an earlier start. law: lines on what is
-    proposed beyond the library."""
+         console: Console, law: Told | None = None) -> None:
+    """Runs, answer, waterfall, budget. earlier: whether the answer is that of an earlier start. law: what is proposed
+    beyond the library."""
     lines = words.verdict(found, mended)
     _answers(lines[:2], console)
     console.print(f"[bold]{escape(words.title(found))}[/bold]", highlight=False)
+    if law is not None and law.headline:
+        console.print(f"[bold]{escape(law.headline)}[/bold]", highlight=False)
     for table in filter(None, (waterfall(found), budget(found))):
         console.print(table)
     _answers(lines[2:], console)
-    if law:
-        _answers([("beyond the library", law)], console)
+    if law is not None:
+        _law(law, console)
     for warning in found.warnings:
         console.print(f"[yellow]{escape(warning)}[/yellow]", highlight=False)
     for drive in failed:
@@ -39,6 +42,21 @@ def show(found: Discovery, mended: Mended | None, failed: Sequence[Drive], files
     if earlier:
         console.print("[dim]The answer of an earlier call with the same inputs; --fresh searches anew.[/dim]")
     tell_files({file: WHAT[name] for name, file in files.items()}, console)
+
+
+def _law(law: Told, console: Console) -> None:
+    console.print("[bold]Beyond the effects of the library[/bold]")
+    _answers(law.groups, console)
+    for shown in law.tables:
+        table = Table(*map(escape, shown.head), title=escape(shown.title), title_justify="left", box=None,
+                      padding=(0, 1))
+        for column in table.columns[1:]:
+            column.justify = "right"
+        for row in shown.rows:
+            table.add_row(*map(escape, row))
+        console.print(table)
+    for what, command in law.commands:  # not wrapped: they are copied
+        console.print(f"[bold]{escape(what)}[/bold]: {escape(command)}", soft_wrap=True, highlight=False)
 
 
 def _answers(lines: Sequence[tuple[str, Sequence[str]]], console: Console) -> None:
@@ -54,7 +72,7 @@ def waterfall(found: Discovery) -> Table | None:
     """The steps from base to model; None without any."""
     if not found.steps:
         return None
-    table = Table("step", "value", "after 5 s, m", "less, m", "95 %", box=None, padding=(0, 1))
+    table = Table("step", "value then", "after 5 s, m", "less, m", "95 %", box=None, padding=(0, 1))
     for column in table.columns[2:]:
         column.justify = "right"
     table.add_row("start", found.start, f"{found.steps[0].position_5s.base:.3f}", "", "")

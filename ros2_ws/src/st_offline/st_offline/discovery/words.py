@@ -241,14 +241,16 @@ def following(found: Discovery) -> str:
     first, second = map(plain, n.separates)
     now = next((p.strength for p in found.separability if {p.first, p.second} == set(n.separates)), 0.0)
     return (f"{n.name}, {n.times} times {n.duration:.0f} s at {n.speed:.1f} m/s: would separate {first} and {second} "
-            f"by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}; {n.reason}")
+            f"by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}; {plain(n.reason)}")
 
 
 def to_do(found: Discovery, mended: Mended | None) -> list[str]:
     """What the user may do with the answer."""
     told = []
     if mended is not None and mended.folded:
-        told.append(f"use vehicle.yaml: {keys(mended.changes)}")
+        same = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effects
+                         if e.name in mended.folded)
+        told.append(f"use vehicle.yaml: {keys(mended.changes)}, the same correction as {same}")
         told += [f"vehicle.yaml holds the first of {by_any_name(found, e)}; these drives do not tell them apart: "
                  "measure one of them on the car" for e in found.effects if e.name in mended.folded and e.alternatives]
     for name, change_of in (mended.kept if mended is not None else {}).items():

@@ -153,7 +153,10 @@ def load_models(task: Task) -> list[Model]:
         else:
             origin, text = chosen
             file = ModelFile.from_yaml(text, origin)
-            file.check_vehicle(task.vehicle, "the vehicle file")
+            try:
+                file.check_vehicle(task.vehicle, "the vehicle file")
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{origin}: {error}") from None
             models.append(file.model())
     names = [model.name for model in models]
     for name in names:

@@ -1,0 +1,71 @@
+"""The drive to do next for a law: what is thin, and whether a suggestion brings what it promises once it is driven."""
+
+import numpy as np
+import pytest
+from discovery_drives import recorded
+from st_core.augmented import augment
+from st_core.discovery import DiscoverySettings
+from st_core.proposals.curve_fit import Laws, RunWindows
+from st_core.proposals.next_drive import NextDrives, Option, _variance, next_drives, thin_ranges
+from st_core.proposals.places import NEITHER, ODD, Candidate
+
+LAW = Candidate("yaw_moment", "acceleration_x", NEITHER, -4.0, 2.0)
+OTHER = Candidate("front_steer", "acceleration_x", NEITHER, -4.0, 2.0)
+AT = np.linspace(LAW.low, LAW.high, 41)
+SETTINGS = DiscoverySettings(where=False, block=4.0, windows=100)
+
+
+def fitted(leaf, names, scale=None):
+    """Drives of a car that is pushed in proportion to its forward acceleration; the law and another one fitted.
+
+    scale: of the errors, that of these drives where none is given."""
+    heights = np.linalg.lstsq(LAW.splines(AT).T, 0.02 * AT, rcond=1e-6)[0]
+    hidden = {LAW.effect: {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **LAW.constants}}
+    windows = RunWindows(recorded(leaf, hidden, 3, names), leaf, SETTINGS)
+    laws = Laws(windows, augment("nonlinear", {}), 0.0, (), SETTINGS)
+    laws.loss.scale = laws.loss.scale if scale is None else scale
+    without = laws.without()
+    return laws, [laws.fit(c, without, 0.03) for c in (LAW, OTHER)]
+
+
+def deviation(fit):
+    splines = LAW.splines(AT)
+    return np.sqrt(np.einsum("ik,ij,jk->k", splines, fit.covariance(), splines))
+
+
+def test_what_hardly_anything_was_driven_of_is_thin():
+    at = np.linspace(-2.0, 2.0, 41)
+    density = np.where(np.abs(at - 1.0) < 0.45, 0.0, 1.0 / 41)
+    (low, high), = thin_ranges(at, density, NEITHER)
+    assert 0.55 < low < 0.8 and 1.2 < high < 1.45
+    assert thin_ranges(at, density, ODD) == []  # the mirrored side was driven
+    both = np.where(np.abs(np.abs(at) - 1.0) < 0.45, 0.0, 1.0 / 41)
+    (positive,) = thin_ranges(at, both, ODD)
+    assert positive == pytest.approx((low, high))
+    assert thin_ranges(at, np.full(41, 1.0 / 41), NEITHER) == []
+
+
+def test_nothing_is_suggested_that_brings_nothing():
+    now = np.full(41, 0.1)
+    assert NextDrives().pins_down(now) is None and NextDrives().tells_apart() is None
+    weak = NextDrives((), {"other": 1.0}, [Option(None, now, {"other": 2.0}, ())])
+    assert weak.pins_down(now) is None and weak.tells_apart() is None
+
+
+@pytest.mark.slow
+def test_a_suggested_drive_brings_what_it_promises(leaf):
+    driven = ("sweep", "lane_change", "slalom", "brake_in_turn")
+    laws, (fit, other) = fitted(leaf, driven)
+    now = deviation(fit)
+    drives = next_drives(laws, LAW, fit, {"other": other}, 2.0, AT, now, [(-4.2, -3.8), (-3.0, -1.0)])
+    surest, (apart, rival) = drives.pins_down(now), drives.tells_apart()
+    assert surest.manoeuvre.name == apart.manoeuvre.name == "brake_in_turn" and rival == "other"
+    assert apart.apart["other"] > drives.now["other"]
+    assert surest.seconds[0] > 1.0 and surest.seconds[1] < 1.0  # it brakes at 4 m/s^2, and is soon there
+    _, (again, _) = fitted(leaf, (*driven, *3 * ["brake_in_turn"]), laws.loss.scale)
+    splines = LAW.splines(AT)
+    before, after = (np.sqrt(_variance(one.q.hessian.sum(axis=0) + fit.penalty, splines)) for one in (fit, again))
+    assert surest.deviation.max() < 0.8 * now.max()
+    assert after / before == pytest.approx(surest.deviation / now, rel=0.35)
+    place = next_drives(laws, Candidate("side_force", "position_x", NEITHER, 0.0, 100.0), fit, {}, 2.0, AT, now, [])
+    assert place.options == ()
