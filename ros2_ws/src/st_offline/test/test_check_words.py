@@ -85,6 +85,9 @@ def test_where_and_effect():
 def test_the_verdict_counts_and_says_what_it_means():
     assert words.verdict(checked()) == "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
     assert words.verdict(checked([MOVED])) == "1 warning: an evaluation would be biased"
+    leans = Finding("acceleration_y_bias", Severity.WARNING, ("acceleration_y",), "too low")
+    assert words.verdict(checked([leans])) == "1 warning: identify and discover would be misled"
+    assert words.verdict(checked([MOVED, leans])) == "2 warnings: an evaluation would be biased"
     assert words.verdict(checked([])) == "nothing found, in 1 comparison"
     assert "nothing to compare" in words.verdict(Checked((), {}, ()))
     assert words.answer(checked([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
