@@ -84,6 +84,7 @@ def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, unknown):
     assert found.estimates[0].parameter == "steering_ratio" and found.correlation.shape == (4, 4)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_steering_offset_both_ways(leaf, unknown):
     logs = [drive(leaf, speed, straight, 40.0, seed=2) for speed in (8.0, 12.0)]
     found = identify_steering_offset(logs, unknown)

@@ -64,7 +64,8 @@ class LiveBands:
         coefficients = np.concatenate([2.0 * band.scale.coefficients for band in chosen])
         self._coefficients = coefficients.reshape(-1, coefficients.shape[-1])
         self._floor = np.square(np.concatenate([floor_at(band.scale.floor, band.scale.time).T for band in chosen]))
-        self._factors = np.repeat([[band.factors[level] for band in chosen] for level in self.levels], 3, axis=1)
+        factors = np.array([[band.factors[level] for band in chosen] for level in self.levels], np.float32)
+        self._factors = factors.repeat(3, axis=1)[:, :, None]
         widths = np.zeros((len(self.levels), len(chosen), 3, len(scale.time) + 1), np.float32)
         self._ahead = widths.reshape(len(self.levels), -1, widths.shape[-1])[..., 1:]
         self.stated: Mapping[str, Stated] = {model: {} for model, _ in questions}
@@ -81,7 +82,10 @@ class LiveBands:
         """
         if not self._seen.one(condition):
             return False
-        logs = (self._coefficients @ features_of_one(condition)).reshape(-1, len(self._between)) @ self._between
-        scale = np.sqrt(np.exp(np.minimum(np.maximum(logs, -60.0), 60.0)) + self._floor)
-        np.multiply(self._factors[:, :, None], scale, out=self._ahead, casting="same_kind")
+        # Limited at the knots: between them lies nothing beyond, and they are few.
+        logs = (self._coefficients @ features_of_one(condition)).clip(-60.0, 60.0)
+        scale = np.exp(logs.reshape(-1, len(self._between)) @ self._between)
+        scale += self._floor
+        np.sqrt(scale, out=scale)
+        np.multiply(self._factors, scale.astype(np.float32), out=self._ahead)
         return True

@@ -148,8 +148,10 @@ class PredictionError:
         for number in range(rounds):
             solution = self._solve(values, free, noise, counted)
             values[free] = solution.x * self._scale[free]
+            if number + 1 == rounds:  # also where one channel does not count: its noise is infinite
+                break
             left = _size(solution.fun.reshape(-1, 2) * noise)
-            if number + 1 == rounds or np.abs(left / noise - 1.0).max() < SETTLED:
+            if np.abs(left / noise - 1.0).max() < SETTLED:
                 break
             noise = left
         lower, upper = self._limits.T
