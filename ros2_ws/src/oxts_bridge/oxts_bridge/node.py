@@ -60,15 +60,8 @@ class OxtsBridge(LifecycleNode):
         self._continuity = Continuity()
         self._accuracy = Accuracy.from_status(self._status)
         self._health = Health(
-            self._parser,
-            self._status,
-            self._origin,
-            self._statistics,
-            self._source_status,
-            self._live,
-            s.altitude_is_ellipsoidal,
-            s.silence_after,
-        )
+            self._parser, self._status, self._origin, self._statistics,
+            self._source_status, self._live, s.altitude_is_ellipsoidal, s.silence_after)
         self._minute = HostMinute()
         self._shown: tuple | None = None
         self._shown_at = self._clock_at = float("-inf")
@@ -116,9 +109,8 @@ class OxtsBridge(LifecycleNode):
         if self._live:
             return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._changed.trigger,
                              self._continuity.continues)
-        return ReplaySource(
-            Path(s.replay_file), self._on_data, self._on_replay_restart, s.speed_factor, s.loop, s.start_offset
-        )
+        return ReplaySource(Path(s.replay_file), self._on_data, self._parser.restart, s.speed_factor, s.loop,
+                            s.start_offset)
 
     def _stop_source(self) -> None:
         if self._source is not None:
@@ -152,9 +144,6 @@ class OxtsBridge(LifecycleNode):
                     f"packet at byte {received.offset} failed: {error!r}", throttle_duration_sec=10.0
                 )
         return len(packets)
-
-    def _on_replay_restart(self) -> None:
-        self._parser.restart()
 
     def _take(self, received: Received, received_ns: int, outputs: Outputs, wanted: bool) -> None:
         now = time.monotonic()

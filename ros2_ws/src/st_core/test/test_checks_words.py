@@ -46,3 +46,8 @@ def test_what_differs_between_runs_may_be_a_fault_of_some(leaf, log):
     runs = [check(one, leaf) for one in (log, mounted(-1.5)(log), mounted(-1.5)(log))]
     text = next(one.text for one in together(runs) if one.name == "measuring_point")
     assert text.endswith("the load or the day, or to a fault of some of the runs")
+
+
+def test_what_no_prediction_depends_on_is_not_the_gravest(leaf, log):
+    findings = check(plus(0.6, "acceleration_y")(times(0.97, "x")(log)), leaf).findings
+    assert [one.name for one in findings if one.severity == "warning"] == ["x_scale", "acceleration_y_bias"]

@@ -1,10 +1,14 @@
 """The drive to do next for a law: what is thin, and whether a suggestion brings what it promises once it is driven."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from answers import discovery
 from discovery_drives import recorded
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
+from st_core.proposals import propose
 from st_core.proposals.curve_fit import Laws, RunWindows
 from st_core.proposals.next_drive import NextDrives, Option, _variance, next_drives, thin_ranges
 from st_core.proposals.places import NEITHER, ODD, Candidate
@@ -69,3 +73,18 @@ def test_a_suggested_drive_brings_what_it_promises(leaf):
     assert after / before == pytest.approx(surest.deviation / now, rel=0.35)
     place = next_drives(laws, Candidate("side_force", "position_x", NEITHER, 0.0, 100.0), fit, {}, 2.0, AT, now, [])
     assert place.options == ()
+
+
+@pytest.mark.slow
+def test_a_law_beside_nothing_without_an_accelerometer_has_a_next_drive(leaf):
+    heights = np.linalg.lstsq(LAW.splines(AT).T, 0.02 * AT, rcond=1e-6)[0]
+    hidden = {LAW.effect: {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **LAW.constants}}
+    names = ("lane_change", "slalom", "circle", "brake_in_turn", "brake_in_turn")
+    logs = [replace(log, acceleration_y=None) for log in recorded(leaf, hidden, 3, names)]
+    channels = ("position", "yaw", "yaw_rate", "velocity_y")
+    settings = DiscoverySettings(where=False, block=5.0, windows=60, channels=channels)
+    nothing = replace(discovery(logs, (), 1.0), noise=dict.fromkeys(channels, 0.01))
+    one = propose(nothing, logs, leaf, settings).proposal
+    assert (one.candidate.place, one.candidate.quantity) == ("yaw_moment", "acceleration_x")
+    assert one.drives.pins_down(one.deviation).manoeuvre.name == "brake_in_turn"
+    assert any(low < -2.0 < high for low, high in one.drives.thin)

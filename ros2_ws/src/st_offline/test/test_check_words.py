@@ -10,7 +10,7 @@ import yaml
 from st_core.checks import Channel, Checked, Cure, Finding, Identity, Severity
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import words
-from st_offline.checking.document import CheckedRun, document, documents, findings_in
+from st_offline.checking.document import CheckedRun, FailedRun, document, documents, findings_in
 from st_offline.checking.page import title, write_page
 from st_offline.checking.proposal import proposal, with_cures
 from st_offline.checking.shown import say, show
@@ -46,10 +46,13 @@ def checked(findings=ALL):
     return Checked(tuple(findings), {"yaw_rate": channel}, (identity,))
 
 
-def run(name="drive", findings=ALL, folder=ROOT, **settings):
-    source = RunSource(name, "csv", (folder / "drive.csv",), settings=settings)
+def source(folder):
+    return RunSource("drive", "csv", (folder / "drive.csv",))
+
+
+def run(name="drive", findings=ALL):
     car = VehicleParameters.from_yaml(LEAF.read_text())
-    return CheckedRun(source, "", checked(findings), car, "leaf.yaml", 10.0, (), {"drive.csv": "0" * 64})
+    return CheckedRun(name, checked(findings), car, "leaf.yaml", 10.0, (), {"drive.csv": "0" * 64})
 
 
 class Lines:
@@ -82,6 +85,9 @@ def test_where_and_effect():
 def test_the_verdict_counts_and_says_what_it_means():
     assert words.verdict(checked()) == "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
     assert words.verdict(checked([MOVED])) == "1 warning: an evaluation would be biased"
+    leans = Finding("acceleration_y_bias", Severity.WARNING, ("acceleration_y",), "too low")
+    assert words.verdict(checked([leans])) == "1 warning: identify and discover would be misled"
+    assert words.verdict(checked([MOVED, leans])) == "2 warnings: an evaluation would be biased"
     assert words.verdict(checked([])) == "nothing found, in 1 comparison"
     assert "nothing to compare" in words.verdict(Checked((), {}, ()))
     assert words.answer(checked([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
@@ -109,7 +115,7 @@ def test_findings_survive_json():
 
 
 def test_the_document_has_no_number_json_lacks():
-    content = json.loads(json.dumps(document([run()]), allow_nan=False))
+    content = json.loads(json.dumps(document([run()], []), allow_nan=False))
     entry = content["runs"]["drive"]
     assert content["schema"] == 1 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
     assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "where",
@@ -118,8 +124,8 @@ def test_the_document_has_no_number_json_lacks():
 
 
 def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
-    runs = [run(HOSTILE), run("second", []), CheckedRun(RunSource("third", "", ()), "it is <b>broken</b>")]
-    write_page(tmp_path / "p.html", runs, document(runs))
+    runs, failed = [run(HOSTILE), run("second", [])], [FailedRun("third", "it is <b>broken</b>")]
+    write_page(tmp_path / "p.html", runs, failed, document(runs, failed))
     text = (tmp_path / "p.html").read_text()
     assert "<script" not in text and "&lt;script&gt;alert(1)" in text and "it is &lt;b&gt;broken" in text
     assert not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"|url\((?!#)|@import', text)
@@ -133,13 +139,13 @@ def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
 
 def test_a_page_of_many_runs_stays_small(tmp_path):
     runs = [run(f"drive {number}") for number in range(60)]
-    write_page(tmp_path / "p.html", runs, document(runs))
+    write_page(tmp_path / "p.html", runs, [], document(runs, []))
     assert (tmp_path / "p.html").stat().st_size < 6_000_000
 
 
 def test_a_proposal_holds_all_cures_with_their_findings(tmp_path):
     file = tmp_path / "cured" / "run.yaml"
-    text = proposal(run(folder=tmp_path).source, ALL, file, ReadSettings(steering_sign=-1, offset=1.5))
+    text = proposal(source(tmp_path), ALL, file, ReadSettings(steering_sign=-1, offset=1.5))
     content = yaml.safe_load(text)
     assert content == {"name": "drive", "csv": "../drive.csv", "offset": 1.5,
                        "correct": {"yaw_rate": {"scale": 0.01745}}, "leave_out": [[1.0, 1.5], [3.0, 3.25]]}
@@ -152,13 +158,13 @@ def test_a_proposal_holds_all_cures_with_their_findings(tmp_path):
 
 def test_a_finding_of_two_lines_cannot_leave_its_comment(tmp_path):
     odd = Finding("yaw_lag", Severity.NOTE, (), "late\nname: other", cure=Cure("look", "x\ny: 1"))
-    assert yaml.safe_load(proposal(run(folder=tmp_path).source, [odd], tmp_path / "run.yaml", ReadSettings())) == {
+    assert yaml.safe_load(proposal(source(tmp_path), [odd], tmp_path / "run.yaml", ReadSettings())) == {
         "name": "drive", "csv": "drive.csv"}
 
 
 def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_path):
     other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", cure=cure(correct={"yaw_rate": {"scale": 2.0}}))
-    text = proposal(run(folder=tmp_path).source, [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
+    text = proposal(source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
     assert "#   not taken, a graver finding asks for another value: in its run.yaml: correct:" in text
 
@@ -167,14 +173,14 @@ def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
     exchanged = Finding("position_axes", Severity.ERROR, ("x", "y"), "exchanged",
                         cure=cure(columns={"x": "y", "y": "x"}))
     for kind, taken in (("csv", True), ("bag", False)):
-        source = replace(run(folder=tmp_path).source, kind=kind)
-        text = proposal(source, [exchanged], tmp_path / "run.yaml", ReadSettings())
+        run_of = replace(source(tmp_path), kind=kind)
+        text = proposal(run_of, [exchanged], tmp_path / "run.yaml", ReadSettings())
         assert ("columns" in yaml.safe_load(text)) is taken
         assert ("#   not taken, a csv only has columns and units: in its run.yaml: " in text) is not taken
 
 
 def test_a_stretch_that_several_findings_leave_out_stands_there_once(tmp_path):
-    text = proposal(run(folder=tmp_path).source, [JUMPS, replace(JUMPS, name="channel_frozen")], tmp_path / "run.yaml",
+    text = proposal(source(tmp_path), [JUMPS, replace(JUMPS, name="channel_frozen")], tmp_path / "run.yaml",
                     ReadSettings())
     assert yaml.safe_load(text)["leave_out"] == [[1.0, 1.5], [3.0, 3.25]]
 

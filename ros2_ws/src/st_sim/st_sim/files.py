@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import can
 import numpy as np
@@ -22,36 +22,14 @@ CHUNK = 64 * 1024
 _HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vendor>st_sim</tool_vendor></FHcomment>"
 
 _UNITS = {
-    "x": "m",
-    "y": "m",
-    "z": "m",
-    "yaw": "rad",
-    "velocity_x": "m/s",
-    "velocity_y": "m/s",
-    "velocity_z": "m/s",
-    "yaw_rate": "rad/s",
-    "acceleration_x": "m/s^2",
-    "acceleration_y": "m/s^2",
-    "yaw_acceleration": "rad/s^2",
-    "roll": "rad",
-    "pitch": "rad",
-    "steering_wheel_angle": "rad",
-    "road_wheel_angle": "rad",
-    "gear": "code",
-    "wheel_speed": "m/s: FL, FR, RL, RR",
-    "lateral_force_front": "N",
-    "lateral_force_rear": "N",
-    "longitudinal_force_front": "N",
-    "longitudinal_force_rear": "N",
-    "load_front": "N",
-    "load_rear": "N",
+    "x": "m", "y": "m", "z": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "velocity_z": "m/s",
+    "yaw_rate": "rad/s", "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "yaw_acceleration": "rad/s^2",
+    "roll": "rad", "pitch": "rad", "steering_wheel_angle": "rad", "road_wheel_angle": "rad", "gear": "code",
+    "wheel_speed": "m/s: FL, FR, RL, RR", "lateral_force_front": "N", "lateral_force_rear": "N",
+    "longitudinal_force_front": "N", "longitudinal_force_rear": "N", "load_front": "N", "load_rear": "N",
     "slip_angle_front": "rad, mean of both wheels, + slides left",
-    "slip_angle_rear": "rad, mean of both wheels, + slides left",
-    "friction": "1",
-    "bank_angle": "rad",
-    "grade_angle": "rad",
-    "wind_x": "m/s",
-    "wind_y": "m/s",
+    "slip_angle_rear": "rad, mean of both wheels, + slides left", "friction": "1", "bank_angle": "rad",
+    "grade_angle": "rad", "wind_x": "m/s", "wind_y": "m/s",
 }
 TRUTH_SCHEMA = {
     "type": "object",
@@ -202,19 +180,6 @@ class Mf4File:
             name=f"CAN{bus}", path=f"CAN{bus}", comment="", source_type=v4.SOURCE_BUS, bus_type=v4.BUS_TYPE_CAN
         )
         return Signal(samples=rows, timestamps=times, name="CAN_DataFrame", source=source)
-
-
-class NcomFile:
-    """Packets back to back."""
-
-    def __init__(self, path: Path):
-        self._stream: BinaryIO = path.open("wb")
-
-    def write(self, packet: bytes) -> None:
-        self._stream.write(packet)
-
-    def close(self) -> None:
-        self._stream.close()
 
 
 def make_folder(option: str, folder: Path) -> Path:

@@ -19,7 +19,7 @@ from .can_wire import STEERING_MESSAGE, CanWire
 from .car import Car, read_car
 from .drive import RecordedDrive
 from .errors import SimulationError
-from .files import LogFile, Mf4File, NcomFile, TruthFile, make_folder
+from .files import LogFile, Mf4File, TruthFile, make_folder
 from .geodesy import Origin
 from .ncom_wire import NcomWire
 from .realtime import Wires, send
@@ -231,8 +231,7 @@ def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
     offset, drift = run.settings["logger_clock_offset"], run.settings["logger_clock_drift"]
     began = time.monotonic()
     with contextlib.ExitStack() as files:
-        ncom = NcomFile(folder / "run.ncom")
-        files.callback(ncom.close)
+        ncom = files.enter_context((folder / "run.ncom").open("wb"))
         frames = LogFile(folder / "run.log") if options.can_format == "log" else Mf4File(folder / "run.mf4", start_ns)
         files.callback(frames.close)
         truth = TruthFile(folder / "truth.mcap", start_ns, run.settings, run.about)

@@ -68,8 +68,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
 
 
 def _ordered(told: list[Finding]) -> tuple[Finding, ...]:
-    """The gravest first."""
-    return tuple(sorted(told, key=lambda one: (ORDER.index(one.severity), -(one.effect or np.inf))))
+    """The gravest first; last of each severity what no prediction depends on."""
+    return tuple(sorted(told, key=lambda one: (ORDER.index(one.severity), one.of_acceleration,
+                                               -(one.effect or np.inf))))
 
 
 def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:

@@ -58,6 +58,12 @@ class Finding:
     effect: float | None = None
     cure: Cure | None = None
 
+    @property
+    def of_acceleration(self) -> bool:
+        """Whether no prediction depends on it: only identification and discovery use measured accelerations."""
+        named = [channel.startswith("acceleration") for channel in self.channels]
+        return self.effect is None and bool(named) and all(named)
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as check.json has them."""
         return {

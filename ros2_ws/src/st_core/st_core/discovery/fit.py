@@ -162,11 +162,9 @@ class Problem:
         s = self.space
         return ((np.minimum(s.low - vector, 0.0) / s.scale)[which], (np.maximum(s.high - vector, 0.0) / s.scale)[which])
 
-    def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
-              windows: slice | np.ndarray = slice(None)) -> np.ndarray:
+    def solve(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray) -> np.ndarray:
         """(a,) the step from `vector` to the best point of a quadratic by window; within the bounds."""
-        best_step = self.stepper(names, vector, which)
-        return best_step(q.hessian[windows].sum(axis=0), q.gradient[windows].sum(axis=0))
+        return self.stepper(names, vector, which)(q.hessian.sum(axis=0), q.gradient.sum(axis=0))
 
     def stepper(self, names: Iterable[str], vector: np.ndarray,
                 which: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

@@ -83,7 +83,8 @@ def cosine(laws: Laws, one: Fitted, other: Fitted) -> float:
     effects = []
     for fit in (one, other):
         change = np.einsum("p,pnm->nm", fit.coefficients, fit.slopes[-COUNT:]) / laws.loss.scale
-        beside = (fit.slopes[:-COUNT] / laws.loss.scale).reshape(len(fit.slopes) - COUNT, -1)
+        # There may be none: nothing was found, and no accelerometer measured.
+        beside = (fit.slopes[:-COUNT] / laws.loss.scale).reshape(len(fit.slopes) - COUNT, change.size)
         change = np.where(laws.loss.known, change, 0.0).ravel()
         beside = np.nan_to_num(beside * laws.loss.known.ravel())
         effects.append(change - np.linalg.lstsq(beside.T, change, rcond=None)[0] @ beside)

@@ -65,7 +65,8 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
 def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advice:
     """Raises ConfigurationError where no run can be used."""
     settings = {one.prediction.step: one for one in steps(task.settings)}
-    models, samples = load_models(task), {}
+    models = load_models(task)
+    samples: dict[Key, list[RunSamples]] = {}
     unusable: dict[Key, str] = {}
     longest: LogSignals | None = None
     with warnings.catch_warnings():
@@ -88,13 +89,13 @@ def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advic
             raise ConfigurationError("--advise: no run is as long as the horizon; give longer ones")
         paid = costs(models, task.vehicle, longest, settings)
     worths = {}
-    for (model, step), runs in samples.items():
-        if not runs or (model, step) in unusable:
+    for (name, step), runs in samples.items():
+        if not runs or (name, step) in unusable:
             continue
         try:
-            worths[model, step] = worth(runs, model, settings[step])
+            worths[name, step] = worth(runs, name, settings[step])
         except StCoreError as error:
-            unusable[model, step] = str(error)
+            unusable[name, step] = str(error)
     return Advice(paid, worths, unusable, tolerance)
 
 

@@ -4,6 +4,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from st_core.batch import LogBatch
@@ -50,11 +51,11 @@ def costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSigna
         held = ControlInput(float(signals.road_wheel_angle_at(middle)[0]), float(acceleration[0]))
         compiled, _ = compile_models(models, vehicle, one.prediction)
         for model in models:
-            calls[model.name, step, "floats"] = (
-                lambda m=model, s=step, x=state, u=held, h=one.prediction.horizon: predict(m, vehicle, x, u, h, s)), 1
+            calls[model.name, step, "floats"] = partial(
+                predict, model, vehicle, state, held, one.prediction.horizon, step), 1
             if model.name in compiled:
-                calls[model.name, step, "compiled"] = (lambda c=compiled[model.name], x=state, u=held: c(x, u)), 1
-            calls[model.name, step, "batch"] = (lambda b=batch, m=model: b.predict(m, vehicle)), len(starts)
+                calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held), 1
+            calls[model.name, step, "batch"] = partial(batch.predict, model, vehicle), len(starts)
     seconds = in_turns(calls)
     return {(model.name, step): Cost(seconds[model.name, step, "floats"], seconds.get((model.name, step, "compiled")),
                                      seconds[model.name, step, "batch"]) for model in models for step in settings}

@@ -60,8 +60,8 @@ def choice_title(tolerance: float) -> str:
 
 def figure(costs: Mapping[Key, Cost], worths: Mapping[Key, Worth], tolerance: float, place: Place) -> Drawn:
     """Error and band half-width against cost, one panel a second ahead."""
-    seconds = max((one.second for one in worths.values()), default=())
-    seconds = [s for s in seconds if s in (1, 2, 3, 5)] or list(seconds[:1])
+    known = max((one.second for one in worths.values()), default=())
+    seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
     steps = sorted({step for _, step in worths})
     with style():
         drawn, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)

@@ -21,7 +21,8 @@ class Scorer:
     """What one run says of the bands, as sums. Errors are turned into the predicted frame, as bands are."""
 
     def __init__(self, bands: Bands, signals: LogSignals):
-        self._bands, self._signals, self._sums = bands, signals, []
+        self._bands, self._signals = bands, signals
+        self._sums: list[Sums] = []
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
         """One block of an evaluation; starts whose horizon was not measured count nowhere."""

@@ -1,6 +1,6 @@
 """What `st check` does: read, check, say it, write it down."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
 
 from ..terminal import progress_bars, tell_files
-from .document import CheckedRun, document
+from .document import CheckedRun, FailedRun, document
 from .gate import PROBLEMS, checked_log, in_words
 from .page import write_page
 from .proposal import check_name, proposal
@@ -54,24 +54,27 @@ def run_command(job: Job, console: Console, told: Callable[[str], None] | None =
                                      "name it")
     folder = new_folder(job.output, "check", create=False)
     runs = check_all(sources, job, console)
-    if all(run.problem for run in runs):
-        raise ConfigurationError("no run can be read: " + "; ".join(run.problem for run in runs))
+    good = [run for run in runs if isinstance(run, CheckedRun)]
+    failed = [run for run in runs if isinstance(run, FailedRun)]
+    if not good:
+        raise ConfigurationError("no run can be read: " + "; ".join(run.problem for run in failed))
     new_folder(folder, "")
     for run in runs:
         show(run, console)
-    show_together([run.checked for run in runs if not run.problem], console)
+    show_together([run.checked for run in good], console)
     if told and not job.given:
-        for file in sorted({run.vehicle_from for run in runs if not run.problem}):
+        for file in sorted({run.vehicle_from for run in good}):
             told(file)
-    tell_files(write(runs, job, folder, console), console)
-    return int(any(run.problem or run.checked.of(Severity.ERROR) for run in runs))
+    cures = {} if job.cure is None else {job.cure: proposal(sources[0], good[0].checked.findings, job.cure, job.read)}
+    tell_files(write(good, failed, folder, job.json, cures, console), console)
+    return int(bool(failed) or any(run.checked.of(Severity.ERROR) for run in good))
 
 
-def check_all(sources: Sequence[RunSource], job: Job, console: Console) -> list[CheckedRun]:
+def check_all(sources: Sequence[RunSource], job: Job, console: Console) -> list[CheckedRun | FailedRun]:
     """Every run, in the order of the sources."""
     with progress_bars(console) as progress:
         bar = progress.add_task("", total=len(sources))
-        runs = []
+        runs: list[CheckedRun | FailedRun] = []
         for source in sources:
             progress.update(bar, description=escape(source.name))
             runs.append(check_run(source, job))
@@ -79,8 +82,8 @@ def check_all(sources: Sequence[RunSource], job: Job, console: Console) -> list[
         return runs
 
 
-def check_run(source: RunSource, job: Job) -> CheckedRun:
-    """Read and check one run. What is wrong with its files becomes its `problem`, never an exception."""
+def check_run(source: RunSource, job: Job) -> CheckedRun | FailedRun:
+    """Read and check one run. What is wrong with its files becomes a `problem`, never an exception."""
     try:
         car, car_from = job.vehicle, job.vehicle_file
         if source.kind == "bag" and not job.given:
@@ -88,22 +91,22 @@ def check_run(source: RunSource, job: Job) -> CheckedRun:
         run = read(source, car, job.read)
         checked = checked_log(run.log, car, run.extras, MODELS)
     except PROBLEMS as error:
-        return CheckedRun(source, in_words(error, source))
-    return CheckedRun(source, "", checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"])
+        return FailedRun(source.name, in_words(error, source))
+    return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"])
 
 
-def write(runs: Sequence[CheckedRun], job: Job, folder: Path, console: Console) -> dict[Path, str]:
-    """All files, with what they are."""
-    content = document(runs)
-    page, numbers = folder / "report.html", job.json or folder / "check.json"
+def write(good: Sequence[CheckedRun], failed: Sequence[FailedRun], folder: Path, json: Path | None,
+          cures: Mapping[Path, str], console: Console) -> dict[Path, str]:
+    """All files, with what they are. cures: text of a run.yaml by its file."""
+    content = document(good, failed)
+    page, numbers = folder / "report.html", json or folder / "check.json"
     with console.status("drawing, writing the page"):
-        write_page(page, runs, content)
+        write_page(page, good, failed, content)
         numbers.parent.mkdir(parents=True, exist_ok=True)
         numbers.write_text(as_text(content), encoding="utf-8")
     files = {page: "one page, with all comparisons", numbers: "every number, docs/manual/checks.md"}
-    if job.cure is not None:
-        text = proposal(runs[0].source, runs[0].checked.findings, job.cure, job.read)
-        job.cure.parent.mkdir(parents=True, exist_ok=True)
-        job.cure.write_text(text, encoding="utf-8")
-        files[job.cure] = "the run with its cures, for every verb"
+    for file, text in cures.items():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+        files[file] = "the run with its cures, for every verb"
     return files

@@ -10,30 +10,29 @@ from st_core.checks import SCHEMA, Checked, Cure, Finding, Identity, Severity, t
 from st_core.vehicle import VehicleParameters
 from st_recordings.plain_json import finite
 from st_recordings.results import versions
-from st_recordings.runs import RunSource
 
 from . import words
 
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """One run of `st check`. problem: why there is nothing else. vehicle_from: file or recording.
+    """One run of `st check`. vehicle_from: file or recording. warnings: of the reading, with what was corrected."""
 
-    warnings: of the reading, with what was corrected.
-    """
+    name: str
+    checked: Checked
+    vehicle: VehicleParameters
+    vehicle_from: str
+    duration: float
+    warnings: tuple[str, ...]
+    files: Mapping[str, str]
 
-    source: RunSource
-    problem: str = ""
-    checked: Checked | None = None
-    vehicle: VehicleParameters | None = None
-    vehicle_from: str = ""
-    duration: float = 0.0
-    warnings: tuple[str, ...] = ()
-    files: Mapping[str, str] | None = None
 
-    @property
-    def name(self) -> str:
-        return self.source.name
+@dataclass(frozen=True)
+class FailedRun:
+    """One that could not be read, and why."""
+
+    name: str
+    problem: str
 
 
 def documents(findings: Sequence[Finding]) -> list[dict[str, Any]]:
@@ -53,9 +52,8 @@ def _finding(entry: Mapping[str, Any]) -> Finding:
                       "interval": interval, "where": tuple(map(tuple, entry["where"])), "cure": cure})
 
 
-def document(runs: Sequence[CheckedRun]) -> dict[str, Any]:
+def document(good: Sequence[CheckedRun], failed: Sequence[FailedRun]) -> dict[str, Any]:
     """The content of check.json."""
-    good = [run for run in runs if not run.problem]
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -64,7 +62,7 @@ def document(runs: Sequence[CheckedRun]) -> dict[str, Any]:
                     for source, car in {run.vehicle_from: run.vehicle for run in good}.items()},
         "runs": {run.name: _run(run) for run in good},
         "together": [finite(one.as_dict()) for one in together([run.checked for run in good])],
-        "failed": {run.name: run.problem for run in runs if run.problem},
+        "failed": {run.name: run.problem for run in failed},
     }
 
 
@@ -73,7 +71,7 @@ def _run(run: CheckedRun) -> dict[str, Any]:
         "verdict": words.verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
         **finite(run.checked.as_dict()),
         "identities": [finite(_identity(one)) for one in run.checked.identities],
-        "warnings": list(run.warnings), "files": dict(run.files or {}),
+        "warnings": list(run.warnings), "files": dict(run.files),
     }
 
 

@@ -9,13 +9,12 @@ from ..evaluation.page import BUDGET
 from ..evaluation.work import slug
 from ..pages import template
 from . import words
-from .document import CheckedRun
+from .document import CheckedRun, FailedRun
 from .panels import panel
 
 
-def title(runs: Sequence[CheckedRun]) -> str:
+def title(good: Sequence[CheckedRun]) -> str:
     """The answer in a sentence."""
-    good = [run for run in runs if not run.problem]
     if len(good) == 1:
         return f"{good[0].name}: {words.answer(good[0].checked)}"
     worst = {severity: [run.name for run in good if run.checked.of(severity)] for severity in words.GRAVITY[:2]}
@@ -27,20 +26,18 @@ def title(runs: Sequence[CheckedRun]) -> str:
     return sentence[0].upper() + sentence[1:]
 
 
-def write_page(file: Path, runs: Sequence[CheckedRun], content: dict[str, Any]) -> None:
+def write_page(file: Path, good: Sequence[CheckedRun], failed: Sequence[FailedRun], content: dict[str, Any]) -> None:
     """content: of check.json."""
-    good = [run for run in runs if not run.problem]
     text = template("checking", "check.html.jinja").render(
-        title=title(runs), runs=good, failed=[run for run in runs if run.problem], content=content,
-        figures=_within_budget(good))
+        title=title(good), runs=good, failed=failed, content=content, figures=_within_budget(good))
     file.write_text(text, encoding="utf-8")
 
 
 def _within_budget(runs: Sequence[CheckedRun]) -> dict[str, list[Drawn]]:
     """The panels of each run: all, as long as there is room on the page; then those with findings; then none."""
-    room, shown = BUDGET, {}
+    room = BUDGET
+    shown: dict[str, list[Drawn]] = {run.name: [] for run in runs}
     for run in runs:
-        shown[run.name] = []
         for identity in run.checked.identities:
             concerned = any(one.name in identity.findings for one in run.checked.findings)
             if room < (0 if concerned else BUDGET // 2):

@@ -38,11 +38,12 @@ def proposal(source: RunSource, findings: Sequence[Finding], file: Path, read: R
     cures: dict[str, Any] = {}
     lines = [HEAD]
     for one in findings:
-        wanted = one.cure is not None and one.cure.kind == "run.yaml" and one.severity is not Severity.NOTE
-        readable = wanted and (source.kind == "csv" or not OF_A_CSV & one.cure.entry.keys())
-        taken = readable and merge(cures, one.cure.entry)
         lines.append(f"# {one.severity.value}: {one.name}: {printable(one.text)}\n")
-        if one.cure is not None and not taken:
+        if one.cure is None:
+            continue
+        wanted = one.cure.kind == "run.yaml" and one.severity is not Severity.NOTE
+        readable = wanted and (source.kind == "csv" or not OF_A_CSV & one.cure.entry.keys())
+        if not (readable and merge(cures, one.cure.entry)):
             reason = ("" if not wanted else "not taken, a graver finding asks for another value: " if readable else
                       "not taken, a csv only has columns and units: ")
             lines.append(f"#   {reason}{printable(words.cure(one.cure))}\n")

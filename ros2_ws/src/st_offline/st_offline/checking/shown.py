@@ -8,14 +8,14 @@ from st_core.checks import Checked, Finding, Severity, together
 
 from ..terminal import line, tell_problem
 from . import words
-from .document import CheckedRun
+from .document import CheckedRun, FailedRun
 
 STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 
-def show(run: CheckedRun, console: Console) -> None:
+def show(run: CheckedRun | FailedRun, console: Console) -> None:
     """The verdict in a line, then what was found."""
-    if run.problem:
+    if isinstance(run, FailedRun):
         tell_problem(run.name, run.problem, console)
         return
     line(f"[bold]{escape(run.name)}[/bold]: [{_colour(run.checked)}]{escape(words.verdict(run.checked))}[/]  "

@@ -34,7 +34,10 @@ def verdict(checked: Checked) -> str:
         count = len(checked.identities)
         compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but there was nothing to compare"
         return f"nothing found, {compared}"
-    return f"{counts(checked.findings)}: {MEANING[min(checked.findings, key=gravity).severity]}"
+    worst = min(checked.findings, key=gravity).severity
+    if worst is Severity.WARNING and all(one.of_acceleration for one in checked.of(worst)):
+        return f"{counts(checked.findings)}: identify and discover would be misled"
+    return f"{counts(checked.findings)}: {MEANING[worst]}"
 
 
 def answer(checked: Checked) -> str:
@@ -92,7 +95,7 @@ def _stretch(start: float, end: float) -> str:
 
 def effect(finding: Finding) -> str:
     """What it does to a position after 5 s; empty where that means nothing."""
-    if finding.effect is None and any(channel.startswith("acceleration") for channel in finding.channels):
+    if finding.of_acceleration:
         return "no effect on a prediction, but identify and discover are misled"
     if finding.effect is None:
         return "no prediction would mean anything" if finding.severity is Severity.ERROR else ""

@@ -150,7 +150,8 @@ def _maps(figure: plt.Figure, panels: Sequence[plt.Axes], groups: Sequence[Seque
         near = [(e, n, s) for (e, n), s in ((k, v) for k, v in shown.items() if isinstance(k, tuple))
                 if np.hypot(x - e, y - n).min() < NEAR]
         if near:
-            axes.scatter(*np.array(near)[:, :2].T, c=np.array(near)[:, 2], cmap=colours, norm=scale, s=26, zorder=3)
+            east, north, share = np.array(near).T
+            axes.scatter(east, north, c=share, cmap=colours, norm=scale, s=26, zorder=3)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel("east, m")
     panels[0].set_ylabel("north, m")

@@ -142,7 +142,7 @@ def certificate(scene: Scene) -> Drawn | None:
         alone = {effect: sum(e == effect for e, _ in rows) == 1 for effect, _ in rows}
         axes.set_yticks(range(len(ranked)), [quantities.plain(e[0].effect) + ("" if alone[e[0].effect] else
                                              f", {quantities.plain(e[0].parameter)}") for e in ranked])
-        axes.set_xticks(range(most), SIZES[:most] if most <= len(SIZES) else range(1, most + 1))
+        axes.set_xticks(range(most), SIZES[:most] if most <= len(SIZES) else [f"{k + 1}" for k in range(most)])
         axes.tick_params(length=0)
         figure.colorbar(image, ax=axes, label="found, share of cases", pad=0.01)
         seen = sum(max(p.found for p in entries) >= words.SHOWN for entries in ranked)

@@ -43,10 +43,10 @@ def kept(file: Path) -> Discovery | None:
     """The answer in a file of `keep`; None where there is none, or a damaged one."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        models = {name: content[name] and augment(*content[name]) for name in ("base", "model")}
         hints = get_type_hints(Discovery)
-        return Discovery(**models, **{f.name: restored(hints[f.name], content[f.name]) for f in fields(Discovery)
-                                      if f.name not in models})
+        parts = {name: restored(kind, content[name]) for name, kind in hints.items() if name not in ("base", "model")}
+        parts |= {name: content[name] and augment(*content[name]) for name in ("base", "model")}
+        return Discovery(**parts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
         return None
 
@@ -54,7 +54,7 @@ def kept(file: Path) -> Discovery | None:
 def restored(kind: Any, value: Any) -> Any:
     """What `Discovery.document` made lists and dicts of, as dataclasses, tuples and mappings of the type `kind`."""
     origin, inner = get_origin(kind), get_args(kind)
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
         return kind(**{name: restored(hints[name], entry) for name, entry in value.items()})
     if origin is tuple:

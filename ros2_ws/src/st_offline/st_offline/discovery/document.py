@@ -59,11 +59,12 @@ def model_file(found: Discovery, question: Question, mended: Mended) -> ModelFil
     With a reference a value may be a change against it; the interval is moved to the total.
     """
     intervals: dict[tuple[str, str], Interval] = {}
-    for effect in found.effects:
-        for name, p in effect.parameters.items():
-            total = found.model.values[effect.name][name]
-            moved = tuple(total + edge - p.value for edge in p.interval)
-            intervals[effect.name, name] = (min(moved[0], total), max(moved[1], total))
+    for one in found.effects:
+        for name, p in one.parameters.items():
+            assert found.model is not None  # it holds the effects
+            total = found.model.values[one.name][name]
+            low, high = (total + edge - p.value for edge in p.interval)
+            intervals[one.name, name] = (min(low, total), max(high, total))
     files = {f"{d.name}: {Path(name).name}": digest for d in (*question.runs, *question.reference) if d.log is not None
              for name, digest in d.about["files"].items()}
     beside = f", beside vehicle.yaml with {', '.join(mended.folded)}" if mended.folded else ""

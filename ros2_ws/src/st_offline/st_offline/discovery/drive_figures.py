@@ -3,8 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
-from st_core.augmented import AugmentedModel
-from st_core.batch import LogBatch
+from st_core.batch import LogBatch, LogPrediction
 from st_core.channels import UNITS
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
@@ -90,7 +89,7 @@ def paths(scene: Scene) -> Drawn | None:
     if worst is None or not len(worst[1]):
         return None
     log, distance, batch, before = worst
-    after = batch.predict(scene.found.model, scene.vehicle).states if scene.found.model else None
+    after = batch.predict(scene.found.model, scene.vehicle) if scene.found.model else None
     rows = _apart(batch.starts_ns, distance)
     with style():
         figure, panels = plt.subplots(1, len(rows), figsize=(WIDTH, 3.6), squeeze=False)
@@ -101,9 +100,9 @@ def paths(scene: Scene) -> Drawn | None:
             axes.plot(log.x[inside][::every], log.y[inside][::every], color=MEASURED_COLOUR, lw=5, alpha=0.45,
                       solid_capstyle="butt")
             axes.plot(log.x[inside.start], log.y[inside.start], "o", ms=4, color=TEXT, zorder=5)
-            for states, model, colour in ((before, scene.found.base, scene.colour), (after, scene.found.model, AFTER)):
-                if states is not None and model is not None:
-                    seen = readings(model, scene.vehicle, tuple(states[row].T))
+            for paths, model, colour in ((before, scene.found.base, scene.colour), (after, scene.found.model, AFTER)):
+                if paths is not None and model is not None:
+                    seen = readings(model, scene.vehicle, tuple(paths.states[row].T))
                     axes.plot(seen.x, seen.y, color=colour)
             axes.set_aspect("equal", adjustable="datalim")
             axes.set_xlabel("east, m")
@@ -115,8 +114,7 @@ def paths(scene: Scene) -> Drawn | None:
         figure.legend(handles=lines, loc="outside lower left", ncols=3)
         text = f"{log.name}: from its worst starts the base model ends up to {distance[rows].max():.2f} m off after 5 s"
         if after is not None:
-            ends = _distance(batch, scene.found.model, scene)
-            text += f", with what was found {np.nanmax(ends[rows]):.2f} m"
+            text += f", with what was found {np.nanmax(_distance(batch, after)[rows]):.2f} m"
         return finish(figure, scene.place, "paths", text, "Predictions with the measured inputs. The model is "
                       "fitted to all drives; what it does on driving it was not fitted to is in the figures above.")
 
@@ -138,8 +136,8 @@ def _worst_run(scene: Scene, of_area: bool = False) -> tuple[int | None, np.ndar
         return None, np.empty(0)
     runs = np.unique(samples.run)
     if of_area:
-        wide = [r for r in runs if _flatness(scene.runs[r]) > FLAT]
-        runs = wide or runs
+        wide = [_flatness(scene.runs[r]) > FLAT for r in runs]
+        runs = runs[wide] if any(wide) else runs
     run = int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
     return run, np.sqrt(squares[samples.run == run])
 
@@ -149,12 +147,11 @@ def _ends(scene: Scene, log: DriveLog):
     starts, _ = usable_starts(signals, scene.vehicle, regular_starts(log, 0.25), SLOWEST)
     batch = LogBatch(signals, starts, HORIZON, STEP, substeps="auto")
     prediction = batch.predict(scene.found.base, scene.vehicle)
-    distance = np.hypot(*np.moveaxis(batch.errors(prediction)[:, -1, :2], -1, 0))
-    return log, np.nan_to_num(distance, nan=-1.0), batch, prediction.states
+    return log, np.nan_to_num(_distance(batch, prediction), nan=-1.0), batch, prediction
 
 
-def _distance(batch: LogBatch, model: AugmentedModel, scene: Scene) -> np.ndarray:
-    errors = batch.errors(batch.predict(model, scene.vehicle))
+def _distance(batch: LogBatch, prediction: LogPrediction) -> np.ndarray:
+    errors = batch.errors(prediction)
     return np.hypot(errors[:, -1, 0], errors[:, -1, 1])
 
 

@@ -108,7 +108,7 @@ def name_of(content: Any) -> str:
 @remembered
 def code_of(package: ModuleType) -> str:
     """Of the code of a package: what another version found is not believed."""
-    files = sorted(Path(package.__file__).parent.rglob("*.py"))
+    files = sorted(file for folder in package.__path__ for file in Path(folder).rglob("*.py"))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

@@ -109,6 +109,7 @@ def changed(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[st
 def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
     """The vehicle with these effects in its parameters. Raises ConfigurationError where that is no car."""
     for effect in effects:
+        assert effect.fold is not None  # others are not folded
         vehicle = effect.fold(vehicle, effect.Theta(**values[effect.name], car=()))
     return vehicle
 
@@ -140,6 +141,7 @@ def _alike(errors: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
 def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
               key: str) -> tuple[float, float]:
     """95 % of a key of the file: the intervals of the effects in it, inside their bounds, taken as independent."""
+    assert found.model is not None  # it holds the effects
     values = {name: dict(entry) for name, entry in found.model.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
     below = above = 0.0
@@ -215,12 +217,12 @@ def edited(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str
     return text
 
 
-def _change(root: yaml.MappingNode, key: str, words: Callable[[str, float], str]) -> tuple[int, int, str]:
+def _change(root: yaml.Node, key: str, words: Callable[[str, float], str]) -> tuple[int, int, str]:
     """(start, end, what is to stand there instead) of one entry."""
     tyre, _, name = key.rpartition(".")
-    section = _child(root, tyre) if tyre else root
-    units = quantity(key).units
-    node = _child(section, name)
+    section, known = _child(root, tyre) if tyre else root, quantity(key)
+    assert isinstance(section, yaml.MappingNode) and known is not None  # it was read as a vehicle file
+    units, node = known.units, _child(section, name)
     if node is None:
         first = section.value[0][0].start_mark
         unit = next(iter(units))
@@ -228,9 +230,9 @@ def _change(root: yaml.MappingNode, key: str, words: Callable[[str, float], str]
         return first.index, first.index, f"{name}: {words(unit, units[unit])}{gap}"
     # The end of a block is where the next key begins, comments between included.
     last = node if node.flow_style else node.value[-1][1]
-    unit = _child(node, "unit").value
+    unit = next(value.value for name, value in node.value if name.value == "unit")
     return node.start_mark.index, last.end_mark.index, words(unit, units[unit])
 
 
-def _child(section: yaml.MappingNode, key: str) -> yaml.Node | None:
+def _child(section: yaml.Node, key: str) -> yaml.MappingNode | None:
     return next((value for name, value in section.value if name.value == key), None)

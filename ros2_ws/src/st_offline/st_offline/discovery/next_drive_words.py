@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 
+from st_core.discovery.following import TIMES
 from st_core.proposals import Proposal
-from st_core.proposals.next_drive import OF_A_PLACE, TIMES, Option
+from st_core.proposals.next_drive import OF_A_PLACE, Option
 from st_core.proposals.places import QUANTITIES
 
 from . import law_words, words

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from st_core.discovery.following import TIMES
 from st_core.effects import load_folder
 from st_core.model_file import Estimate, ModelFile, Provenance
 from st_core.proposals import Proposal, Proposals
-from st_core.proposals.next_drive import TIMES
 from st_core.proposals.places import QUANTITIES
 from st_core.vehicle import VehicleParameters
 

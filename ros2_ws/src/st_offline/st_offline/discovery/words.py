@@ -70,7 +70,7 @@ def share_of(name: str, steps: Sequence[Step]) -> str:
 def other_channel(step: Step) -> str:
     """The channel whose error a step makes smallest; empty without any."""
     ratios = {key: one.augmented / one.base for key, one in step.channels.items() if one.base > 0}
-    best = min(ratios, key=ratios.get, default=None)
+    best = min(ratios, key=ratios.__getitem__, default=None)
     return f"{channel(best)} error {100 * (ratios[best] - 1.0):+.0f} %".replace("-", "−") if best else ""
 
 
@@ -156,9 +156,9 @@ def agreed(effect: FoundEffect) -> str:
     """In how many runs (of few runs: parts of them) and sites an effect shows. Places are too small to ask."""
     told = []
     for level in ("run", "site"):
-        entries = effect.agreement.get(level, ())
-        called = "parts of the runs" if any(", part " in v.where for v in entries) else f"{level}s"
-        told += [f"{showing(entries)} of {len(entries)} {called}"] if entries else []
+        shown = effect.agreement.get(level, ())
+        called = "parts of the runs" if any(", part " in v.where for v in shown) else f"{level}s"
+        told += [f"{showing(shown)} of {len(shown)} {called}"] if shown else []
     entries = [v for level in ("run", "site") for v in effect.agreement.get(level, ())]
     if not entries:
         return ""

@@ -7,6 +7,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 from st_core.frames import cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
@@ -39,10 +40,10 @@ def _frame(results: Results, predictions: dict[str, Predictions], car: VehiclePa
     figure, (scene, errors) = plt.subplots(1, 2, figsize=SIZE, dpi=DPI, width_ratios=(1.0, 1.0))
     now_ns = begin_ns + round(seconds * 1e9)
     track = results.track
-    pose = tuple(float(np.interp(now_ns, track.time_ns, v)) for v in (track.x, track.y, track.yaw))
+    here_x, here_y, yaw = (float(np.interp(now_ns, track.time_ns, v)) for v in (track.x, track.y, track.yaw))
 
     def draw(x: np.ndarray, y: np.ndarray, **how: object) -> None:
-        forward, left = map_to_body(np.asarray(x) - pose[0], np.asarray(y) - pose[1], pose[2])
+        forward, left = map_to_body(np.asarray(x) - here_x, np.asarray(y) - here_y, yaw)
         scene.plot(-left, forward, **how)
 
     past = (track.time_ns <= now_ns) & (track.time_ns > now_ns - 20e9)
@@ -53,7 +54,7 @@ def _frame(results: Results, predictions: dict[str, Predictions], car: VehiclePa
             if path is not None:
                 draw(*path, color=MODEL_COLOUR[model], lw=2.2 if age == 0 else 0.8, alpha=1.0 if age == 0 else 0.35,
                      label=model if age == 0 else None)
-    draw(*car_outline(pose, car), color="k", lw=1.6)
+    draw(*car_outline((here_x, here_y, yaw), car), color="k", lw=1.6)
     scene.set(xlim=(-ASIDE, ASIDE), ylim=(-BEHIND, AHEAD), aspect="equal", xlabel="to the right, m", ylabel="ahead, m")
     scene.set_title("predicted 5 s ahead; thin: 1 to 5 s ago; grey: driven")
     if scene.get_legend_handles_labels()[0]:
@@ -66,8 +67,9 @@ def _frame(results: Results, predictions: dict[str, Predictions], car: VehiclePa
     errors.axhline(0.0, color="k", lw=0.6)
     errors.set(xlim=(first, last), ylim=(-0.7, 0.7), xlabel="time, s", ylabel="m (+ = predicted left)")
     errors.set_title("mean lateral error of the 5 s just over\n(hindsight: measured inputs)")
-    figure.canvas.draw()
-    image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     plt.close(figure)
     return image
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from st_recordings.paths import project_root
 from st_ros.parameters import Parameter
-from typer.core import TyperGroup
+from typer.core import TyperGroup, TyperOption
 
 from .topics import TOPICS
 
@@ -42,7 +42,7 @@ def page(st: TyperGroup) -> str:
 def commands(st: TyperGroup) -> Iterable[str]:
     for name, command in sorted(st.commands.items()):
         arguments = [p for p in command.params if p.param_type_name == "argument"]
-        options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
+        options = [p for p in command.params if isinstance(p, TyperOption) and p.name != "help"]
         usage = " ".join([f"./st {name}", *(f"{a.name.upper()}{'…' if a.nargs == -1 else ''}" for a in arguments)])
         yield f"### `{usage}`\n\n{_plain(command.help)}\n"
         if options:
@@ -82,7 +82,7 @@ def table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in lines) + "\n"
 
 
-def _kind(option: object) -> str:
+def _kind(option: TyperOption) -> str:
     """What stands after the option: nothing for a switch, else the kind of its value."""
     name = getattr(option.type_descriptor.annotation, "__name__", "text")
     return "" if option.is_flag else f" {({'Path': 'file', 'str': 'text'}).get(name, name)}"

@@ -102,7 +102,8 @@ def _starts(one: dict[str, Any]) -> int:
 
 def write_results(reports: Sequence[RunReport], choices: Choices, title: str) -> dict[str, Path]:
     """Everything but the runs' own folders; the files by what they are."""
-    folder: Path = choices.task.folder
+    folder = choices.task.folder
+    assert folder is not None  # of the verb
     good = [r for r in reports if not r.problem]
     content = document(reports, choices)
     files = {"json": folder / "evaluation.json", "page": folder / "report.html", "latex": folder / "table.tex"}

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from st_predictor.palette import MODEL_COLOUR
 
@@ -28,7 +29,9 @@ def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | N
         chosen = [r for r in chosen if r in worst]
     with style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(chosen)), sharey=True)
-        figure.get_layout_engine().set(w_pad=0.12)  # inch; the last label of one axis and the first of the next
+        layout = figure.get_layout_engine()
+        assert isinstance(layout, ConstrainedLayoutEngine)  # by the style
+        layout.set(w_pad=0.12)  # inch; the last label of one axis and the first of the next
         for axes, axis in zip(panels, SHOWN_AXES, strict=True):
             for row, report in enumerate(chosen):
                 sizes = [rmse(report, model, axis) for model in models if model in report.models]

@@ -5,6 +5,7 @@ import math
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
+from st_core.evaluation import Mode
 from st_core.log_evaluation import LogEvaluation, evaluate_blocks
 from st_core.readings import readings
 from st_predictor.palette import MEASURED_COLOUR
@@ -125,10 +126,11 @@ def _over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarra
 def error_against_horizon(drawing: Drawing) -> Drawn:
     """Root mean square error at each point of the horizon, hindsight and forecast."""
     evaluation = drawing.evaluation
+    lines: tuple[tuple[Mode, float, float], ...] = ("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.4))
     for axes, k, axis in zip(panels, (0, 1), ("longitudinal", "lateral"), strict=True):
         for model in drawing.models:
-            for mode, width, alpha in (("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)):
+            for mode, width, alpha in lines:
                 line = drawing.line(model.name) | ({"ls": ":"} if mode == "forecast" else {})
                 profile = evaluation.errors[model.name, mode].profile_rmse[:, k]
                 axes.plot(evaluation.horizon, profile, **line, lw=width, alpha=alpha)

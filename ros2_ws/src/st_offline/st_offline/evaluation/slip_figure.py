@@ -62,8 +62,9 @@ def _slip_angles(model: Model, vehicle: VehicleParameters, states: np.ndarray, a
     """((front, rear) slip angles [rad], (front, rear) axle forces [N]) of a model in states (n, 6)."""
     p = model.parameters(vehicle)
     w = model.inputs(angle, acceleration, p)
-    slips = model.axles.slip_angles(tuple(states.T), w, p)
-    return slips, model.axles.forces(*slips, w, p)
+    assert model.axles is not None  # those without are not drawn
+    front, rear = model.axles.slip_angles(tuple(states.T), w, p)
+    return (front, rear), model.axles.forces(front, rear, w, p)
 
 
 def _start(drawing: Drawing) -> int | None:

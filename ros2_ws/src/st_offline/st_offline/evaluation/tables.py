@@ -1,7 +1,7 @@
 """The error table: in the terminal, as CSV, and as LaTeX in the paper's form."""
 
 import csv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -162,19 +162,18 @@ def second_rows(reports: Sequence[RunReport]) -> Iterator[Row]:
             for mode, seconds in modes.items():
                 for second, entry in seconds.items():
                     yield {"run": report.name, "model": model, "mode": mode, "horizon_s": second,
-                           **_flat(lambda axis, entry=entry: entry[axis])}
+                           **_flat(entry)}
 
 
 def _model_rows(head: Row, models: Models) -> Iterator[Row]:
     for model, modes in models.items():
         for mode in MODES:
             entry = modes[mode]
-            samples = _flat(lambda axis, entry=entry: entry["samples"][axis])
             yield {**head, "model": model, "mode": mode, "n_starts": entry["n_starts"],
-                   "n_incomplete": entry["n_incomplete"], **_flat(lambda axis, entry=entry: entry[axis]),
-                   **{f"samples_{key}": value for key, value in samples.items()}}
+                   "n_incomplete": entry["n_incomplete"], **_flat(entry),
+                   **{f"samples_{key}": value for key, value in _flat(entry["samples"]).items()}}
 
 
-def _flat(of_axis: Callable[[str], Mapping[str, float | None]]) -> Row:
+def _flat(of: Mapping[str, Any]) -> Row:
     units = {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
-    return {f"{axis}_{kind}_{units[axis]}": of_axis(axis)[kind] for axis in AXES for kind in KINDS}
+    return {f"{axis}_{kind}_{units[axis]}": of[axis][kind] for axis in AXES for kind in KINDS}

@@ -59,8 +59,8 @@ def read_columns(file: Path, wanted: Mapping[str, Sequence[str]], optional: Mapp
             words[name] = tuple(row[place] for row in rows)
     for name in wanted:
         if not np.isfinite(numbers[name]).all():
-            row = int(np.flatnonzero(~np.isfinite(numbers[name]))[0]) + 1
-            raise RunError(file, f"row {row} has no {name}", "fill that cell, or leave the row out")
+            first = int(np.flatnonzero(~np.isfinite(numbers[name]))[0]) + 1
+            raise RunError(file, f"row {first} has no {name}", "fill that cell, or leave the row out")
     return Table(file, numbers, units, words)
 
 

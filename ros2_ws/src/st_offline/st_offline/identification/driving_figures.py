@@ -124,9 +124,9 @@ def prediction(found: Identification, place: Place) -> Drawn:
         pair = panels["pair"]
         pair.plot(*(drawn[:, names.index(e.parameter)] * _unit(e.parameter)[0] for e in (first, second)), ".",
                   color=BETTER, ms=3, label="bootstrap")
+        x, y = (e.value * _unit(e.parameter)[0] for e in (first, second))
         errors = [np.abs(np.array(e.interval95) - e.value)[:, None] * _unit(e.parameter)[0] for e in (first, second)]
-        pair.errorbar(*(e.value * _unit(e.parameter)[0] for e in (first, second)), xerr=errors[0], yerr=errors[1],
-                      fmt="o", ms=4, color=TEXT, label="95 % interval")
+        pair.errorbar(x, y, xerr=errors[0], yerr=errors[1], fmt="o", ms=4, color=TEXT, label="95 % interval")
         for axis, one in (("x", first), ("y", second)):
             getattr(pair, f"set_{axis}label")(_axis(one.parameter))
         pair.legend(loc="best", fontsize=8)

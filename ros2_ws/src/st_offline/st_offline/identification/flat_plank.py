@@ -55,9 +55,11 @@ def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
             columns = (table.numbers[name][said == word] for name in COLUMNS)
             rows.setdefault(f"tyre_{word}", []).append(tuple(columns))
             names.setdefault(f"tyre_{word}", []).append(file.name)
-    return [FlatPlank(tyre, *(np.concatenate(column) for column in zip(*rows[tyre], strict=True)), ", "
-                                                                                                   "".join(names[tyre]))
-            for tyre in TYRES if tyre in rows]
+    tables = []
+    for tyre in (tyre for tyre in TYRES if tyre in rows):
+        load, slip, force = (np.concatenate(column) for column in zip(*rows[tyre], strict=True))
+        tables.append(FlatPlank(tyre, load, slip, force, ", ".join(names[tyre])))
+    return tables
 
 
 def draw(found: Identification, place: Place) -> Drawn:

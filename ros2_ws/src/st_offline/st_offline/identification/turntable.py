@@ -46,7 +46,8 @@ def draw(found: Identification, place: Place) -> Drawn:
             right.plot(hand[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5, mfc="none",
                        label=name)
         if data["significant"]:
-            grid = np.linspace(*np.radians(ends), 101)
+            first, last = np.radians(ends)
+            grid = np.linspace(first, last, 101)
             curve = data["cubic"][0] * grid + data["cubic"][1] * grid**3
             right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
         right.axhline(0.0, color=MODEL_COLOUR["augmented"])
