@@ -116,7 +116,7 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     assert set(file.effects) == {"mass", "proposed_rear_steer"} and "PROPOSAL" in file.provenance.note
     lines = text_of(said)
     assert "above, 0.500 m with the law as well; noise alone leaves 0.060 m" in lines
-    assert "do not tell it from: side force on the body over the speed (0.90)" in lines
+    assert "do not tell it from: side force on the body as a function of the speed (0.90)" in lines
     assert "mass is stated above, but with this law it has little left to do (without it 0.4% of" in lines
     assert "1 of 1 runs" in lines
     assert "least sure at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
@@ -139,7 +139,7 @@ def test_without_a_proposal_the_reason_is_told(tmp_path):
     assert law_told.told(said, ANSWER, CAR, START) == law_told.Told([("proposal", ["none: no law is sure"])])
     said = Proposals(None, "the curve of side_force over speed runs into its bound",
                      {"side_force over speed": (0.1, 0.2)})
-    assert "none: the curve of side force on the body over the speed runs into its bound" in text_of(said)
+    assert "none: the curve of side force on the body as a function of the speed runs into its bound" in text_of(said)
     assert proposed.document(said)["proposal"] is None and proposed.document(None) == {}
 
 
@@ -170,7 +170,7 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     one = replace(one, drives=drives)
     assert "y = 1 rad/s² is a moment of 2925 N m, by the yaw inertia of the" in text_of(Proposals(one, "", {}))
     told = "\n".join(next_drive_words.sentences(one))
-    assert "from side force on the body over the speed: brake_in_turn, 3 times" in told
+    assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in told
     assert "The two then differ 6.0 times as clearly" in told
     assert "for a surer curve: brake_in_turn. The largest 95 % interval then falls" in told
     assert "from ± 0.02 to ± 0.0098 rad/s²" in told

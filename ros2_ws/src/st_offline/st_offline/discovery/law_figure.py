@@ -41,8 +41,9 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
         units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
         first = f"As a formula: {one.readings[0].text}, {units}. " if one.readings else ""
         caption = (f"{first}Dotted, zero: the model without the law. Fitted through the simulator beside everything "
-                   "that was found; beyond the range driven the curve stays as it is at the end of it. Within, where "
-                   "nothing was driven, it is a smooth bridge. The other figures do not contain the law.")
+                   "that was found; beyond the range driven the curve stays as it is at the end of it. Grey: hardly "
+                   "driven; there the curve is a smooth bridge, and its interval holds only if the true law is as "
+                   "smooth. The other figures do not contain the law.")
         return finish(figure, place, "law", title, caption)
 
 

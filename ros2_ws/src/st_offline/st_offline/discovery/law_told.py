@@ -44,7 +44,7 @@ class Start:
 def told(found: Proposals, answer: Discovery, vehicle: VehicleParameters, start: Start) -> Told:
     one = found.proposal
     unseen = ", ".join(law_words.PLACES[name] for name in found.unseen())
-    less: Groups = [("not visible", [f"a law of these would not be seen in these drives: {unseen}"])] if unseen else []
+    less: Groups = [("not excluded", [f"a law of these; the drives could not show it: {unseen}"])] if unseen else []
     if one is None:
         return Told([("proposal", [f"none: {law_words.in_words(found.why, found.tried)}"]), *less])
     groups: Groups = [("proposal", _proposal(one)), ("worth", _worth(one, answer, found.why)),
@@ -124,12 +124,11 @@ def _files(one: Proposal, corrected: bool) -> list[str]:
     """corrected: whether there is an answer without the law, too."""
     if one.candidate.quantity == "run_time":
         return ["no effect file is written, because the time in a run says nothing of a future drive"]
-    lines = [f"effects/{name_of(one)}.py holds the law. proposed.yaml is the model with it"]
+    lines = [f"predict with the law: the vehicle file that was given, proposed.yaml and effects/{name_of(one)}.py"]
     if corrected:
-        lines.append("predict either without the law, with vehicle.yaml and model.yaml, or with it: with the vehicle "
-                     "file that was given, proposed.yaml and effects. proposed.yaml holds the corrections of the "
-                     "vehicle file too, fitted anew beside the law; with vehicle.yaml they would count twice, and that "
-                     "is refused")
+        lines += ["predict without the law: vehicle.yaml and model.yaml",
+                  "never proposed.yaml with vehicle.yaml: it holds the corrections of the vehicle file itself, fitted "
+                  "anew beside the law, and they would count twice; it is refused"]
     return lines
 
 
@@ -142,8 +141,8 @@ def _commands(one: Proposal, start: Start) -> list[tuple[str, str]]:
         ("test the file", ["effects", "check", f"{folder}/effects/{name_of(one)}.py", *start.vehicle]),
         ("predict drives with it",
          ["evaluate", *start.runs, *start.options, "--model", "nonlinear", "--model", *model]),
-        ("for a controller", ["export", *model, *start.vehicle]),
+        ("for a controller, once another drive has confirmed it", ["export", *model, *start.vehicle]),
         ("search for more", ["discover", *start.runs, *start.options, "--base", *model]),
         *(("see a next drive", ["demo", "--scenario", name]) for name in next_drive_words.named(one))]
     return [(what, shlex.join(["./st", *command])) for what, command in listed] + [
-        ("delete it", shlex.join(["rm", "-r", f"{folder}/effects", f"{folder}/proposed.yaml"]))]
+        ("delete it", shlex.join(["rm", f"{folder}/effects/{name_of(one)}.py", f"{folder}/proposed.yaml"]))]

@@ -16,11 +16,12 @@ PLACES = {
 }
 AXES = {
     "front_steer": "front wheels turned further to the left by", "rear_steer": "rear wheels turned to the left by",
-    "front_force": "lateral force of the front axle, to the left, over its static load",
-    "rear_force": "lateral force of the rear axle, to the left, over its static load",
+    "front_force": "lateral force of the front axle, to the left, divided by its static load",
+    "rear_force": "lateral force of the rear axle, to the left, divided by its static load",
     "front_grip": "lateral force of the front axle larger by", "rear_grip": "lateral force of the rear axle larger by",
-    "both_grip": "lateral force of both axles larger by", "yaw_moment": "yaw moment to the left, over the yaw inertia",
-    "side_force": "side force to the left, over the mass", "sensor_yaw_rate": "yaw rate is shown too large by",
+    "both_grip": "lateral force of both axles larger by",
+    "yaw_moment": "yaw moment to the left, divided by the yaw inertia",
+    "side_force": "side force to the left, divided by the mass", "sensor_yaw_rate": "yaw rate is shown too large by",
     "sensor_acceleration_y": "lateral acceleration is shown too large by",
     "sensor_velocity_y": "lateral velocity is shown too large by", "sensor_heading": "heading is shown too large by",
 }
@@ -34,7 +35,8 @@ QUANTITIES = {
     "east": "cosine of the course", "position_x": "position to the east", "position_y": "position to the north",
     "run_time": "time in the run",
 }
-SIGNS = {"acceleration_x": " (braking −)", "steering": " (left +)", "lagging_steering": " (left +)",
+SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend slows the car; braking −)",
+         "steering": " (left +)", "lagging_steering": " (left +)",
          "acceleration_y": " (left +)", "lean": " (left +)", "yaw_rate": " (left +)",
          "steering_rate": " (to the left +)", "slip_front": " (axle moving to its left +)",
          "slip_rear": " (axle moving to its left +)"}
@@ -70,7 +72,7 @@ def law(c: Candidate, constant: bool = False) -> str:
     by = f", for each {QUANTITIES[c.by]}" if c.by else ""
     if constant:
         return f"{place(c)}{by}, the same at every {quantity(c)}"
-    return f"{place(c)}{by}, over the {quantity(c)}"
+    return f"{place(c)}{by}, as a function of the {quantity(c)}"
 
 
 def named(name: str) -> str:
@@ -79,7 +81,7 @@ def named(name: str) -> str:
     what, _, by = rest.partition(" times ")
     if where not in PLACES or what not in QUANTITIES:
         return name
-    return f"{PLACES[where]} over the {QUANTITIES[what]}" + (f" times {QUANTITIES[by]}" if by else "")
+    return f"{PLACES[where]} as a function of the {QUANTITIES[what]}" + (f" times {QUANTITIES[by]}" if by else "")
 
 
 def in_words(text: str, names: Iterable[str]) -> str:
