@@ -86,7 +86,11 @@ class Browser:
         while (text := await self._socket.read_message()) is not None:
             message = json.loads(text)
             if "id" in message:
-                self._answers.pop(message["id"]).set_result(message.get("result", {}))
+                answer = self._answers.pop(message["id"])
+                if "error" in message:
+                    answer.set_exception(RuntimeError(f"the browser: {message['error']}"))
+                else:
+                    answer.set_result(message["result"])
             elif message["method"] == "Network.requestWillBeSent":
                 self.requested.append(message["params"]["request"]["url"])
             elif message["method"] == "Network.loadingFailed" and message["params"].get("blockedReason") == "csp":

@@ -54,7 +54,8 @@ def main() -> int:
         car, settings = read_car(options.vehicle), resolve(options.plant)
         models = {}
         for name in options.model:
-            model, own = load_model(name, vehicle, str(options.vehicle))
+            # The plant is the vehicle named here; a model file may hold another, as one that was identified.
+            model, own = load_model(name, vehicle, str(options.vehicle), asked=False)
             models[model.name] = model, own
     except (OSError, StCoreError, SimulationError) as error:
         print(f"nmpc.py: {error}", file=sys.stderr)
