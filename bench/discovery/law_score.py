@@ -37,8 +37,13 @@ def closable(r: Record) -> bool:
 
 
 def noticed(r: Record) -> bool:
-    """A law is proposed, or the answer says that something is missing that no known effect explains."""
-    return r["law"] is not None or r["wanted"]
+    """The answer says that something is missing that no known effect explains; only then a law is looked for."""
+    return r["wanted"]
+
+
+def proposed_or_unknown(r: Record) -> bool:
+    """More than a remark beside names: a law, or nothing is named at all."""
+    return r["law"] is not None or r["outcome"] == "unknown"
 
 
 def place_right(r: Record) -> bool:
@@ -117,7 +122,8 @@ def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     times = [seconds(r) for r in records]
     alarms = sum(r["law"] is not None for r in nothing)
     return [
-        row("noticed (proposed, or said to be missing)", share(map(noticed, hidden)), "85 %", "95 %"),
+        row("noticed (said to be missing)", share(map(noticed, hidden)), "85 %", "95 %"),
+        row("... by a proposal, or as the outcome *unknown*", share(map(proposed_or_unknown, hidden))),
         row("... where the library leaves something", share(map(noticed, matter))),
         row("... on the virtual Leaf, where nothing else is missing", share(noticed(r) for r in hidden
                                                                           if r["plant"] == LEAF)),
@@ -129,7 +135,7 @@ def scores(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
             "70 / 40 %", "90 / 60 %"),
         row("held-out made worse, of proposals", share(map(is_worse, proposed)), "1 %", "0"),
         row("proposal where nothing is left", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
-        row("... or said to be missing", f"{sum(map(noticed, nothing))} of {len(nothing)}"),
+        row("something said to be missing there", f"{sum(map(noticed, nothing))} of {len(nothing)}"),
         row("a library name stated alone and wrong", share(bool(misnamed(r)) for r in hidden), "5 %", "2 %"),
         row("... without what the proposal takes back", share(bool(misnamed_by_library(r)) for r in hidden)),
         row("first reading of the shape right, where the place is", share(map(shape_right, shaped)), "60 %", "80 %"),

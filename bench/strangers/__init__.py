@@ -1,4 +1,4 @@
-"""Cars and recordings that share no equation with the project, through `st check` and `st discover`."""
+"""Cars that share no code and no tyre model with the project, through `st check` and `st discover`."""
 
 from .command import main
 

@@ -1,4 +1,4 @@
-"""Three cars that share no equation with the project, on roads with a driver, as files a user would have."""
+"""Three cars that share no code and no tyre model with the project, on roads with a driver, as files of a user."""
 
 import math
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ CARS = {car.name: car for car in (SALOON, LIGHT_EV, VAN)}
 
 
 @njit(cache=True)
-def _side_force(kind, slip, stiffness, load, longitudinal, grip):
+def side_force(kind, slip, stiffness, load, longitudinal, grip):
     """N of one tyre, to the left; slip angle positive when the wheel slides to its left."""
     limit = grip * load
     if kind == DUGOFF:
@@ -107,8 +107,8 @@ def _derivative(q, wheel, push, p, out):
         # Stiffness grows less than load.
         cfz = cf / 2 * fz / (zf / 2) * (1 - 0.25 * (fz / (zf / 2) - 1))
         crz = cr / 2 * rz / (zr / 2) * (1 - 0.25 * (rz / (zr / 2) - 1))
-        fy += _side_force(tyre, slip_f, cfz, fz, ffx / 2, grip)
-        ry += _side_force(tyre, slip_r, crz, rz, frx / 2, grip)
+        fy += side_force(tyre, slip_f, cfz, fz, ffx / 2, grip)
+        ry += side_force(tyre, slip_r, crz, rz, frx / 2, grip)
     bent = delta - compliance * fy
     c, s = math.cos(bent), math.sin(bent)
     left = fy * c + ffx * s + ry

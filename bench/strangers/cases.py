@@ -5,18 +5,25 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from st_core.tyres import magic_formula_peak
+from st_recordings.car import car_named, read_vehicle
 from st_recordings.car_skeleton import write_skeleton
 
-from .cars import CARS, Stranger, drives, sensed
+from .cars import CARS, GRAVITY, Stranger, drives, sensed, side_force
 
-BEHIND = 0.3  # m ahead of the rear axle, where the load lies
+LEAF = read_vehicle(car_named("leaf").vehicle)
+LOAD_AHEAD = 0.3  # m of the rear axle, where the load lies
 FORMATS = {"t": "%.4f", "x": "%.4f", "y": "%.4f", "yaw": "%.5f", "velocity_x": "%.4f", "velocity_y": "%.4f",
            "yaw_rate": "%.5f", "acceleration_x": "%.4f", "acceleration_y": "%.4f", "steering_wheel_angle": "%.5f"}
 
 
 @dataclass(frozen=True)
 class Case:
-    """hidden: SI. ratio: of the file over the true one; worn: left of the front stiffness; load: kg at the rear."""
+    """car: of CARS. words: what is hidden.
+
+    hidden: SI. ratio: of the file over the true one; worn: what is left of the front stiffness; load: kg at the rear;
+    the others are errors of sensors as `sensed` makes them.
+    """
 
     car: str
     words: str
@@ -47,7 +54,7 @@ CASES = {
 def true_car(case: Case) -> Stranger:
     """The car that drives; the file describes CARS[case.car]."""
     car, load = CARS[case.car], case.hidden.get("load", 0.0)
-    arm = car.wheelbase - BEHIND - car.front  # of the load, behind the empty car's CG
+    arm = car.wheelbase - LOAD_AHEAD - car.front  # of the load, behind the empty car's CG
     back = load * arm / (car.mass + load)
     return replace(car, stiffness_front=car.stiffness_front * case.hidden.get("worn", 1.0), mass=car.mass + load,
                    front=car.front + back, ins=car.ins + back,
@@ -66,8 +73,22 @@ def truths(case: Case, compliance: bool) -> dict[str, float]:
         "steering_ratio": 1.0 / hidden.get("ratio", 1.0), "heading_misalignment": hidden.get("heading", 0.0),
         "steering_offset": -hidden.get("offset", 0.0) / car.ratio, "sensor_lever_arm": hidden.get("lever", 0.0),
         "steering_delay": -hidden.get("delay", 0.0), "yaw_rate_scale": hidden.get("yaw_rate_scale", 1.0),
-        "mass": car.mass / file.mass, "cg_position": file.front - car.front}
+        "mass": car.mass / file.mass, "cg_position": file.front - car.front,
+        # The skeleton of a vehicle file has the tyres and the height of the Leaf.
+        "friction": _friction(car), "longitudinal_load_transfer": car.height - LEAF.cg_height}
     return {name: value for name, value in found.items() if value not in (0.0, 1.0)}
+
+
+def _friction(car: Stranger) -> float:
+    """Largest side force of the tyres over that of the file's, mean of the axles."""
+    found = []
+    for stiffness, lever, tyre in ((car.stiffness_front, car.wheelbase - car.front, LEAF.tyre_front),
+                                   (car.stiffness_rear, car.front, LEAF.tyre_rear)):
+        load = 0.5 * car.mass * GRAVITY * lever / car.wheelbase
+        slips = np.linspace(0.01, 0.5, 100)
+        most = max(abs(side_force(car.tyre, slip, 0.5 * stiffness, load, 0.0, car.grip)) for slip in slips)
+        found.append(most / magic_formula_peak(load, tyre))
+    return float(np.mean(found))
 
 
 def write(name: str, seconds: float, folder: Path, seed: int = 1) -> tuple[Path, Path]:

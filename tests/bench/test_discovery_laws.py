@@ -113,7 +113,8 @@ def test_scores_by_hand():
     assert score.noticed(missed) and not score.noticed(record(law=None, wanted=False))
     unseen = record(law=None, wanted=False, plant="escort")
     measured = {name: value for name, value, *_ in score.scores([right, missed, elsewhere, unseen])}
-    assert measured["noticed (proposed, or said to be missing)"].startswith("3 of 4")
+    assert measured["noticed (said to be missing)"].startswith("3 of 4")
+    assert measured["... by a proposal, or as the outcome *unknown*"].startswith("2 of 4")
     assert measured["... on the virtual Leaf, where nothing else is missing"].startswith("3 of 3")
     assert measured["right slot, or a set that holds it, of proposals"].startswith("1 of 2")
 

@@ -1,4 +1,4 @@
-"""Cars that share no equation with the project: they corner as their stiffness says, and their files can be read."""
+"""Cars that share no tyre model with the project: they corner as their stiffness says, and their files can be read."""
 
 import numpy as np
 import pytest

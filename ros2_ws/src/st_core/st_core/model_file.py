@@ -23,7 +23,7 @@ from . import __version__
 from .augmented import AugmentedModel, augment
 from .effects import get_effect
 from .errors import ConfigurationError
-from .vehicle import VehicleParameters
+from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .yaml_text import check_keys, load, number, quoted
 
 Interval = tuple[float, float] | None
@@ -219,9 +219,11 @@ def _text(where: str, value: Any) -> str:
 
 
 def _differences(one: VehicleParameters, other: VehicleParameters) -> str:
-    """Keys whose numbers differ, MOST_DIFFERENCES of them: "mass: 1590, 1700"; "" where none does."""
+    """Keys whose numbers differ, MOST_DIFFERENCES of them: "mass: 1590, 1700 kg"; "" where none does."""
     mine, its = _numbers(asdict(one)), _numbers(asdict(other))
-    told = [f"{key}: {mine[key]:g}, {its[key]:g}" for key in mine if mine[key] != its.get(key, mine[key])]
+    units = {key: f" {known.si_unit}".removesuffix(" 1") for key, known in VEHICLE_QUANTITIES.items()}
+    told = [f"{key}: {mine[key]:g}, {its[key]:g}{units.get(key, '')}"
+            for key in mine if mine[key] != its.get(key, mine[key])]
     more = len(told) - MOST_DIFFERENCES
     return "; ".join(told[:MOST_DIFFERENCES]) + (f"; {more} more" if more > 0 else "")
 

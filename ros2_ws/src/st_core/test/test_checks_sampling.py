@@ -127,14 +127,26 @@ def test_rows_without_a_value(log, rows, severity):
     assert one.value == pytest.approx(rows / len(log.x))
 
 
+def steered(log, kept):
+    """A log and its one finding, of rows of which only the kept ones hold a steering angle."""
+    less = replace(log, steering_time_ns=log.steering_time_ns[kept], road_wheel_angle=log.road_wheel_angle[kept],
+                   steering_wheel_angle=log.steering_wheel_angle[kept])
+    missing = len(log.steering_time_ns) - len(less.steering_time_ns)
+    extras = Extras({"INS": log.steering_time_ns}, missing={"road_wheel_angle": missing})
+    return found(less, extras=extras)["values_missing"]
+
+
 def test_a_slower_sensor_in_the_same_rows_lacks_nothing(log):
-    every = slice(None, None, 4)
-    slow = replace(log, steering_time_ns=log.steering_time_ns[every], road_wheel_angle=log.road_wheel_angle[every],
-                   steering_wheel_angle=log.steering_wheel_angle[every])
-    missing = len(log.steering_time_ns) - len(slow.steering_time_ns)
-    one = found(slow, extras=Extras(missing={"road_wheel_angle": missing}))["values_missing"]
+    one = steered(log, np.arange(len(log.steering_time_ns)) % 4 == 0)
     assert one.severity is Severity.NOTE and "25 Hz" in one.text
     assert one.value == pytest.approx(0.75, abs=0.01)
+
+
+@pytest.mark.parametrize("hole", [(0.0, 0.4), (0.0, 0.5), (0.3, 0.7)])
+def test_a_hole_is_no_slower_sensor(log, hole):
+    place = np.linspace(0.0, 1.0, len(log.steering_time_ns))
+    one = steered(log, (place < hole[0]) | (place > hole[1]))
+    assert one.severity is Severity.WARNING and "hold no usable value" in one.text
 
 
 @pytest.mark.parametrize(("channel", "share"), [("road_wheel_angle", 0.5), ("yaw_rate", 0.5), ("acceleration_x", 1.0)])

@@ -1,5 +1,7 @@
 """A proposed law as an effect file: it loads, does what the curve does, and says where it comes from."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -126,6 +128,23 @@ def test_what_is_written_says_what_it_is(tmp_path, registry):
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
 
 
+def test_the_next_answer_brings_the_effects_it_needs(tmp_path, registry):
+    """A second law at the same place, on top of the first: another process loads it from its own folder alone."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    second.mkdir()
+    one = proposal("yaw_moment", "acceleration_x", NEITHER)
+    proposed.write(Proposals(one, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, first)
+    found = ModelFile.from_yaml((first / "proposed.yaml").read_text()).model()
+    after = replace(proposal("yaw_moment", "speed", NEITHER), model=found)
+    proposed.write(Proposals(after, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, second)
+    loads = ("import sys; from st_core.effects import load_folder; from st_core.model_file import ModelFile; "
+             "load_folder(sys.argv[1] + '/effects'); "
+             "print(*ModelFile.from_yaml(open(sys.argv[1] + '/proposed.yaml').read()).model().values)")
+    done = subprocess.run([sys.executable, "-c", loads, str(second)], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == {"mass", "proposed_yaw_moment", "proposed_yaw_moment_2"}
+
+
 def test_a_law_is_looked_for_where_much_is_left():
     found = discovery([LAP], (), 1.0)
     nothing, much = replace(found, outcome="none", signature=()), ("errors are 4.0 times the noise",)
@@ -181,3 +200,8 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
     assert content["pins_down"] == "brake_in_turn" and len(content["options"]) == 2
     weak = replace(one, drives=replace(drives, options=drives.options[1:]))
     assert "no manoeuvre of the catalogue tells it much better from" in "\n".join(next_drive_words.sentences(weak))
+    hardly = replace(one, drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))
+    assert "for a surer curve" not in "\n".join(next_drive_words.sentences(hardly))
+    of_a_place = replace(one, others={"side_force over position_x": 0.9}, drives=replace(drives, now={}, options=[]))
+    told = "\n".join(next_drive_words.sentences(of_a_place))
+    assert "from what depends on place, course or time: drive the same again" in told and "much better" not in told

@@ -8,6 +8,7 @@ from typing import Any
 from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
+from st_core.prediction import PredictionSettings
 from st_core.stability import slip_speed_needed
 from st_core.vehicle import VEHICLE_QUANTITIES
 
@@ -29,8 +30,6 @@ HINTS = {
     "cornering_stiffness_rear": "at first from a comparable car, later identified",
 }
 """What no other car can lend, and how it is got."""
-STEP = 0.05
-"""s, of the integration, as of every prediction unless another is asked for."""
 SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """m/s, at which the models have to be stable with that step."""
 ZERO = ("cg_to_ins_y", "steering_wheel_offset")
@@ -120,11 +119,15 @@ def _vehicle_problems(file: Path) -> list[str]:
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
-    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, SPEEDS, STEP)
-    if needed is None or needed <= vehicle.minimum_slip_speed:
+    step = PredictionSettings().step
+    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, SPEEDS, step)
+    if needed is None:
+        return [f"{file}: mass, yaw_inertia, cornering_stiffness_front, cornering_stiffness_rear: this car is unstable "
+                f"at any minimum_slip_speed with integration steps of {1e3 * step:g} ms; is one in another unit?"]
+    if needed <= vehicle.minimum_slip_speed:
         return []
     return [f"{file}: minimum_slip_speed: {vehicle.minimum_slip_speed:g} m/s is too low for integration steps of "
-            f"{1e3 * STEP:g} ms; {needed:g} m/s or more is stable"]
+            f"{1e3 * step:g} ms; {needed:g} m/s or more is stable"]
 
 
 def _bus_problems(car: Car) -> list[str]:

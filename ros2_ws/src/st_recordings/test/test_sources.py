@@ -86,7 +86,8 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("path", "message"),
     [
-        ("nowhere.ncom", "there is no such file or folder"),
+        ("nowhere.ncom", "there is no such file or folder; looked for in /"),
+        ("note.txt", r"there is no such file or folder; looked for in .*, did you mean notes\.txt\?"),
         ("notes.txt", r"the extension \.txt is not one of a recording; known are .*\.ncom"),
         ("folder", "no recording is in this folder"),
     ],

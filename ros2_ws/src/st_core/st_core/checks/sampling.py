@@ -80,8 +80,11 @@ def timing(motion: Motion, extras: Extras) -> list[Finding]:
         left = len(motion.steering_time if channel in STEERING else motion.time)
         share = count / max(left if channel.startswith("acceleration") else left + count, 1)
         if count:
-            time = motion.steering_time if channel in STEERING else motion.time
-            slower = _even_rate(time) if share > FEW and not channel.startswith("acceleration") else 0.0
+            rows = extras.stamps.get("INS", np.zeros(0))
+            if channel in STEERING:
+                rows = extras.stamps.get("steering", rows)
+            slower = 0.0 if channel.startswith("acceleration") else _slower_rate(
+                motion.steering_time if channel in STEERING else motion.time, rows * 1e-9, share)
             told.append(_missing(channel, count, share, slower))
     return told
 
@@ -99,13 +102,18 @@ def _missing(channel: str, count: int, share: float, slower: float) -> Finding:
     return Finding("values_missing", severity, (channel,), text, share, "1", None, (), None, Cure("look", cure))
 
 
-def _even_rate(time: np.ndarray) -> float:
-    """Hz of samples that are evenly spaced but for one in a hundred, else 0."""
-    spacing = np.diff(time)
-    if len(spacing) < 20:
+def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
+    """Hz of samples [s] that are every k-th of all rows [s], k >= 2, but for one in a hundred; else 0.
+
+    missing: share of the rows without one. A hole leaves the others a row apart: that is no slower sensor.
+    """
+    spacing, between = np.diff(time), np.diff(rows)
+    if len(spacing) < 20 or len(between) < 20:
         return 0.0
     usual = float(np.median(spacing))
-    return 1.0 / usual if np.mean(np.abs(spacing - usual) > 0.5 * usual) <= FEW else 0.0
+    every = round(usual / max(float(np.median(between)), 1e-9))
+    even = np.mean(np.abs(spacing - usual) > 0.5 * usual) <= FEW
+    return 1.0 / usual if every >= 2 and even and abs((1.0 - missing) * every - 1.0) <= 2 * FEW else 0.0
 
 
 def _stamps(signal: str, stamps: np.ndarray) -> list[Finding]:

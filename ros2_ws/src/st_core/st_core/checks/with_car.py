@@ -1,8 +1,8 @@
 """Identities with the car, within bounds so generous that only a fault of the recording leaves them.
 
 Steering: atan(L r / v_x) is what a car without slip steers; ratio and wheelbase of a real one change it by some ten per
-cent, understeer at 20 m/s by 80, a wrong unit by 57 times. Rear axle: a slow car's rear axle goes where it points, so
-at the INS point
+cent, understeer at 20 m/s may nearly double it, a wrong unit makes it 57 times as large. Rear axle: a slow car's rear
+axle goes where it points, so at the INS point
 
     v_y = -a v_x + d r - s v_x^2 r      a: heading reported too far left, d: ahead of the rear axle, s: slip of the rear
 """

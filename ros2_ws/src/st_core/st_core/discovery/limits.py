@@ -12,7 +12,8 @@ from ..errors import ConfigurationError
 class Limits:
     """Raises ConfigurationError naming the limit that is not a positive number.
 
-    false_alarm [1]: chance, over the whole library, that drives without any gap make one statement.
+    false_alarm [1]: chance, over the whole library, that drives without any gap make one statement; and, of a law that
+    is proposed, that the predicted path is no better with it.
     doubt [1]: chance at which a comparison counts as undecided: two names, a value over runs, an interval.
     worth [1]: share of the size of the errors an effect must take away to be worth it: of those without it, over all
     channels, to be kept; of those of the start, in one channel, to be named ...

@@ -70,8 +70,8 @@ def taken_away(laws: Laws, falls: np.ndarray, closer: np.ndarray, limits: Limits
 
 def worthless(laws: Laws, law: Candidate, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
     """Why a law is not worth it, "" where it is: too little on runs it was not fitted to, perhaps nothing, or the path
-    is no better with it by a chance above `limits.false_alarm`: to be misled by a law is as grave as a false one. Of a
-    law of what a sensor shows, a better path is not asked."""
+    is no better with it by a chance above `limits.false_alarm`: to be misled by a law is as grave as a false one. A
+    better path is not asked of what a sensor shows, nor where fewer than two blocks have a position."""
     little = falls.sum() < limits.worth * laws.loss.number and mean_of(closer) < limits.worth_position
     if little or least(falls, limits.doubt) <= 0.0:
         return f"{law.name} is sure, but {taken_away(laws, falls, closer, limits)}"

@@ -144,7 +144,7 @@ class Laws:
         """({fold: step of the values fitted without it}, (b,) loss of each block under them)."""
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
         steps, held_out = {}, np.zeros(self.blocks)
-        ridge = (RIDGE * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
+        ridge = (RIDGE * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
         whole = np.linalg.solve(h + penalty + ridge, g - penalty @ away)
         for k in np.unique(self.fold):
             mine = self.fold == k
@@ -157,7 +157,7 @@ class Laws:
     def promised(self, q: Quadratic, penalty: np.ndarray, away: np.ndarray) -> np.ndarray:
         """(b,) held-out loss of each block at the best point of the quadratic, left out fold by fold."""
         h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
-        ridge = (RIDGE * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
+        ridge = (RIDGE * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
         step = np.linalg.solve(h + penalty + ridge, g - penalty @ away)
         cost = q.cost - 2.0 * q.gradient @ step + np.einsum("i,bij,j->b", step, q.hessian, step)
         there = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
@@ -206,7 +206,7 @@ class Laws:
             if not number:
                 penalty = self.penalty(candidate, h, smooth)
             away = ((vector - self.start) / scale)[which]
-            ridge = (RIDGE * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
+            ridge = (RIDGE * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
             step = np.linalg.solve(h + penalty + ridge, g - penalty @ away)
             cost = loss.total(vector) + away @ penalty @ away
             gained = 0.0

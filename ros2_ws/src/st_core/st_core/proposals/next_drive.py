@@ -13,7 +13,7 @@ from ..manoeuvres import Manoeuvre
 from .curve_fit import RIDGE, Fitted, Laws
 from .places import ODD, Candidate, driven
 
-CLEARER = 1.3  # times the strength now: a manoeuvre that brings less tells hardly more
+CLEARER = 1.3  # times as strong, or as sure, as now: a manoeuvre that brings less tells hardly more
 SPARSE = 0.1  # of the driving that falls on a point if all of the range is driven alike: less is thin
 OF_A_PLACE = ("run_time", "position_x", "position_y", "north", "east")  # no manoeuvre reaches them by itself
 Range = tuple[float, float]
@@ -41,9 +41,10 @@ class NextDrives:
     options: Sequence[Option] = ()
 
     def pins_down(self, deviation: np.ndarray) -> Option | None:
-        """What makes the least sure point of the curve surest, if anything makes it surer. deviation: (k,) now."""
+        """What makes the least sure point of the curve surest; None where nothing does by CLEARER. deviation: (k,) now.
+        """
         best = min(self.options, key=lambda o: float(o.deviation.max()), default=None)
-        return best if best is not None and best.deviation.max() < deviation.max() else None
+        return best if best is not None and CLEARER * best.deviation.max() <= deviation.max() else None
 
     def tells_apart(self) -> tuple[Option, str] | None:
         """The largest smallest strength over all laws not told apart, and that law; None below TOLD, and where it is

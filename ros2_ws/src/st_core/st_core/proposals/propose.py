@@ -38,8 +38,9 @@ def propose(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParamete
     Every law of `places` is put on top of the answer and fitted beside everything found. What a parameter of the
     vehicle file can do as well is no evidence for it: the tests look at what those leave. One is proposed if chance
     finds as much anywhere with a probability below `limits.false_alarm`, and if on runs it was not fitted to it takes
-    away `limits.worth` of the size of the errors, or `limits.worth_position`, surely something, and harms none. Those
-    the drives do not tell from it stand beside it, and the effects of the answer it makes needless.
+    away `limits.worth` of the size of the errors, or `limits.worth_position`, surely something, betters the path with
+    a chance below `limits.false_alarm` that it does not (not asked of a sensor's law), and harms none. Those the drives
+    do not tell from it stand beside it, and the effects of the answer it makes needless.
     Raises StCoreError for drives in which nothing can be predicted.
     """
     settings = settings or DiscoverySettings()

@@ -83,7 +83,10 @@ class {cls}(Effect):
 
 
 def name_of(one: Proposal) -> str:
-    return f"proposed_{one.candidate.place}"
+    """Of the effect; numbered where the model has a law at that place already."""
+    name = f"proposed_{one.candidate.place}"
+    before = sum(e.name == name or e.name.startswith(f"{name}_") for e in one.model.effects)
+    return f"{name}_{before + 1}" if before else name
 
 
 def law_in_words(one: Proposal) -> str:
@@ -166,4 +169,4 @@ def _lagging(c: Candidate) -> str:
 def _kind(c: Candidate) -> str:
     if c.quantity in MAPPED:
         return "surroundings"
-    return "sensors" if c.place.startswith("sensor_") else "physics"
+    return "sensors" if c.of_sensor else "physics"

@@ -33,7 +33,7 @@ def by_run(one: Proposal, answer: Discovery) -> Table:
     return Table("Mean position error after 5 s, by run, m",
                  "Every run is predicted with values fitted to other driving. The run in which the law helps most is "
                  "first; + means a larger error.",
-                 ("run", "vehicle file", "with what is stated", "with the law as well", "change by the law"), rows)
+                 ("run", answer.start, "with what is stated", "with the law as well", "change by the law"), rows)
 
 
 def _row(start: float | None, without: float, with_it: float) -> tuple[str, ...]:

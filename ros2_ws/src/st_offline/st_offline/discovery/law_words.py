@@ -60,11 +60,10 @@ def axis(c: Candidate) -> str:
 
 def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
     """What y is as a force or moment of that car, "" for what is none."""
-    weight = 9.81 * vehicle.mass / vehicle.wheelbase
     sizes = {"yaw_moment": f"1 rad/s² is a moment of {vehicle.yaw_inertia:.4g} N m, by the yaw inertia",
              "side_force": f"1 m/s² is a force of {vehicle.mass:.4g} N, by the mass",
-             "front_force": f"1 is a force of {weight * vehicle.cg_to_rear_axle:.4g} N, by the axle load",
-             "rear_force": f"1 is a force of {weight * vehicle.cg_to_front_axle:.4g} N, by the axle load"}
+             "front_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_front:.4g} N, by the axle load",
+             "rear_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_rear:.4g} N, by the axle load"}
     return f"y = {sizes[c.place]} of the vehicle file" if c.place in sizes and not c.by else ""
 
 

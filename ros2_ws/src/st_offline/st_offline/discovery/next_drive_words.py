@@ -10,6 +10,8 @@ from st_core.proposals.places import QUANTITIES
 from . import law_words, words
 from .law_figure import shown
 
+ELSEWHERE = ("drive the same again, once beginning elsewhere on the course and once in the other direction, and add "
+             "these runs: only then can the place, the course and the time in the run be told apart")
 SECONDS = 0.5  # of a drive: a thin range in which less is spent is not reached
 
 
@@ -22,17 +24,18 @@ def sentences(one: Proposal) -> list[str]:
     """What to drive: to tell the law from others, to make its curve surer, to fill what is thin."""
     c, drives = one.candidate, one.drives
     if c.quantity in OF_A_PLACE:
-        return ["drive the same again, once beginning elsewhere on the course and once in the other direction, and add "
-                f"these runs: only then can {law_words.quantity(c)}, the road and the time be told apart"]
+        return [ELSEWHERE]
     lines: list[str] = []
     apart = drives.tells_apart()
     if apart is not None:
         option, rival = apart
         lines.append(f"to tell it from {law_words.named(rival)}: {_driven(option, lines)}. The two then differ "
                      f"{option.apart[rival] / max(drives.now[rival], 1e-9):.1f} times as clearly")
-    elif one.others and drives.options:
+    elif drives.now:
         lines.append("no manoeuvre of the catalogue tells it much better from the laws it may be instead: look for the "
                      "cause on the car")
+    if len(drives.now) < len(one.others):
+        lines.append(f"to tell it from what depends on place, course or time: {ELSEWHERE}")
     surest = drives.pins_down(one.deviation)
     if surest is not None:
         up, unit = shown(c.unit)

@@ -1,10 +1,11 @@
 """A proposed law beside the results of a discovery: files, and the part of discovery.json."""
 
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 from st_core.discovery.following import TIMES
-from st_core.effects import load_folder
+from st_core.effects import Effect, load_file, source_file
 from st_core.model_file import Estimate, ModelFile, Provenance
 from st_core.proposals import Proposal, Proposals
 from st_core.proposals.places import QUANTITIES
@@ -12,11 +13,14 @@ from st_core.vehicle import VehicleParameters
 
 from .law_file import effect_file, name_of, title
 
+LIBRARY = Path(source_file(Effect)).parent
+
 
 def write(found: Proposals, vehicle: VehicleParameters, runs: Sequence[str], created: str, digests: dict[str, str],
           folder: Path) -> dict[str, Path]:
     """The effect file and the model file that uses it, by what they are; nothing without a proposal, and nothing for a
-    law of the time in the run, which is not known of a drive to come."""
+    law of the time in the run, which is not known of a drive to come. Effects of the user that the model has go along:
+    one folder of effects is enough for every command."""
     one = found.proposal
     if one is None or one.candidate.quantity == "run_time":
         return {}
@@ -24,7 +28,11 @@ def write(found: Proposals, vehicle: VehicleParameters, runs: Sequence[str], cre
     effects.mkdir()
     file = effects / f"{name_of(one)}.py"
     file.write_text(effect_file(one, runs, created), encoding="utf-8")
-    load_folder(str(effects.absolute()))
+    load_file(str(effects.absolute()), name_of(one))
+    for folder_of_theirs in {Path(source_file(e)).parent for e in one.model.effects} - {LIBRARY}:
+        for module in folder_of_theirs.glob("*.py"):
+            if not (effects / module.name).exists():
+                shutil.copyfile(module, effects / module.name)
     about = Provenance(created[:10], data=digests, note=f"PROPOSAL of st discover: {title(one)}")
     plain = ModelFile.of(one.model, vehicle, about, source="fitted beside the proposal")
     active = {name: parts for name, parts in plain.effects.items()

@@ -104,4 +104,5 @@ def _times(reports: Sequence[RunReport], wall: float) -> str:
     parts = {part: sum(r.seconds.get(part, 0.0) for r in reports) for part in ("read", "predict", "draw")}
     spent = ", ".join(f"{part} {seconds:.1f} s" for part, seconds in parts.items())
     hours = sum(r.about["duration"] for r in reports) / 3600.0
-    return f"[dim]{len(reports)} runs, {hours:.2f} h of driving in {wall:.1f} s ({spent})[/dim]"
+    runs = f"{len(reports)} run{'' if len(reports) == 1 else 's'}"
+    return f"[dim]{runs}, {hours:.2f} h of driving in {wall:.1f} s ({spent})[/dim]"

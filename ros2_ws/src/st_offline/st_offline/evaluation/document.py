@@ -41,7 +41,8 @@ def settings_in_words(choices: Choices) -> dict[str, str]:
         "vehicle": f"{choices.task.vehicle.name} ({choices.vehicle_file}, {choices.task.vehicle.hash[:12]})",
         "starts": f"every {s.interval:g} s, from {p.minimum_speed:g} m/s up",
         "horizon": f"{p.horizon:g} s in steps of {p.step * 1000:g} ms, Runge-Kutta 4",
-        "forward acceleration": f"derivative of the INS speed behind {p.filter_cutoff:g} Hz, {filters[s.acceleration]}",
+        "forward acceleration": f"derivative of the INS speed after a {p.filter_cutoff:g} Hz low-pass filter, "
+                                f"{filters[s.acceleration]}",
         "measured inputs": f"{inputs}; nothing across gaps above {p.maximum_gap:g} s",
         "table": f"mean | max | RMSE over {tables.WHAT[choices.over]}",
     }

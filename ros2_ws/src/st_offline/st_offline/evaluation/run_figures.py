@@ -108,7 +108,7 @@ def horizon_means(drawing: Drawing) -> Drawn:
     speed, lateral = evaluation.conditions["speed"], evaluation.conditions["lateral_acceleration"]
     context.plot(*_over_time(evaluation, speed), color=TEXT, lw=1.0)
     context.plot(*_over_time(evaluation, lateral), color=MEASURED_COLOUR, lw=1.0)
-    context.set_ylabel("mean over\nthe horizon")
+    context.set_ylabel("mean over the\nhorizon, m/s, m/s²")
     context.set_xlabel("start of the prediction $t_0$, s after the first INS measurement")
     extra = [Line2D([], [], color=TEXT, lw=1.0, label="speed, m/s"),
              Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]

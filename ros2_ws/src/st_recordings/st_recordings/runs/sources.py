@@ -31,7 +31,10 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     loose: list[Path] = []
     for path in map(Path, paths):
         if not path.exists():
-            runs.append(_failed(path, RunError(path, "there is no such file or folder")))
+            around = path.absolute().parent
+            beside = [other.name for other in around.iterdir()] if around.is_dir() else []
+            runs.append(_failed(path, RunError(path, "there is no such file or folder", f"looked for in {around}"
+                                               f"{yaml_text.nearest(path.name, beside)}")))
         elif (reader := reader_of(path)) is not None and not reader.with_can:
             runs.append(_alone(path, reader))
         elif path.is_dir():
