@@ -184,7 +184,7 @@ def _draw(file: Path, rows: Mapping[str, tuple[float | None, float]], labels: tu
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from st_predictor.palette import MODEL_COLOUR, RC
+    from st_core.palette import MODEL_COLOUR, RC
 
     with plt.rc_context(RC):
         figure, axis = plt.subplots(figsize=(6.5, 2.4))

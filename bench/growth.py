@@ -37,7 +37,7 @@ def _plot(by_length: dict, by_horizon: dict, path: Path) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from st_predictor.palette import MODEL_COLOUR, RC
+    from st_core.palette import MODEL_COLOUR, RC
 
     with plt.rc_context(RC):
         figure, axes = plt.subplots(1, 2, figsize=(7.5, 3.0))

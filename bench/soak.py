@@ -22,7 +22,7 @@ import numpy as np
 import psutil
 from faults.catalogue import CAN, HANGING, INS, KILLED, Fault
 from faults.rig import Rig, running
-from st_predictor.palette import RC
+from st_core.palette import RC
 from st_recordings.mcap import recover
 from st_recordings.runs.bag import open_bag
 

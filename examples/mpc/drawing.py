@@ -10,7 +10,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 
 MARKER = {"rti": "o", "ipopt": "s"}
 SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to the end"}

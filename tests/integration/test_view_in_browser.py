@@ -18,7 +18,7 @@ pytest.importorskip("rerun", reason="not beside a sourced ROS")
 
 from browser import Browser, program
 from PIL import Image
-from st_predictor.palette import MODEL_COLOUR, rgb
+from st_core.palette import MODEL_COLOUR, rgb
 from support import ROOT
 
 pytestmark = [

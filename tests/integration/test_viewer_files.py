@@ -17,8 +17,8 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 import rclpy
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_processes import Processes
+from st_core.palette import MODEL_COLOUR, rgb
 from st_offline.documentation.topics import MODELS, TOPICS
-from st_predictor.palette import MODEL_COLOUR, rgb
 from support import ROOT
 
 pytestmark = [

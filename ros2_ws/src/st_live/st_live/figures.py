@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 from st_recordings.results import Results
 
 MEANING = {"hindsight": "measured inputs", "forecast": "inputs held"}

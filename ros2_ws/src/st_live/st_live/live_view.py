@@ -7,7 +7,7 @@ from rich.console import Group, RenderableType
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
-from st_predictor.palette import MODEL_COLOUR
+from st_core.palette import MODEL_COLOUR
 from st_recordings.counted import lines
 
 from .node import Heard

@@ -11,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from st_core.palette import MODEL_COLOUR
 from st_msgs.msg import ErrorSummary, Prediction, PredictorStatus
-from st_predictor.palette import MODEL_COLOUR
 from st_ros.polling import PolledSubscription
 
 LOOK_PERIOD = 0.25  # s between looks for a newest prediction

@@ -4,7 +4,7 @@ from typing import Any
 
 from rich.table import Table
 from rich.text import Text
-from st_predictor.palette import MODEL_COLOUR
+from st_core.palette import MODEL_COLOUR
 
 STATISTICS = ("mean", "max", "rmse")
 

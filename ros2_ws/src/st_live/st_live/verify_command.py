@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
-from st_predictor.palette import MODEL_COLOUR
+from st_core.palette import MODEL_COLOUR
 from st_recordings.output import new_folder
 
 from .suite import SuiteError

@@ -10,6 +10,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rich.console import Console
+from st_core.palette import LABEL_AT, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.suite import SuiteError
 from st_live.view import words
@@ -20,7 +21,6 @@ from st_msgs.msg import ErrorStatistics
 from st_predictor.history import GHOST_AGES, GHOST_TOLERANCE, History
 from st_predictor.history import Path as PredictedPath
 from st_predictor.outline import car_outline
-from st_predictor.palette import LABEL_AT, MODEL_COLOUR, label_index, rgb
 from st_predictor.ribbon import ribbon
 from support import ROOT
 

@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from st_core.clock_alignment import correlation_curve, residual_lags
 from st_core.clock_types import Alignment, SharedSignal
-from st_predictor.palette import MEASURED_COLOUR, RC
+from st_core.palette import MEASURED_COLOUR, RC
 
 OTHER_COLOUR = "#d55e00"
 CLOSE_UP = 10.0  # s

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import jinja2
 from markupsafe import Markup
-from st_predictor.palette import MODEL_COLOUR
+from st_core.palette import MODEL_COLOUR
 
 from .checking import words as checking_words
 from .checking.document import findings_in

@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from st_core.palette import MODEL_COLOUR
 from st_offline.evaluation.drawing import MOST_POINTS, Place, broken, finish, style, thinned
-from st_predictor.palette import MODEL_COLOUR
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 from rich.table import Table
-from st_predictor.palette import MODEL_COLOUR
+from st_core.palette import MODEL_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..terminal import rows_table

@@ -5,7 +5,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 

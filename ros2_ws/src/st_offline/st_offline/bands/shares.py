@@ -12,8 +12,8 @@ from st_core.log_evaluation import AXES, EvaluationSettings
 from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model
+from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
-from st_predictor.palette import MODEL_COLOUR
 
 from ..evaluation.drawing import GRID, WIDTH, Drawn, Place, finish, style
 from ..terminal import rows_table

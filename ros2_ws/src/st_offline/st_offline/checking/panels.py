@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 from st_core.checks import Checked, Finding, Identity, Severity
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, Place, broken, finish, style, thinned
 from . import words

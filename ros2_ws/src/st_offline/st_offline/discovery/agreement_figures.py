@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.gridspec import GridSpec
 from st_core.discovery.result import BoundEffect, FoundEffect, Value
-from st_predictor.palette import MEASURED_COLOUR
+from st_core.palette import MEASURED_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, finish, style
 from . import quantities, words

@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from st_predictor.palette import MEASURED_COLOUR
+from st_core.palette import MEASURED_COLOUR
 
 from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, finish, style
 from . import quantities, words

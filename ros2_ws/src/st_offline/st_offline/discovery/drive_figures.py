@@ -8,8 +8,8 @@ from st_core.channels import UNITS
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
+from st_core.palette import MEASURED_COLOUR
 from st_core.readings import readings
-from st_predictor.palette import MEASURED_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, finish, style, thinned
 from . import quantities

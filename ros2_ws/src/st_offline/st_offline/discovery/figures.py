@@ -12,8 +12,8 @@ from st_core.discovery import Discovery
 from st_core.discovery.where import Survey
 from st_core.discovery.where_bins import EVERYWHERE, BinExcess
 from st_core.log import DriveLog
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from . import quantities, words

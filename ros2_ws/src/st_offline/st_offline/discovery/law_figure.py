@@ -3,9 +3,9 @@
 import textwrap
 
 import matplotlib.pyplot as plt
+from st_core.palette import MEASURED_COLOUR
 from st_core.proposals import Proposal
 from st_core.proposals.places import QUANTITIES
-from st_predictor.palette import MEASURED_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from . import law_words, quantities, words

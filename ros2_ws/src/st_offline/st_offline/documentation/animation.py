@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 from st_core.frames import cg_to_ins_position, map_to_body
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 from st_core.vehicle import VehicleParameters
 from st_predictor.outline import car_outline
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 from st_recordings.recorded import Predictions, read_predictions
 from st_recordings.results import Results, read_results
 

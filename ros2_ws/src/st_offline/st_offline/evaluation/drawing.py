@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from st_core.errors import ConfigurationError
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 
 TEXT, GRID, BAD, WARN = "#1c2126", "#e6e6e6", "#b3261e", "#b26a00"
 # Colours as the figures have them -> style sheet variables of the page.

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import matplotlib.pyplot as plt
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from st_predictor.palette import MODEL_COLOUR
+from st_core.palette import MODEL_COLOUR
 
 from .drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from .tables import SHOWN_AXES, shown, values

@@ -10,8 +10,8 @@ from matplotlib.lines import Line2D
 from st_core.log_evaluation import LogEvaluation
 from st_core.log_signals import LogSignals
 from st_core.models import Model
+from st_core.palette import MODEL_COLOUR, MODEL_LINE
 from st_core.vehicle import VehicleParameters
-from st_predictor.palette import MODEL_COLOUR, MODEL_LINE
 
 from .drawing import TEXT, Place
 

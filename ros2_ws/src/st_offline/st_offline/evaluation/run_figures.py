@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.lines import Line2D
 from st_core.evaluation import Mode
 from st_core.log_evaluation import LogEvaluation, evaluate_blocks
+from st_core.palette import MEASURED_COLOUR
 from st_core.readings import readings
-from st_predictor.palette import MEASURED_COLOUR
 
 from .beside import beside
 from .drawing import TEXT, WIDTH, Drawn, broken, finish, style, thinned

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.lines import Line2D
 from st_core.log_evaluation import evaluate_blocks
 from st_core.models import Model, get_model
+from st_core.palette import MEASURED_COLOUR
 from st_core.vehicle import VehicleParameters
-from st_predictor.palette import MEASURED_COLOUR
 
 from .drawing import TEXT, WIDTH, Drawn, finish
 from .run_drawing import Drawing, chosen_starts, complete_in_all, legend

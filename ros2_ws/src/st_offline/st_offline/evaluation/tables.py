@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 from st_core.log_evaluation import AXES, MODES
-from st_predictor.palette import MODEL_COLOUR
+from st_core.palette import MODEL_COLOUR
 
 from .statistics import KINDS
 from .work import RunReport

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification.cg_height import Lift, LiftedCar, cg_height, pitch_from_lift
 from st_core.identification.result import Identification
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_recordings.runs.errors import RunError
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style

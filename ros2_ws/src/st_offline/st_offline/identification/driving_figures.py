@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification.free_parameters import FREE
 from st_core.identification.result import Estimate, Identification
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from .shown import number

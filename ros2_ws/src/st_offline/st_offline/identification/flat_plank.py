@@ -9,8 +9,8 @@ from st_core.identification.lambda_ky import TableStiffness, lambda_ky
 from st_core.identification.magic_formula import fit_tyre, magic_formula
 from st_core.identification.plank_table import FlatPlank
 from st_core.identification.result import Identification
+from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import TYRES
-from st_predictor.palette import MODEL_COLOUR
 from st_recordings.runs.errors import RunError
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style

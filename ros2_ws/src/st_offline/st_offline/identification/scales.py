@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification.mass_and_cg import SCALE_UNCERTAINTY, WHEELS, Weighings, mass_and_cg, swapped_axles
 from st_core.identification.result import Identification
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_recordings.runs.errors import RunError
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification.result import Identification
 from st_core.identification.steering_ratio import Turntable, steering_ratio
-from st_predictor.palette import MEASURED_COLOUR, MODEL_COLOUR
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from .columns import read_columns

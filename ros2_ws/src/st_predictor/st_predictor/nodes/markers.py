@@ -10,6 +10,7 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from st_core.palette import MEASURED_COLOUR, colour_of, label_index, rgb
 from st_core.types import InsSample
 from st_msgs.msg import Prediction, PredictionError
 from st_ros import parameters, spin
@@ -21,7 +22,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from .. import convert, params
 from ..history import History, Path
 from ..outline import car_outline
-from ..palette import MEASURED_COLOUR, colour_of, label_index, rgb
 
 NEWEST = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 SCORES = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # those of one instant come together
