@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from st_offline.documentation import structure
 from support import ROOT
+
+from tools import structure
 
 SOURCES = ROOT / "ros2_ws" / "src"
 PACKAGES = sorted(p.parent.name for p in SOURCES.glob("*/setup.py"))

@@ -18,8 +18,9 @@ import rclpy
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_processes import Processes
 from st_core.palette import MODEL_COLOUR, rgb
-from st_offline.documentation.topics import MODELS, TOPICS
 from support import ROOT
+
+from tools.reference import MODELS, TOPICS
 
 pytestmark = [
     pytest.mark.ros, pytest.mark.slow,

@@ -13,14 +13,11 @@ from st_live import transport
 
 from .verbs import (
     align,
-    bench,
     calibrate,
     car,
     check,
     demo,
-    develop,
     discover,
-    docs,
     effects,
     evaluate,
     export,
@@ -42,15 +39,13 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_show_locals=False,
     help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that?",
+    epilog="In a checkout also: ./st test, ./st shell, ./st bench, ./st docs.",
 )
-HANDED_ON = {"context_settings": {"allow_extra_args": True, "ignore_unknown_options": True}}
 SPECIAL: dict[Callable, dict[str, Any]] = {
-    discover.discover: {"cls": discover.WithReferences}, import_.import_: {"name": "import"},
-    **dict.fromkeys((bench.bench, develop.test, develop.shell), HANDED_ON)}
+    discover.discover: {"cls": discover.WithReferences}, import_.import_: {"name": "import"}}
 for verb in (demo.demo, live.live, ncom.ncom, car.car, check.check, evaluate.evaluate, calibrate.calibrate,
              discover.discover, effects.effects, identify.identify, replay.replay, verify.verify, view.view,
-             foxglove.foxglove, align.align, import_.import_, recover.recover, export.export, docs.docs, bench.bench,
-             develop.test, develop.shell):
+             foxglove.foxglove, align.align, import_.import_, recover.recover, export.export):
     app.command(**SPECIAL.get(verb, {}))(verb)
 
 

@@ -1,4 +1,4 @@
-"""The figure of the structure: packages as boxes, imports as arrows, read from the syntax trees of the sources."""
+"""The figure of the packages and their imports, read from the syntax trees of the sources."""
 
 import ast
 from collections.abc import Iterator, Mapping, Sequence
@@ -69,7 +69,7 @@ def implied(arrows: set[Edge]) -> set[Edge]:
 
 
 def draw(sources: Path, file: Path) -> None:
-    """Write the figure as PNG. Its arrows also stand in the file's Description, as lines `a -> b`: see `drawn`."""
+    """Write the figure as PNG. Its Description lists the arrows, as lines `a -> b`: see `drawn`."""
     names, arrows = packages(sources), edges(sources)
     places, longer = _places(layers(names, arrows), arrows), implied(arrows)
     figure, axes = plt.subplots(figsize=(9.0, 7.0), dpi=110)
@@ -78,7 +78,7 @@ def draw(sources: Path, file: Path) -> None:
     figure.tight_layout(pad=0.2)
     boxes = {name: axes.text(*place, name, ha="center", va="center", fontsize=11, family="monospace", zorder=3,
                              bbox=BOX) for name, place in places.items()}
-    figure.canvas.draw()  # now every box knows its size, and arrows end at its edge
+    figure.canvas.draw()  # sizes of the boxes, at whose edges the arrows end
     for arrow in sorted(arrows, key=lambda a: (a not in longer, a)):
         start, end = arrow
         grey = arrow in longer

@@ -1,4 +1,4 @@
-"""`st test` and `st shell`: the tools of somebody who works on the suite, or with ROS commands beside it."""
+"""`./st test` and `./st shell`."""
 
 import os
 import subprocess

@@ -8,22 +8,22 @@ import yaml
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from st_cli.cli import app
-from st_offline.documentation import gallery, reference
 from st_predictor import params
 from support import ROOT
-from typer.main import get_command
+
+from tools import gallery, reference
+from tools.__main__ import commands
 
 pytestmark = pytest.mark.ros
 DOCS = ROOT / "docs"
 
 
 def test_the_reference_is_what_the_code_says() -> None:
-    assert (DOCS / "reference.md").read_text() == reference.page(get_command(app)), "run ./st docs"
+    assert (DOCS / "reference.md").read_text() == reference.page(commands()), "run ./st docs"
 
 
 def test_the_reference_holds_every_parameter_and_every_field() -> None:
-    page = reference.page(get_command(app))
+    page = reference.page(commands())
     for parameter in params.PREDICTOR + params.RECORDER:
         assert f"| `{parameter.name}` |" in page
     for file in (ROOT / "ros2_ws/src/st_msgs/msg").glob("*.msg"):
@@ -59,7 +59,7 @@ def test_the_gallery_shows_each_command_with_its_picture() -> None:
 
 def test_commands_that_are_shown_have_the_options_they_are_shown_with() -> None:
     """Every `./st VERB --option` in README and docs/ exists."""
-    verbs = get_command(app).commands
+    verbs = commands().commands
     seen = 0
     for page in (ROOT / "README.md", *DOCS.rglob("*.md")):
         for verb, rest in re.findall(r"\./st (\w+)([^`|\n]*)", page.read_text()):

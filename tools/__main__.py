@@ -1,0 +1,62 @@
+"""`./st test`, `./st shell`, `./st bench` and `./st docs`: commands that exist in a checkout only."""
+
+from pathlib import Path
+
+import typer
+from rich.console import Console
+from st_cli.cli import app as product
+from st_recordings.paths import project_root
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from .bench import bench
+from .develop import shell, test
+
+app = typer.Typer(name="st", no_args_is_help=True, add_completion=False, pretty_exceptions_show_locals=False)
+FORWARD_ARGUMENTS = {"allow_extra_args": True, "ignore_unknown_options": True}
+for verb in (test, shell, bench):
+    app.command(context_settings=FORWARD_ARGUMENTS)(verb)
+
+
+def commands() -> TyperGroup:
+    """All commands of `./st`: those of the product and those of this package."""
+    group = get_command(product)
+    assert isinstance(group, TyperGroup)
+    developer = get_command(app)
+    assert isinstance(developer, TyperGroup)
+    group.commands |= developer.commands
+    return group
+
+
+@app.command()
+def docs(
+    gallery: bool = typer.Option(False, "--gallery", help="Also regenerate the pictures of the gallery (minutes)."),
+    output: Path | None = typer.Option(None, help="Folder; default docs/.", file_okay=False),
+) -> None:
+    """Write docs/reference.md, docs/gallery.md and the figure of the packages from the code.
+
+    With --gallery also the pictures of the gallery, from real output.
+    """
+    from . import gallery as pictures
+    from . import structure
+    from .reference import page
+
+    console = Console()
+    folder = output or project_root() / "docs"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in (("reference.md", page(commands())), ("gallery.md", pictures.page())):
+        (folder / name).write_text(text, encoding="utf-8")
+        console.print(f"{folder / name}", highlight=False, soft_wrap=True)
+    figure = folder / structure.FIGURE
+    structure.draw(project_root() / "ros2_ws" / "src", figure)
+    console.print(f"{figure}", highlight=False, soft_wrap=True)
+    if gallery:
+        try:
+            pictures.draw(folder / "images", console)
+        except pictures.GalleryError as error:
+            typer.echo(f"st docs: {error}", err=True)
+            raise typer.Exit(1) from None
+
+
+if __name__ == "__main__":
+    app(prog_name="st")
