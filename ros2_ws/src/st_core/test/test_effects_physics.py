@@ -220,6 +220,52 @@ def test_friction_scales_the_peak_and_leaves_the_slope(leaf):
         assert slopes[0] == pytest.approx(slopes[1], rel=1e-6)
 
 
+@pytest.mark.parametrize(("name", "axle"), [("front_tyre_curve", 0), ("rear_tyre_curve", 1)])
+def test_tyre_curve_changes_peak_and_curvature_of_its_axle_and_no_slope(leaf, name, axle):
+    base = MODELS["nonlinear"]
+    low, sharp = (augment("nonlinear", {name: values}) for values in (
+        {"peak": 0.7, "curvature": 1.0}, {"peak": 1.0, "curvature": 3.0}))
+    slips = np.linspace(-1.2, 0.0, 3000)
+    peaks = [np.abs(axle_force(m, leaf, slips)[axle]).max() for m in (low, base)]
+    assert peaks[0] == pytest.approx(0.7 * peaks[1], rel=1e-3)
+    for acceleration in (-4.0, 0.0, 3.0):
+        slopes = [axle_force(m, leaf, -1e-6, acceleration)[axle] for m in (low, sharp, base)]
+        assert slopes == pytest.approx([slopes[2]] * 3, rel=1e-6)
+        e_sharp, e_base = (m.inputs(0.0, acceleration, m.parameters(leaf))[(5, 8)[axle]] for m in (sharp, base))
+        assert 1.0 - e_sharp == pytest.approx(3.0 * (1.0 - e_base))
+    assert abs(axle_force(sharp, leaf, -0.08)[axle]) > abs(axle_force(base, leaf, -0.08)[axle])
+    for model in (low, sharp):
+        assert axle_force(model, leaf, -0.08)[1 - axle] == axle_force(base, leaf, -0.08)[1 - axle]
+
+
+def test_load_sensitivity_turns_the_stiffness_about_the_static_load(leaf):
+    grown, base = augment("nonlinear", {"tyre_load_sensitivity": {"factor": 3.0}}), MODELS["nonlinear"]
+    for axle, sign in ((0, -1.0), (1, 1.0)):
+        at_rest, base_at_rest = (axle_force(m, leaf, -1e-6)[axle] for m in (grown, base))
+        assert at_rest == pytest.approx(base_at_rest, rel=1e-9)
+        more = [axle_force(m, leaf, -1e-6, 2.0 * sign)[axle] for m in (grown, base)]
+        assert more[0] > more[1] > base_at_rest  # the loaded axle
+    heavy = augment("nonlinear", {"tyre_load_sensitivity": {"factor": 3.0}, "mass": {"factor": 1.2}})
+    plain = augment("nonlinear", {"mass": {"factor": 1.2}})
+    assert axle_force(heavy, leaf, -1e-6)[0] > axle_force(plain, leaf, -1e-6)[0]
+
+
+@pytest.mark.parametrize(("name", "axle"), [("front_saturation", 0), ("rear_saturation", 1)])
+def test_saturation_bends_a_linear_axle_to_its_limit(leaf, name, axle):
+    base, friction = MODELS["linear"], 0.8
+    model = augment("linear", {name: {"saturation": 1.0 / friction**2}})
+    load = GRAVITY * leaf.mass * (leaf.cg_to_rear_axle, leaf.cg_to_front_axle)[axle] / leaf.wheelbase
+
+    def force(of, slip):
+        return forces_in_rhs(of, leaf, (0.0, 0.0, 20.0, 20.0 * math.tan(slip), 0.0, 0.0))
+
+    assert force(model, 1e-3)[axle] == pytest.approx(force(base, 1e-3)[axle], rel=1e-3)
+    slip = friction * load / (leaf.cornering_stiffness_front, leaf.cornering_stiffness_rear)[axle]
+    assert force(model, slip)[axle] == pytest.approx(-friction * load / 3.0**0.25)
+    assert force(model, 1.5)[axle] == pytest.approx(-friction * load, rel=0.01)
+    assert force(model, slip)[1 - axle] == pytest.approx(force(base, slip)[1 - axle], abs=1e-6)
+
+
 def forces_in_rhs(model, car, state, acceleration=0.0, angle=0.0):
     """(front, rear) [N] of any model with level ground, small steering angle: from its accelerations."""
     p = model.parameters(car)

@@ -1,0 +1,47 @@
+"""Shape of the front axle's force curve beyond its slope at the origin: peak and curvature.
+
+    D = peak D of the file,   1 - E = curvature (1 - E of the file) at every load,   slope K unchanged
+
+curvature > 1: an earlier and sharper peak; < 1: a later one. p_ey1 and p_ey2 stay within the limits of the vehicle
+file. Only the part of the curve over the driven slip can be fitted; `st_core.identification.axle_curve` gives that part
+with its band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
+"""
+
+from dataclasses import replace
+
+from ..vehicle import TYRE_QUANTITIES
+from ._base import Effect, Parameter, register
+
+PARAMETERS = (
+    Parameter("peak", "1", null=1.0, initial=0.85, bounds=(0.3, 2.5), meaning="true peak force over the file's",
+              source="tyres and surfaces: wet 0.6-0.8, dry asphalt against a drum 1.0-1.3; wider for unknown data"),
+    Parameter("curvature", "1", null=1.0, initial=1.6, bounds=(0.05, 8.0), meaning="true 1 - E over the file's",
+              source="published passenger tyres: E -8 to 0.5, so 1 - E 0.5 to 9"),
+)
+
+
+def _limited(key, value):
+    limits = TYRE_QUANTITIES[key]
+    return min(max(value, limits.minimum), limits.maximum)
+
+
+def reshaped(tyre, theta):
+    """The tyre with another peak and curvature, its cornering stiffness unchanged at every load."""
+    return tyre._replace(lambda_muy=_limited("lambda_muy", tyre.lambda_muy * theta.peak),
+                         p_ey1=_limited("p_ey1", 1.0 - theta.curvature * (1.0 - tyre.p_ey1)),
+                         p_ey2=_limited("p_ey2", theta.curvature * tyre.p_ey2))
+
+
+@register
+class FrontTyreCurve(Effect):
+    name = "front_tyre_curve"
+    physics = "D_f = peak D_f, 1 - E_f = curvature (1 - E_f) of the file, cornering stiffness unchanged"
+    excited_by = "cornering towards the limit of the front axle; nothing shows it below 0.3 g"
+    kind, slot = "vehicle parameters", "front axle"
+    twins = ("friction", "front_stiffness", "lateral_load_transfer", "steering_compliance")
+    applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
+    parameters = PARAMETERS
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        return replace(vehicle, tyre_front=reshaped(vehicle.tyre_front, theta))

@@ -1,0 +1,26 @@
+"""Saturation of a linear rear axle, without a tyre curve in the vehicle file; the equation of `front_saturation`."""
+
+from ..tyres import GRAVITY
+from ._base import Effect, register
+from .front_saturation import PARAMETERS, saturated
+
+
+@register
+class RearSaturation(Effect):
+    name = "rear_saturation"
+    physics = "F_r = F / (1 + s u^2 + s^2 u^4)^(1/4), F = -C_r alpha, u = F / static load; limit F_z / sqrt(s)"
+    excited_by = "cornering above 4 m/s^2 with the sideslip measured"
+    kind, slot = "physics", "rear axle"
+    twins = ("tyre_saturation", "rear_stiffness", "cg_position")
+    applies_to = frozenset(("linear",))
+    order = 10
+    parameters = PARAMETERS
+
+    @staticmethod
+    def constants(vehicle):
+        return GRAVITY * vehicle.mass * vehicle.cg_to_front_axle / vehicle.wheelbase
+
+    @staticmethod
+    def axle_forces(forces, slip_front, slip_rear, at, given, theta):
+        front, rear = forces(slip_front, slip_rear, at)
+        return front, saturated(rear, theta.car, theta.saturation)

@@ -1,0 +1,21 @@
+"""Shape of the rear axle's force curve beyond its slope at the origin: peak and curvature, as `front_tyre_curve`."""
+
+from dataclasses import replace
+
+from ._base import Effect, register
+from .front_tyre_curve import PARAMETERS, reshaped
+
+
+@register
+class RearTyreCurve(Effect):
+    name = "rear_tyre_curve"
+    physics = "D_r = peak D_r, 1 - E_r = curvature (1 - E_r) of the file, cornering stiffness unchanged"
+    excited_by = "cornering towards the limit of the rear axle with the sideslip measured; nothing below 0.3 g"
+    kind, slot = "vehicle parameters", "rear axle"
+    twins = ("friction", "rear_stiffness", "lateral_load_transfer", "cg_position")
+    applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
+    parameters = PARAMETERS
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        return replace(vehicle, tyre_rear=reshaped(vehicle.tyre_rear, theta))

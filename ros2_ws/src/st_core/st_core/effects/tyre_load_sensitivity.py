@@ -1,0 +1,43 @@
+"""How the cornering stiffness of both axles grows with load; the stiffness at the file's static load is unchanged.
+
+    K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 such that K at the static load of one tyre stays
+
+factor > 1: the stiffest load is higher, so K grows more nearly in proportion to the load. Source: paper, appendix.
+"""
+
+from dataclasses import replace
+
+from ..tyres import magic_formula_stiffness
+from ..vehicle import TYRE_QUANTITIES
+from ._base import Effect, Parameter, register
+
+STIFFEST_LOAD, SCALE = TYRE_QUANTITIES["p_ky2"], TYRE_QUANTITIES["lambda_ky"]
+
+
+def _with_growth(tyre, static_load, factor):
+    """One tyre with its stiffest load times `factor`, K at static_load [N] unchanged within the limits of a file."""
+    stiffest = min(max(tyre.p_ky2 * factor, STIFFEST_LOAD.minimum), STIFFEST_LOAD.maximum)
+    changed = tyre._replace(p_ky2=stiffest)
+    ratio = magic_formula_stiffness(static_load, tyre) / magic_formula_stiffness(static_load, changed)
+    return changed._replace(lambda_ky=min(max(tyre.lambda_ky * ratio, SCALE.minimum), SCALE.maximum))
+
+
+@register
+class TyreLoadSensitivity(Effect):
+    name = "tyre_load_sensitivity"
+    physics = "K(F_z) with factor p_ky2 on both axles, K at the static load unchanged; > 1: K more nearly as F_z"
+    excited_by = "braking and power in turns; a load transfer of 10 % at least"
+    kind, slot = "vehicle parameters", "both axles"
+    twins = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
+    applies_to = frozenset(("nonlinear",))  # a linear tyre does not know its load
+    order = 40  # before mass and cg_position: the file's stiffness is that at the file's load
+    parameters = (
+        Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0), meaning="load of the stiffest tyre over the "
+                  "file's", source="published passenger tyres: p_ky2 1.0 to 2.8; 5 is proportional to load within 5 %"),
+    )
+
+    @staticmethod
+    def vehicle(vehicle, theta):
+        front = _with_growth(vehicle.tyre_front, vehicle.static_tyre_load_front, theta.factor)
+        rear = _with_growth(vehicle.tyre_rear, vehicle.static_tyre_load_rear, theta.factor)
+        return replace(vehicle, tyre_front=front, tyre_rear=rear)
