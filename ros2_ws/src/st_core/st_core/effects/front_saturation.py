@@ -2,9 +2,9 @@
 
     F = F_lin / (1 + s u^2 + s^2 u^4)^(1/4),   u = F_lin / static load of the axle
 
-The force tends to F_z / sqrt(s): s = 1 / mu^2, 0 is linear. At the slip at which the linear force equals that limit, the
-axle has 0.76 of it. Within 2 % of brush and Magic Formula curves up to twice that slip, each with a slope and limit of
-its own (largest deviation over the peak; a Magic Formula with C 1.3, E -3: 4 %).
+The force tends to F_z / sqrt(s): s = 1 / mu^2, 0 is linear. Where the linear force equals that limit, the axle has 0.76
+of it. With its own slope and limit it is within 2 % of the peak of brush and Magic Formula curves up to twice that slip
+(4 % for a Magic Formula with C 1.3, E -3).
 """
 
 from ..ops import sqrt
