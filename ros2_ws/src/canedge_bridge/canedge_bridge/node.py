@@ -16,8 +16,8 @@ from st_core.vehicle import VehicleParameters
 from st_msgs.msg import CanFrames, InsOnCan, Steering, WheelSpeeds
 from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
-from st_ros.on_demand import OnDemand
 from st_ros.parameters import ConfigurationError, Parameter
+from st_ros.polling import OnDemandPublisher
 
 from .convert import serialised_frame, serialised_frames, to_ins_on_can, to_steering, to_wheel_speeds
 from .decode import Decoded, Decoder
@@ -61,8 +61,8 @@ class CanedgeBridge(Node):
         self._calibration = self._make_calibration()
         self._latency_ns = round(settings.steering_latency * 1e9)
         self._steering = self.create_publisher(Steering, "vehicle/steering", QOS)
-        self._wheel_speeds = OnDemand(self.create_publisher(WheelSpeeds, "vehicle/wheel_speeds", QOS))
-        self._ins_on_can = OnDemand(self.create_publisher(InsOnCan, "vehicle/ins_on_can", QOS))
+        self._wheel_speeds = OnDemandPublisher(self.create_publisher(WheelSpeeds, "vehicle/wheel_speeds", QOS))
+        self._ins_on_can = OnDemandPublisher(self.create_publisher(InsOnCan, "vehicle/ins_on_can", QOS))
         self._frames: list[bytes] = []
         self._frames_lock = threading.Lock()
         if settings.publish_frames:
@@ -122,7 +122,7 @@ class CanedgeBridge(Node):
                 calibration.road_wheel_angle(sensor), decoded.valid))
         now = time.monotonic()
         for output, to_message in ((self._wheel_speeds, to_wheel_speeds), (self._ins_on_can, to_ins_on_can)):
-            if output.wanted(now) and (message := to_message(decoded)) is not None:
+            if output.has_subscribers(now) and (message := to_message(decoded)) is not None:
                 output.publish(message)
 
     def _publish_frames(self) -> None:

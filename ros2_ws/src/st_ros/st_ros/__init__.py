@@ -1,1 +1,1 @@
-"""Manners shared by the nodes: parameters with unit and range, diagnostics, stamps, clean exit."""
+"""Shared by all nodes: parameters with unit and range, diagnostics, polled topics, scheduling, clean exit."""

@@ -14,7 +14,7 @@ OK, WARN, ERROR, STALE = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class Check:
-    """One line of /diagnostics. level: OK, WARN, ERROR or STALE; values: shown beside it, in order."""
+    """One line of /diagnostics. level: OK, WARN, ERROR or STALE; values: key-value pairs, in order."""
 
     name: str
     level: int
@@ -23,8 +23,7 @@ class Check:
 
 
 class Diagnostics:
-    """Publishes what `collect()` returns, and how the process is scheduled; `collect` is called once a second on the
-    node's clock."""
+    """Publishes the checks of `collect()` and the scheduling of the process, every `period` [s] of the node's clock."""
 
     def __init__(self, node: Node, hardware_id: str, collect: Callable[[], list[Check]], period: float = 1.0):
         self._node = node

@@ -10,7 +10,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-# Declared by rclpy itself on every node.
+# Declared by rclpy on every node.
 BUILT_IN = ("use_sim_time", "start_type_description_service")
 
 
@@ -66,7 +66,7 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
 
     `where` of the result begins a message about one of them: parameter file (if one was given) and node.
     Raises ConfigurationError naming the parameter file (if one was given), the key and the limit; also for an
-    override that no parameter answers to.
+    override of an undeclared parameter.
     """
     overrides = dict(node._parameter_overrides)
     origin = _origin(node)
@@ -84,7 +84,7 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
             raise ConfigurationError(f"{origin}{node.get_name()}.{error}") from None
         override = {parameter.name: RosParameter(parameter.name, value=value)} if value != [] else {}
         node._parameter_overrides.update(override)
-        # Read only: a node reads its parameters at start; a changed file is taken over by a restart.
+        # Read only: a node reads its parameters at start; a changed file takes effect after a restart.
         description = parameter.description + (f" [{parameter.unit}]" if parameter.unit else "")
         descriptor = ParameterDescriptor(description=description, read_only=True, dynamic_typing=True)
         node.declare_parameter(parameter.name, value if value != [] else [""], descriptor)

@@ -1,20 +1,25 @@
-"""A subscription that is emptied by the node itself (usually from a timer) instead of waking the executor per message.
+"""Subscriptions and publishers that cost little at high rates.
 
-rclpy rebuilds its wait set for every wake-up: at 250 Hz on several topics that costs more than the messages do.
-Messages wait in the middleware's queue (`depth` per topic), in order, each with the time it arrived.
+A polled subscription is emptied by the node itself, usually from a timer, instead of waking the executor per message:
+rclpy rebuilds its wait set for every wake-up, which at 250 Hz on several topics costs more than the messages do.
+Messages wait in the middleware's queue (`depth` per topic), in order, each with its time of arrival.
 """
 
+import importlib
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-# How rmw begins the name of a node that discovery has not brought yet, and what a person reads instead.
-_UNKNOWN = "_NODE_NAME"
-NAMELESS = "a node without a name yet"
+# Prefix of rmw's name for a node that discovery has not resolved yet, and the text shown for it.
+UNRESOLVED_PREFIX = "_NODE_NAME"
+UNRESOLVED_NODE = "a node without a name yet"
+# Interval between counts of a publisher's subscribers [s]: one count costs as much as filling a message.
+SUBSCRIBER_COUNT_PERIOD = 0.05
 
 
 class _NeverReady(CallbackGroup):
@@ -56,7 +61,7 @@ class PolledSubscription:
     def take_numbered(self, limit: int = 1000) -> Iterator[tuple[Any, int, int | None]]:
         """As `take`, with the number its publisher gave the message in place of when it was sent.
 
-        Each publisher counts its own messages from 1; None where the middleware does not tell.
+        Each publisher counts its own messages from 1; None where the middleware does not report it.
         """
         for message, info in self._waiting(limit):
             yield message, info["received_timestamp"], info["publication_sequence_number"]
@@ -69,23 +74,23 @@ class PolledSubscription:
             yield taken
 
     def publisher_count(self) -> int:
-        """Publishers this subscription hears, those included that ended without a word and are not given up yet."""
+        """Matched publishers, including those that were killed and are not yet removed from the graph."""
         return self.subscription.get_publisher_count()
 
     def publishers(self) -> list[str]:
-        """Full name of the node of each publisher of the topic; one that is not known yet is called so."""
+        """Full node name of each publisher of the topic; UNRESOLVED_NODE for one not resolved yet."""
         found = self._node.get_publishers_info_by_topic(self.topic)
-        return [NAMELESS if one.node_name.startswith(_UNKNOWN) else f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-                for one in found]
+        return [UNRESOLVED_NODE if one.node_name.startswith(UNRESOLVED_PREFIX)
+                else f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found]
 
     def destroy(self) -> None:
         self._node.destroy_subscription(self.subscription)
 
 
 def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], seconds: float) -> None:
-    """Sleep until one of them has a message, at most so long; a message that waits already returns at once.
+    """Sleep until one of them has a message, at most `seconds`; returns at once where a message is waiting.
 
-    For a callback of the node that needs what is about to arrive: nothing else of the node runs meanwhile.
+    For a callback that needs a message which is about to arrive: no other callback of the node runs meanwhile.
     """
     waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0, node.context.handle)
     with waiting:
@@ -97,3 +102,35 @@ def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], second
 
 def _unused(message: Any) -> None:
     raise AssertionError("a polled subscription has no callback")
+
+
+class OnDemandPublisher:
+    """A publisher that reports whether it has subscribers, so that a message without any is not filled.
+
+    publisher None: the topic is switched off.
+    """
+
+    def __init__(self, publisher: Publisher | None):
+        self._publisher = publisher
+        self._counted_at = float("-inf")
+        self._has_subscribers = False
+
+    def has_subscribers(self, now: float) -> bool:
+        """now: a monotonic clock [s]. At most SUBSCRIBER_COUNT_PERIOD old."""
+        if self._publisher is not None and now - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
+            self._counted_at = now
+            self._has_subscribers = self._publisher.get_subscription_count() > 0
+        return self._has_subscribers
+
+    def publish(self, message: Any) -> None:
+        if self._publisher is not None:
+            self._publisher.publish(message)
+
+
+def message_class(type_name: str) -> type | None:
+    """The Python class of "pkg/msg/Type"; None if its package is not installed."""
+    package, _, name = type_name.replace("/msg/", "/").partition("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        return None

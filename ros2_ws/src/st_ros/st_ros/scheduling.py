@@ -1,7 +1,7 @@
-"""What the system gives this process: its scheduling policy, priority, nice value and that of its autogroup.
+"""Scheduling of this process: policy, priority, nice value, and nice value of its autogroup.
 
-Between sessions Linux with autogroups (the default of Debian and Ubuntu) looks at the nice value of the session's group
-and not at that of the process. Each process of `st` is a session of its own.
+Between sessions, Linux with autogroups (the default of Debian and Ubuntu) compares the nice values of the session
+groups, not of the processes. Each process of `st` is a session of its own.
 """
 
 import contextlib
@@ -38,7 +38,7 @@ class Scheduling:
 
 
 def own() -> Scheduling:
-    """Of this process, as it is now."""
+    """Scheduling of this process at the moment."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     priority = os.sched_getparam(0).sched_priority if policy in _REALTIME else 0
     return Scheduling(_POLICIES.get(policy, f"policy {policy}"), priority, os.getpriority(os.PRIO_PROCESS, 0),
@@ -46,9 +46,9 @@ def own() -> Scheduling:
 
 
 def lower(nice: int) -> None:
-    """Let others go first: a nice value of at least this for the process, and for its session if it is its own.
+    """Lower the priority: a nice value of at least `nice` for the process, and for its session if it leads one.
 
-    nice: 5 leaves a third of an equal share, 10 a tenth, 15 a thirtieth. Never raises: what the process got, it says.
+    nice: 5 leaves a third of an equal share, 10 a tenth, 15 a thirtieth. Never raises; `own` reports the result.
     """
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))

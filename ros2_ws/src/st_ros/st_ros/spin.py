@@ -17,24 +17,24 @@ from rclpy.signals import SignalHandlerOptions
 from . import scheduling
 from .parameters import ConfigurationError
 
-# How long a signal may wait for the executor to come back [s].
+# Longest delay of a stop signal by the executor [s].
 WAKE_PERIOD = 0.1
-# How long a node waits at its end until its subscribers have all it published [s]. Of what got lost over UDP Fast DDS
-# tells with its next heartbeat, every 3 s; ros2 launch loses patience after 5 s.
-LAST_WORDS = 4.0
+# Longest wait at the end of a node until its subscribers acknowledged all messages [s]. Fast DDS detects what was lost
+# over UDP with its next heartbeat, every 3 s; ros2 launch kills after 5 s.
+FLUSH_TIMEOUT = 4.0
 
 
 def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice: int = 0) -> int:
-    """Spin the node until it is told to stop. nice: how far others go first, once it is up; 0: they do not.
+    """Spin the node until a stop signal; returns the exit status. nice: of the process once the node is up.
 
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
-    once before it is destroyed; it can still publish). What it published is waited for, at most `LAST_WORDS`.
+    once before it is destroyed; it can still publish). Waits for acknowledgement at most `FLUSH_TIMEOUT`.
     """
     stop = _StopRequest()
     node = executor = None
     status = 0
     try:
-        # rclpy's own handlers shut the context down at once: no last word could be published.
+        # rclpy's own handlers shut the context down at once: `close` could not publish.
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has no public base class; a parameter file that does not parse ends here
         print(f"start refused: {_one_line(error)}", file=sys.stderr, flush=True)
@@ -69,27 +69,27 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
 
 
 def _freeze() -> None:
-    """Take what a start has made, which lives as long as the process, out of the garbage collector's sight: walking
-    over it held a node up for 26 to 75 ms at a time."""
+    """Exempt the objects of the start, which live as long as the process, from garbage collection: a collection over
+    them delayed a node by 26 to 75 ms."""
     gc.collect()
     gc.freeze()
 
 
 def settle(node: Node) -> None:
-    """Wait until the reliable subscribers have what was published, at most `LAST_WORDS`."""
-    end = time.monotonic() + LAST_WORDS
+    """Wait until the reliable subscribers acknowledged all messages, at most `FLUSH_TIMEOUT`."""
+    end = time.monotonic() + FLUSH_TIMEOUT
     for publisher in node.publishers:
         publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
 
 class _StopRequest:
-    """SIGINT and SIGTERM as a flag; later ones change nothing, so that closing is not cut short."""
+    """SIGINT and SIGTERM as a flag; later ones change nothing, so that closing is not interrupted."""
 
     def __init__(self) -> None:
         self.requested = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._request)
-            # The interpreter takes handlers away before it ends; a signal would then kill what has ended well.
+            # The interpreter removes handlers before it ends; a late signal would then turn a clean exit into a kill.
             atexit.register(signal.signal, number, signal.SIG_IGN)
 
     def _request(self, number: int, frame: FrameType | None) -> None:
@@ -97,5 +97,5 @@ class _StopRequest:
 
 
 def _one_line(error: Exception) -> str:
-    # Without the places in rcl's own sources.
+    # Without rcl's source locations.
     return " ".join(str(error).partition(", at /")[0].split())

@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix, TimeReference
 from st_msgs.msg import InsStatus, Ncom, Trigger
-from st_ros.on_demand import OnDemand
+from st_ros.polling import OnDemandPublisher
 from tf2_msgs.msg import TFMessage
 
 from .. import convert
@@ -51,7 +51,7 @@ class Outputs:
         self._out = {name: self._output(name, type_) for name, type_ in TYPES.items()}
         self._status = self._create(InsStatus, "ins/status", LATCHED) if "status" in settings.topics else None
         self._origin = self._create(NavSatFix, "ins/origin", LATCHED) if "origin" in settings.topics else None
-        self._tf = OnDemand(self._create(TFMessage, "/tf", TF_QOS) if settings.publish_tf else None)
+        self._tf = OnDemandPublisher(self._create(TFMessage, "/tf", TF_QOS) if settings.publish_tf else None)
         self._tf_static = self._create(TFMessage, "/tf_static", LATCHED) if settings.publish_tf else None
         self._clock = self._create(Clock, "/clock", 10) if settings.publish_clock else None
         rate, acceleration = settings.angular_velocity_stddev, settings.linear_acceleration_stddev
@@ -68,35 +68,35 @@ class Outputs:
         self._publishers.append(publisher)
         return publisher
 
-    def _output(self, name: str, type_: type) -> OnDemand:
-        return OnDemand(self._create(type_, f"ins/{name}", QOS) if name in self._settings.topics else None)
+    def _output(self, name: str, type_: type) -> OnDemandPublisher:
+        return OnDemandPublisher(self._create(type_, f"ins/{name}", QOS) if name in self._settings.topics else None)
 
     def destroy(self) -> None:
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
 
     def raw(self, received: Received, now: float) -> None:
-        if received.received_ns is not None and self._out["ncom"].wanted(now):
+        if received.received_ns is not None and self._out["ncom"].has_subscribers(now):
             self._out["ncom"].publish(self._ncom.make(received.received_ns, received.raw))
 
     def time_reference(self, received: Received, now: float) -> None:
         received_ns, utc_ns = received.received_ns, received.utc_ns
-        if received_ns is not None and utc_ns is not None and self._out["time_reference"].wanted(now):
+        if received_ns is not None and utc_ns is not None and self._out["time_reference"].has_subscribers(now):
             self._out["time_reference"].publish(self._time_reference.make(received_ns, utc_ns))
 
     def motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy, now: float) -> None:
         """Odometry, transform and velocity; position: in the map frame, None until there is one."""
         out = self._out
         if position is not None:
-            if out["odometry"].wanted(now):
+            if out["odometry"].has_subscribers(now):
                 out["odometry"].publish(self._odometry.make(stamp_ns, position, motion, accuracy))
-            if self._tf.wanted(now):
+            if self._tf.has_subscribers(now):
                 self._tf.publish(self._transform.make(stamp_ns, position, motion))
-        if out["velocity"].wanted(now):
+        if out["velocity"].has_subscribers(now):
             out["velocity"].publish(self._velocity.make(stamp_ns, motion, accuracy))
 
     def fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker, now: float) -> None:
-        if not self._out["nav_sat_fix"].wanted(now):
+        if not self._out["nav_sat_fix"].has_subscribers(now):
             return
         undulation = status.get("Undulation")
         if self._settings.altitude_is_ellipsoidal:
@@ -108,7 +108,7 @@ class Outputs:
 
     def imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy, now: float) -> None:
         packet = received.packet
-        if self._out["imu"].wanted(now) and isfinite(sum(packet.acceleration) + sum(packet.angular_rate)):
+        if self._out["imu"].has_subscribers(now) and isfinite(sum(packet.acceleration) + sum(packet.angular_rate)):
             self._out["imu"].publish(self._imu.make(stamp_ns, packet, motion, accuracy))
 
     def trigger(self, message: Trigger) -> None:
