@@ -18,7 +18,7 @@ from rich.console import Console
 from st_core.frames import cg_to_ins_position, map_to_body
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 from st_core.vehicle import VehicleParameters
-from st_predictor.outline import car_outline
+from st_predictor.map_drawing import car_outline
 from st_recordings.car import read_vehicle
 from st_recordings.paths import config
 from st_recordings.recorded import Predictions, read_predictions

@@ -294,7 +294,7 @@ DRIVING = (
     Fault("yaw rate 0.3 s late", 60.0, on_ins(lambda: changes.yaw_rate_late(30)), WITHIN, CONSISTENCY,
           "yaw_rate lags yaw by 0.3", settles=90.0),
     Fault("steering angle frozen, counter runs", 60.0, on_can(lambda: changes.Steering().frozen), WITHIN, STEERING,
-          "has stood at", settles=90.0),
+          "constant at", settles=90.0),
     Fault("steering counts the other way", 60.0, on_can(lambda: changes.Steering().flipped), WITHIN, CONSISTENCY,
           "it counts the other way", settles=90.0),
 )

@@ -18,10 +18,8 @@ from st_live.view.geometry import grid, heading_up, north_up
 from st_live.view.page import policy
 from st_live.view.window import Window
 from st_msgs.msg import ErrorStatistics
-from st_predictor.history import GHOST_AGES, GHOST_TOLERANCE, History
-from st_predictor.history import Path as PredictedPath
-from st_predictor.outline import car_outline
-from st_predictor.ribbon import ribbon
+from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, car_outline, ribbon
+from st_predictor.map_drawing import Path as PredictedPath
 from support import ROOT
 
 pytestmark = pytest.mark.ros

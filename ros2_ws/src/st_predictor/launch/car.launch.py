@@ -21,12 +21,12 @@ DBC = LaunchConfiguration("dbc")
 SIGNALS = LaunchConfiguration("signals")
 PARAMETERS = LaunchConfiguration("parameters")
 OUTPUT = LaunchConfiguration("output")
-# launch hands only SIGINT on. However it ends, the kernel interrupts its nodes: none is left holding port and bag.
+# launch passes only SIGINT on. With this prefix the kernel interrupts the nodes however launch ends.
 ENDS_WITH_US = "setpriv --pdeathsig INT"
 
 
 class CarFile(Substitution):
-    """A file of the car's folder, config_dir/car/NAME or an absolute one; the Leaf's where no car is named."""
+    """A file of the car folder, config_dir/car/NAME or an absolute one; the Leaf's without a car."""
 
     def __init__(self, name):
         super().__init__()
@@ -36,7 +36,7 @@ class CarFile(Substitution):
         return f"CarFile({self._name})"
 
     def perform(self, context):
-        # What is joined to an absolute path replaces all before it: a folder may stand for the name.
+        # os.path.join drops what precedes an absolute path, so a folder may be given as the name.
         return os.path.join(CONFIG.perform(context), "car", CAR.perform(context) or "leaf", self._name)
 
 
@@ -45,7 +45,7 @@ def argument(name, description, default=None):
 
 
 def text(node, name, *value):
-    """One parameter as an override. It names the node and comes after the file, else the node's section there wins."""
+    """One parameter as an override. It names the node and follows the file, else the section in the file wins."""
     return ["-p", [f"{node}:{name}:='", *value, "'"]]
 
 
@@ -62,7 +62,7 @@ def suite_node(package, executable, *overrides, **options):
 
 
 def steering_of(context):
-    """As the arguments say, else as the named car's car.yaml; without either, the file of node parameters holds."""
+    """Steering parameters: of the arguments, else of the car's car.yaml, else of the file of node parameters."""
     steering = {}
     if CAR.perform(context):
         steering = {"steering_sign": 1, "steering_latency": 0.0}
@@ -73,7 +73,7 @@ def steering_of(context):
     given = {"steering_sign": LaunchConfiguration("steering_sign").perform(context),
              "steering_latency": LaunchConfiguration("steering_latency").perform(context)}
     steering |= {name: yaml.safe_load(value) for name, value in given.items() if value}
-    # rcl tells 0 from 0.0, and a latency is the latter.
+    # rcl distinguishes 0 from 0.0, and a latency is a float.
     if "steering_latency" in steering:
         steering["steering_latency"] = float(steering["steering_latency"])
     return {name: str(value) for name, value in steering.items()}
@@ -99,7 +99,7 @@ def generate_launch_description():
     drawn = {"condition": IfCondition(LaunchConfiguration("markers"))}
     tracked = {"condition": IfCondition(LaunchConfiguration("identify"))}
     bridges = {"condition": IfCondition(LaunchConfiguration("bridges"))}
-    # Over Fast DDS' shared memory a node that is started again may stay deaf (docs/manual/reliability.md, Transport).
+    # Over Fast DDS' shared memory a restarted node may receive nothing (docs/manual/reliability.md, Transport).
     transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     return LaunchDescription([
         SetEnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", transports),
@@ -108,19 +108,19 @@ def generate_launch_description():
         argument("vehicle", "vehicle file", CarFile("vehicle.yaml")),
         argument("parameters", "node parameters", [CONFIG, "/nodes.yaml"]),
         argument("dbc", "DBC of the car's bus", CarFile("can.dbc")),
-        argument("signals", "table from DBC signals to our names", CarFile("signals.yaml")),
+        argument("signals", "table from DBC signals to signal names", CarFile("signals.yaml")),
         argument("steering_sign", "1: decoded sensor left positive, -1: right; empty: the car's, or the file's", ""),
-        argument("steering_latency", "s, from the turn of the wheel to the frame; empty: likewise", ""),
+        argument("steering_latency", "s, from the motion of the wheel to the frame; empty: as above", ""),
         argument("can_interface", "python-can interface", "socketcan"),
         argument("can_channel", "channel of that interface", "can0"),
         argument("ncom_port", "UDP port the INS sends NCOM to", "3000"),
         argument("ncom_address", "local address to listen on", "0.0.0.0"),
         argument("bands", "bands.yaml of st calibrate; empty: predictions without bands", ""),
         argument("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
-        argument("bridges", "false: odometry and steering come from elsewhere", "true"),
+        argument("bridges", "false: another source publishes odometry and steering", "true"),
         argument("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
         argument("identify", "true: track steering and stiffness while driving (published, never applied)", "false"),
-        argument("respawn", "true: a node that ends is started again, and records into a folder beside", "true"),
+        argument("respawn", "true: restart a node that ends; it records into NAME_2", "true"),
         argument("use_sim_time", "true: follow /clock", "false"),
         suite_node(
             "st_predictor", "recorder",

@@ -1,4 +1,4 @@
-"""Predict and score again what a bag holds: the bag's INS and steering, this configuration, a new recording.
+"""Predict and score from a bag: its INS and steering, this configuration, a new recording.
 
     ros2 launch st_predictor replay.launch.py config_dir:=/path/to/config bag:=runs/sim/bag
 """
@@ -11,9 +11,9 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchD
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 
-# What came from the car; predictions and errors of the first run stay out.
+# Measurements only; predictions and errors of the recorded run are not played.
 MEASURED = "/(ins|vehicle|can)/.*|/tf|/tf_static"
-# The nodes need this long to be there when the first message is played [s].
+# Time for the nodes to start before the first message is played [s].
 START_DELAY = 3.0
 # /clock messages per second; the predictor's ticks follow them.
 CLOCK_RATE = "200"

@@ -1,4 +1,4 @@
-"""The suite of car.launch.py with the virtual Leaf at the other end of the wires, all on this computer.
+"""The suite of car.launch.py connected to the virtual Leaf, all on this computer.
 
     ros2 launch st_predictor sim.launch.py config_dir:=/path/to/config scenario:=S6 duration:=60
 """
@@ -12,7 +12,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackagePrefix
 
-# No car: DBC, table and steering on these wires are the virtual Leaf's, those of another car could not be heeded.
+# No argument car: DBC, table and steering of this bus are the virtual Leaf's.
 ARGUMENTS = {
     "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),
     "vehicle": ([LaunchConfiguration("config_dir"), "/car/leaf/vehicle.yaml"], "vehicle file"),

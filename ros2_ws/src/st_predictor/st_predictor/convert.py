@@ -20,8 +20,7 @@ from st_msgs.msg import ErrorStatistics, Prediction, PredictionError
 from st_recordings.bag_metadata import INFINITE_NS, Qos
 from st_ros.stamps import from_nanoseconds, to_nanoseconds
 
-from .history import Path
-from .ribbon import MODE, ribbon
+from .map_drawing import BAND_MODE, Path, ribbon
 
 # A unit quaternion that went through float32 is off by 1e-7; one that was never set has length 0.
 QUATERNION_TOLERANCE = 0.01
@@ -35,7 +34,7 @@ def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
     Pose of the INS point in the map frame (ENU), twist in body axes (forward, left, up) at that point.
     """
     if message.header.frame_id != map_frame:
-        return f"header.frame_id is {message.header.frame_id!r}, {map_frame!r} wanted (parameter map_frame)"
+        return f"header.frame_id is {message.header.frame_id!r}, expected {map_frame!r} (parameter map_frame)"
     q, position = message.pose.pose.orientation, message.pose.pose.position
     linear, yaw_rate = message.twist.twist.linear, message.twist.twist.angular.z
     norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
@@ -48,7 +47,7 @@ def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
 
 
 class PathBuilder:
-    """One nav_msgs/Path that is filled again and again: making 101 poses anew costs ten times as much."""
+    """One nav_msgs/Path, refilled for every prediction: constructing 101 poses costs ten times as much."""
 
     def __init__(self, map_frame: str, points: int):
         self.message = PathMessage(poses=[PoseStamped() for _ in range(points)])
@@ -74,7 +73,7 @@ def prediction_message(
     start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters, map_frame: str,
     configuration_hash: str,
 ) -> Prediction:
-    """All but issued_at and compute_time, which the publisher of it knows."""
+    """The message without issued_at and compute_time, which the node sets when it publishes."""
     message = Prediction(
         model=model, step=trajectory.step, configuration_hash=configuration_hash,
         road_wheel_angle=float(start.inputs.road_wheel_angle), velocity_x_dot=float(start.inputs.velocity_x_dot),
@@ -106,7 +105,7 @@ def ins_path(message: Prediction) -> Path:
     """The predicted path of the INS point, and the bands around it, for drawing."""
     x, y, yaw = map(np.asarray, (message.x, message.y, message.yaw))
     x, y = cg_to_ins_position(x, y, yaw, message.cg_to_ins_x, message.cg_to_ins_y)
-    bands = sorted((b for b in message.bands if b.mode == MODE), key=lambda b: -b.level)
+    bands = sorted((b for b in message.bands if b.mode == BAND_MODE), key=lambda b: -b.level)
     ribbons = tuple(ribbon(b.level, (x, y, yaw), np.asarray(b.along), np.asarray(b.across)) for b in bands
                     if len(b.along) == len(b.across) == len(x))
     return Path(to_nanoseconds(message.header.stamp), message.step, x, y, ribbons)
@@ -135,7 +134,7 @@ def statistics_message(model: str, mode: str, statistics: Statistics) -> ErrorSt
 
 
 def recorded_qos(profile: QoSProfile) -> Qos:
-    """A publisher's QoS in the words of a bag."""
+    """QoS of a publisher as a bag stores it."""
     return Qos(
         reliability=profile.reliability.name.lower(), durability=profile.durability.name.lower(),
         history=profile.history.name.lower(), depth=profile.depth, liveliness=profile.liveliness.name.lower(),
@@ -150,5 +149,5 @@ def _nanoseconds(duration: Duration) -> int:
 
 
 def _float64(values: Sequence[float] | np.ndarray) -> array:
-    """array('d') is the one type rosidl takes without looking at each element."""
+    """array('d') is the only type rosidl accepts without checking each element."""
     return array("d", np.ascontiguousarray(values, np.float64).tobytes())

@@ -47,11 +47,11 @@ PREDICTOR = (
     _MAP_FRAME,
 )
 
-_NUMBER = Parameter("number_when_taken", False, "record beside a bag that is there, as NAME_2, instead of refusing")
+_NUMBER = Parameter("number_when_taken", False, "record into NAME_2 if the directory holds a bag, instead of refusing")
 
 EVALUATOR = (
     _VEHICLE_FILE,
-    Parameter("models", MODELS, "models whose predictions are scored"),
+    Parameter("models", MODELS, "models to score"),
     _MODEL_FILE,
     _EFFECTS_DIRECTORY,
     _MAXIMUM_GAP,
@@ -61,7 +61,7 @@ EVALUATOR = (
     _NUMBER,
 )
 
-# What cannot be made again from raw packets and frames, and what viewers and tools of other make look for.
+# What cannot be reconstructed from raw packets and frames, and what external viewers and tools expect.
 TOPICS = [
     "ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
     "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics", "/rosout",
@@ -74,7 +74,7 @@ RECORDER = (
     Parameter("output_directory", "", "the bag, a new or empty directory; required"),
     _NUMBER,
     Parameter("topics", TOPICS, "topics to record; * and ? stand for any characters; relative to the node's namespace"),
-    Parameter("configuration_files", [], "files whose text goes into the bag: vehicle, node parameters"),
+    Parameter("configuration_files", [], "files stored as text in the bag: vehicle, node parameters"),
     Parameter("metadata_json", "", 'more for the bag: {"record": {"key": "text"}}'),
 )
 
@@ -99,7 +99,7 @@ def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
 def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile | None:
     """The model of the parameter `model_file`, None without one; the effects it uses are loaded first.
 
-    Raises ConfigurationError naming the file and the key, also when its values hold for another car than `vehicle`.
+    Raises ConfigurationError naming the file and the key, also when its values are of another car than `vehicle`.
     """
     if values.effects_directory:
         checked(values, lambda: load_folder(values.effects_directory), "effects_directory: ")
@@ -134,9 +134,9 @@ def prediction_settings(values: SimpleNamespace) -> PredictionSettings:
 
 
 def checked(values: SimpleNamespace, make: Callable[[], T], place: str = "") -> T:
-    """What `make` returns; a ConfigurationError of st_core becomes the one that ends a start with status 2.
+    """The result of `make`; a ConfigurationError of st_core becomes the one that ends a start with status 2.
 
-    place: what stands before its text.
+    place: prefix of its text.
     """
     try:
         return make()

@@ -1,11 +1,11 @@
-"""What became of the predictor's ticks."""
+"""Counts of the predictor's ticks: predicted, skipped and why."""
 
-# A longer jump of the clock is a jump of the clock (a replay that was moved on), not a tick that took too long.
+# A longer step of the clock is a jump of the clock (a replay that was moved on), not an overrun.
 LONGEST_OVERRUN_NS = 10_000_000_000
 
 
 class TickCounter:
-    """Counts ticks from the first one whose inputs are known; rclpy's timer keeps a grid and drops what it missed."""
+    """Counts ticks from the first one with known inputs; rclpy's timer keeps a grid and drops what it missed."""
 
     def __init__(self) -> None:
         self.predicted = self.stale = self.overrun = self.slow = 0
@@ -14,7 +14,7 @@ class TickCounter:
         self._reported_overruns = 0
 
     def missed(self, next_due_ns: int, period_ns: int) -> int:
-        """Ticks that fell out since the last call. next_due_ns: when the timer is due next, on the node's clock."""
+        """Ticks dropped since the last call. next_due_ns: when the timer is due next, on the node's clock."""
         before, self._next_due_ns = self._next_due_ns, next_due_ns
         if before is None or not 0 < next_due_ns - before < LONGEST_OVERRUN_NS:
             return 0

@@ -79,7 +79,7 @@ def test_nothing_crashed(troubled: dict[str, Any]) -> None:
     (16.0, 17.5, ("steering", "s old", "marked invalid")),
     (18.5, 20.0, ("INS", "3.", "s old")),
 ])
-def test_no_prediction_without_an_input_and_the_reason_is_told(
+def test_no_prediction_without_an_input_and_the_reason_is_reported(
     troubled: dict[str, Any], begin: float, end: float, words: tuple[str, ...]
 ) -> None:
     """Nothing is issued between the limit of 0.2 s and the return of the signal; then it goes on by itself."""
@@ -142,7 +142,7 @@ def test_odometry_in_another_frame_is_refused(processes: Processes) -> None:
     messages = read_messages(bag)
     assert "/predictor/linear/prediction" not in messages
     said = [text for _, level, text in health(messages)["predictor: prediction"] if level == ERROR]
-    assert any("'odom'" in text and "'map' wanted" in text for text in said)
+    assert any("'odom'" in text and "expected 'map'" in text for text in said)
 
 
 @pytest.mark.slow
@@ -151,9 +151,9 @@ def test_recorder_names_the_node_that_it_does_not_hear(processes: Processes) -> 
     recording, bag = recorder(processes)
     feed(processes, "--subscribers", "2", "--duration", "3")
     predictor.send_signal(signal.SIGSTOP)  # what it published stays matched
-    wait_for(lambda: "nothing recorded from predictor" in processes.log("recorder"), what="the silence is told")
+    wait_for(lambda: "nothing recorded from predictor" in processes.log("recorder"), what="the silence is reported")
     predictor.send_signal(signal.SIGCONT)
-    wait_for(lambda: "all that publish are heard" in processes.log("recorder"), what="and its end")
+    wait_for(lambda: "messages of all publishers arrive" in processes.log("recorder"), what="and its end")
     assert [processes.stop(p) for p in (predictor, recording)] == [0, 0]
     said = health(read_messages(bag))["recorder: senders"]
     assert {level for _, level, _ in said} == {OK, WARN}

@@ -4,7 +4,7 @@ from typing import Any
 
 from st_core.types import InsSample
 from st_predictor import convert
-from st_predictor.history import History
+from st_predictor.map_drawing import History
 from st_ros.stamps import to_nanoseconds
 
 from . import words

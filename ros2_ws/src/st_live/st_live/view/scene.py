@@ -8,9 +8,7 @@ import numpy as np
 import rerun as rr
 from st_core.palette import MEASURED_COLOUR, colour_of, rgb
 from st_core.vehicle import VehicleParameters
-from st_predictor.history import History
-from st_predictor.outline import car_outline
-from st_predictor.ribbon import Ribbon
+from st_predictor.map_drawing import History, Ribbon, car_outline
 
 from .geometry import Pose, grid, heading_up, north_up
 from .layout import AHEAD, AROUND, ASIDE, BEHIND, GRID, TIMELINE, blueprint

@@ -1,1 +1,1 @@
-"""The nodes of the package: thin shells around st_core and mcap.py."""
+"""The nodes of the package: thin shells around st_core and st_recordings."""

@@ -1,4 +1,4 @@
-"""How evaluator and recorder open their bag and report on it."""
+"""Opening and diagnostics of a bag, shared by evaluator and recorder."""
 
 import itertools
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from st_ros.parameters import ConfigurationError
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
     """The bag of the parameter `output_directory`.
 
-    If it holds something already and `number_when_taken` is set (the node was started again): NAME_2, NAME_3, ...
+    If it holds files already and `number_when_taken` is set (after a restart of the node): NAME_2, NAME_3, ...
     Raises ConfigurationError naming the directory where it is not empty or cannot be written.
     """
     names = (f"{values.output_directory}_{number}" for number in itertools.count(2))
@@ -32,12 +32,12 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
         raise ConfigurationError(f"{values.where}output_directory: {name}{error.strerror or error}") from None
 
 
-# Of what the disk does not have yet; half a second is usual, as much again waits in the writer [s].
-BEHIND = 1.0
+# Data older than this that are not on the disk yet are a warning [s]; half a second is usual.
+MAX_SYNC_DELAY = 1.0
 
 
-def recording_check(bag: BagWriter, stopped: str = "", lately: bool = False) -> Check:
-    """stopped: why an earlier bag of the same run ended. lately: it did so a moment ago, which is worth a word."""
+def recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) -> Check:
+    """stopped: why an earlier bag of the same run ended. resumed: a new bag was opened a moment ago, a warning."""
     values = {"messages": bag.message_count, "lost": bag.lost, "directory": bag.directory}
     if bag.syncer:
         values["slowest sync [s]"] = round(bag.syncer.longest, 3)
@@ -45,27 +45,27 @@ def recording_check(bag: BagWriter, stopped: str = "", lately: bool = False) -> 
         values["before"] = stopped
     if bag.error:
         return Check("recording", diagnostics.ERROR, bag.error, values)
-    if lately:
-        return Check("recording", diagnostics.WARN, f"{stopped}; goes on in {bag.directory}", values)
-    level, said = disk_check(bag)
-    if said:
-        return Check("recording", level, said, values)
+    if resumed:
+        return Check("recording", diagnostics.WARN, f"{stopped}; recording resumed in {bag.directory}", values)
+    level, text = disk_check(bag)
+    if text:
+        return Check("recording", level, text, values)
     return Check("recording", diagnostics.OK, f"{bag.message_count} messages", values)
 
 
 def disk_check(bag: BagWriter) -> tuple[int, str]:
-    """(level, what is said) of a disk that refuses data or does not follow; an empty text where it does."""
+    """(level, text) for a disk that refuses data or is slow; an empty text otherwise."""
     syncer = bag.syncer
     if syncer and syncer.error:
-        # It goes on: most of it may well arrive, and a new bag would lie on the same disk.
-        return diagnostics.ERROR, (f"the disk refused data: {syncer.error} ({bag.path}); what was recorded may be "
-                                   "missing: take another disk")
-    if syncer and (behind := syncer.behind) > BEHIND:
-        return diagnostics.WARN, (f"the disk is slow: a loss of power would cost the last {behind:.1f} s "
+        # Recording continues: most data may arrive, and a new bag would be on the same disk.
+        return diagnostics.ERROR, (f"the disk refused data: {syncer.error} ({bag.path}); recorded data may be "
+                                   "missing: use another disk")
+    if syncer and (behind := syncer.behind) > MAX_SYNC_DELAY:
+        return diagnostics.WARN, (f"the disk is slow: a power failure would lose the last {behind:.1f} s "
                                   f"({bag.path.parent})")
     return diagnostics.OK, ""
 
 
 def is_whole(bag: BagWriter) -> bool:
-    """Whether nothing stopped the recording, and the disk refused nothing."""
+    """Whether the recording was not stopped and the disk refused no data."""
     return not (bag.error or (bag.syncer and bag.syncer.error))

@@ -1,5 +1,5 @@
-"""Node evaluator: scores every prediction once its horizon has passed, publishes the errors and records them; says
-whether the measurements agree with each other."""
+"""Node evaluator: scores every prediction once its horizon has passed, publishes and records the errors; checks the
+consistency of the measurements."""
 
 import time
 from pathlib import Path
@@ -25,14 +25,14 @@ from ._bag import is_whole, open_bag, recording_check
 from ._bands import add_coverage, coverage_check, read_bands
 from ._inputs import Inputs
 
-NICE = 5  # bridges and predictor go first; a third of an equal share
+NICE = 5  # behind bridges and predictor: a third of an equal share
 WORK_PERIOD = 0.05
 SUMMARY_PERIOD = 1.0
 MODES = ("forecast", "hindsight")
 LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
-# Measurements kept [s]: the longest horizon a predictor may be set to, and the wait for late signals.
+# Measurements kept [s]: the longest horizon of a predictor and the wait for late signals.
 SPAN = 65.0
-# Scores at the end of a run come all at once: the last horizon of every model, twice.
+# At the end of a run the scores of the last horizon of every model and mode are published at once.
 ERROR_DEPTH = 1000
 # Two computers may round differently; another vehicle file differs by centimetres within a second [SI].
 SAME_TRAJECTORY = 1.0e-6
@@ -50,7 +50,8 @@ class EvaluatorNode(Node):
         self._core = Evaluator(self._vehicle, settings, SPAN, own)
         self._consistency = Consistency(self._vehicle)
         self._map_frame = values.map_frame
-        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering, self._tell)
+        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
+                              self._publish_diagnostics)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._coverages = Coverages()
         self._hashes: dict[tuple[str, int], str] = {}  # of the predictions waiting, by model and start
@@ -65,7 +66,7 @@ class EvaluatorNode(Node):
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", latched)
-        # Steady clock: what has arrived is worked off and written also while a replay's clock stands still.
+        # Steady clock: messages are processed and written also while a replay's clock is stopped.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WORK_PERIOD, self._work, clock=steady)
         self.create_timer(SUMMARY_PERIOD, self._publish_summary, clock=steady)
@@ -89,7 +90,7 @@ class EvaluatorNode(Node):
                                 (Qos(durability="transient_local", depth=1),))
         return bag, {"errors": errors, "summary": summary}
 
-    def _tell(self) -> None:
+    def _publish_diagnostics(self) -> None:
         self._diagnostics.publish()
 
     def _work(self) -> None:
@@ -113,13 +114,13 @@ class EvaluatorNode(Node):
         start_ns, start, inputs, trajectory = content
         key = (message.configuration_hash, model)
         if key not in self._other_configuration:
-            # Once per configuration: hindsight is only fair with the vehicle the forecast was made with.
+            # Once per configuration: hindsight must use the vehicle of the forecast.
             horizon = trajectory.step * (len(trajectory.states) - 1)
             view = self._core.view(model)
-            again = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
-            # With a memory of the steering, held inputs are not all there is to a forecast.
+            predicted = predict(view.model, self._vehicle, start, inputs, horizon, trajectory.step)
+            # A model with a memory of the steering predicts from more than the held inputs.
             self._other_configuration[key] = not view.has_memory and not np.allclose(
-                again.states, trajectory.states, rtol=0.0, atol=SAME_TRAJECTORY, equal_nan=True)
+                predicted.states, trajectory.states, rtol=0.0, atol=SAME_TRAJECTORY, equal_nan=True)
         self._hashes[model, start_ns] = message.configuration_hash
         self._coverages.expect(model, start_ns, read_bands(message))
         self._core.add_prediction(model, start_ns, start, inputs, trajectory)
@@ -160,7 +161,7 @@ class EvaluatorNode(Node):
             level, text = diagnostics.WARN, self._refused
         elif others:
             level = diagnostics.WARN
-            text = f"predictions of {', '.join(others)} were made with another vehicle or model than this node has"
+            text = f"predictions of {', '.join(others)} were made with another vehicle or model than this node uses"
         off = Check("recording", diagnostics.OK, "off (output_directory is empty)")
         recording = recording_check(self._bag) if self._bag else off
         found = self._consistency.verdict

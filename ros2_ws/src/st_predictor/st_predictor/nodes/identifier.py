@@ -1,4 +1,4 @@
-"""Node identifier: steering offset, ratio and stiffness scale as the driving says; published, never applied."""
+"""Node identifier: steering offset, ratio and stiffness scale estimated while driving; published, never applied."""
 
 import math
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ FAR_OFF = 3.0  # standard deviations from the vehicle file's value, beyond which
 
 @dataclass(frozen=True)
 class _Source:
-    """A vehicle file as it was read; text to notice a change."""
+    """A vehicle file and its text, to detect a change."""
 
     text: str
     vehicle: VehicleParameters
@@ -70,19 +70,19 @@ class IdentifierNode(Node):
             self._core.add(moment)
 
     def _publish(self) -> None:
-        self._look_at_the_file()
+        self._reload_vehicle_file()
         vehicle, seconds = self._source.vehicle, self._core.seconds
         message = TrackedParameters(vehicle=vehicle.name, vehicle_hash=vehicle.hash, resets=self._resets,
                                     seconds_used=seconds.used, seconds_rejected=float(sum(seconds.rejected.values())))
         message.header.stamp = self.get_clock().now().to_msg()
         message.parameters = [TrackedParameter(
             parameter=one.parameter, unit=one.unit, value=one.value, standard_deviation=one.spread,
-            vehicle_file_value=self._known(one), status=STATUS[one.status], reason=one.reason)
+            vehicle_file_value=self._file_value(one), status=STATUS[one.status], reason=one.reason)
             for one in self._core.tracked()]
         self._publisher.publish(message)
 
-    def _look_at_the_file(self) -> None:
-        """Begin anew when the values of the vehicle file have changed; a file that cannot be read changes nothing."""
+    def _reload_vehicle_file(self) -> None:
+        """Reset the estimates when the values of the vehicle file have changed; an unreadable file changes nothing."""
         try:
             text = self._file.read_text()
             if text == self._source.text:
@@ -98,9 +98,9 @@ class IdentifierNode(Node):
             self._moments.vehicle = vehicle
             self._core.reset(vehicle)
             self._resets += 1
-            self.get_logger().info(f"{self._file} has changed: everything tracked so far is forgotten")
+            self.get_logger().info(f"{self._file} has changed: all estimates are reset")
 
-    def _known(self, one: Tracked) -> float:
+    def _file_value(self, one: Tracked) -> float:
         return float(getattr(self._source.vehicle, one.parameter, 1.0))
 
     def _checks(self) -> list[Check]:
@@ -109,7 +109,7 @@ class IdentifierNode(Node):
                                                       for why, time in seconds.rejected.items()}, **self._received}
         checks = [Check("driving", diagnostics.OK, f"{seconds.used:.0f} s of driving used", used)]
         for one in self._core.tracked():
-            known, level = self._known(one), LEVELS[one.status]
+            known, level = self._file_value(one), LEVELS[one.status]
             text = f"{one.value:.4g} +/- {one.spread:.2g} {one.unit}, vehicle file {known:.4g}"
             words = {"unestimated": f"not estimated yet: {one.reason}", "estimated": text,
                      "invalid": f"invalid: {one.reason}"}[one.status]
@@ -117,7 +117,7 @@ class IdentifierNode(Node):
                 level, words = diagnostics.WARN, f"{text}: the file does not fit the driving"
             checks.append(Check(one.parameter, level, words, {
                 "value": one.value, "standard deviation": one.spread, "vehicle file": known, "status": one.status}))
-        file = Check("vehicle file", diagnostics.WARN, f"{self._problem}; the values read before stay", {})
+        file = Check("vehicle file", diagnostics.WARN, f"{self._problem}; the previous values are kept", {})
         return [*checks, file if self._problem else Check("vehicle file", diagnostics.OK, "as at the start", {
             "resets": self._resets})]
 

@@ -1,6 +1,6 @@
 """Node markers: car, bands, errors and the models' names for RViz and Foxglove, and the errors of each model to plot.
 
-It listens best effort with short queues, so that a publisher never waits for it.
+It subscribes best effort with short queues, so that a publisher never waits for it.
 """
 
 import numpy as np
@@ -20,16 +20,15 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .. import convert, params
-from ..history import History, Path
-from ..outline import car_outline
+from ..map_drawing import History, Path, car_outline
 
 NEWEST = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-SCORES = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # those of one instant come together
-LIFETIME = Duration(sec=1)  # a marker of a silent suite goes away
+SCORES = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # those of one instant arrive together
+LIFETIME = Duration(sec=1)  # markers of a suite that has ended disappear
 TEXT_HEIGHT, CAR_WIDTH, MISS_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
 RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}
-RIBBON_STRIDE = 4  # of its points, one in so many is drawn
+RIBBON_STRIDE = 4  # every RIBBON_STRIDE-th point is drawn
 
 
 class MarkersNode(Node):
@@ -101,7 +100,7 @@ class MarkersNode(Node):
                 marker = self._marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns, colour_of(model),
                                       alpha)
                 marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-                # Under the paths, and none at the height of another.
+                # Below the paths, each at a height of its own.
                 z = -0.3 - 0.02 * number - 0.1 * ribbon.level
                 marker.points = [Point(x=px, y=py, z=z)
                                  for px, py in ribbon.triangles(RIBBON_STRIDE).reshape(-1, 2).tolist()]
@@ -118,7 +117,7 @@ class MarkersNode(Node):
 
     def _line(self, space: str, number: int, time_ns: int, x, y, colour: str, width: float, alpha: float = 1.0,
               z: float = 0.0) -> Marker:
-        """z [m] above the map, so that what matters more covers what matters less."""
+        """z: height above the map [m], the drawing order."""
         marker = self._marker(Marker.LINE_STRIP, space, number, time_ns, colour, alpha)
         marker.scale.x = width
         marker.points = [Point(x=float(px), y=float(py), z=z) for px, py in zip(x, y, strict=True)]

@@ -27,11 +27,11 @@ from ._inputs import Inputs
 # Inputs are taken this often between ticks, so that a tick finds only a few milliseconds of them waiting [s].
 DRAIN_PERIOD = 0.02
 STATUS_PERIOD = 1.0
-# Waiting for samples takes no more than this share of a tick: the next one is not to be late for it.
+# Longest wait for samples as a share of the period, so that the next tick is not late.
 WAITING_SHARE = 0.5
-# How long a jump of the position is told [s].
-JUMP_TOLD = 10.0
-# A prediction rarely needs more than this share of a tick; above it the machine is too slow or too busy.
+# A jump of the position stays a warning for this long [s].
+JUMP_WARNING_DURATION = 10.0
+# A tick that takes more than this share of its period is a warning: the machine is too slow or too busy.
 BUSY_SHARE = 0.5
 
 
@@ -40,9 +40,10 @@ class PredictorNode(Node):
         super().__init__("predictor")
         values = parameters.declare(self, params.PREDICTOR)
         self._vehicle = params.load_vehicle(values)
-        said = self._make_core(values)
+        backend = self._make_core(values)
         self._map_frame = values.map_frame
-        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering, self._tell)
+        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
+                              self._publish_diagnostics)
         settings = self._core.settings
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
         self._make_publishers()
@@ -50,7 +51,7 @@ class PredictorNode(Node):
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
         self._last_start_ns: int | None = None
         self._not_finite: set[str] = set()
-        self._jumps = 0  # of the position, told so far
+        self._jumps = 0  # of the position, reported so far
         self._slowest_tick = 0.0
         self._state_age = math.nan  # as last published [s]
         self._state_ages: list[float] = []  # of the predictions since the last status [s]
@@ -65,26 +66,28 @@ class PredictorNode(Node):
         self.get_logger().info(
             f"{', '.join(self._core.models)} of {self._vehicle.name}: {settings.horizon:g} s in steps of "
             f"{settings.step:g} s at {values.rate:g} Hz, "
-            f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}; models {said}")
+            f"configuration {', '.join(h[:12] for h in dict.fromkeys(self._hash.values()))}; models {backend}")
 
     def _make_core(self, values: SimpleNamespace) -> str:
-        """The core with its models, their hashes and bands; returns how they are run."""
+        """Create the core with its models, their hashes and bands; returns a text on how the models are run."""
         settings = params.prediction_settings(values)
         file = params.load_model(values, self._vehicle)
         models = [*values.models, *([file.model()] if file else [])]
         found = params.checked(values, lambda: [get_model(model) for model in models])
-        runners, said = compile_models(found, self._vehicle, settings) if values.compiled else ({}, "on Python floats")
+        runners, backend = {}, "on Python floats"
+        if values.compiled:
+            runners, backend = compile_models(found, self._vehicle, settings)
         self._core = params.checked(values, lambda: Predictor(self._vehicle, found, settings, runners))
         self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         if file:
             self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
         own = {found[-1].name: file.hash} if file else {}
         self._bands = PredictionBands(values, self._vehicle, {m: own.get(m, "") for m in self._core.models}, settings)
-        return said
+        return backend
 
     def _make_publishers(self) -> None:
-        # Not more: after a reader was held up, Fast DDS sends all of it again. With 50, half a megabyte per topic, a
-        # recorder that had stood still for 3 s got no prediction for a minute and a half; with 10 it did after 3 s.
+        # After a reader was stopped, Fast DDS resends the whole queue. With 50, half a megabyte per topic, a recorder
+        # stopped for 3 s received no prediction for a minute and a half; with 10 it did after 3 s.
         qos = QoSProfile(depth=10)
         self._outputs: dict[str, tuple[Publisher, Publisher]] = {
             model: (self.create_publisher(PathMessage, f"predictor/{model}/path", qos),
@@ -98,7 +101,7 @@ class PredictorNode(Node):
         period_ns = round(self._period / NANOSECOND)
         next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
         missed = self._counter.missed(next_due_ns, period_ns)
-        # A state just before it is renewed is one period of its signal older than one just after.
+        # A state just before the next sample is one period of its signal older than one just after.
         self._inputs.wait(next_due_ns - period_ns, self._wait)
         began = time.perf_counter()
         start = self._start(self.get_clock().now().nanoseconds)
@@ -108,10 +111,10 @@ class PredictorNode(Node):
             self._predict(start)
         if (before and before.kind) != (self._skip and self._skip.kind) or self._jumps != self._core.history.jumps:
             self._jumps = self._core.history.jumps
-            self._tell()
+            self._publish_diagnostics()
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - began)
 
-    def _tell(self) -> None:
+    def _publish_diagnostics(self) -> None:
         self._diagnostics.publish()
 
     def _start(self, now_ns: int) -> Start | Skip:
@@ -121,7 +124,7 @@ class PredictorNode(Node):
         before, self._last_start_ns = self._last_start_ns, start.time_ns
         if start.time_ns != before:
             return start
-        # The same prediction twice would tell a planner nothing and count twice in the statistics.
+        # A repeated prediction is useless to a planner and would count twice in the statistics.
         signal, age = max(self._core.ages(now_ns).items(), key=lambda item: item[1])
         return Skip("stale", f"{signal}: nothing new since the last tick, newest sample is {age:.2f} s old")
 
@@ -147,7 +150,7 @@ class PredictorNode(Node):
                 path_publisher.publish(self._path.fill(start.time_ns, trajectory, car))
                 self._not_finite.discard(model)
             else:
-                # A viewer cannot draw it; the evaluator counts it as incomplete.
+                # Viewers cannot draw it; the evaluator counts it as incomplete.
                 self._not_finite.add(model)
 
     def _publish_status(self) -> None:
@@ -194,17 +197,17 @@ class PredictorNode(Node):
         if history.jump is None:
             return Check("position", diagnostics.OK, "no jump yet", values)
         ago = (self.get_clock().now().nanoseconds - history.jump.time_ns) * NANOSECOND
-        text = f"jump of {history.jump.size:.2f} m that velocity knows nothing of, {history.jumps} since the start"
-        if ago < JUMP_TOLD:
-            return Check("position", diagnostics.WARN, f"{text}; no prediction and no score goes across it", values)
+        text = f"jump of {history.jump.size:.2f} m not explained by velocity, {history.jumps} since the start"
+        if ago < JUMP_WARNING_DURATION:
+            return Check("position", diagnostics.WARN, f"{text}; no prediction and no score spans it", values)
         return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": ago})
 
     def _steering_check(self) -> Check:
         frozen = self._core.frozen_steering
         if frozen is None:
-            return Check("steering", diagnostics.OK, "moves, or the car turns as it says")
-        text = (f"angle has stood at {frozen.angle:.4f} rad for {frozen.seconds:.1f} s while the car turned as with "
-                f"{frozen.low:.4f} to {frozen.high:.4f} rad: is the sensor frozen?")
+            return Check("steering", diagnostics.OK, "consistent with the yaw rate")
+        text = (f"angle constant at {frozen.angle:.4f} rad for {frozen.seconds:.1f} s while the yaw rate corresponds "
+                f"to {frozen.low:.4f} to {frozen.high:.4f} rad: the sensor may be frozen")
         return Check("steering", diagnostics.WARN, text)
 
     def close(self) -> None:

@@ -1,41 +1,79 @@
-"""Node recorder: writes topics, as their bytes arrive, into a rosbag2 directory (MCAP)."""
+"""Node recorder: writes the serialised messages of topics into a rosbag2 directory (MCAP)."""
 
 import contextlib
 import hashlib
-import importlib
 import json
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import SimpleNamespace
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from st_recordings.definitions import UnknownTypeError
 from st_recordings.mcap import Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
-from st_ros.polling import PolledSubscription
+from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, message_class
 
 from .. import convert, params
 from ._bag import is_whole, open_bag, recording_check
-from ._heard import DIAGNOSTICS, Heard
 
-NICE = 5  # bridges and predictor go first; a third of an equal share
+NICE = 5  # behind bridges and predictor: a third of an equal share
 # The queues are emptied this often; each message carries the time it arrived.
 WORK_PERIOD = 0.05
 LOOK_PERIOD = 0.25
-# After a full disk: how often to look for room, and how much is worth a new bag [s, bytes].
-RESUME_PERIOD, RESUME_ROOM = 5.0, 200_000_000
-# How long it is told that recording went on in another bag [s].
-RESUME_TOLD = 10.0
+# After a full disk: interval between checks for free space [s], and the space needed for a new bag [bytes].
+RESUME_PERIOD, RESUME_SPACE = 5.0, 200_000_000
+# A resumed recording stays a warning for this long [s].
+RESUME_WARNING_DURATION = 10.0
+DIAGNOSTICS = "/diagnostics"
+# Every node publishes /diagnostics once a second; a node from which nothing arrives for this long is reported [s].
+SILENCE_TIMEOUT = 10.0
 # Waiting messages per topic: four seconds at 250 Hz, should the disk be slow.
 QUEUE_DEPTH = 1000
+
+
+class PublisherWatchdog:
+    """Nodes that publish a topic which `node` records, but from which nothing arrives.
+
+    DDS matches publishers and subscriptions; only messages show whether data arrive.
+    """
+
+    def __init__(self, node: Node):
+        self._node = node
+        self._topic_times: dict[str, float] = {}  # newest message of each topic, steady clock [s]
+        self._node_times: dict[str, float] = {}  # newest /diagnostics of each node [s]
+        self._since: dict[str, float] = {}
+
+    def received(self, topic: str, data: bytes) -> None:
+        now = time.monotonic()
+        self._topic_times[topic] = now
+        if topic == DIAGNOSTICS:
+            message = deserialize_message(data, DiagnosticArray)
+            self._node_times.update((status.name.partition(": ")[0], now) for status in message.status)
+
+    def silent(self, topics: Iterable[str]) -> dict[str, float]:
+        """Seconds since the last message of each node that publishes on `topics` and was silent for SILENCE_TIMEOUT."""
+        now = time.monotonic()
+        own: dict[str, list[str]] = {}
+        for topic in topics:
+            names = {topic if info.node_name.startswith(UNRESOLVED_PREFIX) else info.node_name
+                     for info in self._node.get_publishers_info_by_topic(topic)
+                     if info.qos_profile.durability == DurabilityPolicy.VOLATILE}  # latched topics are published once
+            if len(names) == 1:  # on a topic of several publishers, a message does not name its publisher
+                own.setdefault(names.pop(), []).append(topic)
+        self._since = {name: self._since.get(name, now) for name in own}
+        last = {name: max(self._since[name], self._node_times.get(name, 0.0),
+                          *(self._topic_times.get(topic, 0.0) for topic in its)) for name, its in own.items()}
+        return {name: now - at for name, at in sorted(last.items()) if now - at > SILENCE_TIMEOUT}
 
 
 class RecorderNode(Node):
@@ -52,20 +90,20 @@ class RecorderNode(Node):
         self._recorded: dict[str, tuple[PolledSubscription, int]] = {}
         self._announced: dict[str, tuple[str, list[Qos]]] = {}
         self._refused: dict[str, str] = {}
-        self._heard = Heard(self)
+        self._watchdog = PublisherWatchdog(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WORK_PERIOD, self._work, clock=steady)
-        self.create_timer(LOOK_PERIOD, self._look, clock=steady)
+        self.create_timer(LOOK_PERIOD, self._subscribe_new, clock=steady)
         self._diagnostics = Diagnostics(self, str(self._bag.directory), self._checks)
-        self._look()
+        self._subscribe_new()
         self.get_logger().info(f"recording into {self._bag.directory}")
 
     def _absolute(self, pattern: str) -> str:
         return pattern if pattern.startswith("/") else f"{self.get_namespace().rstrip('/')}/{pattern}"
 
-    def _look(self) -> None:
-        """Subscribe to what has appeared and is wanted."""
+    def _subscribe_new(self) -> None:
+        """Subscribe to new topics that match the patterns."""
         for topic, types in self.get_topic_names_and_types():
             if topic in self._recorded or topic in self._refused:
                 continue
@@ -78,8 +116,11 @@ class RecorderNode(Node):
         if len(types) != 1:
             self._refused[topic] = f"published with {len(types)} types: {', '.join(types)}"
             return
+        message_type = message_class(types[0])
+        if message_type is None:
+            self._refused[topic] = f"message type {types[0]} is not installed"
+            return
         try:
-            message_type = message_class(types[0])
             announced = types[0], [convert.recorded_qos(p.qos_profile) for p in publishers]
             number = self._bag.add_topic(topic, *announced)
         except UnknownTypeError as error:
@@ -90,19 +131,19 @@ class RecorderNode(Node):
         self._announced[topic] = announced
 
     def _work(self) -> None:
-        write, heard = self._bag.write, self._heard.arrived
+        write, received = self._bag.write, self._watchdog.received
         for topic, (subscription, number) in self._recorded.items():
             for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
                 log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
                 write(number, data, log_ns, sent_ns or log_ns)
-                heard(topic, data)
+                received(topic, data)
         self._bag.flush_when_due()
         if self._bag.error and self._values.number_when_taken:
             self._resume()
 
     def _resume(self) -> None:
-        """On in another bag: after a full disk as soon as there is room again, at once where its directory was
-        renamed or deleted."""
+        """Resume in a new bag: after a full disk as soon as there is space, at once if the directory was renamed or
+        deleted."""
         now = time.monotonic()
         if self._resume_at == float("inf"):
             self._resume_at = now if self._bag.moved else now + RESUME_PERIOD
@@ -110,14 +151,14 @@ class RecorderNode(Node):
             return
         self._resume_at = now + RESUME_PERIOD
         with contextlib.suppress(OSError, ConfigurationError):
-            if shutil.disk_usage(_existing(self._bag.directory)).free < RESUME_ROOM:
+            if shutil.disk_usage(_existing(self._bag.directory)).free < RESUME_SPACE:
                 return
             self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
             self._stopped, self._bag, self._resumed_at = self._bag.error, bag, now
             for topic, (subscription, _) in self._recorded.items():
                 self._recorded[topic] = subscription, bag.add_topic(topic, *self._announced[topic])
-            self.get_logger().warning(f"{self._stopped}; recording goes on in {bag.directory}")
+            self.get_logger().warning(f"{self._stopped}; recording resumed in {bag.directory}")
 
     def _checks(self) -> list[Check]:
         level, text = diagnostics.OK, f"{len(self._recorded)} recorded"
@@ -127,18 +168,18 @@ class RecorderNode(Node):
         elif not self._recorded:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
         topics = Check("topics", level, text, {"topics": len(self._recorded)})
-        lately = time.monotonic() - self._resumed_at < RESUME_TOLD
-        return [recording_check(self._bag, self._stopped, lately), topics, self._senders_check()]
+        resumed = time.monotonic() - self._resumed_at < RESUME_WARNING_DURATION
+        return [recording_check(self._bag, self._stopped, resumed), topics, self._publishers_check()]
 
-    def _senders_check(self) -> Check:
+    def _publishers_check(self) -> Check:
         if DIAGNOSTICS not in self._recorded:
             return Check("senders", diagnostics.OK, f"not judged: {DIAGNOSTICS} is not recorded")
-        self._work()  # what waits counts as heard, should this node itself have been held up
-        silent = self._heard.silent(self._recorded)
+        self._work()  # waiting messages count as received, should this node itself have been delayed
+        silent = self._watchdog.silent(self._recorded)
         if silent:
-            words = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
-            return Check("senders", diagnostics.WARN, f"nothing recorded from {words}, nor a word on /diagnostics")
-        return Check("senders", diagnostics.OK, "all that publish are heard")
+            silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
+            return Check("senders", diagnostics.WARN, f"nothing recorded from {silences}, no /diagnostics either")
+        return Check("senders", diagnostics.OK, "messages of all publishers arrive")
 
     @property
     def exit_status(self) -> int:
@@ -153,12 +194,12 @@ class RecorderNode(Node):
 
 
 def _existing(folder: Path) -> Path:
-    """The folder, or the nearest above it that there is."""
+    """The folder, or its nearest existing parent."""
     return next(place for place in (folder, *folder.parents) if place.exists())
 
 
 def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
-    """What the bag says about the run: texts and hashes of the configuration files, then the caller's own entries.
+    """Metadata records of the bag: texts and hashes of the configuration files, then the entries of `metadata_json`.
 
     Raises ConfigurationError naming the file or the parameter.
     """
@@ -179,7 +220,7 @@ def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
         except ValueError as error:
             raise ConfigurationError(f"{values.where}metadata_json: {error}") from None
         if not isinstance(given, dict) or not all(isinstance(entries, dict) for entries in given.values()):
-            raise ConfigurationError(f'{values.where}metadata_json: {{"record": {{"key": "text"}}}} wanted')
+            raise ConfigurationError(f'{values.where}metadata_json: expected {{"record": {{"key": "text"}}}}')
         for name, entries in given.items():
             record = records.setdefault(name, {})
             record.update({k: v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()})
@@ -187,7 +228,7 @@ def metadata_records(values: SimpleNamespace) -> dict[str, dict[str, str]]:
 
 
 def configuration_keys(files: Sequence[str]) -> dict[str, str]:
-    """The name each text is kept under: the file's own, with as many folders before it as tell it from the others."""
+    """Key of each file's text: its name, with as many parent folders as make it unique."""
     paths = {name: Path(name).absolute() for name in files if name}
     keys = {}
     for name, path in paths.items():
@@ -199,17 +240,8 @@ def configuration_keys(files: Sequence[str]) -> dict[str, str]:
     return keys
 
 
-def message_class(type_name: str) -> type:
-    """The Python class of "pkg/msg/Type". Raises UnknownTypeError."""
-    package, _, name = type_name.replace("/msg/", "/").partition("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
-        raise UnknownTypeError(f"message type {type_name} is not installed") from None
-
-
 def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
-    """Reliable and transient local only where every publisher is: the strictest that hears all of them."""
+    """The strictest QoS that matches all publishers: reliable and transient local only where every one of them is."""
     profiles = [p.qos_profile for p in publishers]
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)

@@ -1,0 +1,139 @@
+"""What views draw on a map: the measured track, predicted paths with their bands, and the outline of the car."""
+
+from bisect import bisect_left
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from st_core.frames import body_to_map
+from st_core.vehicle import VehicleParameters
+
+TRACK_SPAN = 90.0  # s of measured track kept
+GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s
+GHOST_TOLERANCE = 0.15  # s; a ghost further off its age than this is not drawn
+BAND_MODE = "forecast"  # the bands drawn: inputs held, as for the path itself
+
+
+def car_outline(pose: tuple[float, float, float], car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
+    """Map x, y [m] of the closed outline of the car, with a nose that points ahead.
+
+    pose: x, y [m] and yaw [rad] of the INS point. Front and rear overhang are taken as equal: the vehicle file gives
+    the length only.
+    """
+    overhang = 0.5 * (car.length - car.wheelbase)
+    front, rear, half = car.cg_to_front_axle + overhang, -car.cg_to_rear_axle - overhang, 0.5 * car.width
+    forward = np.array([rear, 0.6 * front, front, 0.6 * front, rear, rear]) - car.cg_to_ins_x
+    left = np.array([half, half, 0.0, -half, -half, half]) - car.cg_to_ins_y
+    dx, dy = body_to_map(forward, left, pose[2])
+    return pose[0] + dx, pose[1] + dy
+
+
+@dataclass(frozen=True, eq=False)
+class Ribbon:
+    """Edges left, right (n, 2) of a band in m, map frame, start first. level: probability, 0 to 1."""
+
+    level: float
+    left: np.ndarray
+    right: np.ndarray
+
+    def triangles(self, stride: int) -> np.ndarray:
+        """(k, 3, 2): the area as triangles between every `stride`-th point, the last of the path and the end."""
+        last = len(self.left) - 1
+        rows = np.unique(np.append(np.arange(0, last, stride), (last - 1, last)))
+        left, right = self.left[rows], self.right[rows]
+        return np.concatenate([np.stack([left[:-1], right[:-1], left[1:]], axis=1),
+                               np.stack([right[:-1], right[1:], left[1:]], axis=1)])
+
+
+def ribbon(level: float, pose: tuple[np.ndarray, np.ndarray, np.ndarray], along: np.ndarray,
+           across: np.ndarray) -> Ribbon:
+    """The band of half-widths (n,) [m] around a path of poses x, y [m], yaw [rad], (n,) each.
+
+    Its end is `along[-1]` beyond the end of the path.
+    """
+    x, y, yaw = pose
+    ahead = np.append(np.zeros(len(x)), along[-1])
+    wide, turn = np.append(across, across[-1]), np.append(yaw, yaw[-1])
+    middle = np.stack([np.append(x, x[-1]), np.append(y, y[-1])], axis=1)
+    edges = [middle + np.stack(body_to_map(ahead, side * wide, turn), axis=1) for side in (1.0, -1.0)]
+    return Ribbon(level, *edges)
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A predicted path of the INS point: x, y (n,) in m, map frame, a point every `step` s from start_ns (UTC) on.
+
+    ribbons: the bands around it, the widest first; empty without bands.
+    """
+
+    start_ns: int
+    step: float
+    x: np.ndarray
+    y: np.ndarray
+    ribbons: tuple[Ribbon, ...] = ()
+
+    def at(self, time_ns: int) -> tuple[float, float] | None:
+        """Predicted x, y [m] at an instant; None outside the horizon."""
+        index = (time_ns - self.start_ns) * 1e-9 / self.step
+        if not 0.0 <= index <= len(self.x) - 1:
+            return None
+        grid = np.arange(len(self.x))
+        return float(np.interp(index, grid, self.x)), float(np.interp(index, grid, self.y))
+
+
+class History:
+    """Measured track and newest predictions.
+
+    Times in ns UTC. Late and repeated samples are dropped; a step back in time of more than 1 s (a replay) clears all.
+    """
+
+    def __init__(self) -> None:
+        self.track: deque[tuple[int, float, float]] = deque()
+        self._paths: dict[str, deque[Path]] = {}
+
+    def add_pose(self, time_ns: int, x: float, y: float) -> None:
+        if self.track and time_ns <= self.track[-1][0]:
+            if time_ns > self.track[-1][0] - 1_000_000_000:
+                return
+            self.track.clear()
+            self._paths.clear()
+        self.track.append((time_ns, x, y))
+        while time_ns - self.track[0][0] > TRACK_SPAN * 1e9:
+            self.track.popleft()
+
+    def add_path(self, model: str, path: Path) -> None:
+        paths = self._paths.setdefault(model, deque())
+        if paths and path.start_ns <= paths[-1].start_ns:
+            return
+        paths.append(path)
+        while path.start_ns - paths[0].start_ns > (GHOST_AGES[-1] + 1.0) * 1e9:
+            paths.popleft()
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        return tuple(self._paths)
+
+    def newest(self, model: str) -> Path:
+        """The newest path of one of `models`."""
+        return self._paths[model][-1]
+
+    def ghosts(self, model: str, now_ns: int) -> list[tuple[float, Path]]:
+        """(age in s, path) of the predictions nearest to each of GHOST_AGES, youngest first."""
+        paths = list(self._paths.get(model, ()))
+        starts = [p.start_ns for p in paths]
+        found = []
+        for age in GHOST_AGES:
+            due_ns = now_ns - round(age * 1e9)
+            near = bisect_left(starts, due_ns)
+            candidates = [p for p in paths[max(near - 1, 0):near + 1]]
+            best = min(candidates, key=lambda p: abs(p.start_ns - due_ns), default=None)
+            if best is not None and abs(best.start_ns - due_ns) <= GHOST_TOLERANCE * 1e9:
+                found.append((age, best))
+        return found
+
+    def expected(self, model: str, now_ns: int) -> tuple[float, float] | None:
+        """x, y [m] now by the oldest prediction with a horizon that covers now; None without one."""
+        for path in self._paths.get(model, ()):
+            if (point := path.at(now_ns)) is not None and path.start_ns < now_ns:
+                return point
+        return None
