@@ -59,6 +59,14 @@ def main() -> None:
     _place_for_logs()
     try:
         app(prog_name="st")
+    except ModuleNotFoundError as error:
+        name = (error.name or "").partition(".")[0]
+        if name not in ("rclpy", "st_ros", "rerun") and not name.endswith("_msgs"):
+            raise
+        part = "the live suite and the viewer are" if name != "rerun" else "the viewer is"
+        print(f"st: {name} is not installed: {part} part of a checkout (./st), not of the offline package",
+              file=sys.stderr)
+        sys.exit(2)
     except OSError as error:
         if error.errno not in NO_PLACE:
             raise

@@ -1,15 +1,19 @@
-"""Where the project's own files are, and what version of it this is."""
+"""Folder of the project's own files (configuration, message definitions), and the version of the software."""
 
 import os
 import subprocess
+from importlib import metadata
 from pathlib import Path
+
+DISTRIBUTION = "single-track-predictor"
+INSTALLED = Path(__file__).parent / "share"  # exists in the wheel only
 
 
 def project_root() -> Path:
-    """The checkout: set by ./st, else found upwards from the working directory."""
+    """The checkout named by ./st, else the files of the installed wheel, else the checkout around the working directory."""
     if "ST_ENVIRONMENT" in os.environ:
         return Path(os.environ["ST_ENVIRONMENT"])
-    for folder in (Path.cwd(), *Path.cwd().parents):
+    for folder in (INSTALLED, Path.cwd(), *Path.cwd().parents):
         if (folder / "config" / "nodes.yaml").exists():
             return folder
     raise SystemExit("st: project folder not found: start with ./st, or from inside the checkout")
@@ -20,7 +24,7 @@ def config(relative: str) -> Path:
 
 
 def source_version() -> str:
-    """`git describe` of the checkout, or the release where there is no git."""
+    """`git describe` of the checkout, or the version of the installed wheel."""
     try:
         return subprocess.run(
             ["git", "-C", str(project_root()), "describe", "--always", "--dirty", "--tags"],
@@ -30,4 +34,7 @@ def source_version() -> str:
             timeout=5,
         ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
-        return "0.1.0"
+        try:
+            return metadata.version(DISTRIBUTION)
+        except metadata.PackageNotFoundError:
+            return "unknown"
