@@ -10,7 +10,7 @@ INSTALLED = Path(__file__).parent / "share"  # exists in the wheel only
 
 
 def project_root() -> Path:
-    """The checkout named by ./st, else the files of the installed wheel, else the checkout around the working directory."""
+    """The checkout that ./st names, else the installed wheel's files, else the checkout around the current folder."""
     if "ST_ENVIRONMENT" in os.environ:
         return Path(os.environ["ST_ENVIRONMENT"])
     for folder in (INSTALLED, Path.cwd(), *Path.cwd().parents):
