@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from st_core.bands import Band, Coverages, RunSamples, Seen, calibrate, conditions_at, run_samples
+from st_core.bands import Band, CalibrationDomain, Coverages, RunSamples, calibrate, conditions_at, run_samples
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
@@ -47,7 +47,7 @@ class Watched:
     share: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
-def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, seen: Seen) -> Watched:
+def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, seen: CalibrationDomain) -> Watched:
     """A drive through the evaluator's counts. A score is known a horizon after its start."""
     signals, counts = SETTINGS.signals(log), Coverages()
     models = [get_model(model) for model in {model: None for model, _ in bands}]
@@ -76,9 +76,10 @@ def watch(log: DriveLog, vehicle: VehicleParameters, bands: Bands, seen: Seen) -
     return found
 
 
-def learnt(runs: Sequence[RunSamples]) -> tuple[Bands, Seen]:
+def learnt(runs: Sequence[RunSamples]) -> tuple[Bands, CalibrationDomain]:
     questions = [(model, mode) for model in MODELS for mode in MODES]
-    return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in questions}, Seen.of([r.conditions for r in runs]))
+    return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in questions},
+            CalibrationDomain.of([r.conditions for r in runs]))
 
 
 def changes() -> list[Row]:

@@ -1,7 +1,7 @@
 """Bands of errors that were drawn, for the Leaf and every condition: their numbers mean nothing, their cost is real."""
 
 import numpy as np
-from st_core.bands import Bands, RunSamples, Seen, calibrate
+from st_core.bands import Bands, CalibrationDomain, RunSamples, calibrate
 from st_core.bands.file import configuration_of
 from st_core.log_evaluation import MODES, EvaluationSettings
 from st_core.vehicle import VehicleParameters
@@ -22,7 +22,7 @@ def drawn_bands(vehicle: VehicleParameters) -> Bands:
         errors = (0.1 * draw.standard_normal((STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
         runs.append(RunSamples(f"run {number}", draw.uniform(0.0, MOST, (STARTS, 4)), {question: errors}))
     band, settings = calibrate(runs, question, TIME), SETTINGS.as_dict()
-    seen = Seen.of([run.conditions for run in runs])
+    seen = CalibrationDomain.of([run.conditions for run in runs])
     return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, seen,
                  {(model, mode): band for model in MODELS for mode in MODES},
                  {model: configuration_of(vehicle, settings, "") for model in MODELS})

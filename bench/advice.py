@@ -9,9 +9,9 @@ from pathlib import Path
 from _markers import renew, table
 from st_core.log_evaluation import EvaluationSettings
 from st_core.vehicle import VehicleParameters
-from st_offline.advice import shown
-from st_offline.advice.choice import cheapest
-from st_offline.advice.command import measure
+from st_offline.advice import advice_report
+from st_offline.advice.accuracy import cheapest
+from st_offline.advice.advice_report import measure
 from st_offline.evaluation.drawing import Place
 from st_offline.evaluation.work import Task
 from st_recordings.paths import config, project_root
@@ -35,10 +35,11 @@ def run() -> dict:
     file = config("vehicle/hyundai_genesis.yaml")
     task = Task(VehicleParameters.from_yaml(file.read_text(), str(file)), MODELS, EvaluationSettings())
     advice = measure(sources, task, TOLERANCE)
-    shown.figure(advice.costs, advice.worths, TOLERANCE, Place(project_root() / "docs" / "images", ("png",)))
-    rows = shown.rows(advice.costs, advice.worths)
-    choice = shown.choice_rows(cheapest(advice.costs, advice.worths, TOLERANCE))
-    title, caption = shown.choice_title(TOLERANCE), shown.caption(advice.worths)
+    advice_report.figure(advice.costs, advice.accuracies, TOLERANCE,
+                         Place(project_root() / "docs" / "images", ("png",)))
+    rows = advice_report.rows(advice.costs, advice.accuracies)
+    choice = advice_report.choice_rows(cheapest(advice.costs, advice.accuracies, TOLERANCE))
+    title, caption = advice_report.choice_title(TOLERANCE), advice_report.caption(advice.accuracies)
     renew(PAGE, "advice", "\n".join([
         f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", *table(rows), "",
         f"{title}:", "", *table(choice), "", "![Error and band against cost](../images/advice.png)"]) + "\n")

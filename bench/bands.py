@@ -16,15 +16,14 @@ from _band_mended import read_again
 from _band_page import PAGE, write
 from _band_ways import LEVELS, SEED, WAYS
 from _markers import renew, table
-from st_core.bands import Band, RunSamples, Seen, calibrate, most_promised, run_samples, together
+from st_core.bands import Band, CalibrationDomain, RunSamples, calibrate, highest_level, run_samples, together
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.scoring import question_sums
-from st_offline.bands.shares import finished_shares, share_rows, share_sums
-from st_offline.bands.sums import finished, pooled_sums
+from st_offline.bands.error_shares import finished_shares, share_rows, share_sums
+from st_offline.bands.scoring import finished, pooled_sums, question_sums
 from st_recordings.paths import config, project_root
 from st_recordings.runs import find_runs, read
 
@@ -95,12 +94,13 @@ def days_as_one(runs: Runs) -> list[Row]:
     """Each day with bands of the others, the runs of a day counting as one: what so few can promise."""
     rows = []
     days = {day: together([runs[name] for name in names]) for day, names in DAYS.items()}
-    stated = (0.5, most_promised(len(days) - 1))
+    stated = (0.5, highest_level(len(days) - 1))
     for question in ((model, mode) for model in MODELS for mode in MODES):
         covered = []
         for day, new in days.items():
             known = [one for other, one in days.items() if other != day]
-            band, seen = calibrate(known, question, TIME, stated), Seen.of([one.conditions for one in known])
+            band = calibrate(known, question, TIME, stated)
+            seen = CalibrationDomain.of([one.conditions for one in known])
             kept = seen(new.conditions)
             if not kept.any():
                 continue
@@ -228,7 +228,7 @@ def transferred(title: str, runs: Runs, others: Runs, model: str) -> dict[str, R
 
 def tested(band: Band, known: Sequence[RunSamples], new: Sequence[RunSamples], question: tuple[str, str]) -> list[dict]:
     """Sums (bands.scoring) of every new run."""
-    seen, entries = Seen.of([one.conditions for one in known]), []
+    seen, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
         rows = seen(one.conditions)
         sums = question_sums(band, one.conditions[rows], one.errors[question][rows].astype(float))

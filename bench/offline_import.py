@@ -107,12 +107,13 @@ def measure_evaluate(source: Path, output: Path) -> dict:
     """The command as it is called, from the start of this process."""
     import psutil
     from st_cli import cli
-    from st_offline.evaluation import command, work
+    from st_offline.evaluation import evaluation_command, work
     from st_recordings.runs import bag, load
 
     reading = {"read_bag": (bag, "read_bag")} if (source / "metadata.yaml").exists() else _reading()
     parts = {**reading, "hash": (load, "hashes"), "predict": (work, "evaluate_log"),
-             "starts_csv": (work, "write_starts"), "draw": (work, "run_figures"), "report": (command, "write_results")}
+             "starts_csv": (work, "write_starts"), "draw": (work, "run_figures"),
+             "report": (evaluation_command, "write_results")}
     seconds = _timed(parts)
     status = cli.app(["evaluate", str(source), "--output", str(output)], standalone_mode=False)
     wall = time.time() - psutil.Process().create_time()

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from closed_loop import LOOK, Road
 from controller import Controller, Tuning
-from st_core.bands import Band, Seen, calibrate, conditions, run_samples, steering_activity
+from st_core.bands import Band, CalibrationDomain, calibrate, conditions, run_samples, steering_activity
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
@@ -52,7 +52,7 @@ class Margin(NamedTuple):
     """What is kept from every post: the half-width across of the band, from `until` [s] ahead on that of `until`."""
 
     band: Band
-    seen: Seen
+    seen: CalibrationDomain
     until: float
 
 
@@ -157,14 +157,14 @@ def _log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
                     time_ns, angle, vehicle.steering_wheel_angle(angle))
 
 
-def learn(controller: Controller, car: Car, vehicle: VehicleParameters, model: str) -> tuple[Band, Seen]:
+def learn(controller: Controller, car: Car, vehicle: VehicleParameters, model: str) -> tuple[Band, CalibrationDomain]:
     """The model question's band: what the controller plans is what the inputs will be."""
     runs = []
     for k in range(KNOWN):
         log = drive(controller, car, vehicle, gates(np.random.default_rng([22, k])), 1000 + k).log
         runs.append(run_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
-    return calibrate(runs, (model, "hindsight"), time, LEVELS), Seen.of([one.conditions for one in runs])
+    return calibrate(runs, (model, "hindsight"), time, LEVELS), CalibrationDomain.of([one.conditions for one in runs])
 
 
 def compared(seeds: int, model: str) -> dict[str, dict[str, float]]:

@@ -56,7 +56,7 @@ def test_one_iteration_does_what_the_whole_solution_does():
 def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatch):
     import corridor
     from controller import Controller, Tuning
-    from st_core.bands import Band, Seen
+    from st_core.bands import Band, CalibrationDomain
     from st_core.bands.scale import Scale, features, knots_of
 
     monkeypatch.setattr(corridor, "DURATION", 6.0)
@@ -68,7 +68,7 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     nothing[:, :, 0] = -30.0
     band = Band(Scale(nothing, np.stack([np.full(3, 0.3), np.zeros(3)]), time, knots_of(2.5)), {0.9: 1.0},
                 np.zeros((3, 19)))
-    seen = Seen(np.full((99, 99), 100), (100.0, 100.0))
+    seen = CalibrationDomain(np.full((99, 99), 100), (100.0, 100.0))
     controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)
     plain, kept_off = (corridor.drive(controller, read_car(FILE), LEAF, there, 1, one)
                        for one in (None, corridor.Margin(band, seen, 0.5)))

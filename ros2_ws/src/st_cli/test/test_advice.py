@@ -10,11 +10,9 @@ from st_cli.cli import app
 from st_core.bands import RunSamples
 from st_core.log_evaluation import EvaluationSettings
 from st_core.prediction import PredictionSettings
-from st_offline.advice.choice import cheapest, paid
-from st_offline.advice.command import steps
+from st_offline.advice.accuracy import cheapest, model_accuracy, processor_time
+from st_offline.advice.advice_report import choice_rows, rows, steps
 from st_offline.advice.cost import Cost
-from st_offline.advice.shown import choice_rows, rows
-from st_offline.advice.worth import worth
 from support import ROOT
 from typer.testing import CliRunner
 
@@ -36,7 +34,7 @@ def runs(count: int, size: float) -> list[RunSamples]:
 
 
 def test_the_error_that_most_starts_stay_below_is_by_speed_and_never_falls_with_time():
-    found = worth(runs(10, 0.5), "linear", SETTINGS)
+    found = model_accuracy(runs(10, 0.5), "linear", SETTINGS)
     assert found.second == (1, 2, 3, 4, 5) and found.level == 0.9
     assert set(found.within) == {6.0, 12.0}
     # 90 % of a normal error lie below 1.645 of its deviation; both speeds pooled: sqrt((1 + 16) / 2) of it.
@@ -50,17 +48,17 @@ def test_the_error_that_most_starts_stay_below_is_by_speed_and_never_falls_with_
 
 @pytest.mark.parametrize(("count", "level"), [(1, None), (2, None), (3, 0.5), (8, 0.5), (9, 0.9)])
 def test_the_band_is_the_one_that_so_many_runs_can_promise(count, level):
-    found = worth(runs(count, 0.5), "linear", SETTINGS)
+    found = model_accuracy(runs(count, 0.5), "linear", SETTINGS)
     assert found.level == level and (found.width is None) == (level is None)
 
 
 def test_the_cheapest_that_is_good_enough_is_chosen_and_none_where_none_is():
-    good, bad = (worth(runs(2, size), "linear", SETTINGS) for size in (0.1, 1.0))
+    good, bad = (model_accuracy(runs(2, size), "linear", SETTINGS) for size in (0.1, 1.0))
     costs = {("slow", 0.05): Cost(9e-4, 9e-5, 1e-5), ("quick", 0.1): Cost(1e-4, 1e-5, 1e-6),
              ("floats", 0.1): Cost(2e-3, None, 1e-6)}
-    assert paid(costs["floats", 0.1]) == 2e-3
-    worths = {("slow", 0.05): good, ("quick", 0.1): bad, ("floats", 0.1): good}
-    chosen = cheapest(costs, worths, 0.5)
+    assert processor_time(costs["floats", 0.1]) == 2e-3
+    accuracies = {("slow", 0.05): good, ("quick", 0.1): bad, ("floats", 0.1): good}
+    chosen = cheapest(costs, accuracies, 0.5)
     assert chosen[6.0] == (("quick", 0.1), *[("slow", 0.05)] * 4)
     assert chosen[12.0][4] is None
     shown = choice_rows(chosen)
@@ -70,7 +68,7 @@ def test_the_cheapest_that_is_good_enough_is_chosen_and_none_where_none_is():
 
 def test_costs_stand_beside_the_least_and_what_failed_is_a_dash():
     costs = {("a", 0.05): Cost(3e-4, None, 2e-5), ("b", 0.05): Cost(1e-4, 1e-5, 1e-5)}
-    first, second = rows(costs, {("b", 0.05): worth(runs(1, 0.1), "linear", SETTINGS)})
+    first, second = rows(costs, {("b", 0.05): model_accuracy(runs(1, 0.1), "linear", SETTINGS)})
     assert (first["floats, µs (x)"], first["compiled, µs (x)"], first["error 5 s, m"]) == ("300 (3.0)", "-", "-")
     assert second["batch, µs (x)"] == "10 (1.0)" and second["band 5 s, m"] == "-"
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from st_core.bands import Bands, RunSamples, Seen, calibrate, conformal_factors, most_promised, runs_needed
+from st_core.bands import Bands, CalibrationDomain, RunSamples, calibrate, conformal_factors, highest_level, runs_needed
 from st_core.bands.file import configuration_of, times
-from st_core.bands.samples import run_samples, seen_from_prediction
+from st_core.bands.samples import run_samples, to_predicted_frame
 from st_core.bands.scale import fit_scale, floor_at
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
@@ -62,7 +62,7 @@ def test_a_run_to_come_is_covered_as_promised_though_windows_repeat_each_other()
 
 
 def test_more_than_the_runs_can_promise_is_refused():
-    assert most_promised(8) == pytest.approx(8 / 9) and runs_needed(0.9) == 9 and runs_needed(0.5) == 1
+    assert highest_level(8) == pytest.approx(8 / 9) and runs_needed(0.9) == 9 and runs_needed(0.5) == 1
     with pytest.raises(StCoreError, match=r"^8 runs can promise 88\.9% at most.*give 9 runs") as caught:
         conformal_factors([np.ones(5)] * 8, [0.9])
     assert "\n" not in str(caught.value)
@@ -89,7 +89,7 @@ def test_bands_cover_runs_they_were_not_learnt_from_and_not_everything():
     shares = {level: np.mean([(one <= band.factors[level]).mean() for one in scores]) for level in (0.5, 0.9)}
     assert shares[0.9] == pytest.approx(0.9, abs=0.04) and shares[0.5] == pytest.approx(0.5, abs=0.06)
     factors = list(band.factors.values())
-    assert factors == sorted(factors) and max(band.factors) <= most_promised(24)
+    assert factors == sorted(factors) and max(band.factors) <= highest_level(24)
 
 
 def test_no_band_of_few_runs_or_errors_that_are_not_finite():
@@ -114,7 +114,7 @@ def test_runs_whose_conditions_no_other_has_do_not_count():
 
 def test_errors_are_turned_into_the_predicted_frame():
     # Measured heading north, predicted one 0.1 rad to the left of it; predicted 2 m ahead.
-    along, across, yaw = seen_from_prediction(np.array([2.0, 0.0, 0.1]))
+    along, across, yaw = to_predicted_frame(np.array([2.0, 0.0, 0.1]))
     predicted = np.array([0.0, 2.0])
     heading = np.pi / 2 + 0.1
     forward, left = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
@@ -135,7 +135,8 @@ def bands(leaf):
     settings = SETTINGS.as_dict()
     other = ("linear", "forecast")
     band = calibrate(runs, QUESTION, TIME)
-    return Bands(leaf.name, leaf.hash, settings, {"a.csv": "0" * 64}, 12, Seen.of([r.conditions for r in runs]),
+    return Bands(leaf.name, leaf.hash, settings, {"a.csv": "0" * 64}, 12,
+                 CalibrationDomain.of([r.conditions for r in runs]),
                  {QUESTION: band, other: band}, {"linear": configuration_of(leaf, settings, "")})
 
 
@@ -168,9 +169,10 @@ def test_what_one_run_alone_did_is_not_calibrated():
     slow, fast = (np.tile([speed, 1.5, 0.2, 0.02], (400, 1)) for speed in (8.0, 22.0))
     few = fast[:9]
     probe = np.stack([slow[0], fast[0]])
-    assert Seen.of([slow, np.concatenate([slow, fast])])(probe).tolist() == [True, False]
-    assert Seen.of([np.concatenate([slow, few]), np.concatenate([slow, fast])])(probe).tolist() == [True, False]
-    assert Seen.of([np.concatenate([slow, fast[:10]]), np.concatenate([slow, fast])])(probe).all()
+    assert CalibrationDomain.of([slow, np.concatenate([slow, fast])])(probe).tolist() == [True, False]
+    thin = CalibrationDomain.of([np.concatenate([slow, few]), np.concatenate([slow, fast])])
+    assert thin(probe).tolist() == [True, False]
+    assert CalibrationDomain.of([np.concatenate([slow, fast[:10]]), np.concatenate([slow, fast])])(probe).all()
 
 
 def test_bands_of_another_car_model_or_configuration_are_refused(bands, leaf):

@@ -8,9 +8,9 @@ import pytest
 from st_core.alignment import MeasurementHistory
 from st_core.bands import (
     Bands,
+    CalibrationDomain,
     Coverages,
     LiveBands,
-    Seen,
     activity_instants,
     calibrate,
     conditions_at,
@@ -59,7 +59,8 @@ def bands(leaf, logs):
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     found = {(m, q): calibrate(runs, (m, q), time) for m in MODELS for q in ("hindsight", "forecast")}
     hashes = {m: configuration_of(leaf, SETTINGS.as_dict(), "") for m in MODELS}
-    return Bands(leaf.name, leaf.hash, SETTINGS.as_dict(), {}, 10, Seen.of([r.conditions for r in runs]), found, hashes)
+    domain = CalibrationDomain.of([r.conditions for r in runs])
+    return Bands(leaf.name, leaf.hash, SETTINGS.as_dict(), {}, 10, domain, found, hashes)
 
 
 def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.command import _refuse_other_car
+from st_offline.bands.calibration_command import _refuse_other_car
 from st_recordings.runs import LoadedRun, RunError, RunSource
 from support import ROOT
 

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 from st_core.log_evaluation import MODES, ModelErrors
 from st_offline.evaluation import statistics, tables
-from st_offline.evaluation.document import pooled_bins
+from st_offline.evaluation.evaluation_report import pooled_bins
 from st_offline.evaluation.work import RunReport, slug
 
 

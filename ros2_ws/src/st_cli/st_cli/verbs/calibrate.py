@@ -47,7 +47,7 @@ def calibrate(
     from rich.console import Console
     from st_core.log_evaluation import EvaluationSettings
     from st_core.prediction import PredictionSettings
-    from st_offline.bands.command import Job, run_command
+    from st_offline.bands.calibration_command import Job, run_command
     from st_offline.evaluation.work import Task
 
     with shared.refusals("calibrate"):

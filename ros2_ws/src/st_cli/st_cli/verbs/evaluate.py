@@ -62,7 +62,7 @@ def evaluate(
     from rich.console import Console
     from st_core.log_evaluation import EvaluationSettings
     from st_core.prediction import PredictionSettings
-    from st_offline.evaluation.command import run_command
+    from st_offline.evaluation.evaluation_command import run_command
     from st_offline.evaluation.work import Task, load_bands, load_models
 
     with shared.refusals("evaluate"):

@@ -6,16 +6,36 @@ probability. Learnt from errors of scored starts (`run_samples`, `calibrate`), k
 docs/manual/bands.md.
 """
 
-from .band import LEVELS, RELIABILITY, Band, calibrate
-from .conditions import CONDITIONS, activity_instants, conditions, conditions_at, steering_activity
-from .conformal import conformal_factors, most_promised, runs_needed
+from .calibration import LEVELS, RELIABILITY, Band, calibrate
+from .conditions import CONDITIONS, CalibrationDomain, activity_instants, conditions, conditions_at, steering_activity
+from .conformal import conformal_factors, highest_level, runs_needed
 from .coverage import Coverage, Coverages
 from .file import Bands
 from .live import LiveBands, conditions_now
-from .samples import NotFiniteError, RunSamples, run_samples, seen_from_prediction, together
-from .seen import Seen
+from .samples import NotFiniteError, RunSamples, run_samples, to_predicted_frame, together
 
-__all__ = ["CONDITIONS", "LEVELS", "RELIABILITY", "Band", "Bands", "Coverage", "Coverages", "LiveBands",
-           "NotFiniteError", "RunSamples", "Seen", "activity_instants", "calibrate", "conditions", "conditions_at",
-           "conditions_now", "conformal_factors", "most_promised", "run_samples", "runs_needed",
-           "seen_from_prediction", "steering_activity", "together"]
+__all__ = [
+           "CONDITIONS",
+           "LEVELS",
+           "RELIABILITY",
+           "Band",
+           "Bands",
+           "CalibrationDomain",
+           "Coverage",
+           "Coverages",
+           "LiveBands",
+           "NotFiniteError",
+           "RunSamples",
+           "activity_instants",
+           "calibrate",
+           "conditions",
+           "conditions_at",
+           "conditions_now",
+           "conformal_factors",
+           "highest_level",
+           "run_samples",
+           "runs_needed",
+           "steering_activity",
+           "to_predicted_frame",
+           "together",
+]

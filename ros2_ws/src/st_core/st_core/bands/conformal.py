@@ -28,7 +28,7 @@ from ..errors import StCoreError
 ROUNDING = 1.0e-9
 
 
-def most_promised(runs: int) -> float:
+def highest_level(runs: int) -> float:
     """The highest level that so many runs can promise, n/(n + 1) [1]."""
     return runs / (runs + 1.0)
 
@@ -38,13 +38,13 @@ def runs_needed(level: float) -> int:
     return max(1, math.ceil(level / (1.0 - level) - ROUNDING))
 
 
-def refuse_beyond(levels: Sequence[float], runs: int) -> None:
+def check_levels(levels: Sequence[float], runs: int) -> None:
     """Raises StCoreError, one line, for a level outside (0, 1) or above what `runs` runs can promise."""
     for level in levels:
         if not 0.0 < level < 1.0:
             raise StCoreError(f"level {level:g}: not between 0 and 1")
-        if level > most_promised(runs) + ROUNDING:
-            raise StCoreError(f"{runs} run{'' if runs == 1 else 's'} can promise {most_promised(runs):.1%} at most, "
+        if level > highest_level(runs) + ROUNDING:
+            raise StCoreError(f"{runs} run{'' if runs == 1 else 's'} can promise {highest_level(runs):.1%} at most, "
                               f"n/(n + 1), not {level:.0%}: give {runs_needed(level)} runs or more, or a lower --level")
 
 
@@ -52,10 +52,10 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
     """c for every level, (levels,) [1]; see the top of this file.
 
     scores: one array a run, one score a window [1], at least one each. Raises StCoreError for scores that are not
-    finite, a run without any, and as `refuse_beyond`.
+    finite, a run without any, and as `check_levels`.
     """
     count = len(scores)
-    refuse_beyond(levels, count)
+    check_levels(levels, count)
     if any(len(one) == 0 for one in scores):
         raise StCoreError("a run has no window; leave it out")
     values = np.sort(np.concatenate([np.asarray(one, float) for one in scores]))

@@ -23,7 +23,7 @@ import numpy as np
 from ..evaluation import Score
 from ..filtering import NANOSECOND
 from .live import Stated
-from .samples import Question, seen_from_prediction
+from .samples import Question, to_predicted_frame
 
 ALTERNATIVE = 5.0 / 9.0
 """Of the level: a 90 % band that covers 50 %. Above 73 % nothing adds up: runs differ that much by themselves."""
@@ -83,7 +83,7 @@ class Coverages:
         stated = self._waiting.pop((score.model, score.mode, score.start_ns), None)
         if stated is None or not score.complete:
             return
-        errors = np.abs(seen_from_prediction(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
+        errors = np.abs(to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
         # The start is the measurement itself: nothing is stated of it.
         kept = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in stated.items()}
         one = self.by_question.setdefault((score.model, score.mode), Coverage())

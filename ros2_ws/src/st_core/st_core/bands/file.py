@@ -26,10 +26,10 @@ from ..log_evaluation import MODES, EvaluationSettings
 from ..prediction import configuration_hash
 from ..vehicle import VehicleParameters
 from ..yaml_text import check_keys, load
-from .band import Band
+from .calibration import Band
+from .conditions import CalibrationDomain
 from .samples import Question
 from .scale import Scale, features, knots_of
-from .seen import Seen
 
 SCHEMA = 2
 HEADER = "# Bands: how far from its prediction the car will be, by model and question. Made by `st calibrate`.\n"
@@ -50,7 +50,7 @@ class Bands:
     settings: Mapping[str, Any]
     recordings: Mapping[str, str]
     runs: int
-    seen: Seen
+    seen: CalibrationDomain
     bands: Mapping[Question, Band]
     hashes: Mapping[str, str] = field(default_factory=dict)
 
@@ -66,9 +66,9 @@ class Bands:
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
         """(n, points + 1, 3): along, across the predicted path [m] and in yaw [rad], 0 at the start.
 
-        conditions: (n, 4), `conditions.conditions`. NaN where they were never calibrated (see `Seen.why_not`). The
-        whole measured path of the INS point lies within, all three at all points, with the probability `level`. Raises
-        KeyError for a model, mode or level that is not in the file.
+        conditions: (n, 4), `conditions.conditions`. NaN outside the calibration domain (`CalibrationDomain.why_not`).
+        The whole measured path of the INS point lies within, all three at all points, with the probability `level`.
+        Raises KeyError for a model, mode or level that is not in the file.
         """
         band = self.bands[model, mode]
         conditions = np.atleast_2d(np.asarray(conditions, float))
@@ -154,7 +154,7 @@ class Bands:
             for mode in (m for m in MODES if m in entry):
                 bands[model, mode] = _band(entry[mode], time)
         slowest, fastest = map(float, document["seen"]["most"])
-        seen = Seen(np.array(document["seen"]["starts"], int), (slowest, fastest))
+        seen = CalibrationDomain(np.array(document["seen"]["starts"], int), (slowest, fastest))
         return cls(document["vehicle"]["name"], document["vehicle"]["hash"], settings, document["recordings"],
                    int(document["runs"]), seen, bands, hashes)
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..alignment import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
 from ..log_evaluation import MODES
 from ..timeseries import TimeSeries
-from .band import LEVELS
+from .calibration import LEVELS
 from .conditions import activity_instants, magnitudes, steering_activity
 from .file import Bands
 from .scale import features_of_one, floor_at, interpolation

@@ -29,7 +29,7 @@ class NotFiniteError(StCoreError):
 @dataclass(frozen=True, eq=False)
 class RunSamples:
     """One run. conditions: (n, 4) as `conditions.CONDITIONS`. errors: by (model, mode), (n, points - 1, 3), float32,
-    in the predicted frame (see `seen_from_prediction`), without the start, where they are 0.
+    in the predicted frame (see `to_predicted_frame`), without the start, where they are 0.
     """
 
     name: str
@@ -37,7 +37,7 @@ class RunSamples:
     errors: dict[Question, np.ndarray]
 
 
-def seen_from_prediction(errors: np.ndarray) -> np.ndarray:
+def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
     """Errors turned from the measured heading, in which they are scored, into the predicted one, which a user has.
 
         (along, across) = R(-e_yaw) (longitudinal, lateral),   yaw unchanged
@@ -78,7 +78,7 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
         for question, errors in block.errors.items():
             whole = errors[complete]
             _refuse_not_finite(whole, question[0], (kept[-1] - log.start_ns) * NANOSECOND)
-            parts.setdefault(question, []).append(seen_from_prediction(whole[:, 1:]).astype(np.float32))
+            parts.setdefault(question, []).append(to_predicted_frame(whole[:, 1:]).astype(np.float32))
     found = np.concatenate(kept) if kept else starts[:0]
     if not len(found):
         raise StCoreError(f"no start has a whole horizon of {horizon:g} s measured; leave the run out")

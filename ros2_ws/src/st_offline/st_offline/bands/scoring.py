@@ -1,16 +1,17 @@
 """Bands against the errors of one run, block by block: coverage, interval score, CRPS, sharpness."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import scoringrules
-from st_core.bands import CONDITIONS, RELIABILITY, Band, Bands, conditions_at, seen_from_prediction
+from st_core.bands import CONDITIONS, RELIABILITY, Band, Bands, conditions_at, to_predicted_frame
 from st_core.binning import LATERAL_ACCELERATION, SPEED, STEERING_RATE
 from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
 
-from .sums import Sums, pooled_sums
-
+Sums = dict[str, Any]
+ENOUGH = 200
+"""Starts of a cell from which on its coverage counts: below, chance alone moves 90 % by more than two."""
 SHOWN = (0.5, 0.9)
 EDGES = {"speed": (SPEED, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION, "m/s²"),
          "steering_activity": (STEERING_RATE, "rad/s")}
@@ -32,7 +33,7 @@ class Scorer:
             scored = np.isfinite(errors).all(axis=(1, 2))
             rows = scored & seen
             band = self._bands.bands[model, mode]
-            entry = question_sums(band, conditions[rows], seen_from_prediction(errors[rows][:, 1:]))
+            entry = question_sums(band, conditions[rows], to_predicted_frame(errors[rows][:, 1:]))
             entry["without_band"] = int((scored & ~seen).sum())
             self._sums.append({"models": {model: {mode: entry}}})
 
@@ -51,6 +52,8 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
     speed, lateral acceleration and second ahead. interval_score [m, m, rad]: mean over the horizon, by level and axis.
     crps [m, m, rad]: mean over the whole seconds. half_width: by level, second and axis, at that second.
     """
+    import scoringrules  # loaded only where bands are scored
+
     scale, size = band.scale(conditions), np.abs(errors)
     ratio = size / scale
     time, levels = band.scale.time, [level for level in SHOWN if level in band.factors]
@@ -92,6 +95,8 @@ def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sum
 
 def _crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """(3,) sums over starts of the mean over points: of the symmetric distribution with the band's quantiles."""
+    import scoringrules
+
     found = np.zeros(errors.shape[2])
     for axis, ratios in enumerate(band.ratios):
         quantiles = np.concatenate([-ratios[::-1], [0.0], ratios])
@@ -114,3 +119,56 @@ def _label(name: str, place: int) -> str:
     if place + 1 == len(edges):
         return f"above {edges[-1]:g} {unit}"
     return f"{edges[place]:g} to {edges[place + 1]:g} {unit}"
+
+
+
+def pooled_sums(entries: Sequence[Sums]) -> Sums:
+    """Several nested sums added, key by key; lists joined."""
+    total: Sums = {}
+    for one in entries:
+        _add(total, one)
+    return total
+
+
+def _add(total: Sums, one: Mapping[str, Any]) -> None:
+    for key, value in one.items():
+        if isinstance(value, Mapping):
+            _add(total.setdefault(key, {}), value)
+        elif isinstance(value, list):
+            total[key] = [*total.get(key, []), *value]
+        else:
+            total[key] = total.get(key, 0) + value
+
+
+def finished(sums: Sums) -> dict[str, Any]:
+    """{model: {mode: shares and means}} and what is said beside them; None where no start had a band."""
+    return {"known_recordings": sums.get("known_recordings", []),
+            "models": {model: {mode: _question(one) for mode, one in modes.items()}
+                       for model, modes in sums.get("models", {}).items()}}
+
+
+def _question(sums: Sums) -> dict[str, Any]:
+    count = sums["starts"]
+    means = _divided({key: sums[key] for key in ("coverage", "axes", "seconds", "interval_score", "crps", "half_width",
+                                                 "reliability") if key in sums}, count)
+    conditions = [{"quantity": quantity, "label": label, "starts": one["starts"],
+                   "coverage": _divided(one["coverage"], one["starts"])}
+                  for quantity, labels in sums["conditions"].items() for label, one in labels.items()]
+    return {"starts": count, "without_band": sums["without_band"], **means, "conditions": conditions,
+            "worst_cell": worst_cell(sums["cells"])}
+
+
+def _divided(value: Any, count: int) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _divided(one, count) for key, one in value.items()}
+    return value / count if count else None
+
+
+def worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str = "0.9") -> dict[str, Any] | None:
+    """The cell of at least ENOUGH starts with the least coverage at a level; None without one."""
+    known = [(one["coverage"][level] / one["starts"], name, one["starts"]) for name, one in cells.items()
+             if one["starts"] >= ENOUGH and level in one["coverage"]]
+    if not known:
+        return None
+    share, name, starts = min(known)
+    return {"cell": name, "coverage": share, "starts": starts}

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ..evaluation.drawing import Drawn, Place
-from ..evaluation.page import BUDGET
+from ..evaluation.evaluation_report import BUDGET
 from ..evaluation.work import slug
 from ..pages import template
 from . import words

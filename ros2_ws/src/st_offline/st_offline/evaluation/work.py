@@ -25,11 +25,10 @@ from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, rea
 from ..checking.document import documents
 from ..checking.gate import PROBLEMS, Refused, in_words, passed
 from . import statistics
-from .beside import beside
+from .background import in_background
 from .drawing import Drawn, Place
 from .drive_parts import drive_parts
-from .run_drawing import Drawing
-from .run_figures import ranking, run_figures
+from .run_figures import Drawing, ranking, run_figures
 
 Progress = Callable[[int, int], None]
 
@@ -97,7 +96,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     marks.append(time.perf_counter())
     models = load_models(task)
-    with beside(lambda: (_findings(source, run, task, models), drive_parts(run.log, run.labels))) as looked:
+    with in_background(lambda: (_findings(source, run, task, models), drive_parts(run.log, run.labels))) as looked:
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = _scorer(bands, signals) if bands else None
@@ -172,7 +171,7 @@ def _scorer(bands: Bands, signals: LogSignals):
 
 
 def _band_sums(scorer, run: LoadedRun, models: Sequence[Model], signals: LogSignals, task: Task) -> dict[str, Any]:
-    from ..bands.shares import intervals_of, share_sums
+    from ..bands.error_shares import intervals_of, share_sums
 
     return scorer.sums(run.provenance["files"]) | share_sums(models, task.vehicle, signals, task.settings,
                                                              intervals_of(model_files(task)))

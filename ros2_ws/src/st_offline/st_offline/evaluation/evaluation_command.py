@@ -1,29 +1,29 @@
 """What `st evaluate` does: find the runs, evaluate them with a progress bar, write and show the results."""
 
+import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress, TaskID
+from rich.progress import Progress as ProgressBars
+from rich.progress import TaskID
 from st_core.errors import ConfigurationError
 from st_recordings.output import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
 
-from ..bands.shares import finished_shares, shares_table
-from ..bands.shown import HOW_TO_GET, bands_table
-from ..bands.sums import pooled_sums
+from ..bands.bands_report import HOW_TO_GET, bands_table
+from ..bands.error_shares import finished_shares, shares_table
+from ..bands.scoring import pooled_sums
 from ..checking.document import findings_in
 from ..checking.shown import say
 from ..terminal import line, progress_bars, tell_files, tell_problem
-from . import fleet
-from .document import Choices, settings_in_words, write_results
 from .drawing import check_formats
-from .overview import finding
+from .evaluation_report import Choices, finding, settings_in_words, write_results
 from .tables import terminal_table
-from .work import RunReport, Task
+from .work import Progress, RunReport, Task, evaluate_run
 
 WHAT_IS_WHAT = {
     "page": "the whole report, one file", "json": "every number, docs/manual/evaluation.md", "table": "the table above",
@@ -57,7 +57,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     if shares := shares_table(finished_shares(pooled_sums([report.bands for report in good])), console.width):
         console.print(shares)
     if tolerance is not None:
-        from ..advice.command import advise  # half a second of libraries for who asks for advice
+        from ..advice.advice_report import advise  # half a second of libraries for who asks for advice
 
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in found:
@@ -84,15 +84,15 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
         starts = progress.add_task("", visible=False)
         try:
             watch = _watcher(progress, starts)
-            for report in fleet.reports(sources, task, workers, scheduler, watch):
+            for report in reports(sources, task, workers, scheduler, watch):
                 found[report.name] = report
                 progress.advance(runs)
-        except fleet.WorkersError as error:
+        except WorkersError as error:
             raise ConfigurationError(str(error)) from None
     return [found[source.name] for source in sources]
 
 
-def _watcher(progress: Progress, bar: TaskID) -> Callable[[RunSource], Callable[[int, int], None]]:
+def _watcher(progress: ProgressBars, bar: TaskID) -> Callable[[RunSource], Callable[[int, int], None]]:
     def watch(source: RunSource) -> Callable[[int, int], None]:
         progress.update(bar, description=escape(f"{source.name}: reading"), total=None, completed=0, visible=True)
         return lambda done, total: progress.update(bar, description=escape(source.name), total=total, completed=done)
@@ -106,3 +106,42 @@ def _times(reports: Sequence[RunReport], wall: float) -> str:
     hours = sum(r.about["duration"] for r in reports) / 3600.0
     runs = f"{len(reports)} run{'' if len(reports) == 1 else 's'}"
     return f"[dim]{runs}, {hours:.2f} h of driving in {wall:.1f} s ({spent})[/dim]"
+
+
+
+MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is started anew, and its run is a failed one
+
+
+class WorkersError(RuntimeError):
+    """Workers that cannot be had; the text says why."""
+
+
+def reports(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
+            progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
+    """One report per run; in order with one worker, else as they are done.
+
+    scheduler: address of a Dask scheduler whose workers see the same files. Raises WorkersError.
+    """
+    if workers <= 1 and not scheduler:
+        for source in sources:
+            yield evaluate_run(source, task, progress(source) if progress else None)
+        return
+    try:
+        from distributed import Client, LocalCluster, as_completed
+    except ImportError:
+        raise WorkersError("Dask is not installed: leave out --workers and --scheduler") from None
+    with contextlib.ExitStack() as stack:
+        try:
+            cluster = scheduler or stack.enter_context(LocalCluster(
+                n_workers=workers, threads_per_worker=1, memory_limit=MEMORY_PER_WORKER, dashboard_address=None,
+                host="127.0.0.1", silence_logs=50))
+            client = stack.enter_context(Client(cluster, timeout="10s"))
+        except (OSError, TimeoutError) as error:
+            raise WorkersError(f"no Dask scheduler at {scheduler or 'this machine'}: {error}") from None
+        futures = {client.submit(evaluate_run, source, task, pure=False, retries=0): source for source in sources}
+        for future in as_completed(futures):
+            problem = future.exception()
+            source = futures[future]
+            yield future.result() if problem is None else RunReport(
+                source.name, problem=f"{source.where}: the worker ended: {' '.join(str(problem).split())[:200]}")
+            future.release()

@@ -6,8 +6,18 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.bands import LEVELS, Band, Bands, RunSamples, Seen, calibrate, most_promised, run_samples, together
-from st_core.bands.conformal import refuse_beyond
+from st_core.bands import (
+    LEVELS,
+    Band,
+    Bands,
+    CalibrationDomain,
+    RunSamples,
+    calibrate,
+    highest_level,
+    run_samples,
+    together,
+)
+from st_core.bands.conformal import check_levels
 from st_core.bands.file import configuration_of, times
 from st_core.errors import StCoreError
 from st_core.log_evaluation import MODES
@@ -55,7 +65,7 @@ def run_command(job: Job, console: Console) -> int:
         raise OutputError(f"{job.output}: cannot be written: {error.strerror}") from None
     starts = sum(len(one.conditions) for one in samples)
     line(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} starts; "
-         f"{len(samples)} runs can promise {most_promised(len(samples)):.1%} at most", console)
+         f"{len(samples)} runs can promise {highest_level(len(samples)):.1%} at most", console)
     return 1 if problems else 0
 
 
@@ -86,7 +96,7 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
 def learn(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
           levels: Sequence[float] = LEVELS, console: Console | None = None) -> Bands:
     """The bands of all models. Raises StCoreError, one line, for too few runs."""
-    refuse_beyond(levels, len(samples))
+    check_levels(levels, len(samples))
     settings = task.settings.as_dict()
     time = times(task.settings.prediction.horizon, task.settings.prediction.step)
     found: dict[tuple[str, str], Band] = {}
@@ -98,7 +108,7 @@ def learn(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], re
     hashes = {name: configuration_of(task.vehicle, settings, digest)
               for name, digest in model_hashes(task, models).items()}
     return Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
-                 Seen.of([one.conditions for one in samples]), found, hashes)
+                 CalibrationDomain.of([one.conditions for one in samples]), found, hashes)
 
 
 def _refuse_again(source: RunSource, run: LoadedRun, recordings: dict[str, str]) -> None:

@@ -17,7 +17,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import GRID, WIDTH, Drawn, Place, finish, style
 from ..terminal import rows_table
-from .sums import Sums
+from .scoring import Sums
 
 REMAINS = "what remains"
 COLOURS = {PARAMETERS: MODEL_COLOUR["linear"], SENSORS: MODEL_COLOUR["kinematic"], REMAINS: GRID}

@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 @contextmanager
-def beside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
+def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
     """Start the work; what is yielded waits for its result, which has to be picklable.
 
     A worker of Dask may have no child, and a child may be killed for its memory: then the work is done here.

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import StCoreError
-from .conformal import conformal_factors, most_promised, refuse_beyond
+from .conditions import CalibrationDomain
+from .conformal import check_levels, conformal_factors, highest_level
 from .samples import Question, RunSamples
 from .scale import Scale, fit_scale
-from .seen import Seen
 
 LEVELS = (0.5, 0.9)
 RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))
@@ -49,7 +49,7 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
     count, as there would be no band. time: (points,) of the errors [s]. Raises StCoreError, one line, for too few runs
     for a level and for errors that are not finite.
     """
-    refuse_beyond(levels, len(runs))
+    check_levels(levels, len(runs))
     if len(runs) < FEWEST_RUNS:
         raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: what a run does must be learnt from two "
                           f"others; give {FEWEST_RUNS} or more")
@@ -59,7 +59,7 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
     scores, ratios = [], []
     for group in np.array_split(np.arange(len(runs)), min(FOLDS, len(runs))):
         others = [run for number, run in enumerate(runs) if number not in group]
-        scale, seen = _scale(others, question, time), Seen.of([run.conditions for run in others])
+        scale, seen = _scale(others, question, time), CalibrationDomain.of([run.conditions for run in others])
         for run in (runs[number] for number in group):
             rows = seen(run.conditions)
             if rows.any():
@@ -69,11 +69,11 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
                 ratios.append(ratio[:, ::5].reshape(-1, ratio.shape[2]))
     if len(scores) < len(runs):
         try:
-            refuse_beyond(levels, len(scores))
+            check_levels(levels, len(scores))
         except StCoreError as error:
             raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven under conditions that none "
                               f"of the others has; {error}") from None
-    wanted = sorted({*levels, *(level for level in RELIABILITY if level <= most_promised(len(scores)))})
+    wanted = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
     factors = dict(zip(wanted, conformal_factors(scores, wanted).tolist(), strict=True))
     return Band(_scale(runs, question, time), factors, _quantiles(ratios))
 

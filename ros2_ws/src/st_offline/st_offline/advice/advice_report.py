@@ -1,0 +1,208 @@
+"""`st evaluate --advise`: cost and accuracy of each model at three steps on the same runs, as tables and a figure."""
+
+import csv
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import matplotlib.pyplot as plt
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from st_core.bands import NotFiniteError, RunSamples, run_samples
+from st_core.errors import ConfigurationError, StCoreError
+from st_core.log_evaluation import EvaluationSettings
+from st_core.log_signals import LogSignals
+from st_core.models import Model
+from st_core.palette import MODEL_COLOUR
+from st_core.stability import StepTooLongWarning
+from st_recordings.runs import RunError, RunSource, read
+
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..evaluation.work import Task, load_models
+from ..terminal import line, rows_table, tell_files
+from .accuracy import SHARE, Accuracy, Key, cheapest, model_accuracy, processor_time, speed_label
+from .cost import Cost, costs
+
+MULTIPLES = (1, 2, 4)
+"""Of the integration step of the task."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """costs and accuracies by model and step [s]. unusable: reason where there is no accuracy. tolerance: [m]."""
+
+    costs: Mapping[Key, Cost]
+    accuracies: Mapping[Key, Accuracy]
+    unusable: Mapping[Key, str]
+    tolerance: float
+
+
+def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
+    """Tables on the terminal, advice.csv, and advice.* with the other figures. Runs that cannot be used were named by
+    the evaluation before.
+    """
+    with console.status("cost and accuracy of each model and step"):
+        advice = measure(sources, task, tolerance)
+    found = rows(advice.costs, advice.accuracies)
+    console.print(table(found, "Cost, error and band of each model and step", caption(advice.accuracies)))
+    chosen = choice_rows(cheapest(advice.costs, advice.accuracies, tolerance))
+    console.print(table(chosen, choice_title(tolerance), ""))
+    for (model, step), why in advice.unusable.items():
+        line(f"[yellow]{escape(model)}, {step:g} s: {escape(why)}[/yellow]", console)
+    if task.folder is None:
+        return
+    file = task.folder / "advice.csv"
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, list(found[0]))
+        writer.writeheader()
+        writer.writerows(found)
+    if advice.accuracies:
+        figure(advice.costs, advice.accuracies, tolerance, Place(task.folder, task.formats))
+    tell_files({file: "cost, error and band of each model and step"}, console)
+
+
+def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advice:
+    """Raises ConfigurationError where no run can be used."""
+    settings = {one.prediction.step: one for one in steps(task.settings)}
+    models = load_models(task)
+    samples: dict[Key, list[RunSamples]] = {}
+    unusable: dict[Key, str] = {}
+    longest: LogSignals | None = None
+    with warnings.catch_warnings():
+        # A step that is too long for a model shows as its errors, or as their absence.
+        warnings.simplefilter("ignore", StepTooLongWarning)
+        for source in sources:
+            try:
+                log = read(source, task.vehicle, task.read).log
+            except (RunError, StCoreError):
+                continue
+            signals = task.settings.signals(log)
+            if log.overlap < task.settings.prediction.horizon:
+                continue
+            if longest is None or log.overlap > longest.log.overlap:
+                longest = signals
+            for step, one in settings.items():
+                for model in models:
+                    _collect(model, signals, one, task, samples.setdefault((model.name, step), []), unusable)
+        if longest is None:
+            raise ConfigurationError("--advise: no run is as long as the horizon; give longer ones")
+        cost = costs(models, task.vehicle, longest, settings)
+    accuracies = {}
+    for (name, step), runs in samples.items():
+        if not runs or (name, step) in unusable:
+            continue
+        try:
+            accuracies[name, step] = model_accuracy(runs, name, settings[step])
+        except StCoreError as error:
+            unusable[name, step] = str(error)
+    return Advice(cost, accuracies, unusable, tolerance)
+
+
+def steps(settings: EvaluationSettings) -> list[EvaluationSettings]:
+    """The same with MULTIPLES of the step, as far as a second and the horizon are whole numbers of them."""
+    found = []
+    for multiple in MULTIPLES:
+        step = round(multiple * settings.prediction.step, 9)
+        whole = all(math.isclose(span / step, round(span / step), abs_tol=1e-9)
+                    for span in (1.0, settings.prediction.horizon))
+        if multiple == 1 or whole:
+            found.append(replace(settings, prediction=replace(settings.prediction, step=step)))
+    return found
+
+
+def _collect(model: Model, signals: LogSignals, settings: EvaluationSettings, task: Task, found: list[RunSamples],
+             unusable: dict[Key, str]) -> None:
+    try:
+        found.append(run_samples([model], task.vehicle, signals, settings))
+    except NotFiniteError as error:
+        unusable[model.name, settings.prediction.step] = f"{signals.log.name}: {error}"
+    except StCoreError:
+        # No start with a whole horizon: true of every model and step.
+        return
+
+
+
+MARKERS = ("o", "s", "^", "D", "v")
+
+
+def rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
+    """One row for each model and step; columns by their titles. Costs also as multiples of the least of the column."""
+    least = {kind: min(v for v in (getattr(one, kind) for one in costs.values()) if v is not None)
+             for kind in ("floats", "compiled", "batch") if any(getattr(one, kind) for one in costs.values())}
+    found = []
+    for (model, step), cost in costs.items():
+        row = {"model": model, "step, s": f"{step:g}"}
+        row |= {f"{kind}, µs (x)": _time(getattr(cost, kind), least[kind]) for kind in least}
+        one = accuracies.get((model, step))
+        seconds = one.second if one else max((w.second for w in accuracies.values()), default=())
+        for name, values in (("error", one and one.rms), ("band", one and one.width)):
+            row |= {f"{name} {second} s, m": "-" if not values else f"{values[k]:.2f}"
+                    for k, second in enumerate(seconds)}
+        found.append(row)
+    return found
+
+
+def choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
+    """One row for each speed, one column for each second ahead."""
+    return [{"speed": speed_label(low)} | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
+                                           for k, key in enumerate(keys)} for low, keys in chosen.items()]
+
+
+def table(found: Sequence[Mapping[str, str]], title: str, caption: str) -> Table:
+    return rows_table(found, title=title, title_justify="left", title_style="bold", caption=caption,
+                      caption_justify="left", padding=(0, 1))
+
+
+def caption(accuracies: Mapping[Key, Accuracy]) -> str:
+    levels = {one.level for one in accuracies.values()}
+    level = next(iter(levels), None)
+    bands = "band: none, from fewer than 3 runs" if level is None else (
+        f"band: mean half-width across of the {level:.0%} band, whole path, calibrated on these runs")
+    return ("processor time of one prediction, in brackets over the least; error: across, rms, inputs as driven; "
+            f"{bands}")
+
+
+def choice_title(tolerance: float) -> str:
+    return f"Cheapest with {SHARE:.0%} of starts within {tolerance:g} m across up to then, inputs as driven"
+
+
+def figure(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy], tolerance: float, place: Place) -> Drawn:
+    """Error and band half-width against cost, one panel a second ahead."""
+    known = max((one.second for one in accuracies.values()), default=())
+    seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
+    steps = sorted({step for _, step in accuracies})
+    with style():
+        drawn, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
+        for axes, second in zip(panels[0], seconds, strict=True):
+            for (model, step), one in accuracies.items():
+                k, marker = one.second.index(second), MARKERS[steps.index(step) % len(MARKERS)]
+                cost, colour = 1e6 * processor_time(costs[model, step]), MODEL_COLOUR.get(model, TEXT)
+                axes.plot(cost, one.rms[k], marker, color=colour, ms=5)
+                if one.width is not None:
+                    axes.plot([cost, cost], [one.rms[k], one.width[k]], color=colour, lw=0.7)
+                    axes.plot(cost, one.width[k], marker, color=colour, ms=5, mfc="none")
+            axes.axhline(tolerance, color=TEXT, lw=0.7, ls=(0, (4, 3)))
+            axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs a prediction")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter(NullFormatter())
+        panels[0, 0].set_ylabel("across, m")
+        models = list(dict.fromkeys(model for model, _ in accuracies))
+        handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT), label=m) for m in models]
+        handles += [Line2D([], [], ls="", marker=MARKERS[k % len(MARKERS)], color=TEXT, label=f"step {step:g} s")
+                    for k, step in enumerate(steps)]
+        handles += [Line2D([], [], ls="", marker="D", color=TEXT, ms=5, label="error, rms"),
+                    Line2D([], [], ls="", marker="D", color=TEXT, ms=5, mfc="none", label="half-width of the band"),
+                    Line2D([], [], color=TEXT, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
+        drawn.legend(handles=handles, loc="outside lower left", ncols=6)
+        return finish(drawn, place, "advice", "Cost and accuracy of each model and step",
+                      f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
+
+
+def _time(seconds: float | None, least: float) -> str:
+    return "-" if seconds is None else f"{1e6 * seconds:.3g} ({seconds / least:.1f})"
