@@ -88,6 +88,39 @@ TYRE_QUANTITIES = {
     "lambda_muy": _quantity("1", 0.01, 10.0, required=False),
 }
 TYRES = ("tyre_front", "tyre_rear")
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Standard deviation of a quantity of the vehicle file that states none. relative: a share of its value, else SI.
+    """
+
+    size: float
+    relative: bool
+    source: str
+
+    def of(self, value: float) -> float:
+        """For a value in SI [SI]."""
+        return self.size * abs(value) if self.relative else self.size
+
+
+_CURVES = "published passenger tyres: one size differs by this between makes"
+_OF_TYRE = {
+    "lambda_muy": Uncertainty(0.2, True, "dry asphalt against a drum 1.0 to 1.3, between makes 0.85 to 1.15"),
+    "p_ey1": Uncertainty(3.0, False, f"{_CURVES}, E -8 to 0.5"),
+    "p_ky2": Uncertainty(0.5, True, f"{_CURVES}, 1.0 to 2.8"),
+}
+DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
+    "mass": Uncertainty(0.03, True, "a weighed car, half a tank and one person more or less"),
+    "cg_to_front_axle": Uncertainty(0.03, False, "axle loads to 1 %, and the same person and tank"),
+    "cg_height": Uncertainty(0.05, False, "passenger cars by tilt table, 0.45 to 0.65 m (NHTSA, SAE 1999-01-1336)"),
+    "yaw_inertia": Uncertainty(0.15, True, "estimates from mass and lengths against measured cars (the same)"),
+    "cornering_stiffness_front": Uncertainty(0.3, True, "tyres of one size differ by a factor of 2"),
+    "cornering_stiffness_rear": Uncertainty(0.3, True, "tyres of one size differ by a factor of 2"),
+    **{f"{tyre}.{key}": uncertainty for tyre in TYRES for key, uncertainty in _OF_TYRE.items()},
+}
+"""Standard deviations where an entry of a vehicle file has no `uncertainty`. A key that is not listed, as the steering
+ratio and the position of the INS, is often guessed: it binds only with an `uncertainty` of its own."""
 DERIVED = "derived: C / (2 abs(K)) at the static load of one tyre"
 
 
@@ -161,6 +194,16 @@ class VehicleParameters:
     def static_tyre_load_rear(self) -> float:
         """m g l_f / l / 2 [N]: one rear tyre at rest."""
         return 0.5 * self.mass * GRAVITY * self.cg_to_front_axle / self.wheelbase
+
+    def uncertainty(self, key: str) -> float | None:
+        """Standard deviation of a value [SI], by its key in the file ("mass", "tyre_front.lambda_muy"): that of the
+        file, else of DEFAULT_UNCERTAINTIES; None where it is not known."""
+        stated = self.provenance.get(key)
+        if stated is not None and stated.uncertainty:
+            return stated.uncertainty
+        default = DEFAULT_UNCERTAINTIES.get(key)
+        tyre, _, name = key.rpartition(".")
+        return None if default is None else default.of(getattr(getattr(self, tyre) if tyre else self, name)) or None
 
     def road_wheel_angle(self, steering_wheel_angle: Number) -> Number:
         """From the measured steering wheel angle [rad], left +; see the function of this name."""

@@ -9,6 +9,7 @@ from st_core.discovery import OUTCOMES, Limits, decision
 from st_core.discovery.decision import (
     BOUND,
     CHANCE,
+    FILE,
     MINOR,
     NEGLIGIBLE,
     NULL,
@@ -27,7 +28,7 @@ from st_core.discovery.decision import (
     worth_a_name,
 )
 from st_core.discovery.discover import by_sensors
-from st_core.discovery.evidence import Agreement, Evidence
+from st_core.discovery.evidence import AgainstFile, Agreement, Evidence
 from st_core.discovery.result import FittedParameter
 from st_core.errors import ConfigurationError
 
@@ -40,6 +41,7 @@ CHEAP = replace(GOOD, gain=0.02, position=0.01, position_somewhere=0.015)
 MAYBE_NULL = replace(GOOD, null=0.2)
 DENIED, EDGE = replace(GOOD, sensors=0.01), replace(GOOD, bound=0.0)
 SLIGHT = replace(GOOD, position=0.01, position_somewhere=0.0)
+HEAVY = replace(GOOD, against_file=AgainstFile("mass", "kg", 2000.0, 1580.0, 47.4, 8.9))
 LOCAL = replace(GOOD, agreement={"run": SAME, "place": DIFFERENT})
 EQUAL = Rival("rear_stiffness", "mass", share=0.9, worse=0.4, less=0.02, evidence=replace(GOOD, name="rear_stiffness"))
 WEAK = replace(GOOD, gain=0.1)
@@ -69,6 +71,8 @@ NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
     (replace(SHOWN, gain=0.0, size=0.6, sensors_null=0.02), NEGLIGIBLE, {}),  # the sensors may mean nothing by it
     (DENIED, SENSORS, {"chance": 0.01, "doubt": 0.05}),
     (replace(GOOD, sensors=0.3), STATED, {}),
+    (HEAVY, FILE, {"deviations": 8.9, "limit": 3.0}),
+    (replace(GOOD, against_file=replace(HEAVY.against_file, deviations=2.9)), STATED, {}),
     (EDGE, BOUND, {"distance": 0.0, "bound": LIMITS.bound}),
     (LOCAL, VARIES, {"differ": 1e-4, "absent": 0.2}),
     (replace(GOOD, agreement={"run": Agreement({}, 1e-4, 0.01)}), STATED, {}),  # differs, yet is everywhere
@@ -219,6 +223,7 @@ TURNED = {
     "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, STATED),
     "rival": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
               "alternative"),
+    "file": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, STATED),
     "bound": (lambda limits: judge(replace(EDGE, bound=0.001), limits).rule, 1e-9, BOUND, STATED),
     "beside": (lambda limits: alternative(AMONG, limits).rule, 1e-9, "alternative", "explains less"),
     "left": (lambda limits: decide(replace(NOTHING, left=9.0), limits)[0], 1e9, "unknown", "none"),

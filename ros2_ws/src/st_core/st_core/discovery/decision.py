@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from .evidence import Evidence, share_of
+from .evidence import AgainstFile, Evidence, share_of
 from .limits import Limits
 from .result import Outcome, Reason
 
-STATED, NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, BOUND, VARIES, MINOR = (
-    "stated", "too small", "may be chance", "not surely there", "not worth it", "refuted by the sensors", "on a bound",
-    "varies", "minor")
+STATED, NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, FILE, BOUND, VARIES, MINOR = (
+    "stated", "too small", "may be chance", "not surely there", "not worth it", "refuted by the sensors",
+    "refuted by the vehicle file", "on a bound", "varies", "minor")
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,12 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     if e.sensors is not None and e.sensors < limits.doubt:
         return Reason(SENSORS, e.name, {"chance": e.sensors, "doubt": limits.doubt},
                       f"its value contradicts what the sensors say among themselves (probability {e.sensors:.2g})")
+    known = e.against_file
+    if known is not None and known.deviations > limits.file:
+        return Reason(FILE, e.name, {"value": known.value, "file": known.file, "deviation": known.deviation,
+                                     "deviations": known.deviations, "limit": limits.file},
+                      f"fits best with {known.key} {_of(known, known.value)}; the vehicle file gives "
+                      f"{known.file:.3g} ± {_of(known, known.deviation)}; something else acts like it")
     if e.bound < limits.bound:
         return Reason(BOUND, e.name, {"distance": e.bound, "bound": limits.bound},
                       "its value is on a bound: nothing physical was found")
@@ -65,6 +71,11 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     return Reason(STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
                   f"it takes away {e.share:.1%} of the size of the errors and {100 * e.position:.1f} cm after "
                   f"5 s, by chance with probability {e.chance:.2g}, and does not come and go")
+
+
+def _of(known: AgainstFile, number: float) -> str:
+    unit = "" if known.unit == "1" else f" {known.unit}"
+    return f"{number:.3g}{unit}"
 
 
 def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
@@ -187,7 +198,7 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
     verdicts = [judge(e, limits) for e in a.refused if worth_it(e, limits)]
     if a.bound or any(v.rule == VARIES for v in verdicts):
         return because("bound", "something is sure, but not the same everywhere")
-    if any(v.rule in (BOUND, SENSORS) for v in verdicts):
+    if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
         return because("unknown", "something is sure, but no effect of the library describes it within its bounds")
     if a.left > limits.left:
         return because("unknown", f"errors are {a.left:.1f} times the noise, and no effect of the library surely takes "

@@ -29,6 +29,7 @@ from .decision import (
 from .evidence import Evidence, chance, share_of
 from .fit import Fit, Problem
 from .following import Catalogue, catalogue, following, separability, shows
+from .known import known_quantities
 from .levels import Level, levels, sites
 from .loss import Errors, Loss
 from .reference import learn
@@ -85,11 +86,13 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
     space = Space(base, settings)
     windows = Windows(runs, vehicle, settings)
     loss = Loss(Errors(windows, space), space.null)
-    problem = Problem(loss, space.null, windows.block)
+    problem = Problem(loss, space.null, windows.block, quantities=known_quantities(space, vehicle))
+    problem.renew_design(space.null)
     fit = problem.fit((), problem.everything(space.null))
     for _ in range(3):
         fit = problem.fit(names, problem.everything(fit.vector), iterations=5)
         loss.rescale(fit.vector)
+        problem.renew_design(fit.vector)
     return space.at(problem.renewed(fit).vector)
 
 
@@ -171,7 +174,8 @@ class _Work:
             by_column["position_5s"] = healthy.position
         loss = Loss(Errors(self.windows, space, self.threads), start)
         return Problem(loss, start, self.windows.block, prior,
-                       np.array([by_column[c] for c in self.windows.columns]), between), by_column
+                       np.array([by_column[c] for c in self.windows.columns]), between,
+                       known_quantities(space, self.vehicle) if prior is None else None), by_column
 
     def _usable(self, runs: Sequence[DriveLog], what: str) -> list[DriveLog]:
         needed = self.settings.horizon + 2.0 * MARGIN_NS * 1e-9 + 0.5

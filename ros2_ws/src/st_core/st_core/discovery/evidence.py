@@ -31,6 +31,19 @@ class Agreement:
 
 
 @dataclass(frozen=True)
+class AgainstFile:
+    """A quantity of the vehicle file an effect changes. value: with the effect; file, deviation: as the file has it
+    [unit]. deviations [1]: between them."""
+
+    key: str
+    unit: str
+    value: float
+    file: float
+    deviation: float
+    deviations: float
+
+
+@dataclass(frozen=True)
 class Evidence:
     """name: of the effect. gain [1]: fall of the held-out loss for each scored error, about the share of their size;
     the smaller of blocks and of whole runs held out. healthy [1]: the largest such gain of anything between drives of
@@ -42,8 +55,9 @@ class Evidence:
     the end of the horizon; position_somewhere: the largest in one driving condition, surely (95 %). left [1]: size of
     the errors with it over the noise, in the column where that is most. bound [1]: distance to the nearest bound in
     usual sizes. size [1]: distance of a value from its null, in usual sizes. sensors [1]: chance of the fitted value by
-    what the sensors say among themselves, and sensors_null of the null; None where they say nothing. agreement: by
-    level.
+    what the sensors say among themselves, and sensors_null of the null; None where they say nothing. against_file: the
+    quantity of the vehicle file whose value is furthest from the file's; None where the file does not know it.
+    agreement: by level.
     """
 
     name: str
@@ -59,6 +73,7 @@ class Evidence:
     size: float = 0.0
     sensors: float | None = None
     sensors_null: float | None = None
+    against_file: AgainstFile | None = None
     agreement: Mapping[str, Agreement] = field(default_factory=dict)
 
     @property
@@ -84,21 +99,21 @@ class Scores:
     gains: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
-def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str) -> tuple[np.ndarray, np.ndarray]:
-    """((b, k) score of an effect that the effects `names` do not explain, (k,) information). q: by block, of all."""
+def score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
+          pull: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """((b, k) score of an effect that the effects `names` do not explain, (k,) information). q: by block, of all.
+    pull: (p,) half gradient of the prior where the quadratic is about a fit."""
     new = problem.space.indices(effect)
     which = np.setdiff1d(problem.which(names), new)
-    held = problem.held((*names, effect), np.arange(len(problem.space))) if problem.prior is not None else None
-    h = q.hessian.sum(axis=0)
-    if held is not None:
-        h = h + held
+    h = q.hessian.sum(axis=0) + problem.held((*names, effect), np.arange(len(problem.space)))
+    gradient = q.gradient if pull is None else q.gradient - pull / len(q.gradient)
     if not len(which):
-        return q.gradient[:, new], np.diag(h)[new]
+        return gradient[:, new], np.diag(h)[new]
     a = h[np.ix_(which, which)]
     a = a + 1e-9 * (np.trace(a) / len(a) + 1e-12) * np.eye(len(a))
     cross = np.linalg.solve(a, h[np.ix_(which, new)])
     left = h[np.ix_(new, new)] - h[np.ix_(new, which)] @ cross
-    return q.gradient[:, new] - q.gradient[:, which] @ cross, np.maximum(np.diag(left), 0.0)
+    return gradient[:, new] - gradient[:, which] @ cross, np.maximum(np.diag(left), 0.0)
 
 
 def statistic(own: np.ndarray) -> float:
@@ -117,7 +132,7 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
         if problem.space.overlaps(effect, fit.names):
             continue
         names = (*fit.names, effect)
-        own[effect], information = score(q, problem, fit.names, effect)
+        own[effect], information = score(q, problem, fit.names, effect, problem.pull(fit.vector))
         seen = information > 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
         ratios += list(2.0 * np.square(own[effect]).sum(axis=0)[seen] / information[seen])
         which = problem.which(names)
@@ -169,7 +184,7 @@ def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scor
                     shares(problem, *rows), overall, somewhere,
                     left_over(problem, rows[1]),
                     to_bound(problem, fit, effect), problem.healthy, size_of(problem, fit, effect),
-                    *by_sensors(problem, fit, effect, sensors),
+                    *by_sensors(problem, fit, effect, sensors), against_file(problem, fit, effect),
                     {name: agreement(problem, fit, effect, *level) for name, level in levels.items()})
 
 
@@ -198,7 +213,7 @@ def score_of(problem: Problem, fit: Fit, effect: str, slopes: Slopes) -> np.ndar
                       np.zeros((problem.blocks, len(problem.space), len(problem.space))))
     whole.gradient[:, which] = q.gradient
     whole.hessian[:, which[:, None], which] = q.hessian
-    return score(whole, problem, fit.names, effect)[0]
+    return score(whole, problem, fit.names, effect, problem.pull(fit.vector))[0]
 
 
 def falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
@@ -230,6 +245,17 @@ def size_of(problem: Problem, fit: Fit, effect: str) -> float:
     """Largest distance of the effect's values from their null, in usual sizes."""
     own = problem.space.indices(effect)
     return float(np.abs((fit.vector - problem.space.null) / problem.space.scale)[own].max())
+
+
+def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
+    """The quantity of the vehicle file that an effect takes furthest from the file's value, in standard deviations."""
+    found = []
+    for i in problem.space.indices(effect) if problem.prior is None else ():
+        known, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
+        if known is not None:
+            found.append(AgainstFile(known.key, known.unit, known.at(change), known.value, known.deviation,
+                                     known.deviations(change)))
+    return max(found, key=lambda a: a.deviations, default=None)
 
 
 def by_sensors(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
@@ -275,7 +301,10 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     q = fit.quadratic.summed(problem.block, problem.blocks)
     bent = problem.loss.curvature(problem.errors.at(fit.vector), fit.slopes.of(fit.which))
     h = inverse(_no_flatter(bent, q.hessian.sum(axis=0)) + problem.held(fit.names, fit.which))
-    scatter = q.gradient.T @ q.gradient * problem.blocks / max(problem.blocks - 1, 1)
+    off = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum is what the prior pulls
+    scatter = off.T @ off * problem.blocks / max(problem.blocks - 1, 1)
+    if problem.prior is None:  # what the file says is known to its deviation: (curvature deviation)^2 of the pull
+        scatter = scatter + np.diag(0.5 * problem.design * problem.known[fit.which])
     return h @ scatter @ h
 
 

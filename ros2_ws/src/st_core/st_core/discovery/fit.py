@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .known import Quantities, prior_deviations
 from .loss import Loss, Quadratic
 from .space import GAIN
 
@@ -104,12 +105,18 @@ class Problem:
     the set, from reference drives; None: all of that stays where it is, but for the gain of the accelerometer.
     block: (n,) number of the block of each window. noise: (c,) what noise alone leaves of each column [SI]. healthy:
     gain for each scored error that drives of a healthy car show among themselves.
+
+    quantities: (p,) what of the vehicle file each number changes, see `known`. Its standard deviation s enters the loss
+    as a Gaussian prior, 0.5 design (x / s)^2. design [1]: how many scored errors count as one independent error, see
+    `design_effect`; renewed as the search goes on.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
-                 noise: np.ndarray | None = None, healthy: float = 0.0):
+                 noise: np.ndarray | None = None, healthy: float = 0.0, quantities: Quantities | None = None):
         self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
-        self.errors, self.healthy = loss.errors, healthy
+        self.errors, self.healthy, self.design = loss.errors, healthy, 1.0
+        self.quantities = (None,) * len(self.space) if quantities is None else quantities
+        self._deviation = prior_deviations(self.quantities, self.space.scale)
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1
         self.fold = np.arange(self.blocks) % min(FOLDS, self.blocks)
@@ -153,10 +160,39 @@ class Problem:
         return self.space.indices(*names, *always)
 
     def held(self, names: Iterable[str], which: np.ndarray) -> np.ndarray:
-        """(a, a) curvature that holds the parameters which are not of the effects `names` to the start."""
+        """(a, a) curvature that holds parameters to the start: what the vehicle file knows of each; with a reference
+        what its drives say of those that are not of the effects `names`."""
         if self.prior is None:
-            return np.zeros((len(which), len(which)))
+            return np.diag(self.known[which])
         return freed(self.prior, self.space.indices(*names))
+
+    @property
+    def known(self) -> np.ndarray:
+        """(p,) curvature of the prior of the vehicle file."""
+        return 0.5 * self.design / np.square(self._deviation)
+
+    def pull(self, vector: np.ndarray) -> np.ndarray:
+        """(p,) half gradient of the prior of the vehicle file at a vector."""
+        return self.known * (vector - self.start) / self.space.scale
+
+    def renew_design(self, vector: np.ndarray) -> None:
+        """How many scored errors count as one independent error, from the errors at a vector: variance of the scores
+        between blocks, and between runs, over that of independent errors; median over the library, 1 at least.
+
+            D = 2 n var(g_k) / H,   g_k: half gradient of part k of n, H: half of the curvature
+
+        Scores of a model that lacks something vary between its parts, so that D grows with what is lacking.
+        Source: Kish, Survey Sampling (1965), ch. 8.
+        """
+        q = self.loss.quadratic(self.errors.at(vector), self.everything(vector).values)
+        information = np.diag(q.hessian.sum(axis=0))
+        seen = information > 1e-9 * information.sum()
+        found = [1.0]
+        for part in (self.block, self.errors.windows.run):
+            gradient = q.summed(part).gradient[:, seen]
+            if len(gradient) > 2:
+                found.append(float(np.median(2.0 * len(gradient) * gradient.var(axis=0, ddof=1) / information[seen])))
+        self.design = max(found)
 
     def room(self, vector: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         s = self.space

@@ -21,6 +21,7 @@ class Limits:
     size [1]: ... or, of an effect that the sensors show among themselves, this share of its usual size.
     negligible [1]: share of the size of the errors below which nothing is looked at, however sure.
     rival [1]: share of an effect's gain another name must reach to be called an alternative.
+    file [1]: standard deviations of a quantity of the vehicle file beyond which a value is refused as contradicting it.
     bound [1]: distance to a bound, as share of the usual size of an effect, below which a value counts as on it.
     beside [1]: where more is left than `left` times the noise, share of that an effect must take away to be named, a
     name be better than another to stand alone, and a set of effects be worse than the answer for its values not to be
@@ -37,6 +38,7 @@ class Limits:
     size: float = 0.5
     negligible: float = 0.01
     rival: float = 0.5
+    file: float = 3.0
     bound: float = 0.05
     beside: float = 0.2
     left: float = 2.0

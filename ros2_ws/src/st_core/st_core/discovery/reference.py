@@ -12,6 +12,7 @@ from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from .evidence import TWO_SIDED, inverse
 from .fit import Problem, freed
+from .known import Quantities, known_quantities
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
 from .space import Space
@@ -47,11 +48,12 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
     held = np.eye(len(space)) / LOOSE**2
     composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
     held[composite, composite] = FIXED  # its members say the same
+    quantities = known_quantities(space, vehicle)
     fits = []
     for start in (space.null, textbook(space)):
         loss = Loss(Errors(windows, space, threads), start)
-        fits.append((_fitted(loss, space, windows, held, start, tick), loss))
-    vector, loss = min(fits, key=lambda fit: float(np.log(fit[1].scale).sum()))
+        fits.append((*_fitted(loss, windows, held, quantities, start, tick), loss))
+    vector, held, loss = min(fits, key=lambda fit: float(np.log(fit[2].scale).sum()))
     problem = Problem(loss, space.null, windows.block, held)
     q = loss.quadratic(problem.errors.at(vector), problem.everything(vector).values)
     h = q.hessian.sum(axis=0) + held
@@ -112,16 +114,21 @@ def textbook(space: Space) -> np.ndarray:
     return vector
 
 
-def _fitted(loss: Loss, space: Space, windows: Windows, held: np.ndarray, vector: np.ndarray,
-            tick: Callable[[], None]) -> np.ndarray:
-    """Everything at once from a vector, the scale of the loss renewed, until nothing moves."""
+def _fitted(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quantities, vector: np.ndarray,
+            tick: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:
+    """((p,) everything at once from a vector, the scale of the loss renewed, until nothing moves; (p, p) curvature that
+    held it: `held` and what the vehicle file knows)."""
+    space = loss.space
+    file = Problem(loss, space.null, windows.block, quantities=quantities)
     for _ in range(ROUNDS):
         tick()
-        problem = Problem(loss, space.null, windows.block, held)
-        fit = problem.fit((), problem.everything(vector), vector, iterations=2)
+        file.renew_design(vector)
+        whole = held + np.diag(file.known)
+        problem = Problem(loss, space.null, windows.block, whole)
+        fit = problem.fit((), file.everything(vector), vector, iterations=2)
         step = float(np.abs((fit.vector - vector) / space.scale).max())
         vector = fit.vector
         loss.rescale(vector)
         if step < SETTLED:
             break
-    return vector
+    return vector, whole

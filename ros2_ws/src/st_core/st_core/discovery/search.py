@@ -59,6 +59,7 @@ class Search:
     def run(self) -> Found:
         """The best of three starts: nothing; what that found and all physics at once; everything at once."""
         p = self.problem
+        p.renew_design(p.start)
         first = self._from(p.fit((), p.everything(p.start)))
         assert first is not None  # there has been no other start
         answers: list[Found | None] = [first]
@@ -99,8 +100,9 @@ class Search:
             found.known = None
 
     def _renewed(self, fit: Fit) -> Fit:
-        """At the scale of its own errors."""
+        """At the scale and the design effect of its own errors."""
         self.problem.loss.rescale(fit.vector)
+        self.problem.renew_design(fit.vector)
         return self.problem.renewed(fit)
 
     def _cleaned(self, fit: Fit) -> Fit:
@@ -236,14 +238,15 @@ class Search:
         q = fit.quadratic
         rest = tuple(n for n in fit.names if n != name)
         gone = np.isin(fit.which, np.setdiff1d(p.space.indices(name), p.space.indices(*rest)))
-        return _held_at(q, np.where(gone, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0), ~gone)[0]
+        step = np.where(gone, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0)
+        return _held_at(p, q, fit.vector, fit.which, step, ~gone)[0]
 
     def _pruned(self, vector: np.ndarray, names: list[str]) -> Fit | None:
         """From many effects at once, held a little, without those that are missed least; None if that is not new."""
         p = self.problem
-        scale = p.loss.scale.copy()
+        scale, design = p.loss.scale.copy(), p.design
         free = np.isin(np.arange(len(p.space)), p.which(names))
-        loose = Problem(p.loss, p.start, p.block, np.diag(np.where(free, LOOSE**-2, FIXED)))
+        loose = Problem(p.loss, p.start, p.block, np.diag(np.where(free, np.maximum(LOOSE**-2, p.known), FIXED)))
         p.loss.rescale(vector)
         for _ in range(JOINT):
             self.tick()
@@ -258,7 +261,7 @@ class Search:
 
         def cost(kept: list[str]) -> float:
             free = np.isin(everything.which, p.which(kept))
-            return _held_at(q, np.where(free, 0.0, back), free)[0]
+            return _held_at(p, q, vector, everything.which, np.where(free, 0.0, back), free)[0]
         while names:
             now = cost(names)
             missed = {n: cost([m for m in names if m != n]) - now for n in names}
@@ -267,7 +270,7 @@ class Search:
                 break
             names.remove(weakest)
         if not names or frozenset(names) in self._seen:
-            p.loss.scale = scale
+            p.loss.scale, p.design = scale, design
             return None
         return self._renewed(p.fit(tuple(names), everything, iterations=2))
 
@@ -342,14 +345,18 @@ class Search:
         p = self.problem
         everything = np.arange(len(p.space))
         free = np.isin(everything, p.which((*rest, other)))
-        cost, d = _held_at(q, np.where(free, 0.0, (p.start - fit.vector) / p.space.scale), free)
+        cost, d = _held_at(p, q, fit.vector, everything, np.where(free, 0.0, (p.start - fit.vector) / p.space.scale),
+                           free)
         return cost, p.moved(fit.vector, everything, d)
 
 
-def _held_at(q: Quadratic, fixed: np.ndarray, free: np.ndarray) -> tuple[float, np.ndarray]:
-    """(loss more, the best step) with some parts of the step `fixed`, the others `free`."""
+def _held_at(problem: Problem, q: Quadratic, vector: np.ndarray, which: np.ndarray, fixed: np.ndarray,
+             free: np.ndarray) -> tuple[float, np.ndarray]:
+    """(loss more, the best step) with some parts of the step `fixed`, the others `free`. q: about a vector, of `which`.
+    """
     d = np.array(fixed)
-    h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
+    h = q.hessian.sum(axis=0) + np.diag(problem.known[which])
+    g = q.gradient.sum(axis=0) - problem.pull(vector)[which]
     if free.any():
         a = h[np.ix_(free, free)]
         a = a + 1e-6 * (np.trace(a) / len(a) + 1e-9) * np.eye(len(a))

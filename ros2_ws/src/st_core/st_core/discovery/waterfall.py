@@ -102,7 +102,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
     """From the base to the answer, one effect more at a time; and the fit of the base. Leaves the scale of the loss."""
     if not order:
         return [], final
-    scale = problem.loss.scale.copy()
+    scale = problem.loss.scale.copy()  # the design effect stays that of the answer
     problem.loss.rescale(problem.start)
     fit = problem.fit((), problem.everything(problem.start))
     problem.loss.rescale(fit.vector)

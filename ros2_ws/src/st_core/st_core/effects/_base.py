@@ -32,7 +32,8 @@ class Parameter:
     odd: changes sign when left and right are exchanged. fit: False for a constant of the car that the effect needs and
     a fit leaves alone; null is then its default. identity: the estimate of `st_core.checks.check` that measures it
     without a fit to the car, same value, sign and unit; "" where there is none. theory: what physics says it is in any
-    car; None where that is of the single car.
+    car; None where that is of the single car. quantity: key of the vehicle file that it is a difference from, same
+    unit and sign, where neither `vehicle` nor `fold` of the effect shows that.
     Raises ConfigurationError when these contradict each other.
     """
 
@@ -47,6 +48,7 @@ class Parameter:
     fit: bool = True
     identity: str = ""
     theory: float | None = None
+    quantity: str = ""
 
     def __post_init__(self):
         low, high = self.bounds

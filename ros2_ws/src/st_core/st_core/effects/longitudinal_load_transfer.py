@@ -31,7 +31,8 @@ class LongitudinalLoadTransfer(Effect):
     order = 70
     parameters = (
         Parameter("height", "m", null=0.0, initial=0.4, bounds=(-0.6, 1.2),
-                  meaning="of the CG, beyond the base model's", source="CG of passenger cars 0.4-0.8 m"),
+                  meaning="of the CG, beyond the base model's", source="CG of passenger cars 0.4-0.8 m",
+                  quantity="cg_height"),
     )
 
     constants = staticmethod(tyre_parameters)

@@ -28,7 +28,8 @@ def key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: Vehicl
     """Of everything an answer depends on, the code included."""
     values = base.values if isinstance(base, AugmentedModel) else {}
     content = [FORMAT, code_of(st_core), [_digest(log) for log in runs], [_digest(log) for log in reference],
-               vehicle.hash, _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
+               vehicle.hash, sorted((key, one.uncertainty) for key, one in vehicle.provenance.items()),
+               _base(base), {effect: dict(entry) for effect, entry in values.items()}, asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in identities.items())]
     return name_of(content)
 

@@ -1,0 +1,85 @@
+"""What the vehicle file knows: deviations by parameter, their weight in a fit, and values it refutes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from discovery_drives import linear_problem
+from st_core.discovery.evidence import against_file, covariance
+from st_core.discovery.fit import Problem
+from st_core.discovery.known import Known, known_quantities, prior_deviations
+from st_core.discovery.settings import DiscoverySettings
+from st_core.discovery.space import Space
+from st_core.provenance import Provenance
+from st_core.vehicle import DEFAULT_UNCERTAINTIES, TYRES
+
+
+def test_default_uncertainty_gives_way_to_that_of_the_file(leaf):
+    assert leaf.uncertainty("mass") == pytest.approx(0.03 * leaf.mass)
+    assert leaf.uncertainty("steering_ratio") is None
+    stated = replace(leaf, provenance={"mass": Provenance(12.0), "steering_ratio": Provenance(0.3)})
+    assert stated.uncertainty("mass") == 12.0 and stated.uncertainty("steering_ratio") == 0.3
+
+
+def test_every_default_uncertainty_is_of_a_quantity_and_has_a_source(leaf):
+    for key, uncertainty in DEFAULT_UNCERTAINTIES.items():
+        assert leaf.uncertainty(key) > 0.0 and uncertainty.source
+        assert key.partition(".")[0] in (*TYRES, *leaf.__dataclass_fields__)
+
+
+@pytest.mark.parametrize(("base", "effect", "key", "slope"), [
+    ("nonlinear", "mass", "mass", 1.0), ("linear", "cg_position", "cg_to_front_axle", -1.0),
+    ("nonlinear", "longitudinal_load_transfer", "cg_height", 1.0),
+    ("nonlinear", "friction", "tyre_front.lambda_muy", 1.0)])
+def test_quantity_an_effect_changes(leaf, base, effect, key, slope):
+    space = Space(base, DiscoverySettings())
+    known = known_quantities(space, leaf)[space.indices(effect)[0]]
+    scale = leaf.mass if key == "mass" else 1.0
+    assert known.key == key and known.slope == pytest.approx(slope * scale)
+    assert known.deviations(3.0 * known.deviation / known.slope) == pytest.approx(3.0)
+
+
+def test_linear_base_lacks_all_of_the_height_and_is_not_held_to_none(leaf):
+    space = Space("linear", DiscoverySettings())
+    known = known_quantities(space, leaf)
+    i = space.indices("longitudinal_load_transfer")[0]
+    assert known[i].deviations(leaf.cg_height) == 0.0 and known[i].deviations(-0.2) > 3.0
+    assert prior_deviations(known, space.scale)[i] == np.inf
+
+
+def _held(problem: Problem, deviation: float) -> Problem:
+    """The problem with the mass known to `deviation` usual sizes."""
+    quantities: list[Known | None] = [None] * len(problem.space)
+    i = problem.space.indices("mass")[0]
+    quantities[i] = Known("mass", "kg", 1600.0, deviation * problem.space.scale[i] * 1600.0, 1600.0, True, 1600.0)
+    held = Problem(problem.loss, problem.start, problem.block, quantities=tuple(quantities))
+    held.renew_design(held.start)
+    return held
+
+
+def test_known_value_moves_as_far_as_its_deviation_allows():
+    free = linear_problem(["mass", "steering_ratio"], {"mass": 1.0}, seed=1)
+    i = free.space.indices("mass")[0]
+    moved = []
+    for deviation in (1e3, 0.05, 1e-3):
+        problem = _held(free, deviation)
+        fit = problem.fit(("mass",), problem.everything(problem.start))
+        moved.append((fit.vector[i] - problem.start[i]) / problem.space.scale[i])
+        assert against_file(problem, fit, "mass").deviations == pytest.approx(moved[-1] / deviation, rel=1e-6)
+    assert moved[0] == pytest.approx(1.0, abs=0.1) and 0.0 < moved[2] < 0.1 < moved[1] < moved[0]
+
+
+def test_interval_of_what_driving_does_not_show_is_that_of_the_file():
+    free = linear_problem(["mass"], {}, seed=2)
+    free.errors.signatures *= 1e-6
+    problem = _held(free, 0.5)
+    fit = problem.fit(("mass",), problem.everything(problem.start))
+    place = int(np.searchsorted(fit.which, problem.space.indices("mass")[0]))
+    assert np.sqrt(covariance(problem, fit)[place, place]) == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.parametrize("common", [0.0, 0.8])
+def test_design_effect_counts_errors_that_depend_on_each_other(common):
+    problem = linear_problem(["mass", "steering_ratio", "friction", "yaw_inertia"], {}, seed=3, common=common)
+    problem.renew_design(problem.start)
+    assert (problem.design > 3.0) == (common > 0.0)
