@@ -163,7 +163,7 @@ def test_virtual_car_shares_no_equations_with_the_models():
 
 
 def test_virtual_car_takes_only_the_wire_from_the_bridges():
-    wire = ("oxts_bridge.ncom", "oxts_bridge.channels", "oxts_bridge.gps_time", "canedge_bridge.decode",
+    wire = ("oxts_bridge.ncom", "oxts_bridge.channels", "oxts_bridge.packet_time", "canedge_bridge.decode",
             "canedge_bridge.transport")
     assert offences(lambda path, module: path.parts[0] != "st_sim" or not module.startswith(("oxts_b", "canedge_b"))
                     or module.startswith(wire)) == []

@@ -16,13 +16,11 @@ from canedge_bridge.receiver import Receiver
 from oxts_bridge import ncom
 from oxts_bridge.channels import FIELDS, encode_channel
 from oxts_bridge.file_decoder import decode_file
-from oxts_bridge.motion import Accuracy, motion_of
+from oxts_bridge.health import StreamStatistics
+from oxts_bridge.motion import FIRST_FIX, UNIT, Accuracy, Origin, motion_of
 from oxts_bridge.ncom import PACKET_SIZE, SYNC, NcomError
-from oxts_bridge.origin import FIRST_FIX, UNIT, Origin
-from oxts_bridge.status import StatusTracker
+from oxts_bridge.status import EventLog, StatusTracker
 from oxts_bridge.stream import NcomParser
-from oxts_bridge.stream_statistics import StreamStatistics
-from oxts_bridge.triggers import EventLog
 from support import ROOT
 
 from .harness import Target, one_line
@@ -64,7 +62,7 @@ class Pipeline:
         motion = motion_of(received)
         if motion is not None:
             for origin in self.origins:
-                frame = origin.look(motion, self.status, now_ns)
+                frame = origin.update(motion, self.status, now_ns)
                 if frame is not None:
                     assert all(map(math.isfinite, motion.position(frame))), motion
             assert all(map(math.isfinite, (*motion.attitude.quaternion(), *motion.velocity, *motion.body_velocity)))

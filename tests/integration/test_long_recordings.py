@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oxts_bridge.gps_time import MINUTE_MS
 from oxts_bridge.ncom import Packet, encode
+from oxts_bridge.packet_time import MINUTE_MS
 from scipy.signal import butter, lfilter
 from st_core.leap_seconds import GPS_EPOCH_UNIX, at_gps
 from st_core.vehicle import VehicleParameters

@@ -1,4 +1,4 @@
-"""The table of all status channels: which field lies where, in which unit, and when it is valid.
+"""The table of all status channels: position, unit and validity of every field.
 
 Field names are the vendor's, as in tests/golden/data/ncom; angles are in degrees as the vendor's tools show them.
 Source: NCOM manual 260702 and the behaviour of the vendor's public decoder; manual=M marks fields only the manual

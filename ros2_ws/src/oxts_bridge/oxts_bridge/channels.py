@@ -1,23 +1,28 @@
-"""Status channels (byte 62 and batch S): 8 bytes to named values and back, from the one table in channel_table.py."""
+"""Status channels (byte 62 and batch S): 8 bytes to named values and back by channel_table.py; names of GNSS modes.
+
+Source of the modes: ncom.md section 8.
+"""
 
 from collections.abc import Mapping
 
-from .channel_table import LONG_RANGE_CHANNEL, TABLE, TRIGGER_CHANNELS
+from .channel_table import LONG_RANGE_CHANNEL, TABLE
 from .fields import Field, Value
-from .gps_time import LAST_MINUTE
 from .ncom import NcomError
+from .packet_time import LAST_MINUTE
 
 FIELDS: dict[int, dict[str, Field]] = {
     channel: {field.name: field for field in fields} for channel, fields in TABLE.items()
 }
 _DECODERS = {channel: tuple((field.name, field.decoder()) for field in fields) for channel, fields in TABLE.items()}
+UTC_CHANNEL = 16
+_READ_UTC_OFFSET = FIELDS[UTC_CHANNEL]["TimeUtcOffset"].decoder()
 
 
 def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
-    """All fields of a channel from its 8 bytes: physical value in the field's unit, None = invalid. Unknown channel:
-    empty.
+    """All fields of a channel by name: physical value in the unit of the table, None = invalid. Unknown channel: empty.
 
-    Cyclic counters come as sent; status.StatusTracker unwraps them and adds what needs several channels or the time.
+    Cyclic counters are returned as sent; status.StatusTracker unwraps them and adds values that depend on several
+    channels or on the time.
     """
     values = {name: decode(data) for name, decode in _DECODERS.get(channel, ())}
     # 0xFF: the numbers are saturated
@@ -27,10 +32,10 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
 
 
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
-    """The 8 bytes of a channel; a field left out, None or NaN becomes invalid (0 where the channel has no such mark).
+    """The 8 bytes of a channel; a missing field, None or NaN becomes invalid (0 where the field has no such mark).
 
-    decode_channel(n, encode_channel(n, v)) gives v back within the field's resolution. Raises NcomError for an
-    unknown channel or field, a code out of range, and a group with one validity byte that is given only in part.
+    decode_channel(n, encode_channel(n, v)) equals v within the resolution of each field. Raises NcomError for an
+    unknown channel or field, a code out of range, and an incomplete group of values with one validity byte.
     """
     fields = FIELDS.get(channel)
     if fields is None:
@@ -61,8 +66,10 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
 
 
 def trigger_nanoseconds(data: bytes) -> int | None:
-    """GPS time of an event since 1980-01-06 [ns] from the 8 bytes of a trigger channel, resolution 4 us; None: no
-    event yet."""
+    """GPS time of an event [ns since 1980-01-06] from the 8 bytes of a trigger channel, resolution 4 us.
+
+    None: no event yet.
+    """
     minutes = int.from_bytes(data[0:4], "little", signed=True)
     if not 0 < minutes <= LAST_MINUTE or not data[7]:
         return None
@@ -85,9 +92,43 @@ def _encode_long_range(values: Mapping[str, Value]) -> bytes:
     return bytes(buffer)
 
 
+def utc_offset(data: bytes) -> int | None:
+    """UTC - GPS time [s] from the 8 bytes of channel 16; None if invalid or positive (UTC is never ahead of GPS)."""
+    offset = _READ_UTC_OFFSET(data)
+    return None if offset is None or offset > 0 else int(offset)
+
+
 def known(channel: int) -> bool:
-    """Whether the layout of a channel is published; others are kept raw and counted."""
+    """Whether the layout of a channel is published; other channels are counted and not decoded."""
     return channel in TABLE
 
 
-__all__ = ["FIELDS", "TABLE", "TRIGGER_CHANNELS", "decode_channel", "encode_channel", "known", "trigger_nanoseconds"]
+_POST = ("Doppler", "SPS", "differential", "float", "integer")
+MODES = dict(enumerate((
+    "none", "search", "Doppler", "SPS", "differential", "RTK float", "RTK integer", "SBAS", "OmniSTAR VBS",
+    "OmniSTAR HP", "no data", "blanked", *(f"post-processed {name}" for name in _POST), "OmniSTAR XP", "CDGPS",
+    "not recognised", *(f"gx {name}" for name in _POST), *(f"ix {name}" for name in _POST), "PPP converging", "PPP",
+    "unknown")))
+
+NO_FIX, FIX, SBAS_FIX, GBAS_FIX = -1, 0, 1, 2
+_STATUS = {
+    **dict.fromkeys((3, 13, 21, 26), FIX),
+    **dict.fromkeys((7, 8, 9, 17, 18, 30, 31), SBAS_FIX),
+    **dict.fromkeys((4, 5, 6, 14, 15, 16, 22, 23, 24, 27, 28, 29), GBAS_FIX),
+}
+_QUALITY = {mode: rank for rank, mode in enumerate((0, 1, 2, 3, 7, 4, 5, 6))}
+
+
+def mode_text(mode: int | None) -> str:
+    """Name of a position, velocity or orientation mode; empty before the first, "unknown (n)" without a name."""
+    return "" if mode is None else MODES.get(mode, f"unknown ({mode})")
+
+
+def quality(mode: int | None) -> int:
+    """Rank of a live GNSS mode, none 0 to RTK integer 7; -1 for other modes, which have no order."""
+    return -1 if mode is None else _QUALITY.get(mode, -1)
+
+
+def fix_status(mode: int | None) -> int:
+    """NavSatStatus.status of a position mode. NO_FIX for unknown numbers and before the first."""
+    return NO_FIX if mode is None else _STATUS.get(mode, NO_FIX)

@@ -1,36 +1,212 @@
-"""ROS messages from what a packet says. Each maker fills one message over and over: publishing copies it, and a new
-Odometry costs more than everything else done for a packet. Signs and units: REP-103; unknown variances: see
-UNKNOWN_VARIANCE."""
+"""ROS messages and publishers of the bridge.
 
-from math import degrees
+Frequent messages are filled in place and published again: publishing copies them, and constructing an Odometry costs
+more than all other work on a packet. Frames, signs and units: REP-103.
+"""
+
+from math import degrees, isfinite, nan
+from types import SimpleNamespace
 from typing import Any
 
 from geometry_msgs.msg import TransformStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus, TimeReference
 from st_msgs.msg import InsStatus, Ncom, Trigger
+from st_ros.polling import OnDemandPublisher
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from .attitude import Vector, flu_from_frd
+from .channels import fix_status, mode_text
 from .fields import Value
-from .modes import fix_status, mode_text
+from .geometry import Quaternion, Vector, ellipsoidal_height, flu_from_frd
 from .motion import Accuracy, Motion
-from .navigation import rule
-from .ncom import Packet
-from .resync import Counters
+from .ncom import BY_STATUS, Counters
 from .status import StatusTracker
+from .stream import Received
 
-# Of a quantity whose accuracy the unit does not vouch for, where the message has no way to say "unknown": large
-# enough that no filter believes it, finite so that none breaks.
+# Variance of an unknown quantity in messages that cannot express "unknown": so large that filters ignore the value,
+# finite so that none fails.
 UNKNOWN_VARIANCE = 1e6
+_UNKNOWN_BLOCK = (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
+
+# Depth: four seconds at 250 Hz, which a subscriber that was blocked (busy machine, suspended laptop) still receives.
+QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+TF_QOS = QoSProfile(depth=100, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(
+    depth=1,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+TYPES = {
+    "ncom": Ncom,
+    "odometry": Odometry,
+    "imu": Imu,
+    "nav_sat_fix": NavSatFix,
+    "velocity": TwistWithCovarianceStamped,
+    "time_reference": TimeReference,
+    "trigger": Trigger,
+}
+
+
+class Publishers:
+    """All topics of the bridge. Times in ns since 1970; now: monotonic clock [s].
+
+    A message is filled only while its topic has subscribers.
+    """
+
+    def __init__(self, node: Node, settings: SimpleNamespace):
+        self._node, self._settings = node, settings
+        self._publishers: list[Publisher] = []
+        self._out = {name: self._on_demand(name, type_) for name, type_ in TYPES.items()}
+        self._status = self._create(InsStatus, "ins/status", LATCHED) if "status" in settings.topics else None
+        self._origin = self._create(NavSatFix, "ins/origin", LATCHED) if "origin" in settings.topics else None
+        self._tf = OnDemandPublisher(self._create(TFMessage, "/tf", TF_QOS) if settings.publish_tf else None)
+        self._tf_static = self._create(TFMessage, "/tf_static", LATCHED) if settings.publish_tf else None
+        self._clock = self._create(Clock, "/clock", 10) if settings.publish_clock else None
+        self._make_messages(settings)
+
+    def _make_messages(self, settings: SimpleNamespace) -> None:
+        frame = settings.ins_frame
+        self._odometry = Odometry(header=Header(frame_id=settings.map_frame), child_frame_id=frame)
+        self._velocity = TwistWithCovarianceStamped(header=Header(frame_id=frame))
+        for covariance in (self._odometry.twist.covariance, self._velocity.twist.covariance):
+            for i in (21, 28, 35):
+                covariance[i] = settings.angular_velocity_stddev**2 or UNKNOWN_VARIANCE
+        self._imu = Imu(header=Header(frame_id=frame))
+        for i in (0, 4, 8):
+            self._imu.angular_velocity_covariance[i] = settings.angular_velocity_stddev**2
+            self._imu.linear_acceleration_covariance[i] = settings.linear_acceleration_stddev**2
+        service = NavSatStatus(service=NavSatStatus.SERVICE_GPS)
+        self._fix = NavSatFix(header=Header(frame_id=frame), status=service)
+        self._ncom = Ncom(header=Header(frame_id=frame))
+        self._time_reference = TimeReference(header=Header(frame_id=frame), source="ncom")
+        x, y, z = map(float, settings.base_to_ins)
+        self._base_to_ins, self._ins_to_base = (x, y, z), (-x, -y, -z)
+        self._transform = TransformStamped(
+            header=Header(frame_id=settings.odom_frame), child_frame_id=settings.base_frame)
+        self._transforms = TFMessage(transforms=[self._transform])
+
+    def _create(self, type_: type, name: str, qos: QoSProfile | int) -> Publisher:
+        publisher = self._node.create_publisher(type_, name, qos)
+        self._publishers.append(publisher)
+        return publisher
+
+    def _on_demand(self, name: str, type_: type) -> OnDemandPublisher:
+        return OnDemandPublisher(self._create(type_, f"ins/{name}", QOS) if name in self._settings.topics else None)
+
+    def destroy(self) -> None:
+        for publisher in self._publishers:
+            self._node.destroy_publisher(publisher)
+
+    def raw(self, received: Received, now: float) -> None:
+        """st_msgs/Ncom: the packet as received, stamped with the time of receipt."""
+        if received.received_ns is not None and self._out["ncom"].has_subscribers(now):
+            set_stamp(self._ncom.header, received.received_ns)
+            self._ncom.raw_packet.data[:] = memoryview(received.raw)
+            self._out["ncom"].publish(self._ncom)
+
+    def time_reference(self, received: Received, now: float) -> None:
+        """sensor_msgs/TimeReference: host time of receipt (header) and UTC of the INS."""
+        received_ns, utc_ns = received.received_ns, received.utc_ns
+        if received_ns is not None and utc_ns is not None and self._out["time_reference"].has_subscribers(now):
+            message = self._time_reference
+            set_stamp(message.header, received_ns)
+            message.time_ref.sec, message.time_ref.nanosec = divmod(utc_ns, 1_000_000_000)
+            self._out["time_reference"].publish(message)
+
+    def motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy, now: float) -> None:
+        """Odometry, transform and velocity; position: ENU in the map frame [m], None until there is an origin."""
+        if position is not None:
+            if self._out["odometry"].has_subscribers(now):
+                _fill_odometry(self._odometry, stamp_ns, position, motion, accuracy)
+                self._out["odometry"].publish(self._odometry)
+            if self._tf.has_subscribers(now):
+                self._tf.publish(self._moving_transform(stamp_ns, position, motion))
+        if self._out["velocity"].has_subscribers(now):
+            set_stamp(self._velocity.header, stamp_ns)
+            _fill_twist(self._velocity.twist.twist, motion)
+            _set_block(self._velocity.twist.covariance, 0, _velocity_covariance(motion, accuracy))
+            self._out["velocity"].publish(self._velocity)
+
+    def _moving_transform(self, stamp_ns: int, position: Vector, motion: Motion) -> TFMessage:
+        """odom -> base_link."""
+        set_stamp(self._transform.header, stamp_ns)
+        x, y, z = motion.attitude.to_enu(self._ins_to_base)
+        _set_vector(self._transform.transform.translation, (position[0] + x, position[1] + y, position[2] + z))
+        _set_quaternion(self._transform.transform.rotation, motion.attitude.quaternion())
+        return self._transforms
+
+    def fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker, now: float) -> None:
+        """sensor_msgs/NavSatFix; its altitude is above the ellipsoid, NaN while the geoid undulation is unknown."""
+        if not self._out["nav_sat_fix"].has_subscribers(now):
+            return
+        undulation = status.get("Undulation")
+        if self._settings.altitude_is_ellipsoidal:
+            height = motion.altitude
+        else:
+            height = nan if undulation is None else ellipsoidal_height(motion.altitude, undulation)
+        _fill_fix(self._fix, stamp_ns, motion, height, accuracy)
+        self._fix.status.status = fix_status(status.get("GpsPosMode"))
+        self._out["nav_sat_fix"].publish(self._fix)
+
+    def imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy, now: float) -> None:
+        """sensor_msgs/Imu; motion: None while there is no valid attitude."""
+        packet = received.packet
+        if not self._out["imu"].has_subscribers(now) or not isfinite(sum(packet.acceleration) + sum(packet.angular_rate)):
+            return
+        set_stamp(self._imu.header, stamp_ns)
+        _set_vector(self._imu.angular_velocity, flu_from_frd(packet.angular_rate))
+        _set_vector(self._imu.linear_acceleration, flu_from_frd(packet.acceleration))
+        _fill_orientation(self._imu, motion, accuracy)
+        self._out["imu"].publish(self._imu)
+
+    def trigger(self, message: Trigger) -> None:
+        if "trigger" in self._settings.topics:
+            self._out["trigger"].publish(message)
+
+    def status(self, message: InsStatus) -> None:
+        if self._status is not None:
+            self._status.publish(message)
+
+    def origin(self, stamp_ns: int, degrees: tuple[float, float, float]) -> None:
+        """Origin of the map frame: latitude, longitude [deg], altitude [m] as the unit sends it."""
+        if self._origin is not None:
+            message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
+            set_stamp(message.header, stamp_ns)
+            message.latitude, message.longitude, message.altitude = degrees
+            self._origin.publish(message)
+
+    def clock(self, utc_ns: int) -> None:
+        if self._clock is not None:
+            message = Clock()
+            message.clock.sec, message.clock.nanosec = divmod(utc_ns, 1_000_000_000)
+            self._clock.publish(message)
+
+    def static_transforms(self, stamp_ns: int) -> None:
+        """map -> odom (identity: the INS does not drift relative to the map) and base_link -> ins_link."""
+        if self._tf_static is None:
+            return
+        s = self._settings
+        transforms = []
+        for parent, child, offset in ((s.map_frame, s.odom_frame, (0.0, 0.0, 0.0)),
+                                      (s.base_frame, s.ins_frame, self._base_to_ins)):
+            transform = TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
+            set_stamp(transform.header, stamp_ns)
+            _set_vector(transform.transform.translation, offset)
+            transforms.append(transform)
+        self._tf_static.publish(TFMessage(transforms=transforms))
 
 
 def set_stamp(header: Header, nanoseconds: int) -> None:
     header.stamp.sec, header.stamp.nanosec = divmod(nanoseconds, 1_000_000_000)
 
 
-def _set_quaternion(message: Any, quaternion: tuple[float, float, float, float]) -> None:
+def _set_quaternion(message: Any, quaternion: Quaternion) -> None:
     message.x, message.y, message.z, message.w = quaternion
 
 
@@ -38,214 +214,93 @@ def _set_vector(message: Any, vector: Vector) -> None:
     message.x, message.y, message.z = vector
 
 
-class OdometryMaker:
-    """nav_msgs/Odometry: pose of the INS point in the map frame (ENU), twist in its own axes (FLU)."""
-
-    def __init__(self, map_frame: str, ins_frame: str, angular_velocity_stddev: float):
-        self._message = Odometry(header=Header(frame_id=map_frame), child_frame_id=ins_frame)
-        covariance = self._message.twist.covariance
-        for i in (21, 28, 35):
-            covariance[i] = angular_velocity_stddev**2 or UNKNOWN_VARIANCE
-
-    def make(self, stamp_ns: int, position: Vector, motion: Motion, accuracy: Accuracy) -> Odometry:
-        message = self._message
-        set_stamp(message.header, stamp_ns)
-        pose, twist = message.pose.pose, message.twist.twist
-        _set_vector(pose.position, position)
-        _set_quaternion(pose.orientation, motion.attitude.quaternion())
-        _set_vector(twist.linear, motion.body_velocity)
-        _set_vector(twist.angular, motion.angular_velocity)
-        self._pose_covariance(message.pose.covariance, motion, accuracy)
-        _set_block(message.twist.covariance, 0, _velocity_covariance(motion, accuracy))
-        return message
-
-    @staticmethod
-    def _pose_covariance(covariance: Any, motion: Motion, accuracy: Accuracy) -> None:
-        known = accuracy.position_known
-        covariance[0] = accuracy.east**2 if known else UNKNOWN_VARIANCE
-        covariance[7] = accuracy.north**2 if known else UNKNOWN_VARIANCE
-        covariance[14] = accuracy.up**2 if known else UNKNOWN_VARIANCE
-        _set_block(covariance, 21, _orientation_covariance(motion, accuracy))
+def _set_block(covariance: Any, at: int, block: tuple[float, ...]) -> None:
+    """Set a 3 x 3 block of a 6 x 6 matrix, its first element at index `at`."""
+    covariance[at], covariance[at + 1], covariance[at + 2] = block[0:3]
+    covariance[at + 6], covariance[at + 7], covariance[at + 8] = block[3:6]
+    covariance[at + 12], covariance[at + 13], covariance[at + 14] = block[6:9]
 
 
-class VelocityMaker:
-    """geometry_msgs/TwistWithCovarianceStamped in the axes of the INS frame (FLU)."""
+def _fill_twist(twist: Any, motion: Motion) -> None:
+    _set_vector(twist.linear, motion.body_velocity)
+    _set_vector(twist.angular, motion.angular_velocity)
 
-    def __init__(self, ins_frame: str, angular_velocity_stddev: float):
-        self._message = TwistWithCovarianceStamped(header=Header(frame_id=ins_frame))
-        for i in (21, 28, 35):
-            self._message.twist.covariance[i] = angular_velocity_stddev**2 or UNKNOWN_VARIANCE
 
-    def make(self, stamp_ns: int, motion: Motion, accuracy: Accuracy) -> TwistWithCovarianceStamped:
-        message = self._message
-        set_stamp(message.header, stamp_ns)
-        _set_vector(message.twist.twist.linear, motion.body_velocity)
-        _set_vector(message.twist.twist.angular, motion.angular_velocity)
-        _set_block(message.twist.covariance, 0, _velocity_covariance(motion, accuracy))
-        return message
+def _fill_odometry(message: Odometry, stamp_ns: int, position: Vector, motion: Motion, accuracy: Accuracy) -> None:
+    """Pose of the INS point in the map frame (ENU), twist in its own axes (FLU)."""
+    set_stamp(message.header, stamp_ns)
+    _set_vector(message.pose.pose.position, position)
+    _set_quaternion(message.pose.pose.orientation, motion.attitude.quaternion())
+    _fill_twist(message.twist.twist, motion)
+    covariance, known = message.pose.covariance, accuracy.position_known
+    covariance[0] = accuracy.east**2 if known else UNKNOWN_VARIANCE
+    covariance[7] = accuracy.north**2 if known else UNKNOWN_VARIANCE
+    covariance[14] = accuracy.up**2 if known else UNKNOWN_VARIANCE
+    _set_block(covariance, 21, _orientation_covariance(motion, accuracy))
+    _set_block(message.twist.covariance, 0, _velocity_covariance(motion, accuracy))
 
 
 def _velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
     if not accuracy.velocity_known:
-        return (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
+        return _UNKNOWN_BLOCK
     variances = (accuracy.velocity_east**2, accuracy.velocity_north**2, accuracy.velocity_up**2)
     return motion.attitude.covariance_to_body(variances)
 
 
 def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
     if not accuracy.attitude_known:
-        return (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
+        return _UNKNOWN_BLOCK
     return motion.attitude.orientation_covariance(accuracy.roll, accuracy.pitch, accuracy.heading)
 
 
-def _set_block(covariance: Any, at: int, block: tuple[float, ...]) -> None:
-    """A 3 x 3 block of a 6 x 6 matrix, its first element at index `at`."""
-    covariance[at], covariance[at + 1], covariance[at + 2] = block[0:3]
-    covariance[at + 6], covariance[at + 7], covariance[at + 8] = block[3:6]
-    covariance[at + 12], covariance[at + 13], covariance[at + 14] = block[6:9]
+def _fill_orientation(message: Imu, motion: Motion | None, accuracy: Accuracy) -> None:
+    """Covariance by the convention of sensor_msgs: zeros = unknown, -1 in the first element = no orientation."""
+    covariance = message.orientation_covariance
+    if motion is None:
+        _set_quaternion(message.orientation, (0.0, 0.0, 0.0, 1.0))
+        covariance[:] = 0.0
+        covariance[0] = -1.0
+        return
+    _set_quaternion(message.orientation, motion.attitude.quaternion())
+    covariance[:] = _orientation_covariance(motion, accuracy) if accuracy.attitude_known else 0.0
 
 
-class ImuMaker:
-    """sensor_msgs/Imu in the INS frame (FLU): specific force (+9.8 up at rest), rates relative to inertial space.
-
-    Covariances: zeros mean unknown, -1 in the first element that the quantity is not there at all (sensor_msgs
-    convention).
-    """
-
-    def __init__(self, ins_frame: str, angular_velocity_stddev: float, linear_acceleration_stddev: float):
-        self._message = Imu(header=Header(frame_id=ins_frame))
-        for i in (0, 4, 8):
-            self._message.angular_velocity_covariance[i] = angular_velocity_stddev**2
-            self._message.linear_acceleration_covariance[i] = linear_acceleration_stddev**2
-
-    def make(self, stamp_ns: int, packet: Packet, motion: Motion | None, accuracy: Accuracy) -> Imu:
-        """motion: None while there is no valid attitude."""
-        message = self._message
-        set_stamp(message.header, stamp_ns)
-        _set_vector(message.angular_velocity, flu_from_frd(packet.angular_rate))
-        _set_vector(message.linear_acceleration, flu_from_frd(packet.acceleration))
-        covariance = message.orientation_covariance
-        if motion is None:
-            _set_quaternion(message.orientation, (0.0, 0.0, 0.0, 1.0))
-            covariance[:] = 0.0
-            covariance[0] = -1.0
-            return message
-        _set_quaternion(message.orientation, motion.attitude.quaternion())
-        covariance[:] = _orientation_covariance(motion, accuracy) if accuracy.attitude_known else 0.0
-        return message
-
-
-class NavSatFixMaker:
-    """sensor_msgs/NavSatFix. The message means ellipsoidal height: without it the altitude is NaN, never a geoid
-    height."""
-
-    def __init__(self, ins_frame: str):
-        service = NavSatStatus.SERVICE_GPS
-        self._message = NavSatFix(header=Header(frame_id=ins_frame), status=NavSatStatus(service=service))
-
-    def make(self, stamp_ns: int, motion: Motion, height: float, mode: int | None, accuracy: Accuracy) -> NavSatFix:
-        """height: above the ellipsoid [m], NaN unknown. mode: position mode of the unit."""
-        message = self._message
-        set_stamp(message.header, stamp_ns)
-        message.status.status = fix_status(mode)
-        message.latitude, message.longitude = degrees(motion.latitude), degrees(motion.longitude)
-        message.altitude = height
-        known = accuracy.position_known
-        covariance = message.position_covariance
-        covariance[0] = accuracy.east**2 if known else 0.0
-        covariance[4] = accuracy.north**2 if known else 0.0
-        covariance[8] = accuracy.up**2 if known else 0.0
-        message.position_covariance_type = (
-            NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN
-        )
-        return message
-
-
-class TransformMaker:
-    """tf2_msgs/TFMessage odom -> base_link; base_to_ins: where the INS point is seen from base_link (FLU) [m]."""
-
-    def __init__(self, odom_frame: str, base_frame: str, base_to_ins: Vector):
-        self._transform = TransformStamped(header=Header(frame_id=odom_frame), child_frame_id=base_frame)
-        self._message = TFMessage(transforms=[self._transform])
-        self._to_base = (-base_to_ins[0], -base_to_ins[1], -base_to_ins[2])
-
-    def make(self, stamp_ns: int, position: Vector, motion: Motion) -> TFMessage:
-        set_stamp(self._transform.header, stamp_ns)
-        lever = motion.attitude.to_enu(self._to_base)
-        transform = self._transform.transform
-        _set_vector(transform.translation, (position[0] + lever[0], position[1] + lever[1], position[2] + lever[2]))
-        _set_quaternion(transform.rotation, motion.attitude.quaternion())
-        return self._message
-
-
-def static_transforms(
-    stamp_ns: int, map_frame: str, odom_frame: str, base_frame: str, ins_frame: str, base_to_ins: Vector
-) -> TFMessage:
-    """map -> odom (identity: the INS does not drift away from the map) and base_link -> ins_link."""
-    transforms = []
-    for parent, child, offset in ((map_frame, odom_frame, (0.0, 0.0, 0.0)), (base_frame, ins_frame, base_to_ins)):
-        transform = TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
-        set_stamp(transform.header, stamp_ns)
-        _set_vector(transform.transform.translation, offset)
-        transforms.append(transform)
-    return TFMessage(transforms=transforms)
-
-
-class NcomMaker:
-    """st_msgs/Ncom: the packet as it came, stamped with the receive time."""
-
-    def __init__(self, ins_frame: str):
-        self._message = Ncom(header=Header(frame_id=ins_frame))
-
-    def make(self, received_ns: int, raw: bytes) -> Ncom:
-        set_stamp(self._message.header, received_ns)
-        self._message.raw_packet.data[:] = memoryview(raw)
-        return self._message
-
-
-class TimeReferenceMaker:
-    """sensor_msgs/TimeReference: when the host got it (header) against the INS's UTC."""
-
-    def __init__(self, ins_frame: str):
-        self._message = TimeReference(header=Header(frame_id=ins_frame), source="ncom")
-
-    def make(self, received_ns: int, utc_ns: int) -> TimeReference:
-        set_stamp(self._message.header, received_ns)
-        self._message.time_ref.sec, self._message.time_ref.nanosec = divmod(utc_ns, 1_000_000_000)
-        return self._message
+def _fill_fix(message: NavSatFix, stamp_ns: int, motion: Motion, height: float, accuracy: Accuracy) -> None:
+    """height: above the ellipsoid [m], NaN unknown."""
+    set_stamp(message.header, stamp_ns)
+    message.latitude, message.longitude, message.altitude = degrees(motion.latitude), degrees(motion.longitude), height
+    known = accuracy.position_known
+    covariance = message.position_covariance
+    covariance[0] = accuracy.east**2 if known else 0.0
+    covariance[4] = accuracy.north**2 if known else 0.0
+    covariance[8] = accuracy.up**2 if known else 0.0
+    message.position_covariance_type = (
+        NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN
+    )
 
 
 def make_trigger(
     stamp_ns: int, map_frame: str, channel: int, count: int, position: Vector | None, motion: Motion | None
 ) -> Trigger:
-    """position, motion: at the event; None where they are not known."""
+    """st_msgs/Trigger of an event input or output; position, motion: at that instant, None where unknown."""
     message = Trigger(header=Header(frame_id=map_frame), source=channel, count=count)
     set_stamp(message.header, stamp_ns)
     message.pose_valid = position is not None and motion is not None
     if position is not None and motion is not None:
         _set_vector(message.pose.position, position)
         _set_quaternion(message.pose.orientation, motion.attitude.quaternion())
-        _set_vector(message.twist.linear, motion.body_velocity)
-        _set_vector(message.twist.angular, motion.angular_velocity)
-    return message
-
-
-def make_origin(stamp_ns: int, map_frame: str, degrees: tuple[float, float, float]) -> NavSatFix:
-    """Where the map frame starts: latitude, longitude [deg], altitude [m] of the kind the unit sends."""
-    message = NavSatFix(header=Header(frame_id=map_frame))
-    set_stamp(message.header, stamp_ns)
-    message.latitude, message.longitude, message.altitude = degrees
+        _fill_twist(message.twist, motion)
     return message
 
 
 def make_status(
     stamp_ns: int, ins_frame: str, navigation_status: int, status: StatusTracker, counters: Counters, time_jumps: int
 ) -> InsStatus:
-    """Everything the status channels have said so far."""
+    """st_msgs/InsStatus from the newest values of all status channels."""
     number, get = status.number, status.get
     message = InsStatus(header=Header(frame_id=ins_frame), navigation_status=navigation_status)
     set_stamp(message.header, stamp_ns)
-    message.navigation_status_text = rule(navigation_status).text
+    message.navigation_status_text = BY_STATUS[navigation_status].text
     for name, field in (("position", "GpsPosMode"), ("velocity", "GpsVelMode"), ("orientation", "GpsAttMode")):
         mode = get(field)
         setattr(message, f"{name}_mode", -1 if mode is None else mode)

@@ -1,33 +1,33 @@
-"""What the vendor's tools compute from the packets: level-frame values, speed, slip, distance, ISO axes. Column by
-column.
+"""Columns that the vendor's tools derive from the packets: level-frame values, speed, slip, distance, ISO axes.
 
-Conventions (ncom.md section 10): level frame = forward, right, down; Iso = forward, left, up. All from valid
-navigation only (status 3, 4, 21, 22). Where an input is missing the result is NaN. Checked by:
-tests/golden/test_ncom_vectors.py.
+Conventions (ncom.md section 10): level frame = forward, right, down; Iso = forward, left, up. Only from valid
+navigation (status 3, 4, 21, 22); NaN where an input is missing. Checked by: tests/golden/test_ncom_vectors.py.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter, lfilter_zi
 
 from .file_decoder import EMPTY, REGULAR, UNKNOWN_TIME, Columns
-from .geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
-from .low_pass import LowPass
+from .geometry import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
 
-EARTH_RATE = 7.2921151467e-5
-# Taken as the accuracy of the horizontal speed where the unit has not sent one [m/s].
+EARTH_RATE = 7.2921151467e-5  # rad/s
+# Accuracy of the horizontal speed where the unit has not sent one [m/s].
 UNKNOWN_SPEED_ACCURACY = 0.14
-# Distance is not integrated across a longer step of the packet time, nor a backward one: that is a joined file or a
-# set clock.
+# Distance is not integrated across a backward step of the packet time or a longer one [s]: a joined file, a set clock.
 LONGEST_STEP = 10.0
+# Two successive steps are even, and a sampling rate is derived from them, if their ratio is within this of 1.
+_STEP_TOLERANCE = 0.01
+
 
 @dataclass
 class Settings:
-    """What derived values need from the status channels, each as (packet index, value) from which packet on it holds.
+    """Status values that derived columns depend on, each as (index of the first packet it applies to, value).
 
     speed_accuracy: 2 sqrt(north^2 + east^2) [m/s], NaN unknown.  acceleration_filter, rate_filter: (cutoff [Hz],
-    damping).
+    damping ratio).
     """
 
     speed_accuracy: list[tuple[int, float]]
@@ -36,7 +36,7 @@ class Settings:
 
 
 def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
-    """By name, in the order of the table; deg, deg/s, m, m/s, m/s^2 as the vendor shows them."""
+    """Derived columns by name, in the order of the CSV; deg, deg/s, m, m/s, m/s^2 as in the vendor's tools."""
     fix = (columns.kind != EMPTY) & ~columns.approximate
     velocity = np.where(fix, columns.velocity_ned, np.nan)
     heading, pitch, roll = (np.where(fix, angle, np.nan) for angle in (columns.heading, columns.pitch, columns.roll))
@@ -47,7 +47,7 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
     seconds = float_seconds(columns)
     level_velocity, level_rate = _to_level_heading(velocity, heading), _apply(level, rate)
     out["Vf"], out["Vl"] = level_velocity[0], level_velocity[1]
-    _speed_and_slip(out, velocity, heading, level_rate[2], _held(settings.speed_accuracy, len(columns)))
+    _speed_and_slip(out, velocity, heading, level_rate[2], _forward_fill(settings.speed_accuracy, len(columns)))
     _distances(out, columns, seconds)
     out["Af"], out["Al"], out["Ad"] = _apply(level, acceleration)
     out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
@@ -60,9 +60,11 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
 
 
 def float_seconds(columns: Columns) -> np.ndarray:
-    """GPS seconds since 1980-01-06, NaN unknown. Minutes and the rest are added as floats because the vendor's tools
-    do: a difference of two such times carries 2e-7 s of rounding, and the reference values of Y and Dist carry it with
-    them."""
+    """GPS seconds since 1980-01-06, NaN unknown.
+
+    Minutes and the rest are added as floats, as in the vendor's tools: the rounding of 2e-7 s in the difference of two
+    times is part of their values of Y and Dist.
+    """
     known = columns.gps_ns != UNKNOWN_TIME
     minutes, rest = np.divmod(np.where(known, columns.gps_ns, 0), 60_000_000_000)
     milliseconds, fine = np.divmod(rest, 1_000_000)
@@ -105,8 +107,8 @@ def _speed_and_slip(
     out["Curvature"] = np.divide(yaw_rate, speed, where=moving, out=np.full(len(speed), np.nan))
 
 
-def _held(changes: list[tuple[int, float]], count: int) -> np.ndarray:
-    """A value that holds from a packet on, as a column."""
+def _forward_fill(changes: list[tuple[int, float]], count: int) -> np.ndarray:
+    """Column of a value that applies from each change on, NaN before the first."""
     if not changes:
         return np.full(count, np.nan)
     where = np.array([index for index, _ in changes])
@@ -116,7 +118,7 @@ def _held(changes: list[tuple[int, float]], count: int) -> np.ndarray:
 
 
 def _distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
-    """Trapezoidal sum of speed; a trigger packet reads it without advancing it."""
+    """Trapezoidal integral of speed; trigger packets get its value at their time without advancing it."""
     for name, speed in (("Dist2d", out["Speed2d"]), ("Dist3d", out["Speed3d"])):
         usable = ~np.isnan(speed) & ~np.isnan(seconds)
         series = np.flatnonzero(usable & (columns.kind == REGULAR) & (columns.order == 0))
@@ -137,8 +139,7 @@ def _distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
 
 
 def _sets_minute(columns: Columns, series: np.ndarray) -> int:
-    """1 if the first packet of the series is the one that sets the minute: the vendor's tools count distance from the
-    next."""
+    """1 if the first packet of the series sets the minute, else 0; the vendor's tools start the distance after it."""
     if not len(series) or columns.channel[series[0]] != 0:
         return 0
     earlier = slice(0, series[0])
@@ -164,29 +165,51 @@ def _filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Settin
         ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), settings.rate_filter),
     )
     for prefix, signal, changes in groups:
+        series = np.flatnonzero(regular & ~np.isnan(signal).any(axis=0))
+        first = [(int(np.searchsorted(series, index)), *setting) for index, setting in changes]
         for axis, values in zip("xyz", signal, strict=True):
-            filtered = np.full(len(seconds), np.nan)
-            series = np.flatnonzero(regular & ~np.isnan(signal).any(axis=0))
-            if changes:
-                _run_filter(filtered, series, seconds, values, changes)
-            out[prefix + axis] = filtered
+            out[prefix + axis] = filtered = np.full(len(seconds), np.nan)
+            filtered[series] = low_pass(seconds[series], values[series], first)
 
 
-def _run_filter(
-    filtered: np.ndarray,
-    series: np.ndarray,
-    seconds: np.ndarray,
-    values: np.ndarray,
-    changes: list[tuple[int, tuple[float | None, float | None]]],
-) -> None:
-    low_pass = LowPass()
-    waiting = list(changes)
-    for i, time, value in zip(series.tolist(), seconds[series].tolist(), values[series].tolist(), strict=True):
-        while waiting and waiting[0][0] <= i:
-            low_pass.configure(*waiting.pop(0)[1])
-        output = low_pass.feed(time, value)
-        if output is not None:
-            filtered[i] = output
+def low_pass(
+    seconds: np.ndarray, values: np.ndarray, settings: Sequence[tuple[int, float | None, float | None]]
+) -> np.ndarray:
+    """Second-order low-pass that units announce in channels 63 and 74 and leave to the receiver.
+
+        b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
+        K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
+
+    settings: (index of its first sample, cutoff fc [Hz], damping ratio z); both 0: off (output = input), None: as
+    before. NaN until a setting with fc < fs / 2 and three evenly spaced samples; the first of them is the initial
+    steady state. Source: ncom.md section 10. Checked by: tests/golden/test_ncom_vectors.py (case filters).
+    """
+    output = np.full(len(values), np.nan)
+    changes: list[tuple[int, tuple[float, float]]] = []
+    for start, cutoff, damping in settings:
+        if cutoff is None or damping is None or (cutoff > 0) != (damping > 0):
+            continue
+        if not changes or changes[-1][1] != (cutoff, damping):
+            changes.append((start, (cutoff, damping)))
+    for number, (start, (cutoff, damping)) in enumerate(changes, 1):
+        end = changes[number][0] if number < len(changes) else len(values)
+        if not cutoff:
+            output[start:end] = values[start:end]
+            continue
+        steps = np.diff(seconds[max(start - 3, 0) : end])
+        older, newer = steps[:-1], steps[1:]
+        even = (older > 0) & (np.abs(older - newer) < _STEP_TOLERANCE * newer) & (cutoff * (older + newer) < 1)
+        if not even.any():
+            continue
+        first = max(start - 3, 0) + int(even.argmax())
+        k = np.tan(np.pi * cutoff * (seconds[first + 2] - seconds[first]) / 2)
+        d = k * k + 2 * damping * k + 1
+        b = np.array([k * k, 2 * k * k, k * k]) / d
+        a = np.array([d, 2 * (k * k - 1), k * k - 2 * damping * k + 1]) / d
+        filtered, _ = lfilter(b, a, values[first + 1 : end], zi=lfilter_zi(b, a) * values[first])
+        begin = max(start, first + 2)
+        output[begin:end] = filtered[begin - first - 1 :]
+    return output
 
 
 def _without_gravity(
@@ -213,6 +236,6 @@ def _without_gravity(
 
 
 def gravity(latitude: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Normal gravity [m/s^2] at latitude [rad], height [m]; the fall-off holds for height > 0."""
+    """Normal gravity [m/s^2] at latitude [rad], height [m]; constant below height 0."""
     surface = 9.780318 * (1 + 5.3024e-3 * np.sin(latitude) ** 2 - 5.9e-6 * np.sin(2 * latitude) ** 2)
     return surface / (1 + np.maximum(height, 0) / 6367435.68) ** 2

@@ -1,46 +1,49 @@
-"""An NCOM file as CSV: what the unit said, packet by packet, and every change of its status. Called by `st ncom`."""
+"""An NCOM file as CSV: the values of every packet, and every change of the status. Called by `st ncom`."""
 
 import csv
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .channels import FIELDS
 from .derived import Settings, derive, float_seconds
 from .fields import INVERTED_B6, Value
 from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
-from .gps_time import WEEK_MS
 from .ncom import NcomError
+from .packet_time import WEEK_MS
 from .status import PARTS, StatusTracker
-from .surface import surface_angles
+
+Change: TypeAlias = tuple[int, int, str, Value]
+"""Change of a status field: packet, channel, field, value (None: invalid)."""
 
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
-# The vendor shows robot interface codes it has no name for as 10.
+# The vendor's tools write 10 for all robot interface codes without a name.
 _LARGEST_CODE = {"UmacStatus": 10}
-# Their invalid mark means "nothing new": the last value stands, as in the vendor's tools.
-_KEPT = frozenset(
+# Fields whose invalid mark means "no new value": the last one stays valid, as in the vendor's tools.
+_RETAINED = frozenset(
     name
     for fields in FIELDS.values()
     for name, field in fields.items()
     if name.startswith("Inn") or name == "Undulation" or field.validity is INVERTED_B6
 )
+_SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 _ROWS_AT_ONCE = 1 << 12
 
 
 def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Path | None = None) -> int:
-    """Write all packets of an .ncom file (and, if asked, its status changes) as CSV; returns the number of packets.
+    """Write the packets of an .ncom file, and optionally its status changes, as CSV; returns the number of packets.
 
-    csv_path: columns of `_table`, one row per accepted packet; empty = invalid. m, m/s, m/s^2, deg,
-    deg/s, GPS seconds.
+    csv_path: columns of `_table`, one row per accepted packet; empty = invalid. m, m/s, m/s^2, deg, deg/s, GPS seconds.
     status_path: pkt,channel,field,valid,value, one row per change of value or validity.
-    Raises NcomError (no packet in the file: names the file and what was found; an output that is the recording itself
-    or the other output) and OSError.
+    Raises NcomError for a file without packets and for an output that is the recording or the other output; OSError.
     """
     outputs = [Path(path).resolve() for path in (csv_path, status_path) if path is not None]
     if Path(ncom_path).resolve() in outputs:
-        raise NcomError(f"{ncom_path}: is the recording itself; name another file for the CSV")
+        raise NcomError(f"{ncom_path}: input and CSV output are the same file; choose another output")
     if len(set(outputs)) < len(outputs):
-        raise NcomError(f"{csv_path}: named for both values and status; they are two files")
+        raise NcomError(f"{csv_path}: values and status need two different output files")
     columns = decode_file(ncom_path)
     changes, settings = _read_status(columns)
     table = _table(columns, settings)
@@ -109,12 +112,8 @@ def _texts(column: np.ndarray) -> list[str]:
     return [str(value) for value in column.tolist()]
 
 
-Change = tuple[int, int, str, Value]
-
-
 def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
-    """Every change of a status field as (packet, channel, field, value or None), and what derived columns need of
-    it."""
+    """Every change of a status field, and the status values that derived columns depend on."""
     tracker = StatusTracker()
     known: dict[str, Value] = {}
     changes: list[Change] = []
@@ -128,12 +127,12 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
         fields = tracker.update(channel, columns.batch_s(i), seconds, position)
         for name, value in fields.items():
             shown = min(value, _LARGEST_CODE[name]) if name in _LARGEST_CODE and value is not None else value
-            if name in PARTS or (shown is None and name in _KEPT):
+            if name in PARTS or (shown is None and name in _RETAINED):
                 continue
             if known.get(name) != shown:
                 known[name] = shown
                 changes.append((i, channel, name, shown))
-        # Status counts from the packet after the one that carries it; an event packet is interpreted with its own.
+        # Status applies from the next packet on; to an event packet, its own status applies.
         since = i if columns.kind[i] == TRIGGER else i + 1
         if channel == 4 and fields:
             north, east = tracker.number("VnAcc"), tracker.number("VeAcc")
@@ -144,6 +143,37 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
             settings.rate_filter.append((since, (tracker.get("AngAccFiltFreq"), tracker.get("AngAccFiltZeta"))))
         elif channel == 60 and fields:
             surfaces.append((since, tuple(tracker.get(f"Ned2Surf{angle}") for angle in ("Heading", "Pitch", "Roll"))))
-    changes.extend(surface_angles(columns, surfaces))
+    changes.extend(_surface_angles(columns, surfaces))
     changes.sort(key=lambda change: change[0])
     return changes, settings
+
+
+def _surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...]]]) -> list[Change]:
+    """Changes of the vehicle angles relative to a tilted surface (channel 60) [deg], heading 0..360.
+
+        R_vehicle->surface = R_surface->NED^T R_vehicle->NED,   R = Rz(heading) Ry(pitch) Rx(roll)
+
+    surfaces: (first packet, heading, pitch, roll of the surface from NED [deg], None invalid).
+    """
+    changes: list[Change] = []
+    ends = [index for index, _ in [*surfaces, (len(columns), ())]][1:]
+    before: tuple[float, ...] | None = None
+    for (start, angles), end in zip(surfaces, ends, strict=True):
+        if None in angles:
+            continue
+        fix = (columns.kind[start:end] != EMPTY) & ~columns.approximate[start:end]
+        attitude = np.array([columns.heading[start:end], columns.pitch[start:end], columns.roll[start:end]])
+        usable = np.flatnonzero(fix & ~np.isnan(attitude).any(axis=0))
+        surface = Rotation.from_euler("ZYX", np.array(angles, float), degrees=True)
+        relative = surface.inv() * Rotation.from_euler("ZYX", attitude[:, usable].T)
+        heading, pitch, roll = relative.as_euler("ZYX", degrees=True).T
+        heading %= 360.0
+        for i, *values in zip((usable + start).tolist(), heading.tolist(), pitch.tolist(), roll.tolist(), strict=True):
+            old = before or (None, None, None)
+            changes.extend(
+                (i, int(columns.channel[i]), name, value)
+                for name, value, was in zip(_SURFACE_ANGLES, values, old, strict=True)
+                if value != was
+            )
+            before = tuple(values)
+    return changes

@@ -1,25 +1,24 @@
-"""Building blocks of the status channel table: where a value lies in the 8 bytes, its scale, and when it is valid."""
+"""Fields of the status channel table: position in the 8 bytes, number format, scale, and rule of validity."""
 
 import re
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from .ncom import NcomError
-from .wire import wire
 
 Value: TypeAlias = Any
-"""A float, int or text as the field says; None: invalid."""
+"""Float, int or text depending on the field; None: invalid."""
 Decoder = Callable[[bytes], Value]
 
 
 @dataclass(frozen=True)
 class Validity:
-    """When a field counts.
+    """Condition under which a field is valid.
 
-    accepts(raw, data): raw is the field's own number, data the 8 bytes; None: always. mark: the number written for
-    "invalid".
-    flag: index of a byte that speaks for a whole group, written as flag_valid or 0xFF.
+    accepts(raw, data): raw is the number of the field, data the 8 bytes; None: always valid. mark: number written for
+    "invalid". flag: index of the validity byte of a group of fields, written as flag_valid or 0xFF.
     """
 
     text: str
@@ -46,12 +45,12 @@ LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and
 
 
 def not_(*marks: int) -> Validity:
-    """Valid unless the number is one of these; the first is what an encoder writes."""
+    """Valid unless the number is one of the marks; the first is the one that encoders write."""
     return Validity("not " + ", ".join(map(str, marks)), lambda raw, data: raw not in marks, mark=marks[0])
 
 
 def aged_not(*marks: int) -> Validity:
-    """As not_, and the age in b6 must be below 150."""
+    """As not_(), and the age in b6 must be below 150."""
     return Validity(
         "b6 < 150 and not " + ", ".join(map(str, marks)),
         lambda raw, data: data[6] < 150 and raw not in marks,
@@ -63,17 +62,78 @@ BYTE = not_(0xFF)
 WORD = not_(0xFFFF)
 NIBBLE = not_(0xF)
 
-# What a validity rule sees while a value is being written: every flag byte says "valid".
+# The 8 bytes given to a validity rule while a value is encoded: every flag byte is "valid".
 _FLAGS_SET = bytes(6) + b"\0\x01"
+
+
+class Wire(NamedTuple):
+    """Number format in the 8 bytes: read(data) -> number; write(buffer, number), a float for f32. low..high: range."""
+
+    read: Callable[[bytes], Any]
+    write: Callable[[bytearray, Any], None]
+    low: int
+    high: int
+
+
+_INTEGERS = {"u8": (1, False), "i8": (1, True), "u16": (2, False), "i16": (2, True), "u24": (3, False),
+             "i24": (3, True), "u32": (4, False), "i32": (4, True), "u64": (8, False)}
+_STRUCTS = {1: "B", 2: "H", 4: "I", 8: "Q"}
+_F32 = struct.Struct("<f")
+
+
+def wire(kind: str, at: int) -> Wire:
+    """The reader and writer of a kind at byte `at`.
+
+    kind: u8..u64, i8..i32 (little-endian); lo4, hi4: half a byte; bits<first>+<count>: bits of a byte,
+    ibits<first>+<count>: of the inverted byte; shifted: i8 whose bit 0 is its validity; f32.
+    """
+    if kind in _INTEGERS:
+        return _integer(at, *_INTEGERS[kind])
+    if kind == "shifted":
+        return _integer(at, 1, True)
+    if kind == "f32":
+        return Wire(
+            lambda data: _F32.unpack_from(data, at)[0], lambda buffer, value: _F32.pack_into(buffer, at, value), 0, 0
+        )
+    if kind in ("lo4", "hi4"):
+        return _bits(at, 0 if kind == "lo4" else 4, 4, 0)
+    first, count = kind.partition("bits")[2].split("+")
+    return _bits(at, int(first), int(count), 0xFF if kind.startswith("ibits") else 0)
+
+
+def _integer(at: int, size: int, signed: bool) -> Wire:
+    end = at + size
+    everything = (1 << 8 * size) - 1
+
+    def write(buffer: bytearray, number: int) -> None:
+        buffer[at:end] = (number & everything).to_bytes(size, "little")
+
+    low, high = (-(everything + 1) // 2, everything // 2) if signed else (0, everything)
+    if size == 1 and not signed:
+        return Wire(lambda data: data[at], write, low, high)
+    if size in _STRUCTS:
+        unpack = struct.Struct(f"<{_STRUCTS[size].lower() if signed else _STRUCTS[size]}").unpack_from
+        return Wire(lambda data: unpack(data, at)[0], write, low, high)
+    return Wire(lambda data: int.from_bytes(data[at:end], "little", signed=signed), write, low, high)
+
+
+def _bits(at: int, first: int, count: int, invert: int) -> Wire:
+    mask = (1 << count) - 1
+
+    def write(buffer: bytearray, number: int) -> None:
+        bits = (number ^ invert & mask) & mask
+        buffer[at] = buffer[at] & ~(mask << first) & 0xFF | bits << first
+
+    return Wire(lambda data: (data[at] ^ invert) >> first & mask, write, 0, mask)
 
 
 @dataclass(frozen=True)
 class Field:
     """One value of a status channel: physical = number on the wire * scale + offset.
 
-    name: the vendor's (ours where the vendor has none).  kind: see wire.wire(), or text<n>, digits6 (i24 shown with six
-    digits), constant (implied by the channel, value in offset).  at: first byte.  unit: of the physical value.
-    cyclic: width in bits of a counter that wraps (the number here is not unwrapped, status.py does that).
+    name: the vendor's, or the project's where the vendor has none.  kind: see wire(), or text<n>, digits6 (i24 shown
+    with six digits), constant (implied by the channel, value in offset).  at: first byte.  unit: of the physical value.
+    cyclic: width in bits of a counter that wraps (unwrapped by status.StatusTracker).
     manual: documented by the manual only, unknown to the vendor's public decoder.
     """
 
@@ -88,7 +148,7 @@ class Field:
     manual: bool = False
 
     def decoder(self) -> Decoder:
-        """A function from the 8 bytes to the physical value, None where the unit says "invalid"."""
+        """A function from the 8 bytes to the physical value, None where it is invalid."""
         at, scale, offset, accepts = self.at, self.scale, self.offset, self.validity.accepts
         if self.kind == "constant":
             return lambda data: int(offset)
@@ -109,9 +169,9 @@ class Field:
         return lambda data: raw * scale + offset if accepts(raw := read(data), data) else None
 
     def encode(self, buffer: bytearray, value: Value) -> None:
-        """Write a value (None: the invalid mark) into the 8 bytes; flags of groups are the channel's business.
+        """Write a value (None: the invalid mark) into the 8 bytes; encode_channel() writes the flags of groups.
 
-        A scaled quantity is limited to what the wire can carry; a count or code that does not fit raises NcomError.
+        A scaled quantity is limited to the range of the format; a count or code that does not fit raises NcomError.
         """
         if self.kind == "constant":
             return
@@ -149,7 +209,7 @@ def _wire_kind(kind: str) -> str:
 
 
 def _text(data: bytes) -> str | None:
-    """Up to the first zero byte; what is not printable is shown as \\xNN so that a CSV stays one line."""
+    """Text up to the first zero byte; unprintable bytes are written as \\xNN so that a CSV row stays one line."""
     return "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in data.split(b"\0")[0]) or None
 
 

@@ -1,31 +1,102 @@
-"""What the node says about itself on /diagnostics."""
+"""Diagnostics of the node, and the statistics of the stream that they report."""
 
 import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
-from .modes import mode_text, quality
-from .motion import Accuracy
-from .navigation import BLOCKED, EXPIRED, LOCKED, LOCKING, rule
-from .origin import UNIT, Origin
+from .channels import mode_text, quality
+from .motion import UNIT, Accuracy, Origin
+from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING
 from .sources import SourceStatus
 from .status import StatusTracker
-from .stream import NcomParser
-from .stream_statistics import StreamStatistics
+from .stream import NcomParser, Received
 
-# Median distance of the stamps from the host's clock that is worth a word [s]. CAN frames are stamped by the host, so
-# this much is also the error of the steering in time; the delay of the unit and the network stays well below.
-CLOCKS_APART = 0.05
-# Further away, stamps are not late but of another time: a wrong week, a recording played into the port [s].
+# Median difference between stamps and the host's clock that is reported [s]. CAN frames are stamped by the host, so
+# this is also the time error of the steering; the delay of the unit and the network is well below.
+MAX_CLOCK_OFFSET = 0.05
+# A larger difference is not a delay but another time: a wrong week, a recording played into the port [s].
 ANOTHER_TIME = 60.0
 DAY = 86_400.0  # s
 _NEVER = float("-inf")
+# A step longer than this many typical ones is a gap.
+GAP_STEPS = 1.75
+_OFFSETS = 1000  # four seconds at 250 Hz
+
+
+@dataclass
+class Window:
+    """Statistics since the previous take(): packets, mean rate [1/s], gaps and the longest step [s]."""
+
+    packets: int
+    rate: float
+    gaps: int
+    longest: float
+
+
+class StreamStatistics:
+    """Rate, gaps and delay of the fresh timed packets of the series (no triggers, no late packets)."""
+
+    def __init__(self) -> None:
+        self.gaps = 0
+        self._typical_ns = 0
+        self._last_gps_ns: int | None = None
+        self._offsets: deque[int] = deque(maxlen=_OFFSETS)
+        self._window = [0, 0, 0, 0]  # packets, ns covered, gaps, longest step
+
+    def add(self, received: Received) -> None:
+        if received.gps_ns is None:
+            return
+        if self._last_gps_ns is not None:
+            step = received.gps_ns - self._last_gps_ns
+            if step > 0:
+                self._step(step)
+        self._last_gps_ns = received.gps_ns
+        if received.received_ns is not None and received.utc_ns is not None:
+            self._offsets.append(received.utc_ns - received.received_ns)
+
+    def _step(self, step: int) -> None:
+        window = self._window
+        window[0] += 1
+        window[1] += step
+        window[3] = max(window[3], step)
+        if not self._typical_ns:
+            self._typical_ns = step
+        elif step > GAP_STEPS * self._typical_ns:
+            window[2] += 1
+            self.gaps += 1
+            # Slow adaptation: a changed rate becomes typical, a lost packet has little effect.
+            self._typical_ns += min(step - self._typical_ns, self._typical_ns) // 64
+        else:
+            self._typical_ns += (step - self._typical_ns) // 64
+
+    def take(self) -> Window:
+        packets, covered, gaps, longest = self._window
+        self._window = [0, 0, 0, 0]
+        return Window(packets, packets / (covered * 1e-9) if covered else 0.0, gaps, longest * 1e-9)
+
+    def newest_minus_host(self) -> float | None:
+        """Time of the newest packet minus its receive time [s]."""
+        return self._offsets[-1] * 1e-9 if self._offsets else None
+
+    def stamp_minus_host(self) -> tuple[float, float] | None:
+        """Median and 1st percentile of packet time minus receive time [s]; negative: the packet is older."""
+        offsets = sorted(self._offsets.copy())
+        if not offsets:
+            return None
+        return median(offsets) * 1e-9, offsets[len(offsets) // 100] * 1e-9
 
 
 class Health:
-    """Checks from the counts of parser, status and source. The node fills in the plain attributes as packets come."""
+    """Diagnostic checks from the counts of parser, status and source.
+
+    Set by the node: navigation_status; last_packet_at: time of receipt on the monotonic clock [s]; minute_from_host;
+    failures: packets that could not be published.
+    """
 
     def __init__(
         self,
@@ -38,9 +109,9 @@ class Health:
         ellipsoidal: bool,
         silence_after: float,
     ):
-        """live: packets come as they are measured, so stamps can be compared with the host's clock."""
+        """live: packets arrive as they are measured, so that stamps can be compared with the host's clock."""
         self.navigation_status: int | None = None
-        self.heard = _NEVER
+        self.last_packet_at = _NEVER
         self.minute_from_host = False
         self.failures = 0
         self._best_mode: int | None = None
@@ -79,7 +150,7 @@ class Health:
 
     def _stream(self, source: SourceStatus) -> Check:
         window, counters = self._statistics.take(), self._parser.counters
-        age = time.monotonic() - self.heard
+        age = time.monotonic() - self.last_packet_at
         faults = (counters.checksum_errors, counters.skipped_bytes, counters.late, self._statistics.gaps,
                   counters.impossible_positions)
         new = [now - before for now, before in zip(faults, self._before, strict=True)]
@@ -102,7 +173,7 @@ class Health:
         }
         if source.done:
             return Check("stream", OK, "replay finished", values)
-        if self.heard == _NEVER:
+        if self.last_packet_at == _NEVER:
             return Check("stream", ERROR, "no NCOM packet yet", values)
         if age > self._silence_after:
             return Check("stream", ERROR, f"no packet for {age:.1f} s", values)
@@ -129,7 +200,7 @@ class Health:
             "IMU temperature [degC]": get("ImuTemperature"),
         }
         values = {key: value for key, value in values.items() if value not in (None, "")}
-        text = rule(self.navigation_status).text
+        text = BY_STATUS[self.navigation_status].text
         if self.navigation_status == LOCKED:
             mode = get("GpsPosMode")
             self._best_mode = max(self._best_mode, mode, key=quality)
@@ -143,11 +214,11 @@ class Health:
         return Check("solution", WARN, f"{text}: {reason}", values)
 
     def _completeness(self) -> Check:
-        """What is still missing, and what that does to the topics. Nothing waits for it but what is named."""
+        """Missing information and its consequence for the topics."""
         accuracy, status = Accuracy.from_status(self._status), self._status
         degraded, missing = [], []
         if self._parser.clock.minute is None:
-            degraded.append("absolute time (channel 0): nothing but ins/ncom can be stamped yet")
+            degraded.append("absolute time (channel 0): only ins/ncom can be stamped")
         elif self.minute_from_host:
             degraded.append("absolute time (channel 0): minute taken from the host's clock")
         if status.get("Undulation") is None and not self._ellipsoidal:
@@ -189,6 +260,6 @@ class Health:
         if abs(newest) > ANOTHER_TIME:
             apart = f"{newest / DAY:+.1f} days" if abs(newest) > DAY else f"{newest:+.0f} s"
             return Check("time", ERROR, f"stamps are of another time: {apart} from the host's clock", values)
-        if abs(middle) > CLOCKS_APART:
-            return Check("time", WARN, f"stamps are {middle:+.3f} s from the host's clock: is that set?", values)
+        if abs(middle) > MAX_CLOCK_OFFSET:
+            return Check("time", WARN, f"stamps are {middle:+.3f} s from the host's clock: check both clocks", values)
         return Check("time", OK, f"stamps {middle * 1e3:+.1f} ms from the host's clock", values)

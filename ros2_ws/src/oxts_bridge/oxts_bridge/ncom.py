@@ -1,4 +1,5 @@
-"""One NCOM packet (structure A, 72 bytes, little-endian) to and from physical values.
+"""The NCOM packet (structure A, 72 bytes, little-endian): physical values, navigation statuses, and the search for
+packets in a byte stream.
 
     byte  0      sync 0xE7
           1-2    u16 milliseconds into the GPS minute
@@ -15,12 +16,13 @@ tests/golden/test_ncom_vectors.py.
 import math
 import struct
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 NAN = math.nan
 SYNC = 0xE7
 PACKET_SIZE = 72
 STRUCTURE_B = 11
+_SYNC = bytes([SYNC])
 
 # First bytes of the fields, as in _LAYOUT below. Each checksum is of all bytes after the sync up to it.
 MILLISECONDS_AT, ACCELERATION_AT, ANGULAR_RATE_AT, STATUS_AT, CHECKSUM_1_AT = 1, 3, 12, 21, 22
@@ -42,18 +44,66 @@ _LAYOUT = struct.Struct("<xH HbHbHb HbHbHb B x ddf HbHbHb HbHbHb x B 8s x")
 
 
 class NcomError(ValueError):
-    """Bytes that are not a structure A packet, or a packet that cannot be put into bytes."""
+    """Bytes that are not a structure A packet, or values that cannot be encoded."""
+
+
+class Rule(NamedTuple):
+    """Parts of a packet that are valid at a navigation status (byte 21).
+
+    time: bytes 1-2 belong to the series of packet times.  imu: batch A.  navigation: position, velocity, angles:
+    "none", "valid", or "approximate" (before the first fix, not published).  status: batch S.  trigger: an event,
+    timed by batch S.  kind: regular, status, trigger, empty.  known: defined by the manual.
+    """
+
+    text: str
+    time: bool = False
+    imu: bool = False
+    navigation: str = "none"
+    status: bool = False
+    trigger: bool = False
+    kind: str = "empty"
+    known: bool = True
+
+
+def _regular(text: str, navigation: str, time: bool = True) -> Rule:
+    return Rule(text, time, True, navigation, True, kind="regular")
+
+
+def _trigger(text: str, navigation: str) -> Rule:
+    return Rule(text, False, True, navigation, True, trigger=True, kind="trigger")
+
+
+INITIALISING, LOCKING, LOCKED, EXPIRED, BLOCKED, STATUS_ONLY = 2, 3, 4, 6, 7, 10
+RULES: dict[int, Rule] = {
+    0: Rule("nothing valid"),
+    1: _regular("raw IMU", "none", time=False),
+    INITIALISING: _regular("initialising", "approximate"),
+    LOCKING: _regular("locking", "valid"),
+    LOCKED: _regular("locked", "valid"),
+    5: Rule("reserved (unlocked)"),
+    EXPIRED: Rule("firmware expired"),
+    BLOCKED: Rule("firmware blocked"),
+    STATUS_ONLY: Rule("status only", status=True, kind="status"),
+    STRUCTURE_B: Rule("structure B"),
+    20: _trigger("trigger while initialising", "approximate"),
+    21: _trigger("trigger while locking", "valid"),
+    22: _trigger("trigger while locked", "valid"),
+}
+BY_STATUS: tuple[Rule, ...] = tuple(RULES.get(n, Rule(f"reserved ({n})", known=False)) for n in range(256))
+# Statuses whose channel 0 sets the GPS minute. Status-only packets are included because files start with them; status 1
+# (raw IMU) is not, because the unit's clock is not set yet.
+MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
 
 
 @dataclass(slots=True)
 class Packet:
-    """What one packet says, in the wire's frames: navigation NED, vehicle FRD (x forward, y right, z down). NaN =
-    invalid.
+    """Values of one packet in the frames of the wire: navigation NED, vehicle FRD (x forward, y right, z down).
+    NaN = invalid.
 
     milliseconds: into the GPS minute, 0..59999 (larger numbers are kept as sent).
     acceleration: specific force x, y, z [m/s^2], about -9.81 on z at rest, |a| <= 838.8607.
     angular_rate: x, y, z [rad/s] relative to inertial space, |w| <= 83.88607.
-    navigation_status: 0..255, see navigation.py.
+    navigation_status: 0..255, see RULES.
     latitude, longitude: geodetic [rad].  altitude: [m], above the geoid unless the unit is configured otherwise.
     velocity_ned: north, east, down [m/s], |v| <= 838.8607.
     heading: from true north clockwise [rad], pitch: nose up + [rad], roll: right side down + [rad].
@@ -76,14 +126,14 @@ class Packet:
 
 
 def decode(data: bytes) -> Packet:
-    """The physical values of 72 bytes. Checksums are the parser's business and not looked at here.
+    """The physical values of 72 bytes; checksums are not verified here, see next_packet().
 
     Raises NcomError for another length, a wrong sync byte, or structure B (navigation status 11, vendor-internal).
     """
     if len(data) != PACKET_SIZE or data[0] != SYNC:
         raise NcomError(f"not an NCOM packet: {len(data)} bytes starting with {data[:1].hex() or 'nothing'}")
     if data[STATUS_AT] == STRUCTURE_B:
-        raise NcomError("structure B packet (navigation status 11): its contents are private to the vendor")
+        raise NcomError("structure B packet (navigation status 11): its layout is not published")
     return decode_unchecked(data)
 
 
@@ -129,9 +179,9 @@ def encode(packet: Packet) -> bytes:
     batch_s that is not 8 bytes or an integer field outside its range.
     """
     if len(packet.batch_s) != 8:
-        raise NcomError(f"batch_s has {len(packet.batch_s)} bytes, 8 wanted")
+        raise NcomError(f"batch_s has {len(packet.batch_s)} bytes, must have 8")
     if packet.navigation_status == STRUCTURE_B:
-        raise NcomError("structure B packets (navigation status 11) cannot be made")
+        raise NcomError("structure B packets (navigation status 11) cannot be encoded")
     early: list[int] = []
     for values, unit in ((packet.acceleration, ACCELERATION_UNIT), (packet.angular_rate, ANGULAR_RATE_UNIT)):
         for value in values:
@@ -151,8 +201,8 @@ def encode(packet: Packet) -> bytes:
     return _fill_checksums(data)
 
 
-def is_place(latitude: Any, longitude: Any, altitude: Any) -> Any:
-    """Whether these [rad, rad, m], numbers or arrays, can be a position."""
+def is_valid_position(latitude: Any, longitude: Any, altitude: Any) -> Any:
+    """Whether latitude, longitude [rad] and altitude [m] (numbers or arrays) are finite and in range."""
     return (abs(latitude) <= math.pi / 2) & (abs(longitude) <= 2 * math.pi) & (abs(altitude) < math.inf)
 
 
@@ -161,6 +211,50 @@ def inner_checksums_match(data: bytes) -> bool:
     first = sum(data[1:CHECKSUM_1_AT])
     second = first + sum(data[CHECKSUM_1_AT:CHECKSUM_2_AT])
     return first & 0xFF == data[CHECKSUM_1_AT] and second & 0xFF == data[CHECKSUM_2_AT]
+
+
+@dataclass
+class Counters:
+    """Counts over all bytes since the start of the stream."""
+
+    packets: int = 0
+    checksum_errors: int = 0  # final checksum wrong where a packet was expected
+    skipped_bytes: int = 0  # not part of a packet
+    inner_checksum_warnings: int = 0  # checksum 1 or 2 wrong, final one right: accepted, as the vendor's tools do
+    late: int = 0
+    duplicates: int = 0
+    unknown_statuses: int = 0  # reserved navigation status: ignored
+    unknown_channels: int = 0
+    structure_b: int = 0  # vendor-internal, dropped
+    triggers: int = 0
+    impossible_positions: int = 0  # NaN or out of range although the navigation status declares a position: masked
+
+
+def next_packet(data: bytes, at: int, in_step: bool, counters: Counters) -> tuple[int, bool]:
+    """Position of the first packet from `at` on, and whether a packet is expected there.
+
+    in_step: a packet is expected at `at`. Without a whole packet the position is that of the bytes to keep until more
+    arrive. Counts checksum_errors and skipped_bytes. After bytes that are no packet the search proceeds byte by byte
+    and requires all three checksums and a known navigation status: one in 256 false syncs passes the final checksum.
+    """
+    while at < len(data):
+        if data[at] == SYNC:
+            raw = data[at : at + PACKET_SIZE]
+            if len(raw) < PACKET_SIZE:
+                break
+            if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT] and (in_step or _plausible(raw)):
+                return at, True
+            counters.checksum_errors += in_step
+        following = data.find(_SYNC, at + 1)
+        following = len(data) if following < 0 else following
+        counters.skipped_bytes += following - at
+        at, in_step = following, False
+    return at, in_step
+
+
+def _plausible(raw: bytes) -> bool:
+    status = raw[STATUS_AT]
+    return status == STRUCTURE_B or (BY_STATUS[status].known and inner_checksums_match(raw))
 
 
 def _fill_checksums(data: bytearray) -> bytes:

@@ -9,22 +9,16 @@ from st_ros import parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
 
-from . import convert
-from .attitude import Vector
-from .continuity import Continuity
-from .gps_time import DUPLICATE, NEW, SAME, unix_nanoseconds
-from .health import Health
-from .host_minute import HostMinute
-from .motion import Accuracy, Motion, motion_of
+from .convert import Publishers, make_status, make_trigger
+from .geometry import Vector
+from .health import Health, StreamStatistics
+from .motion import GIVEN, Accuracy, Motion, Origin, motion_of
 from .ncom import NcomError
-from .nodes._outputs import Outputs
-from .origin import GIVEN, Origin
+from .packet_time import DUPLICATE, NEW, SAME, unix_nanoseconds
 from .settings import NCOM, PARAMETERS, check
-from .sources import ReplaySource, SourceStatus, UdpSource
-from .status import StatusTracker
-from .stream import NcomParser, Received
-from .stream_statistics import StreamStatistics
-from .triggers import EventLog
+from .sources import Continuity, ReplaySource, SourceStatus, UdpSource
+from .status import EventLog, StatusTracker
+from .stream import HostMinute, NcomParser, Received
 
 _CLOCK_PERIOD = 0.01
 _ACCURACY_CHANNELS = frozenset((3, 4, 5))
@@ -32,8 +26,7 @@ _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.
 
 
 class OxtsBridge(LifecycleNode):
-    """Configured: publishers exist. Active: the source's thread decodes and publishes, without a turn through the
-    executor."""
+    """Lifecycle node. Configured: publishers exist. Active: the thread of the source decodes and publishes directly."""
 
     def __init__(self) -> None:
         super().__init__("oxts_bridge")
@@ -41,11 +34,11 @@ class OxtsBridge(LifecycleNode):
         check(self._settings, self.get_name())
         self._live = not self._settings.replay_file
         self._source: UdpSource | ReplaySource | None = None
-        self._outputs: Outputs | None = None
+        self._topics: Publishers | None = None
         self._problem = ""
         self._reset()
         self._diagnostics = Diagnostics(self, "oxts", self._checks)
-        # A port that comes or goes is worth telling at once, but only the executor's thread may publish diagnostics.
+        # A change of the port is reported at once; only the executor's thread may publish diagnostics.
         self._changed = self.create_guard_condition(self._diagnostics.publish)
         if self._settings.autostart:
             for transition in (self.trigger_configure, self.trigger_activate):
@@ -63,8 +56,8 @@ class OxtsBridge(LifecycleNode):
             self._parser, self._status, self._origin, self._statistics,
             self._source_status, self._live, s.altitude_is_ellipsoidal, s.silence_after)
         self._minute = HostMinute()
-        self._shown: tuple | None = None
-        self._shown_at = self._clock_at = float("-inf")
+        self._reported: tuple | None = None
+        self._reported_at = self._clock_at = float("-inf")
 
     # Lifecycle
 
@@ -76,14 +69,14 @@ class OxtsBridge(LifecycleNode):
             self._problem = f"replay_file: {error}"
             self.get_logger().error(self._problem)
             return _FAILURE
-        self._outputs = Outputs(self, self._settings)
+        self._topics = Publishers(self, self._settings)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         if self._source is None:
             self._source = self._make_source()
-        assert self._outputs is not None, "made on configuring"
-        self._outputs.static_transforms(time.time_ns())
+        assert self._topics is not None, "created by on_configure()"
+        self._topics.static_transforms(time.time_ns())
         self._source.start()
         self.get_logger().info(f"reading {self._source.status.name}")
         return super().on_activate(state)
@@ -94,14 +87,14 @@ class OxtsBridge(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._stop_source()
-        self._destroy_outputs()
+        self._destroy_topics()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         return self.on_cleanup(state)
 
     def close(self) -> None:
-        """Before the node is destroyed: no thread may publish any more."""
+        """Stop the thread, which must not publish after the node is destroyed."""
         self._stop_source()
 
     def _make_source(self) -> UdpSource | ReplaySource:
@@ -117,10 +110,10 @@ class OxtsBridge(LifecycleNode):
             self._source.stop()
             self._source = None
 
-    def _destroy_outputs(self) -> None:
-        if self._outputs is not None:
-            self._outputs.destroy()
-            self._outputs = None
+    def _destroy_topics(self) -> None:
+        if self._topics is not None:
+            self._topics.destroy()
+            self._topics = None
 
     def _source_status(self) -> SourceStatus | None:
         return None if self._source is None else self._source.status
@@ -128,101 +121,95 @@ class OxtsBridge(LifecycleNode):
     def _checks(self) -> list[Check]:
         return self._health.checks()
 
-    # Packets; everything below runs in the source's thread.
+    # Packets; everything below runs in the thread of the source.
 
-    def _on_data(self, data: bytes, received_ns: int, wanted: bool) -> int:
-        # The pace of a replay is not that of the packets' clock, so it says nothing about gaps.
+    def _on_data(self, data: bytes, received_ns: int, publish: bool) -> int:
+        # A replay has its own pace, so that its times of receipt do not show gaps.
         packets = self._parser.feed(data, received_ns if self._live else None)
         for received in packets:
             received.received_ns = received_ns
             try:
-                if self._outputs is not None:
-                    self._take(received, received_ns, self._outputs, wanted)
-            except Exception as error:  # a packet nobody thought of must not end the thread that reads all others
+                if self._topics is not None:
+                    self._process(received, received_ns, self._topics, publish)
+            except Exception as error:  # an unforeseen packet must not end the thread
                 self._health.failures += 1
                 self.get_logger().error(
                     f"packet at byte {received.offset} failed: {error!r}", throttle_duration_sec=10.0
                 )
         return len(packets)
 
-    def _take(self, received: Received, received_ns: int, outputs: Outputs, wanted: bool) -> None:
+    def _process(self, received: Received, received_ns: int, publishers: Publishers, publish: bool) -> None:
         now = time.monotonic()
-        self._health.heard = now
-        if wanted and received.order != DUPLICATE:
-            outputs.raw(received, now)
+        self._health.last_packet_at = now
+        if publish and received.order != DUPLICATE:
+            publishers.raw(received, now)
         if received.order not in (NEW, SAME):
             return
         if received.rule.known:
             self._health.navigation_status = received.packet.navigation_status
         self._update_status(received)
-        if not wanted:
+        if not publish:
             return
         in_series = received.kind == "regular" and received.order == NEW
         motion = motion_of(received)
-        position = self._position(outputs, received_ns, motion)
-        self._publish_event(outputs, received, motion, position)
+        position = self._position(publishers, received_ns, motion)
+        self._publish_event(publishers, received, motion, position)
         if in_series:
-            self._continuity.note(received.packet)
+            self._continuity.update(received.packet)
             self._statistics.add(received)
-            if self._live and self._minute.look(received, received_ns, self._parser.clock):
+            if self._live and self._minute.update(received, received_ns, self._parser.clock):
                 self._health.minute_from_host = True
-            self._publish_motion(outputs, received, motion, position, now)
-        self._publish_status(outputs, received.utc_ns if received.utc_ns is not None else received_ns, now)
+            self._publish_motion(publishers, received, motion, position, now)
+        self._publish_status(publishers, received.utc_ns if received.utc_ns is not None else received_ns, now)
 
     def _update_status(self, received: Received) -> None:
-        if not received.rule.status:
-            return
-        packet = received.packet
-        if packet.channel == 0 and received.rule.time:
+        if received.rule.time and received.packet.channel == 0:
             self._health.minute_from_host = False
-        seconds = None if received.gps_ns is None else received.gps_ns * 1e-9
-        place = (packet.latitude, packet.longitude, packet.altitude) if packet.channel == 25 else None
-        fields = self._status.update(packet.channel, packet.batch_s, seconds, place)
-        if fields and packet.channel in _ACCURACY_CHANNELS:
+        if self._status.update_from(received) and received.packet.channel in _ACCURACY_CHANNELS:
             self._accuracy = Accuracy.from_status(self._status)
 
-    def _position(self, outputs: Outputs, received_ns: int, motion: Motion | None) -> Vector | None:
+    def _position(self, publishers: Publishers, received_ns: int, motion: Motion | None) -> Vector | None:
         if motion is None:
             return None
         before = self._origin.frame
-        frame = self._origin.look(motion, self._status, received_ns)
+        frame = self._origin.update(motion, self._status, received_ns)
         if frame is not before and self._origin.degrees is not None:
-            outputs.origin(received_ns, self._origin.degrees)
+            publishers.origin(received_ns, self._origin.degrees)
         return None if frame is None else motion.position(frame)
 
     def _publish_event(
-        self, outputs: Outputs, received: Received, motion: Motion | None, position: Vector | None
+        self, publishers: Publishers, received: Received, motion: Motion | None, position: Vector | None
     ) -> None:
         event = self._events.event(received)
         if event is None:
             return
         stamp = unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
         where = (position, motion) if event.complete else (None, None)
-        outputs.trigger(convert.make_trigger(stamp, self._settings.map_frame, event.channel, event.count, *where))
+        publishers.trigger(make_trigger(stamp, self._settings.map_frame, event.channel, event.count, *where))
 
     def _publish_motion(
-        self, outputs: Outputs, received: Received, motion: Motion | None, position: Vector | None, now: float
+        self, publishers: Publishers, received: Received, motion: Motion | None, position: Vector | None, now: float
     ) -> None:
         stamp = received.utc_ns if self._settings.stamp_source == NCOM else received.received_ns
-        outputs.time_reference(received, now)
+        publishers.time_reference(received, now)
         if stamp is None:
             return
         if motion is not None:
-            outputs.motion(stamp, motion, position, self._accuracy, now)
-            outputs.fix(stamp, motion, self._accuracy, self._status, now)
-        outputs.imu(stamp, received, motion, self._accuracy, now)
+            publishers.motion(stamp, motion, position, self._accuracy, now)
+            publishers.fix(stamp, motion, self._accuracy, self._status, now)
+        publishers.imu(stamp, received, motion, self._accuracy, now)
         if received.utc_ns is not None and now - self._clock_at >= _CLOCK_PERIOD:
             self._clock_at = now
-            outputs.clock(received.utc_ns)
+            publishers.clock(received.utc_ns)
 
-    def _publish_status(self, outputs: Outputs, stamp: int, now: float) -> None:
+    def _publish_status(self, publishers: Publishers, stamp: int, now: float) -> None:
         get = self._status.get
-        shown = (self._health.navigation_status, get("GpsPosMode"), get("GpsVelMode"), get("GpsAttMode"))
-        if shown == self._shown and now - self._shown_at < self._settings.status_period:
+        state = (self._health.navigation_status, get("GpsPosMode"), get("GpsVelMode"), get("GpsAttMode"))
+        if state == self._reported and now - self._reported_at < self._settings.status_period:
             return
-        self._shown, self._shown_at = shown, now
-        outputs.status(
-            convert.make_status(
+        self._reported, self._reported_at = state, now
+        publishers.status(
+            make_status(
                 stamp,
                 self._settings.ins_frame,
                 self._health.navigation_status or 0,

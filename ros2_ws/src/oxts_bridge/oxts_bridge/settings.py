@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from st_ros.parameters import ConfigurationError, Parameter
 
-from .origin import FIRST_FIX, GIVEN, UNIT
+from .motion import FIRST_FIX, GIVEN, UNIT
 from .sources import is_address
 
 TOPICS = ("ncom", "odometry", "imu", "nav_sat_fix", "velocity", "time_reference", "status", "trigger", "origin")

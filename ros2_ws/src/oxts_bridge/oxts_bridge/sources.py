@@ -1,4 +1,4 @@
-"""Where the bytes come from: a UDP port or a file at its own pace, each a thread that hands over what it gets."""
+"""Sources of NCOM bytes, each on its own thread: a UDP port, or a file replayed at the pace of its own times."""
 
 import ipaddress
 import socket
@@ -7,11 +7,15 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import cos, isfinite
 from pathlib import Path
 
 import numpy as np
+from st_core.position_jumps import excess
 
 from .file_decoder import UNKNOWN_TIME, decode_file
+from .ncom import PACKET_SIZE, NcomError, Packet, decode
+from .packet_time import MINUTE_MS
 
 # Linux: request and message type of the kernel's receive time; Python's socket module does not name it everywhere.
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
@@ -20,24 +24,57 @@ _LARGEST_DATAGRAM = 65_535
 _RECEIVE_BUFFER = 1 << 20
 _WAKE_PERIOD = 0.2
 RETRY_PERIOD = 1.0
-# Another sender is taken when the one in use has been silent this long.
-SENDER_PATIENCE = 2.0
-_MOST_SENDERS = 16
-# A step of the file's time longer than this is a joined file or a set clock, not a pause to sit through.
+# Another sender is accepted when the one in use has been silent this long [s].
+SENDER_TIMEOUT = 2.0
+_MAX_SENDERS_COUNTED = 16
+# A longer step of the file's time is a joined file or a changed clock and is not waited for.
 LONGEST_PAUSE_NS = 60_000_000_000
+# A stream silent for longer than this cannot be continued by another port [ms].
+LONGEST_CONTINUATION_MS = 1_000
+EARTH_RADIUS = 6_371_000.0  # m; its error of 0.5 % is small compared with the tolerance of a position jump
 
-# on_data(bytes, received_ns, wanted) -> number of packets in it; wanted: false while a replay runs up to its start
-# offset.
+# on_data(bytes, received_ns, publish) -> number of packets; publish: false before the start offset of a replay.
 OnData = Callable[[bytes, int, bool], int]
+
+
+class Continuity:
+    """Time and position of the newest packet in use; distinguishes two units behind one address."""
+
+    def __init__(self) -> None:
+        self._newest: Packet | None = None
+
+    def update(self, packet: Packet) -> None:
+        """Store the newest packet of the series in use."""
+        self._newest = packet
+
+    def continues(self, data: bytes) -> bool:
+        """Whether the first packet of a datagram is later than the newest one, by at most 1 s, and its position is
+        explained by driving. False without a position on either side."""
+        try:
+            packet = decode(data[:PACKET_SIZE])
+        except NcomError:
+            return False
+        before = self._newest
+        if before is None:
+            return False
+        later = (packet.milliseconds - before.milliseconds) % MINUTE_MS
+        north = (packet.latitude - before.latitude) * EARTH_RADIUS
+        east = (packet.longitude - before.longitude) * EARTH_RADIUS * cos(before.latitude)
+        # Rows (x, y, yaw, v_x, v_y) of axes that point east and north.
+        rows = tuple((x, y, 0.0, p.velocity_ned[1], p.velocity_ned[0])
+                     for x, y, p in ((0.0, 0.0, before), (east, north, packet)))
+        if not 0 < later <= LONGEST_CONTINUATION_MS or not all(map(isfinite, (*rows[0], *rows[1]))):
+            return False
+        return not excess(later * 1.0e-3, *rows)
 
 
 @dataclass
 class SourceStatus:
-    """trouble: why nothing can come, empty when all is well.  done: a replay has reached its end.  sender: address in
-    use.
+    """State of a source for the diagnostics.
 
-    others: datagrams per ignored address, with its port where that is all that differs.  rivals: those of the latter,
-    together.  progress: share of a file replayed so far.  loops: completed.
+    trouble: why no data can arrive, empty if none.  done: a replay has reached its end.  sender: address in use.
+    others: ignored datagrams per address, or per address and port if only the port differs from the sender in use.
+    rivals: all datagrams of the latter kind.  progress: share of a file replayed so far.  loops: completed replays.
     """
 
     name: str
@@ -52,33 +89,33 @@ class SourceStatus:
 
 
 class UdpSource:
-    """Reads every datagram of a port as it comes. A port that cannot be opened is tried again every second.
+    """Receives every datagram of a UDP port; a port that cannot be opened is retried every second.
 
-    Without a filter it stays with the first address that sends NCOM, so that two units on one network do not mix. Of
-    two ports of one address it stays with the first as well; what comes from another is taken where it continues the
-    stream (a sender that opens a port for every datagram, a relay that was started again).
+    Without a filter only the first address that sends NCOM is used, so that two units on one network do not mix. Of
+    two ports of one address, too, only the first is used; datagrams of another are accepted if they continue the
+    stream (a sender that opens a port per datagram, a restarted relay).
     """
 
     def __init__(self, address: str, port: int, sender_filter: str, on_data: OnData, on_change: Callable[[], None],
                  continues: Callable[[bytes], bool] = lambda data: False):
-        """sender_filter: IP address, or empty for any. on_change: called from the thread when `trouble` comes or
-        goes. continues: whether a datagram goes on where the stream in use has been, see continuity.py."""
+        """sender_filter: IP address, or empty for any. on_change: called from the thread when `trouble` changes.
+        continues: whether a datagram continues the stream in use, see Continuity."""
         self.status = SourceStatus(f"udp {address}:{port}")
         self._address, self._port, self._filter = address, port, sender_filter
         self._on_data, self._on_change, self._continues = on_data, on_change, continues
         self._in_use: tuple[str, int] | None = None
-        self._heard = float("-inf")
+        self._last_packet_at = float("-inf")
         self._stop = threading.Event()
         self._tried = threading.Event()
         self._thread = threading.Thread(target=self._run, name="ncom-udp", daemon=True)
 
     def start(self) -> None:
-        """Returns when the port is open, or could not be opened."""
+        """Start the thread; returns when the port is open or could not be opened."""
         self._thread.start()
         self._tried.wait()
 
     def stop(self) -> None:
-        """Ends the thread, if it runs; returns within about 0.2 s."""
+        """Stop the thread if it runs; returns within about 0.2 s."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -87,10 +124,10 @@ class UdpSource:
         while not self._stop.is_set():
             try:
                 with self._open() as sock:
-                    self._tell("")
+                    self._set_trouble("")
                     self._receive(sock)
             except OSError as error:
-                self._tell(self._explain(error))
+                self._set_trouble(self._explain(error))
                 self._stop.wait(RETRY_PERIOD)
 
     def _open(self) -> socket.socket:
@@ -114,21 +151,21 @@ class UdpSource:
                 data, control, _, peer = sock.recvmsg(_LARGEST_DATAGRAM, ancillary)
             except TimeoutError:
                 continue
-            self._take(data, _kernel_time(control), peer[:2])
+            self._process(data, _kernel_time(control), peer[:2])
 
-    def _take(self, data: bytes, received_ns: int, sender: tuple[str, int]) -> None:
+    def _process(self, data: bytes, received_ns: int, sender: tuple[str, int]) -> None:
         self.status.datagrams += 1
-        if sender != self._in_use and not self._chosen(sender[0], data):
+        if sender != self._in_use and not self._accepts(sender[0], data):
             self._ignore(*sender)
         elif self._on_data(data, received_ns, True):
-            self._heard = time.monotonic()
+            self._last_packet_at = time.monotonic()
             self._in_use, self.status.sender = sender, sender[0]
 
-    def _chosen(self, address: str, data: bytes) -> bool:
-        """Whether the datagram of a sender that is not the one in use is to be taken."""
+    def _accepts(self, address: str, data: bytes) -> bool:
+        """Whether to use the datagram of a sender other than the one in use."""
         if self._filter and address != self._filter:
             return False
-        if time.monotonic() - self._heard > SENDER_PATIENCE:
+        if time.monotonic() - self._last_packet_at > SENDER_TIMEOUT:
             return True
         return self._in_use is not None and address == self._in_use[0] and self._continues(data)
 
@@ -137,10 +174,10 @@ class UdpSource:
         rival = self._in_use is not None and address == self._in_use[0]
         status.rivals += rival
         name = f"{address} port {port}" if rival else address
-        if name in status.others or len(status.others) < _MOST_SENDERS:
+        if name in status.others or len(status.others) < _MAX_SENDERS_COUNTED:
             status.others[name] = status.others.get(name, 0) + 1
 
-    def _tell(self, trouble: str) -> None:
+    def _set_trouble(self, trouble: str) -> None:
         changed, self.status.trouble = trouble != self.status.trouble, trouble
         self._tried.set()
         if changed:
@@ -148,7 +185,7 @@ class UdpSource:
 
     def _explain(self, error: OSError) -> str:
         reason = error.strerror or error
-        return f"cannot listen on {self._address} port {self._port}: {reason}; trying again every second"
+        return f"cannot listen on {self._address} port {self._port}: {reason}; retrying every second"
 
 
 def _kernel_time(control: list[tuple[int, int, bytes]]) -> int:
@@ -168,8 +205,10 @@ def is_address(text: str) -> bool:
 
 
 class ReplaySource:
-    """Feeds a file packet by packet at the pace of its own times. Raises NcomError or OSError at once for a file
-    without."""
+    """Replays a file packet by packet at the pace of its own times.
+
+    The constructor raises NcomError for a file without packets and OSError for one that cannot be read.
+    """
 
     def __init__(
         self,
@@ -180,8 +219,8 @@ class ReplaySource:
         loop: bool = False,
         start_offset: float = 0.0,
     ):
-        """start_offset: [s] after the first time in the file; what comes before only sets the status. on_restart: at
-        a loop."""
+        """start_offset: [s] after the first time in the file; earlier packets only set the status. on_restart: called
+        before each repetition."""
         self.status = SourceStatus(f"file {path}")
         columns = decode_file(path)
         self._data = path.read_bytes()
@@ -217,14 +256,14 @@ class ReplaySource:
                 wait = start + due * 1e-9 / self._speed - time.monotonic()
                 if wait > 0 and self._stop.wait(wait):
                     return
-            self._on_data(self._data[offset : offset + 72], time.time_ns(), due >= 0)
+            self._on_data(self._data[offset : offset + PACKET_SIZE], time.time_ns(), due >= 0)
             self.status.datagrams += 1
             self.status.progress = number / count
 
 
 def _due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:
-    """When to send each packet [ns after the start], -1 for those before the start offset. Packets without a time go
-    at once."""
+    """Time to send each packet [ns after the start], negative before the start offset; packets without a time are sent
+    with the previous one."""
     known = gps_ns != UNKNOWN_TIME
     if not known.any():
         return np.zeros(len(gps_ns), np.int64)
@@ -233,6 +272,6 @@ def _due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:
     steps[(steps < 0) | (steps > LONGEST_PAUSE_NS)] = 0
     due = np.full(len(gps_ns), -1, np.int64)
     due[known] = np.cumsum(steps) - round(start_offset * 1e9)
-    # Fill gaps with the time of the packet before, and the head with the first time.
+    # Gaps get the time of the previous packet, packets before the first time that one.
     filled = np.maximum.accumulate(np.where(known, np.arange(len(due)), -1))
     return np.where(filled >= 0, due[np.maximum(filled, 0)], due[np.argmax(known)])

@@ -1,21 +1,24 @@
-"""The slowly cycling status, put together: newest value of every field, counters unwrapped, derived values added."""
+"""State of the unit from its status channels: newest values, unwrapped counters, derived values, and events."""
 
-from math import isfinite, radians, sqrt
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import degrees, isfinite, sqrt
 
-from .channels import FIELDS, TRIGGER_CHANNELS, decode_channel, trigger_nanoseconds
+from .channel_table import TRIGGER_CHANNELS
+from .channels import FIELDS, decode_channel, trigger_nanoseconds
 from .fields import Value
-from .geodesy import origin_from_channel_25, wrap_degrees
+from .geometry import origin_from_channel_25, wrap_degrees
+from .stream import Received
 
-# Fields that only make sense together with others; the derived value stands for them.
+# Fields that are replaced by a value derived from several of them.
 PARTS = frozenset(
     {"GpsMinutes", "UpTimeCode", "WSpeedMilliseconds", "OldRefX", "OldRefY", "OldRefHeading"}
     | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]}
 )
 LOCAL_FRAME = ("RefLat", "RefLon", "RefAlt", "RefHeading")
-# A filtered lag forgets with this share per message (vendor's choice).
-_LAG_SHARE = 0.01
-# Channels whose derived values change although their bytes do not, or that share a field with another channel (12 and
-# 57).
+# Weight of a new value in the filtered lag, as in the vendor's tools.
+_LAG_WEIGHT = 0.01
+# Channels whose derived values change although their bytes do not, and 12 and 57, which share a field.
 _NEVER_SKIPPED = frozenset({12, 23, 45, 57})
 
 _CYCLIC = {
@@ -25,9 +28,9 @@ _CYCLIC = {
 
 
 class StatusTracker:
-    """Newest value of every field of every channel; None = the unit says invalid; absent = never sent.
+    """Newest value of every field of every channel.
 
-    values: by field name, units as in the channel table; parts of derived values are left out. seen: channels so far.
+    values: by field name, units as in the channel table; None = invalid, absent = never sent. seen: channels so far.
     """
 
     def __init__(self) -> None:
@@ -43,17 +46,18 @@ class StatusTracker:
         data: bytes,
         gps_seconds: float | None = None,
         position: tuple[float, float, float] | None = None,
+        decoded: Mapping[str, Value] | None = None,
     ) -> dict[str, Value]:
-        """Take the 8 bytes of a channel; returns the fields it sets (empty if the same bytes came last time).
+        """Fields that the 8 bytes of a channel set; empty if the bytes are those of the previous time.
 
         gps_seconds: time of the packet, for wheel speed. position: its latitude, longitude [rad], altitude [m], for
-        channel 25.
+        channel 25. decoded: decode_channel() of the bytes, if the caller has it.
         """
         if self._raw.get(channel) == data and channel not in _NEVER_SKIPPED:
             return {}
         self._raw[channel] = data
         self.seen.add(channel)
-        fields = decode_channel(channel, data)
+        fields = decode_channel(channel, data) if decoded is None else dict(decoded)
         for name, modulus in _CYCLIC.get(channel, ()):
             before = self.values.get(name)
             if before is not None:
@@ -64,19 +68,27 @@ class StatusTracker:
         self.values.update(fields)
         return fields
 
+    def update_from(self, received: Received) -> dict[str, Value]:
+        """Fields that a packet sets; empty if its status channel is not valid or unchanged."""
+        if not received.rule.status:
+            return {}
+        packet = received.packet
+        seconds = None if received.gps_ns is None else received.gps_ns * 1e-9
+        position = (packet.latitude, packet.longitude, packet.altitude)
+        return self.update(packet.channel, packet.batch_s, seconds, position, received.fields)
+
     def get(self, name: str) -> Value:
         """Newest value, None when invalid or never sent."""
         return self.values.get(name)
 
     def number(self, name: str) -> float:
-        """As get(), NaN for None."""
+        """Newest value, NaN when invalid or never sent."""
         value = self.values.get(name)
         return float("nan") if value is None else float(value)
 
     @property
     def local_frame(self) -> tuple[float, float, float, float] | None:
-        """Origin latitude, longitude [deg], altitude [m], heading [deg] of the last complete local frame of the
-        unit."""
+        """Origin latitude, longitude [deg], altitude [m], heading [deg] of the unit's last complete local frame."""
         latitude, longitude, altitude, heading = (self.values.get(name) for name in LOCAL_FRAME)
         if latitude is None or longitude is None or altitude is None or heading is None:
             return None
@@ -86,7 +98,7 @@ class StatusTracker:
         lag, code = fields["BnsLag"], fields.pop("UpTimeCode")
         if lag is not None:
             before = self.values.get("BnsLagFilt")
-            fields["BnsLagFilt"] = lag if before is None else before * (1 - _LAG_SHARE) + lag * _LAG_SHARE
+            fields["BnsLagFilt"] = lag if before is None else before * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
         fields["UpTime"] = None if code is None else up_time(code)
 
     def _dilution(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
@@ -101,11 +113,11 @@ class StatusTracker:
         fields[name] = self.values.get(name) if time is None else time / 1e9
 
     def _wheel_speed(self, fields: dict, data: bytes, gps_seconds: float | None, position: object) -> None:
-        """Minute of the count: the one that puts it nearest to the packet. Frequency between two counts [pulse/s]."""
+        """Time of the count [s], in the minute that puts it nearest to the packet, and pulse frequency [1/s]."""
         milliseconds = fields.pop("WSpeedMilliseconds")
         fields["WSpeedTime"] = None
         if milliseconds is None or gps_seconds is None:
-            return  # no new time, so no new frequency: the last one stands
+            return  # without a new time the last frequency stays valid
         time = 60.0 * round((gps_seconds - milliseconds * 1e-3) / 60.0) + milliseconds * 1e-3
         count, before = fields["WSpeedCount"], self._wheel
         forward = before is not None and time > before[0]
@@ -131,11 +143,10 @@ class StatusTracker:
             return
         latitude, longitude, altitude, heading = origin_from_channel_25(x, y, heading, *position)
         fields.update(
-            RefLat=latitude * _DEGREES, RefLon=longitude * _DEGREES, RefAlt=altitude, RefHeading=wrap_degrees(heading)
+            RefLat=degrees(latitude), RefLon=degrees(longitude), RefAlt=altitude, RefHeading=wrap_degrees(heading)
         )
 
 
-_DEGREES = 1 / radians(1)
 _DERIVE = {
     23: StatusTracker._system,
     25: StatusTracker._old_origin,
@@ -152,3 +163,46 @@ def up_time(code: int) -> int:
     if code <= 10_800:
         return code
     return (code - 10_620) * 60 if code <= 20_700 else (code - 20_532) * 3600
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Edge of an event input or output.
+
+    channel: input or output and edge.  gps_ns: instant [ns since 1980-01-06].  count: of the unit, wraps after 255.
+    complete: the packet contains the pose at that instant (false: a repetition in a regular packet).
+    """
+
+    channel: int
+    gps_ns: int
+    count: int
+    complete: bool
+
+
+class EventLog:
+    """One event per change of the unit's counter, however often the unit repeats it.
+
+    A count first received in a regular packet is an old event and only initialises the counter.
+    """
+
+    def __init__(self) -> None:
+        self._last: dict[int, tuple[int, int]] = {}
+
+    def event(self, received: Received) -> Event | None:
+        """The event that this packet reports first, None without one."""
+        packet = received.packet
+        channel = packet.channel
+        if channel not in TRIGGER_CHANNELS or not received.rule.status:
+            return None
+        time = trigger_nanoseconds(packet.batch_s)
+        if time is None:
+            return None
+        count = packet.batch_s[7]
+        before = self._last.get(channel)
+        self._last[channel] = (count, time)
+        complete = received.kind == "trigger"
+        if before is None:
+            return Event(channel, time, count, complete) if complete else None
+        if count == before[0] or (not complete and time <= before[1]):
+            return None
+        return Event(channel, time, count, complete)

@@ -1,14 +1,33 @@
-"""Bytes from anywhere, in any portions, to timed NCOM packets. Never raises on what the bytes hold."""
+"""Timed NCOM packets from bytes in portions of any size. No input bytes make it raise an exception."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from . import channels, gps_time
-from .gps_time import DUPLICATE, LATE, NEW, SAME, GpsClock, unix_nanoseconds
-from .navigation import BY_STATUS, MINUTE_STATUSES, STATUS_ONLY, Rule
-from .ncom import NAN, PACKET_SIZE, STATUS_AT, STRUCTURE_B, Packet, decode_unchecked, inner_checksums_match, is_place
-from .resync import Counters, next_packet
+from . import channels
+from .channel_table import TRIGGER_CHANNELS
+from .fields import Value
+from .ncom import (
+    BY_STATUS,
+    MINUTE_STATUSES,
+    NAN,
+    PACKET_SIZE,
+    STATUS_AT,
+    STATUS_ONLY,
+    STRUCTURE_B,
+    Counters,
+    Packet,
+    Rule,
+    decode_unchecked,
+    inner_checksums_match,
+    is_valid_position,
+    next_packet,
+)
+from .packet_time import DUPLICATE, LAST_MINUTE, LATE, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
 
 _NO_VECTOR = (NAN, NAN, NAN)
+_NO_FIELDS: Mapping[str, Value] = {}
+# A stream without channel 0 for this long gets its minute from the host's clock [ns].
+HOST_MINUTE_DELAY_NS = 2_000_000_000
 
 
 @dataclass(slots=True)
@@ -16,15 +35,16 @@ class Received:
     """One accepted packet.
 
     packet: its values; parts that its navigation status declares invalid are NaN.  raw: its 72 bytes.
-    offset: of its first byte in the stream.  kind: regular, status, trigger or empty (nothing in it may be used).
-    gps_ns: GPS time since 1980-01-06 of the measurement or event [ns], None while unknown.  utc_ns: the same as UTC
-    since 1970.
-    order: NEW, or SAME (instant as the packet before), DUPLICATE (all bytes too), LATE (older than one already seen).
-    received_ns: when the host got it, as given to feed().
+    fields: decoded batch S, empty if not valid or not published.  offset: of its first byte in the stream.
+    kind: regular, status, trigger or empty (no valid part).  gps_ns: GPS time of the measurement or event [ns since
+    1980-01-06], None while unknown.  utc_ns: the same as UTC [ns since 1970].
+    order: NEW, SAME (instant as the previous packet), DUPLICATE (all bytes too), LATE (older than a previous one).
+    received_ns: host time of receipt [ns since 1970], as given to feed().
     """
 
     packet: Packet
     raw: bytes
+    fields: Mapping[str, Value]
     offset: int
     kind: str
     rule: Rule
@@ -35,13 +55,12 @@ class Received:
 
     @property
     def fresh(self) -> bool:
-        """Whether this is news: a consumer that publishes only fresh packets never publishes an instant twice or
-        backwards."""
+        """Whether the packet is newer than all previous ones: fresh packets alone give strictly rising times."""
         return self.order == NEW
 
 
 class NcomParser:
-    """Streaming parser with its own clock. Feed datagrams or pieces of a file; portions may cut packets anywhere."""
+    """Streaming parser with its own clock; input: datagrams or pieces of a file, which may cut packets anywhere."""
 
     def __init__(self) -> None:
         self.clock = GpsClock()
@@ -58,14 +77,13 @@ class NcomParser:
         return self.clock.jumps
 
     def restart(self) -> None:
-        """Forget the time and the remains of a cut packet: what comes next is another stream. Counters go on."""
+        """Start another stream: discard the time and the beginning of a cut packet, keep the counters."""
         jumps, self.clock = self.clock.jumps, GpsClock()
         self.clock.jumps = jumps
         self._tail, self._in_step = b"", True
 
     def feed(self, data: bytes, received_ns: int | None = None) -> list[Received]:
-        """All packets completed by these bytes, in order. received_ns: host receive time of the bytes [ns since
-        1970]."""
+        """All packets completed by these bytes, in order; received_ns: host time of their receipt [ns since 1970]."""
         buffer = self._tail + data if self._tail else bytes(data)
         size = len(buffer)
         packets: list[Received] = []
@@ -96,7 +114,7 @@ class NcomParser:
         kind = rule.kind
         order = NEW
         gps_ns: int | None = None
-        minute = self._status_channel(packet, status) if rule.status else None
+        fields, minute = self._status_channel(packet, status) if rule.status else (_NO_FIELDS, None)
         if rule.time:
             gps_ns, order = self._step(packet, raw, minute, received_ns)
         elif rule.trigger:
@@ -107,7 +125,7 @@ class NcomParser:
             counters.unknown_statuses += 1
         counters.impossible_positions += _mask(packet, rule, kind)
         utc_ns = None if gps_ns is None else unix_nanoseconds(gps_ns, self.utc_offset)
-        return Received(packet, raw, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
+        return Received(packet, raw, fields, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
 
     def _step(self, packet: Packet, raw: bytes, minute: int | None, received_ns: int | None) -> tuple[int | None, int]:
         """GPS time [ns] and order of a measurement."""
@@ -124,7 +142,7 @@ class NcomParser:
         """GPS time [ns] and order of an event; no time where the packet holds none."""
         self.counters.triggers += 1
         before, self._last_trigger = self._last_trigger, raw
-        if packet.channel not in channels.TRIGGER_CHANNELS:
+        if packet.channel not in TRIGGER_CHANNELS:
             return None, NEW
         gps_ns = channels.trigger_nanoseconds(packet.batch_s)
         if gps_ns is None or raw != before:
@@ -132,34 +150,53 @@ class NcomParser:
         self.counters.duplicates += 1
         return gps_ns, DUPLICATE
 
-    def _status_channel(self, packet: Packet, status: int) -> int | None:
-        """What the clock needs from batch S; returns the minute of channel 0 if it is there and valid."""
+    def _status_channel(self, packet: Packet, status: int) -> tuple[Mapping[str, Value], int | None]:
+        """Decoded batch S, and the minute of channel 0 if this packet sets the clock."""
         channel = packet.channel
         if not channels.known(channel):
             self.counters.unknown_channels += 1
+            return _NO_FIELDS, None
+        fields = channels.decode_channel(channel, packet.batch_s)
         if status not in MINUTE_STATUSES:
-            return None
-        if channel == gps_time.UTC_CHANNEL and (offset := gps_time.sent_utc_offset(packet.batch_s[7])) is not None:
+            return fields, None
+        if channel == channels.UTC_CHANNEL and (offset := channels.utc_offset(packet.batch_s)) is not None:
             self.utc_offset = offset
-        if channel != 0:
-            return None
-        minute = int.from_bytes(packet.batch_s[0:4], "little", signed=True)
-        if not gps_time.FIRST_MINUTE <= minute <= gps_time.LAST_MINUTE:
-            return None
+        minute = fields["GpsMinutes"] if channel == 0 else None
+        if minute is None or minute > LAST_MINUTE:
+            return fields, None
         if status == STATUS_ONLY:
             self.clock.hint(minute)
-        return minute
+        return fields, minute
+
+
+class HostMinute:
+    """The minute of live packets from the host's clock, for a stream whose channel 0 (every 10th packet) is missing."""
+
+    def __init__(self) -> None:
+        self._untimed_since: int | None = None
+
+    def update(self, received: Received, received_ns: int, clock: GpsClock) -> bool:
+        """Process a packet of the series and its time of receipt [ns]; True if it set the minute of the clock."""
+        if not received.rule.time or received.gps_ns is not None:
+            self._untimed_since = None
+            return False
+        if self._untimed_since is None:
+            self._untimed_since = received_ns
+        if received_ns - self._untimed_since <= HOST_MINUTE_DELAY_NS:
+            return False
+        clock.hint(host_minute(received_ns, received.packet.milliseconds))
+        return True
 
 
 def _mask(packet: Packet, rule: Rule, kind: str) -> bool:
-    """NaN for what the navigation status declares invalid, and for positions that are none: then True."""
+    """Set NaN where the navigation status declares values invalid, and for an impossible position: then True."""
     if kind == "empty" or not rule.imu:
         packet.acceleration = packet.angular_rate = _NO_VECTOR
     if kind == "empty" or rule.navigation == "none":
         packet.latitude = packet.longitude = packet.altitude = NAN
         packet.velocity_ned = _NO_VECTOR
         packet.heading = packet.pitch = packet.roll = NAN
-    elif not is_place(packet.latitude, packet.longitude, packet.altitude):
+    elif not is_valid_position(packet.latitude, packet.longitude, packet.altitude):
         packet.latitude = packet.longitude = packet.altitude = NAN
         return True
     return False

@@ -3,11 +3,12 @@
 import csv
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oxts_bridge.derived import low_pass
 from oxts_bridge.export import write_csv
-from oxts_bridge.low_pass import LowPass
 from oxts_bridge.ncom import NcomError
 
 START = 24_015_600 * 60_000 + 1_000
@@ -93,32 +94,33 @@ def test_missing_file_names_itself(tmp_path):
         write_csv(tmp_path / "gone.ncom", tmp_path / "out.csv")
 
 
-def run_filter(low_pass, signal, rate, seconds):
-    return [low_pass.feed(i / rate, signal(i / rate)) for i in range(int(rate * seconds))]
+def filtered(signal, rate, seconds, cutoff, damping):
+    times = np.arange(int(rate * seconds)) / rate
+    return low_pass(times, signal(times), [(0, cutoff, damping)])
 
 
-def test_low_pass_leaves_a_constant_alone_and_needs_three_samples():
-    low_pass = LowPass()
-    low_pass.configure(5.0, 0.7)
-    out = run_filter(low_pass, lambda t: 3.0, 100, 1)
-    assert out[:2] == [None, None]
-    assert out[2:] == pytest.approx([3.0] * 98)
+def test_low_pass_keeps_a_constant_and_needs_three_samples():
+    out = filtered(np.ones_like, 100, 1, 5.0, 0.7)
+    assert np.isnan(out[:2]).all()
+    assert out[2:] == pytest.approx(1.0)
 
 
 def test_low_pass_gain_at_the_cutoff_is_one_over_two_damping():
-    low_pass = LowPass()
-    low_pass.configure(5.0, 0.7)
-    out = run_filter(low_pass, lambda t: math.sin(2 * math.pi * 5.0 * t), 100, 4)
-    assert max(out[200:]) == pytest.approx(1 / (2 * 0.7), rel=0.02)
+    out = filtered(lambda t: np.sin(2 * math.pi * 5.0 * t), 100, 4, 5.0, 0.7)
+    assert out[200:].max() == pytest.approx(1 / (2 * 0.7), rel=0.02)
 
 
-def test_low_pass_off_and_impossible():
-    off = LowPass()
-    off.configure(0.0, 0.0)
-    assert run_filter(off, lambda t: t, 10, 0.3) == [0.0, 0.1, 0.2]
-    too_fast = LowPass()
-    too_fast.configure(60.0, 0.7)
-    assert run_filter(too_fast, lambda t: t, 100, 0.1) == [None] * 10
+def test_low_pass_off_and_cutoff_above_half_the_sampling_rate():
+    assert filtered(np.array, 10, 0.3, 0.0, 0.0).tolist() == [0.0, 0.1, 0.2]
+    assert np.isnan(filtered(np.array, 100, 0.1, 60.0, 0.7)).all()
+
+
+def test_low_pass_with_a_new_setting_starts_from_the_last_three_samples():
+    times = np.arange(50) / 100
+    values = np.cos(20 * times)
+    out = low_pass(times, values, [(0, 5.0, 0.7), (10, 5.0, 0.7), (20, None, None), (30, 10.0, 0.7)])
+    assert np.array_equal(out[:30], low_pass(times, values, [(0, 5.0, 0.7)])[:30], equal_nan=True)
+    assert out[30:] == pytest.approx(low_pass(times[27:], values[27:], [(0, 10.0, 0.7)])[3:])
 
 
 @given(north=st.floats(-50, 50), east=st.floats(-50, 50), heading=st.floats(-3.1, 3.1))
@@ -153,7 +155,7 @@ def test_no_output_overwrites_the_recording_or_the_other(tmp_path, drive, output
     recording.write_bytes(b"".join(drive(3)))
     before = recording.read_bytes()
     csv_path, status_path = (None if name is None else tmp_path / name for name in outputs)
-    with pytest.raises(NcomError, match=r"another file|two files"):
+    with pytest.raises(NcomError, match=r"another output|two different output"):
         write_csv(recording, csv_path, status_path)
     assert recording.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["run.ncom"]

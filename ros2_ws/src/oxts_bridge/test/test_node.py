@@ -224,7 +224,7 @@ def test_busy_port_is_told_and_healed(rig, drive):
         holder.bind(("127.0.0.1", 0))
         rig = rig(udp_port=holder.getsockname()[1])
         assert rig.spin(lambda: rig.check("source")[0] == ERROR)
-        assert f"port {rig.port}: Address already in use; trying again" in rig.check("source")[1]
+        assert f"port {rig.port}: Address already in use; retrying" in rig.check("source")[1]
     assert rig.spin(lambda: rig.check("source")[0] == OK)
     rig.send(*drive(5))
     assert rig.messages("ins/odometry", 5)

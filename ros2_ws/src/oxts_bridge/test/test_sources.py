@@ -6,11 +6,10 @@ import threading
 import time
 
 import pytest
-from oxts_bridge.continuity import EARTH_RADIUS, Continuity
+from oxts_bridge.health import StreamStatistics
 from oxts_bridge.ncom import NcomError, decode
-from oxts_bridge.sources import ReplaySource, UdpSource, is_address
+from oxts_bridge.sources import EARTH_RADIUS, Continuity, ReplaySource, UdpSource, is_address
 from oxts_bridge.stream import NcomParser
-from oxts_bridge.stream_statistics import StreamStatistics
 
 START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]
 
@@ -140,7 +139,7 @@ class TestTwoOnOneAddress:
 
         def take(data, received_ns, wanted):
             for packet in NcomParser().feed(data):
-                stream.note(packet.packet)
+                stream.update(packet.packet)
             return sink.take(data, received_ns, wanted)
 
         source = UdpSource("127.0.0.1", port, "", take, sink.changed, stream.continues)
@@ -181,7 +180,7 @@ def test_what_continues_a_stream(packet, changes, follows):
     stream = Continuity()
     later = packet(START + 10, **changes)
     assert not stream.continues(later)  # nothing to go on from
-    stream.note(decode(packet(START)))
+    stream.update(decode(packet(START)))
     assert stream.continues(later) is follows
     assert not stream.continues(packet(START, **changes))  # not later
     assert not stream.continues(packet(START + 5000, **changes))  # too long ago

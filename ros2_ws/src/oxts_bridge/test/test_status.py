@@ -3,13 +3,10 @@
 import math
 
 import pytest
-from oxts_bridge.channels import encode_channel
-from oxts_bridge.modes import fix_status, mode_text
-from oxts_bridge.motion import Accuracy, motion_of
-from oxts_bridge.origin import FIRST_FIX, GIVEN, UNIT, UNIT_PATIENCE_NS, Origin
-from oxts_bridge.status import StatusTracker
+from oxts_bridge.channels import encode_channel, fix_status, mode_text
+from oxts_bridge.motion import FIRST_FIX, GIVEN, LOCAL_FRAME_TIMEOUT_NS, UNIT, Accuracy, Origin, motion_of
+from oxts_bridge.status import EventLog, StatusTracker
 from oxts_bridge.stream import NcomParser
-from oxts_bridge.triggers import EventLog
 from trigger_bytes import encode_trigger
 
 START = 24_015_600 * 60_000 + 1_000
@@ -153,30 +150,30 @@ def test_no_motion_from_half_a_solution(packet, changes):
 
 def test_first_fix_is_kept(motion):
     origin = Origin(FIRST_FIX)
-    frame = origin.look(motion, StatusTracker(), 0)
+    frame = origin.update(motion, StatusTracker(), 0)
     assert motion.position(frame) == pytest.approx((0, 0, 0), abs=1e-9)
     motion.latitude += 1e-5
-    assert origin.look(motion, StatusTracker(), 1) is frame
+    assert origin.update(motion, StatusTracker(), 1) is frame
     assert motion.position(frame)[1] == pytest.approx(63.6, abs=0.5)
 
 
 def test_given_origin(motion):
     origin = Origin(GIVEN, (52.0, -1.25, 99.5))
-    assert motion.position(origin.look(motion, StatusTracker(), 0)) == pytest.approx((0, 0, 1), abs=1e-6)
+    assert motion.position(origin.update(motion, StatusTracker(), 0)) == pytest.approx((0, 0, 1), abs=1e-6)
 
 
 def test_origin_of_the_unit_is_waited_for_but_not_for_ever(motion):
     status = StatusTracker()
     origin = Origin(UNIT)
-    assert origin.look(motion, status, 0) is None
+    assert origin.update(motion, status, 0) is None
     status.update(66, encode_channel(66, {"RefLat": 52.001, "RefLon": -1.25}))
     status.update(67, encode_channel(67, {"RefAlt": 100.5, "RefHeading": 90.0}))
-    frame = origin.look(motion, status, 1)
+    frame = origin.update(motion, status, 1)
     assert motion.position(frame)[1] == pytest.approx(-111.26, abs=0.02)
     assert origin.used == UNIT
     patient = Origin(UNIT)
-    assert patient.look(motion, StatusTracker(), 0) is None
-    assert patient.look(motion, StatusTracker(), UNIT_PATIENCE_NS) is not None
+    assert patient.update(motion, StatusTracker(), 0) is None
+    assert patient.update(motion, StatusTracker(), LOCAL_FRAME_TIMEOUT_NS) is not None
     assert patient.used == FIRST_FIX
 
 

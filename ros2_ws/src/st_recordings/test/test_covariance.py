@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from oxts_bridge.attitude import Attitude
 from oxts_bridge.channels import encode_channel
+from oxts_bridge.geometry import Attitude
 from oxts_bridge.ncom import Packet, encode
 from st_recordings.runs.covariance import UNKNOWN_VARIANCE, Covariances
 from st_recordings.runs.ncom import NcomLog, read_ncom

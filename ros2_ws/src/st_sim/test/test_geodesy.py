@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from oxts_bridge.geodesy import LocalFrame
+from oxts_bridge.geometry import LocalFrame
 from st_sim.geodesy import Origin, from_ecef, to_ecef
 
 ORIGIN = Origin(51.448, 5.49, 65.0)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from oxts_bridge import file_decoder, gps_time
+from oxts_bridge import file_decoder, packet_time
 from oxts_bridge.ncom import NcomError
 from rosbags.typesys.store import Typestore
 from st_core.checks import Extras, InsQuality, Series
@@ -71,7 +71,7 @@ def _packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
         columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
     except NcomError:
         return None, None
-    timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == gps_time.NEW)
+    timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
                            & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
     newer = np.diff(np.maximum.accumulate(columns.utc_ns[timed]), prepend=columns.utc_ns[timed][:1] - 1) > 0
     rows = timed[newer]

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 from canedge_bridge.steering import SteeringCalibration
-from oxts_bridge import again
-from oxts_bridge.origin import FIRST_FIX, GIVEN, Origin
+from oxts_bridge.motion import FIRST_FIX, GIVEN, Origin, reconstruct_odometry
 from rosbags.typesys.store import Typestore
 from st_core.checks import Series
 from st_core.errors import StCoreError
@@ -59,7 +58,7 @@ class MadeAgain:
             raise RunError(self._path, "its raw packets are not alike", "mend the bag with `st recover`")
         packets = zip(found["header.stamp"].tolist(), map(bytes, found["raw_packet"]), strict=True)
         rows = [(one.stamp_ns, *one.position, *one.orientation, *one.velocity[:2], one.rate[2])
-                for one in again.odometry(packets, self._origin(bridge), not bridge.get("replay_file"),
+                for one in reconstruct_odometry(packets, self._origin(bridge), not bridge.get("replay_file"),
                                           bridge.get("stamp_source") == "receive")]
         if not rows:
             raise RunError(self._path, "none of its raw packets has a fix and a time", "record with the unit locked")

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from oxts_bridge import file_decoder, gps_time
-from oxts_bridge.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
-from oxts_bridge.navigation import BY_STATUS
-from oxts_bridge.ncom import NcomError
+from oxts_bridge import file_decoder, packet_time
+from oxts_bridge.geometry import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
+from oxts_bridge.ncom import BY_STATUS, NcomError
 
 from .errors import RunError, check_readable
 from .ins_log import InsLog
@@ -35,7 +34,7 @@ def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> N
         what = str(error).removeprefix(f"{file}: ")
         raise RunError(file, what, "take it off the list, or give the right file") from None
     warnings = _damage(columns, file)
-    regular = (columns.kind == file_decoder.REGULAR) & (columns.order == gps_time.NEW)
+    regular = (columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
     fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
     if not fix.any():
@@ -82,7 +81,7 @@ def to_body(vector: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, roll: np.nda
 
 def enu(origin: tuple[float, float, float], latitude: np.ndarray, longitude: np.ndarray,
         altitude: np.ndarray) -> np.ndarray:
-    """(3, n) east, north, up [m] of the origin's tangent plane, the columns of oxts_bridge.geodesy.LocalFrame."""
+    """(3, n) east, north, up [m] of the origin's tangent plane, the columns of oxts_bridge.geometry.LocalFrame."""
     dx, dy, dz = ecef(latitude, longitude, altitude) - ecef(*(np.array([v]) for v in origin))
     s_lat, c_lat, s_lon, c_lon = np.sin(origin[0]), np.cos(origin[0]), np.sin(origin[1]), np.cos(origin[1])
     outward = c_lon * dx + s_lon * dy

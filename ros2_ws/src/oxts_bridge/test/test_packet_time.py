@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.gps_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
+from oxts_bridge.packet_time import LATE, LATE_RUN, NEW, SAME, GpsClock, host_minute, unix_nanoseconds
 from st_core.leap_seconds import at_gps
 
 SECOND = 1_000_000_000

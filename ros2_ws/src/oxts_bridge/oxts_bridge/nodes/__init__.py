@@ -1,1 +1,0 @@
-"""Parts of the node that talk to ROS."""

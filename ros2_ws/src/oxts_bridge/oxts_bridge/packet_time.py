@@ -1,0 +1,250 @@
+"""GPS and UTC time of NCOM packets, in integers, from milliseconds of the minute and an occasional minute number: of a
+stream packet by packet, of a whole file in columns.
+
+GPS time counts from 1980-01-06T00:00:00 without leap seconds: gps = minutes * 60 s + ms.  UTC = gps - leap seconds.
+Source: ncom.md section 5. Checked by: test_gps_time.py, tests/golden/test_ncom_vectors.py.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps, at_gps
+
+MINUTE_MS = 60_000
+WEEK_MS = 604_800_000
+
+# Valid GPS minutes: the manual defines smaller numbers as "unknown"; ROS stamps end in 2038.
+FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
+
+NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3  # a duplicate is the same to the last byte
+# Packets at most this far behind are late, others are ahead; milliseconds of the minute resolve no more.
+HALF_MINUTE_MS = 30_000
+# More late packets in a row, each after the previous one, are not reordering but a clock that was set back.
+LATE_RUN = 10
+# Longest pause on the receive clock across which the minute is still counted.
+LONGEST_GAP_NS = 30_000_000_000
+# Within this time of a new minute, a channel 0 that differs by one minute must be confirmed by the next one.
+CONFIRMATION_MS = 1_000
+# A step of the packet time that exceeds the pause on the receive clock by more than this is a jump.
+LARGEST_STEP_NS = 1_000_000_000
+
+
+def unix_nanoseconds(gps_nanoseconds: int, utc_offset: int | None = None) -> int:
+    """UTC [ns since 1970] from GPS time [ns since 1980-01-06].
+
+    utc_offset: UTC - GPS as sent by the unit [s], negative; None: leap-second table.
+    """
+    if utc_offset is None:
+        utc_offset = -at_gps(gps_nanoseconds // 1_000_000_000)
+    return gps_nanoseconds + (GPS_EPOCH_UNIX + utc_offset) * 1_000_000_000
+
+
+def host_minute(received_ns: int, milliseconds: int) -> int:
+    """The GPS minute that puts a packet's milliseconds nearest to a host time [ns since 1970].
+
+    Correct if the host's clock is within half a minute of GPS time.
+    """
+    gps_ms = received_ns // 1_000_000 - GPS_EPOCH_UNIX * 1000
+    gps_ms += at_gps(gps_ms // 1000) * 1000
+    return round((gps_ms - milliseconds) / MINUTE_MS)
+
+
+class GpsClock:
+    """GPS time of each packet of a series that carries bytes 1-2 (navigation status 2, 3, 4).
+
+    minute: of the newest packet, None until known. jumps: number of steps back, or forward by more than 1 s beyond the
+    pause on the receive clock. step() never raises.
+    """
+
+    def __init__(self) -> None:
+        self.minute: int | None = None
+        self.milliseconds: int | None = None
+        self.jumps = 0
+        self._received_ns: int | None = None
+        self._unconfirmed: int | None = None
+        self._run = 0
+        self._run_ms = 0
+        self._run_minute: int | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether the minute is known, and no change of minute and no run of late packets awaits confirmation."""
+        return self.minute is not None and self._unconfirmed is None and self._run == 0
+
+    def hint(self, minute: int) -> None:
+        """Set the minute from a status-only packet (whose milliseconds are not valid) if none is known yet."""
+        if self.minute is None:
+            self.minute = minute
+
+    def step(self, ms: int, minute: int | None = None, received_ns: int | None = None) -> tuple[int | None, int]:
+        """GPS time [ms] of one packet, None while no minute is known, and NEW, SAME or LATE relative to the newest.
+
+        ms: of the packet. minute: of its channel 0, None without. received_ns: host receive time, None in a file.
+        """
+        last = self.milliseconds
+        if last is None:
+            self.milliseconds = ms
+            self.minute = self.minute if minute is None else minute
+            self._received_ns = received_ns
+            return self._time(), NEW
+        pause = 0
+        if received_ns is not None:
+            pause = received_ns - (received_ns if self._received_ns is None else self._received_ns)
+            if pause > LONGEST_GAP_NS:
+                return self._restart(ms, minute, received_ns), NEW
+            self._received_ns = received_ns
+        ahead = (ms - last) % MINUTE_MS
+        if ahead >= HALF_MINUTE_MS and not self._is_ahead(ms, minute):
+            return self._late(ms, minute, ahead, received_ns)
+        self._run = 0
+        self.milliseconds = ms
+        jumped = ahead >= HALF_MINUTE_MS
+        if jumped:
+            self.minute, self._unconfirmed = minute, None
+        else:
+            if self.minute is not None and ms < last:
+                self.minute += 1
+            if minute is not None:
+                jumped = self._channel_0(ms, minute)
+            jumped = jumped or ahead * 1_000_000 - pause > LARGEST_STEP_NS
+        self.jumps += jumped
+        return self._time(), NEW if ahead else SAME
+
+    def _time(self) -> int | None:
+        if self.minute is None or self.milliseconds is None:
+            return None
+        return self.minute * MINUTE_MS + self.milliseconds
+
+    def _channel_0(self, ms: int, minute: int) -> bool:
+        """Compare the counted minute with the sent one, which has precedence; True if that moved the time."""
+        if self.minute is None or minute == self.minute:
+            self.minute, self._unconfirmed = minute, None
+            return False
+        difference = minute - self.minute
+        near_new_minute = ms < CONFIRMATION_MS or ms >= MINUTE_MS - CONFIRMATION_MS
+        if near_new_minute and abs(difference) == 1 and self._unconfirmed != difference:
+            self._unconfirmed = difference
+            return False
+        self.minute, self._unconfirmed = minute, None
+        return True
+
+    def _is_ahead(self, ms: int, minute: int | None) -> bool:
+        """Whether a packet that is old by its milliseconds alone is ahead by its minute."""
+        now = self._time()
+        return minute is not None and now is not None and minute * MINUTE_MS + ms > now
+
+    def _late(self, ms: int, minute: int | None, ahead: int, received_ns: int | None) -> tuple[int | None, int]:
+        follows = self._run and (ms - self._run_ms) % MINUTE_MS < HALF_MINUTE_MS
+        if follows:
+            self._run += 1
+            if self._run_minute is not None and ms < self._run_ms:
+                self._run_minute += 1
+        else:
+            self._run, self._run_minute = 1, None
+        self._run_ms = ms
+        if minute is not None:
+            self._run_minute = minute
+        if self._run > LATE_RUN:
+            self.jumps += 1
+            return self._restart(ms, self._run_minute, received_ns), NEW
+        if minute is not None:
+            return minute * MINUTE_MS + ms, LATE
+        now = self._time()
+        # The packet may belong to the previous minute. A clock that was set back is recognised after LATE_RUN packets.
+        return (None if now is None else now - (MINUTE_MS - ahead)), LATE
+
+    def _restart(self, ms: int, minute: int | None, received_ns: int | None) -> int | None:
+        self.milliseconds, self.minute = ms, minute
+        self._received_ns, self._unconfirmed, self._run = received_ns, None, 0
+        return self._time()
+
+
+def packet_times(
+    ms: np.ndarray,
+    minutes: np.ndarray,
+    index: np.ndarray,
+    hints: Sequence[tuple[int, int]],
+    equal: Callable[[int, int], bool],
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """GPS time [ms] (-1 unknown) and order of each timed packet of a file, and the number of time jumps.
+
+    Runs without an event are computed in columns (25 times faster than step by step), events by GpsClock.
+
+    ms, minutes: of each timed packet, minutes -1 where it has no channel 0. index: its packet number. hints: (packet
+    number, minute) of status-only packets. equal(i, j): whether the bytes of timed packets i and j are the same.
+    """
+    count = len(ms)
+    times = np.full(count, -1, np.int64)
+    order = np.full(count, NEW, np.int8)
+    clock = GpsClock()
+    events = _Events(ms, minutes)
+    waiting = list(hints)
+    k = 0
+    while k < count:
+        while waiting and waiting[0][0] < index[k]:
+            clock.hint(int(waiting.pop(0)[1]))
+        time, order[k] = clock.step(int(ms[k]), None if minutes[k] < 0 else int(minutes[k]))
+        times[k] = -1 if time is None else time
+        k += 1
+        minute = clock.minute
+        if minute is None or not clock.settled:
+            continue
+        end = events.next(k, minute)
+        if end > k:
+            run = slice(k, end)
+            times[run] = (minute + events.turns[run] - events.turns[k - 1]) * MINUTE_MS + ms[run]
+            order[run][events.ahead[run] == 0] = SAME
+            clock.jumps += int((events.ahead[run] * 1_000_000 > LARGEST_STEP_NS).sum())
+            clock.minute, clock.milliseconds = int(times[end - 1] // MINUTE_MS), int(ms[end - 1])
+            k = end
+            # Hints inside the run have no effect: the minute was known.
+            waiting = [hint for hint in waiting if hint[0] > index[k - 1]]
+    for i in np.flatnonzero(order == SAME).tolist():
+        if equal(i, i - 1):
+            order[i] = DUPLICATE
+    return times, order, clock.jumps
+
+
+class _Events:
+    """Packets at which counting (add a minute when ms wraps) is not enough: late ones and a differing minute."""
+
+    def __init__(self, ms: np.ndarray, minutes: np.ndarray):
+        self.ahead = np.diff(ms, prepend=ms[:1]) % MINUTE_MS
+        wrapped = np.diff(ms, prepend=ms[:1]) < 0
+        self.turns = np.cumsum(wrapped & (self.ahead < HALF_MINUTE_MS))
+        self._late = np.flatnonzero(self.ahead >= HALF_MINUTE_MS)
+        self._sent = np.flatnonzero(minutes >= 0)
+        # A sent minute agrees with the count as long as minute - turns stays the same.
+        self._base = minutes[self._sent] - self.turns[self._sent]
+        self._changes = np.flatnonzero(np.diff(self._base)) + 1
+        self._count = len(ms)
+
+    def next(self, k: int, minute: int) -> int:
+        """First packet from k on that is late or carries a different minute, given the minute of packet k - 1; the
+        number of packets if there is none."""
+        end = self._at(self._late, int(np.searchsorted(self._late, k)))
+        j = int(np.searchsorted(self._sent, k))
+        if j == len(self._sent):
+            return end
+        if self._base[j] != minute - self.turns[k - 1]:
+            return min(end, int(self._sent[j]))
+        change = np.searchsorted(self._changes, j, side="right")
+        return min(end, int(self._sent[self._changes[change]]) if change < len(self._changes) else end)
+
+    def _at(self, positions: np.ndarray, i: int) -> int:
+        return int(positions[i]) if i < len(positions) else self._count
+
+
+def utc_times(gps_ns: np.ndarray, unknown: int, where: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """UTC [ns since 1970] of each packet; `unknown` marks packets without a time.
+
+    where, offsets: packets that carry a UTC offset and its value [s], valid from there on; before, the leap-second
+    table is used.
+    """
+    known = gps_ns != unknown
+    seconds = np.where(known, gps_ns // 1_000_000_000, 0)
+    offset = -at_all_gps(seconds)
+    if len(where):
+        newest = np.searchsorted(where, np.arange(len(gps_ns)), side="right") - 1
+        offset = np.where(newest >= 0, offsets[np.maximum(newest, 0)], offset)
+    return np.where(known, gps_ns + (GPS_EPOCH_UNIX + offset) * 1_000_000_000, unknown)
