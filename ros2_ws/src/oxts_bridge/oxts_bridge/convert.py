@@ -157,7 +157,8 @@ class Publishers:
     def imu(self, stamp_ns: int, received: Received, motion: Motion | None, accuracy: Accuracy, now: float) -> None:
         """sensor_msgs/Imu; motion: None while there is no valid attitude."""
         packet = received.packet
-        if not self._out["imu"].has_subscribers(now) or not isfinite(sum(packet.acceleration) + sum(packet.angular_rate)):
+        finite = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))
+        if not finite or not self._out["imu"].has_subscribers(now):
             return
         set_stamp(self._imu.header, stamp_ns)
         _set_vector(self._imu.angular_velocity, flu_from_frd(packet.angular_rate))
