@@ -6,10 +6,10 @@ import numpy as np
 from _identification import LEAF_FILE, leaf
 from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.driving_prediction import predict_stiffness
 from st_core.identification.free_parameters import identified_vehicle, with_stiffness
 from st_core.identification.result import Identification
 from st_core.identification.steering_offset import identify_steering_offset
-from st_core.identification.stiffness_prediction import predict_stiffness
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals

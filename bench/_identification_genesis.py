@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 from st_core.augmented import augment
 from st_core.batch import LogBatch
-from st_core.identification import resampling
+from st_core.identification.blocks import blocks
 from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.driving_prediction import identify_yaw_inertia, predict_stiffness
 from st_core.identification.free_parameters import MISALIGNMENT, identified_vehicle
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification, IdentificationError
 from st_core.identification.steering_offset import identify_steering_offset
-from st_core.identification.stiffness_prediction import predict_stiffness
-from st_core.identification.yaw_inertia import identify_yaw_inertia
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
@@ -97,9 +96,9 @@ def judged(logs: list[DriveLog], car: VehicleParameters, misalignment: float) ->
 
 
 def _rms(values, run_of, time) -> str:
-    pieces = resampling.pieces(run_of, time)
-    totals = pieces.sums(np.stack([np.ones_like(values), values**2], axis=1))
-    weights = pieces.draws(500, 0)
+    group = blocks(run_of, time)
+    totals = group.sums(np.stack([np.ones_like(values), values**2], axis=1))
+    weights = np.random.default_rng(0).multinomial(len(group), np.full(len(group), 1.0 / len(group)), size=500)
     drawn = np.sqrt((weights @ totals[:, 1]) / (weights @ totals[:, 0]))
     low, high = np.percentile(drawn, (2.5, 97.5))
     return f"{np.sqrt(np.mean(values**2)):.2f} ({low:.2f} to {high:.2f})"

@@ -10,14 +10,18 @@ from _identification_chain import chain
 from _identification_genesis import genesis
 from st_core.augmented import augment
 from st_core.identification.cornering_stiffness import AXLES, StiffnessSettings, identify_stiffness
+from st_core.identification.driving_prediction import (
+    NUISANCE,
+    STIFFNESSES,
+    identify_steering,
+    identify_yaw_inertia,
+    predict_stiffness,
+)
 from st_core.identification.free_parameters import with_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.prediction_error import PredictionError
 from st_core.identification.result import Identification
-from st_core.identification.steering_driving import identify_steering
 from st_core.identification.steering_offset import identify_steering_offset
-from st_core.identification.stiffness_prediction import NUISANCE, STIFFNESSES, predict_stiffness
-from st_core.identification.yaw_inertia import identify_yaw_inertia
 from st_core.models import nonlinear_tyre
 from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC
@@ -43,7 +47,7 @@ def one_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identificatio
     """{method: (outcome, truth)} of one measurement of all drives."""
     logs = record_all("ideal", seed)
     start = wrong(car)
-    offset = identify_steering_offset(logs["straight"], start, seed=seed)
+    offset = identify_steering_offset(logs["straight"], start)
     # The offset found goes into what follows, as on a real car.
     start = replace(start, steering_wheel_offset=offset["steering_wheel_offset"].value)
     right_ins = replace(start, cg_to_ins_x=car.cg_to_ins_x)
@@ -51,18 +55,18 @@ def one_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identificatio
     steering = {"steering_ratio": car.steering_ratio, "steering_wheel_offset": car.steering_wheel_offset}
     known = augment("nonlinear", KNOWN)
     mass_right = replace(right_ins, yaw_inertia=car.yaw_inertia)
-    paper = identify_stiffness(logs["bends"], mass_right, seed=seed)
+    paper = identify_stiffness(logs["bends"], mass_right)
     return {
         "offset": (offset, {"steering_wheel_offset": car.steering_wheel_offset,
                             "steering_wheel_offset_direct": car.steering_wheel_offset}),
         "paper": (paper, stiffness),
         "paper, against the curve over the slips driven": (paper, curve_slopes(paper, car)),
-        "prediction": (predict_stiffness(logs["bends"], mass_right, known, seed=seed), stiffness),
-        "ins": (identify_ins_mounting(logs["slow"], start, seed=seed),
+        "prediction": (predict_stiffness(logs["bends"], mass_right, known), stiffness),
+        "ins": (identify_ins_mounting(logs["slow"], start),
                 {"cg_to_ins_x": car.cg_to_ins_x + LEVER_ERROR, "ins_misalignment": MISALIGNMENT, "cg_to_ins_y": 0.0}),
-        "steering": (identify_steering(logs["bends"], replace(mass_right, steering_ratio=19.0), known, seed=seed),
+        "steering": (identify_steering(logs["bends"], replace(mass_right, steering_ratio=19.0), known),
                      steering),
-        "yaw inertia": (identify_yaw_inertia(logs["transient"], right_ins, known, seed=seed),
+        "yaw inertia": (identify_yaw_inertia(logs["transient"], right_ins, known),
                         {"yaw_inertia": car.yaw_inertia})}
 
 

@@ -7,12 +7,15 @@ import pytest
 from driven import SILENT, Sensors, drive, steps, straight, weave
 from st_core.augmented import augment
 from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.driving_prediction import (
+    STIFFNESSES,
+    identify_steering,
+    identify_yaw_inertia,
+    predict_stiffness,
+)
 from st_core.identification.free_parameters import MISALIGNMENT, with_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
-from st_core.identification.steering_driving import identify_steering
 from st_core.identification.steering_offset import DIRECT, PAPER, identify_steering_offset
-from st_core.identification.stiffness_prediction import STIFFNESSES, predict_stiffness
-from st_core.identification.yaw_inertia import identify_yaw_inertia
 
 SPEEDS = {6.0: 0.10, 9.0: 0.07, 12.0: 0.045, 15.0: 0.035}
 
@@ -62,7 +65,7 @@ def test_prediction_finds_stiffness_from_a_wrong_start(leaf, weaving, unknown):
         low, high = estimate.interval95
         assert low < value < high and 0 < estimate.standard_uncertainty < 0.02 * value
     assert found.correlation.shape == (2, 2) and found.correlation[0, 0] == 1.0
-    assert "resampling" in found["cornering_stiffness_front"].verdict
+    assert "blocks of 10 s from 4 runs" in found["cornering_stiffness_front"].verdict
 
 
 def test_prediction_takes_offset_misalignment_and_gyro_bias_for_what_they_are(leaf, unknown):
@@ -149,4 +152,4 @@ def test_an_inertia_no_car_has_is_none(leaf):
     wide = replace(leaf, yaw_inertia=9000.0)
     logs = [drive(wide, speed, steps(angle), 30.0, seed=9) for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
     inertia = identify_yaw_inertia(logs, wide, "linear")["yaw_inertia"]
-    assert inertia.status == "unidentifiable" and "wheelbases is no car's" in inertia.verdict
+    assert inertia.status == "unidentifiable" and "wheelbases does not occur in cars" in inertia.verdict

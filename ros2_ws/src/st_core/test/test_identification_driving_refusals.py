@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from driven import drive, weave
 from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.driving_prediction import identify_yaw_inertia, predict_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
 from st_core.identification.steering_offset import identify_steering_offset
-from st_core.identification.stiffness_prediction import predict_stiffness
-from st_core.identification.yaw_inertia import identify_yaw_inertia
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,14 @@
-"""Fits of multi-step predictions: drives kept apart, bootstrap, profile, bounds."""
+"""Fits of multi-step predictions: drives kept apart, influence of a run, bounds."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from driven import Sensors, drive, weave
-from st_core.identification import resampling
+from st_core.identification.blocks import blocks
+from st_core.identification.driving_prediction import STIFFNESSES
 from st_core.identification.free_parameters import Applied, with_stiffness
 from st_core.identification.prediction_error import PredictionError
-from st_core.identification.profile import profile
-from st_core.identification.stiffness_prediction import STIFFNESSES
 
 NAMES = (*STIFFNESSES, "steering_wheel_offset")
 
@@ -58,22 +57,16 @@ def test_fit_finds_the_car(fit, leaf):
     assert not fit.at_bound
 
 
-def test_one_step_bootstrap_agrees_with_complete_fits(problem, fit):
-    drawn = fit.bootstrap(20, seed=7)
-    weights = drawn.pieces.draws(20, 7)
-    complete = np.array([problem.fit(fit.values, fit.noise, weights=row).values for row in weights[:6]])
-    spread = drawn.values.std(axis=0)
-    assert (np.abs(drawn.values[:6] - complete) < 0.1 * spread).all()
-    assert drawn.words(0) == "9 runs" and (drawn.worth == 9.0).all()
-
-
-def test_profile_has_its_least_at_the_estimate_and_ends_like_the_bootstrap(problem, fit):
-    uncertainty = float(fit.bootstrap(200, seed=0).values[:, 0].std())
-    found = profile(problem, fit, STIFFNESSES[0], uncertainty)
-    assert found.deviance.argmin() == 3 and found.deviance[3] == 0.0
-    low, high = found.interval95
-    assert (low, high) == pytest.approx((fit.values[0] - 1.96 * uncertainty, fit.values[0] + 1.96 * uncertainty),
-                                        abs=0.3 * uncertainty)
+def test_influence_of_a_run_is_the_change_of_a_complete_fit_without_it(problem, fit):
+    group = blocks(fit.run_of, fit.time)
+    influence = group.influence(fit.jacobian, fit.residuals) * 9.0 / 8.0
+    spread = fit.spread()
+    for run in (0, 4, 8):
+        weights = np.ones(9)
+        weights[run] = 0.0
+        moved = problem.fit(fit.values, fit.noise, weights=weights).values - fit.values
+        assert (np.abs(moved - influence[run]) < 0.15 * spread.deviations).all()
+    assert spread.basis[0] == "9 runs" and (spread.freedom == 8.0).all()
 
 
 def test_a_value_beyond_the_bounds_is_said(logs, leaf):
@@ -92,46 +85,3 @@ def test_applied_values_move_steering_and_car(leaf):
     assert np.allclose(np.array(given[:len(wanted)]), np.array(wanted), atol=1e-12)
     assert car.cornering_stiffness_rear == 90_000.0 and misalignment == 0.0
     assert car.tyre_rear.lambda_ky / leaf.tyre_rear.lambda_ky == pytest.approx(90_000.0 / leaf.cornering_stiffness_rear)
-
-
-def test_pieces_are_runs_or_blocks_of_few_runs():
-    run_of, time = np.repeat(np.arange(9), 30), np.tile(np.arange(30.0), 9)
-    assert resampling.pieces(run_of, time).words == "9 runs"
-    pieces = resampling.pieces(run_of[:60], time[:60])
-    assert pieces.words == "6 blocks of 10 s from 2 runs" and np.array_equal(np.bincount(pieces.of), [10] * 6)
-
-
-def test_intervals_hold_a_mean_as_often_as_they_say():
-    """95 % intervals of the mean of ten runs of correlated samples, over 400 repetitions."""
-    generator = np.random.default_rng(0)
-    held = 0
-    for number in range(400):
-        values = np.repeat(generator.standard_normal(10), 20) + 0.3 * generator.standard_normal(200)
-        low, high = _interval_of_mean(values, np.repeat(np.arange(10), 20), np.zeros(200), number)
-        held += low < 0.0 < high
-    assert 0.92 <= held / 400 <= 0.98
-
-
-@pytest.mark.parametrize(("wander", "seconds"), [(0.0, 60), (20.0, 30), (20.0, 60)])
-def test_an_error_that_outlasts_a_block_makes_intervals_wider(wander, seconds):
-    """95 % intervals of the mean of five runs whose error wanders over `wander` seconds, over 400 repetitions."""
-    generator = np.random.default_rng(1)
-    run_of, time = np.repeat(np.arange(5), seconds), np.tile(np.arange(float(seconds)), 5)
-    memory = np.exp(-1.0 / wander) if wander else 0.0
-    held = 0
-    for number in range(400):
-        draws = generator.standard_normal((5, seconds))
-        draws[:, 1:] *= np.sqrt(1.0 - memory**2)
-        for k in range(1, seconds):
-            draws[:, k] += memory * draws[:, k - 1]
-        low, high = _interval_of_mean(draws.ravel(), run_of, time, number)
-        held += low < 0.0 < high
-    assert 0.9 <= held / 400 <= 0.99
-
-
-def _interval_of_mean(values, run_of, time, seed):
-    pieces = resampling.pieces(run_of, time)
-    totals = pieces.sums(np.stack([np.ones_like(values), values], axis=1))
-    drawn = resampling.bootstrap(lambda weights: (weights @ totals[:, 1:]) / (weights @ totals[:, :1]), pieces, 200,
-                                 seed)
-    return drawn.interval(0, values.mean(), drawn.covariance[0, 0] ** 0.5)

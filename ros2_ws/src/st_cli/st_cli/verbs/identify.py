@@ -19,7 +19,6 @@ def identify(
     effects: shared.EffectsOfModel = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
-    seed: int = typer.Option(0, help="Seed of the bootstrap."),
     offset: shared.Offset = None,
     dbc: shared.Dbc = None,
     signals: shared.Signals = None,
@@ -56,7 +55,7 @@ def identify(
         parameters, file = shared.leaf_or(vehicle)
         folder = new_folder(output, f"identify-{what}", create=False)
         base = known_model(model, effects, parameters, str(file))
-        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(parameters, seed, read, force, base), str(file), folder)
+        job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(parameters, read, force, base), str(file), folder)
         status = run(job, console)
     if vehicle is None:
         shared.say_whose("identify", file)

@@ -1,6 +1,6 @@
 """Robust linear regression of what is left of an identity, its intervals by resampling blocks of driving.
 
-Neighbouring samples share their errors, so whole blocks are drawn again (identification.resampling), and an
+Neighbouring samples share their errors, so whole blocks are drawn again (identification.blocks), and an
 interval is as wide as the blocks are few and alike. Causes are added one at a time, the one that explains most first,
 all fitted anew together, until no further one is sure and large enough to matter.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..identification import resampling
+from ..identification.blocks import Blocks
 from ..identification.result import symmetric_interval
 from .limits import HOLDS
 
@@ -57,7 +57,7 @@ class Regression:
 
     def __init__(self, time: np.ndarray, y: np.ndarray, columns: Mapping[str, np.ndarray], seed: int = 0):
         self.time, self.y, self.columns, self.seed = time, y, columns, seed
-        self._pieces = blocks(time)
+        self._blocks = blocks(time)
 
     def rest(self, theta: Mapping[str, float]) -> np.ndarray:
         """(n, m) that is left of y."""
@@ -88,8 +88,8 @@ class Regression:
             return {}
         theta, _, weights = self.fit(names)
         design = np.stack([self.columns[name] for name in names], axis=-1)
-        squares = self._pieces.sums(weights[:, None, None] * np.einsum("nip,niq->npq", design, design))
-        pulls = self._pieces.sums(weights[:, None] * np.einsum("nip,ni->np", design, self.y))
+        squares = self._blocks.sums(weights[:, None, None] * np.einsum("nip,niq->npq", design, design))
+        pulls = self._blocks.sums(weights[:, None] * np.einsum("nip,ni->np", design, self.y))
         whole, pulled = squares.sum(axis=0), pulls.sum(axis=0)
         held = np.diag(np.diag(whole)) + 1e-12 * np.eye(len(names))  # two causes may be one on this drive
 
@@ -97,12 +97,12 @@ class Regression:
             return np.linalg.solve(np.tensordot(draws, squares, 1) + RIDGE * (whole + held),
                                    (draws @ pulls + RIDGE * pulled)[:, :, None])[:, :, 0]
 
-        drawn = resampling.bootstrap(estimator, self._pieces, DRAWS, self.seed)
+        drawn = self._blocks.bootstrap(estimator, DRAWS, self.seed)
         found = {}
         for k, name in enumerate(names):
             deviation = float(np.sqrt(drawn.covariance[k, k]))
             # The covariance is widened by what blocks share already; how well that is known is no worse than FREEDOM.
-            freedom = max(float(drawn.worth[k]) - 1.0, FREEDOM)
+            freedom = max(float(drawn.freedom[k]), FREEDOM)
             found[name] = Estimate(theta[name], deviation, symmetric_interval(theta[name], deviation, freedom))
         return found
 
@@ -149,10 +149,10 @@ def held(name: str, one: Estimate) -> Estimate:
     return Estimate(one.value, float(np.hypot(one.deviation, 0.5 * half)), (low, high))
 
 
-def blocks(time: np.ndarray) -> resampling.Pieces:
-    """Pieces of BLOCK seconds of one run."""
+def blocks(time: np.ndarray) -> Blocks:
+    """Blocks of BLOCK seconds of one run."""
     found, of = np.unique(np.floor(time / BLOCK).astype(np.int64), return_inverse=True)
-    return resampling.Pieces(of, np.zeros(len(found), np.int64), found, f"{len(found)} blocks of {BLOCK:g} s")
+    return Blocks(of, np.zeros(len(found), np.int64), found, f"{len(found)} blocks of {BLOCK:g} s")
 
 
 def matters(estimate: Estimate, least: float) -> bool:

@@ -1,12 +1,13 @@
-"""Axle cornering stiffnesses as the paper finds them: slope of axle force over slip angle, from driving.
+"""Axle forces and slip angles as measured, and the axle cornering stiffnesses as the paper finds them from them.
 
     F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,    F_r = (l_f m a_y - I_z r_dot) / L
 
 from the force and moment balance of the single-track car, a_y at the CG; slip angles from the velocity at each axle.
-Samples that are slow, near-straight or beyond |a_y| = 4 m/s^2 are left out, and those with |alpha| > 2 deg in the
-regression of their axle. The slope is an average over that range: a tyre that begins to saturate within it gives less
-than its stiffness at small slip, and noise of the slip angle draws the slope towards zero as well.
-Source: paper, section on parameter identification. Checked by: test_identification_driving.py.
+The stiffness is the slope of force over slip. Samples that are slow, near-straight or beyond |a_y| = 4 m/s^2 are left
+out, and those with |alpha| > 2 deg in the regression of their axle. The slope is an average over that range: a tyre
+that begins to saturate within it gives less than its stiffness at small slip, and noise of the slip angle draws the
+slope towards zero as well. Source: paper, section on parameter identification. Checked by:
+test_identification_driving.py, test_axle_curve.py.
 """
 
 from collections.abc import Sequence
@@ -17,15 +18,27 @@ import numpy as np
 from ..log import DriveLog
 from ..models._dynamic import axle_slip_angles
 from ..vehicle import VehicleParameters
-from . import resampling
-from .coverage import ACCELERATION_EDGES, SPEED_EDGES, coverage, require
-from .result import Coverage, Estimate, Identification, IdentificationError, Status, strong_correlations
+from .blocks import blocks
+from .result import (
+    ACCELERATION_EDGES,
+    SPEED_EDGES,
+    Coverage,
+    Estimate,
+    Identification,
+    IdentificationError,
+    Status,
+    coverage,
+    require,
+    strong_correlations,
+)
 from .run_samples import LateralAcceleration, RunSamples, prepared, run_samples
 
 AXLES = ("front", "rear")
 METHOD = "regression of axle force on slip angle (paper)"
 FEWEST = 500
 """Samples of an axle, below which there is no regression."""
+LARGEST_RELATIVE = 0.1
+"""Standard uncertainty over stiffness from which on it is doubtful."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +60,70 @@ class StiffnessSettings:
 
 @dataclass(frozen=True, eq=False)
 class AxleSamples:
-    """Slip angle [rad] and force [N] of an axle, (n,), and the run of each sample. Force and slip have opposite signs.
-    """
+    """Slip angle [rad] and force [N] of an axle, (n,), with the run and the time [s] of each sample; force and slip
+    have opposite signs. used: (n,) which samples are in the range of the regression."""
 
+    axle: str
     slip: np.ndarray
     force: np.ndarray
     run_of: np.ndarray
     time: np.ndarray
+    used: np.ndarray
+
+    def binned(self, count: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(slip, force, standard error of the force), one value per bin of |slip|, (b,) each, force opposing the slip.
+
+        Both signs are folded together after the slip at which the force vanishes is taken off, which offsets of
+        steering and INS cause. Bins with less than 1 % of an even share of the samples are left out.
+        """
+        slope, centre = self._line()
+        slip = self.slip - centre
+        side = np.sign(slip)
+        size, force = np.abs(slip), -self.force * side
+        edges = np.linspace(0.0, float(np.quantile(size, 0.995)), count + 1)
+        number = np.digitize(size, edges) - 1
+        group = blocks(self.run_of, self.time)
+        rows = []
+        for k in range(count):
+            member = number == k
+            n = int(member.sum())
+            if n < 0.01 * len(size) / count or n < 5:
+                continue
+            # Within a bin the force still rises with the slip: only what is off the local line is scatter.
+            mean, middle = float(force[member].mean()), float(size[member].mean())
+            off = np.where(member, force - mean - slope * (size - middle), 0.0)
+            error = float(np.sqrt(np.square(group.sums(off)).sum()) / n)
+            rows.append((middle, mean, error))
+        return tuple(np.array(rows).reshape(-1, 3).T)  # type: ignore[return-value]  # three rows
+
+    def _line(self) -> tuple[float, float]:
+        """Slope of -force over slip [N/rad] and the slip at zero force [rad], by the samples in the regression's range;
+        a slope that is none leaves the slip as it is."""
+        use = self.used if self.used.sum() >= 10 else np.ones(len(self.slip), bool)
+        slope, intercept = np.polyfit(self.slip[use], -self.force[use], 1)
+        return (float(slope), float(-intercept / slope)) if slope > 0.0 else (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class AxleRegression:
+    """Result of the regression of one axle. stiffness, standard_error [N/rad], interval95: NaN where it failed.
+
+    samples: all slip and force pairs above the minimum speed. coverage: excitation by signal. reasons: why the value is
+    refused, whole sentences, empty for one that may be used. basis: samples and blocks it rests on, in words.
+    """
+
+    axle: str
+    stiffness: float
+    standard_error: float
+    interval95: tuple[float, float]
+    samples: AxleSamples
+    coverage: tuple[Coverage, ...]
+    reasons: tuple[str, ...]
+    basis: str
+
+    @property
+    def usable(self) -> bool:
+        return not self.reasons
 
 
 def axle_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
@@ -71,34 +141,101 @@ def slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.nda
                             vehicle)
 
 
-def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: StiffnessSettings | None = None,
-                       *, bootstrap: int = 200, seed: int = 0) -> Identification:
-    """Both stiffnesses by the paper's regression, with a bootstrap over runs (or blocks of few runs).
+def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters,
+                     settings: StiffnessSettings | None = None) -> tuple[AxleRegression, AxleRegression]:
+    """The paper's regression of both axles (front, rear) for drives whose sideslip was measured; never raises for thin
+    or contradicting driving: the reasons are in the result.
 
     vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be right.
+    Raises IdentificationError only where there is nothing to look at: no drive, one named twice, one too short.
+    """
+    settings = settings or StiffnessSettings()
+    own, _ = prepared(logs, vehicle)
+    return _regressions([run_samples(log, vehicle, settings.cutoff,
+                                     lateral_acceleration=settings.lateral_acceleration) for log in own],
+                        vehicle, settings)[0]
+
+
+def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters, settings: StiffnessSettings) -> tuple[
+        tuple[AxleRegression, AxleRegression], np.ndarray, tuple[tuple[str, str], ...]]:
+    """(regressions, correlation of the two stiffnesses (2, 2), (run, what of it is left out))."""
+    masks, rejected = zip(*(_gate(run, settings) for run in runs), strict=True)
+    covered = _coverage(runs, masks)
+    samples = [_axle(runs, masks, vehicle, index, settings) for index in range(2)]
+    reasons = ["; ".join(c.words() for c in covered if not c.enough)]
+    reasons = [f"the driving is too thin: {reasons[0]}"] if reasons[0] else []
+    found = []
+    for one in samples:
+        count = int(one.used.sum())
+        thin = [*reasons, *([] if count >= FEWEST else [
+            f"too few samples: {count} of the {one.axle} axle pass (speed, bend, |a_y|, slip angle below "
+            f"{np.rad2deg(settings.maximum_slip):g} deg), {FEWEST} are needed; check offset and lever arm too"])]
+        found.append((one, thin, _slope(one, settings.through_origin) if count >= 10 else None))
+    results = tuple(_result(one, slope, covered, thin) for one, thin, slope in found)
+    return results, _correlation([slope for _, _, slope in found]), tuple(r for rows in rejected for r in rows)
+
+
+def _slope(samples: AxleSamples, through_origin: bool) -> tuple:
+    """(C, spread, influence by block, blocks) of F = -C alpha + intercept over the used samples."""
+    slip, force = samples.slip[samples.used], samples.force[samples.used]
+    group = blocks(samples.run_of[samples.used], samples.time[samples.used])
+    columns = -slip[:, None] if through_origin else np.stack([-slip, np.ones_like(slip)], axis=1)
+    found, spread, residuals = group.regression(columns, force)
+    own = group.influence(columns, residuals)[:, 0]
+    return float(found[0]), spread, dict(zip(zip(group.run.tolist(), group.block.tolist(), strict=True), own,
+                                             strict=True))
+
+
+def _correlation(slopes: Sequence) -> np.ndarray:
+    """Of the two stiffnesses, by what each block does to both; the identity where one is missing."""
+    if any(s is None for s in slopes):
+        return np.eye(2)
+    keys = sorted(set(slopes[0][2]) & set(slopes[1][2]))
+    pulls = np.array([[s[2][key] for key in keys] for s in slopes])
+    return np.corrcoef(pulls) if len(keys) > 2 and (pulls.std(axis=1) > 0.0).all() else np.eye(2)
+
+
+def _result(samples: AxleSamples, slope, covered: tuple[Coverage, ...], reasons: Sequence[str]) -> AxleRegression:
+    nan = float("nan")
+    failed = (samples.axle, nan, nan, (nan, nan), samples, covered)
+    if slope is None:
+        return AxleRegression(*failed, tuple(reasons), f"{int(samples.used.sum())} samples")
+    value, spread, _ = slope
+    error = float(spread.deviations[0])
+    basis = f"{int(samples.used.sum())} samples, {spread.basis[0]}"
+    interval = spread.interval(0, value)
+    if not interval[0] > 0.0:
+        why = (f"the fit failed: the force of the {samples.axle} axle does not follow its slip angle, slope "
+               f"{value:.0f} +/- {error:.0f} N/rad; offset or sign of the steering, misalignment or lever "
+               "arm of the INS may be wrong, or the drive has too little sideslip")
+        return AxleRegression(*failed, (*reasons, why), basis)
+    return AxleRegression(samples.axle, value, error, interval, samples, covered, tuple(reasons), basis)
+
+
+def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters,
+                       settings: StiffnessSettings | None = None) -> Identification:
+    """Both stiffnesses by the paper's regression, with a covariance over runs (or blocks of few runs).
+
+    vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be right.
+    A slope whose interval holds zero is not given: value NaN, unidentifiable, with the reason as its verdict.
     Raises IdentificationError, with the numbers, for too thin driving.
     """
     settings = settings or StiffnessSettings()
     logs, noticed = prepared(logs, vehicle)
     runs = [run_samples(log, vehicle, settings.cutoff, lateral_acceleration=settings.lateral_acceleration)
             for log in logs]
-    masks, rejected = zip(*(_gate(run, settings) for run in runs), strict=True)
-    covered = _coverage(runs, masks)
-    require(covered, "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 across.")
-    axles = [_axle(runs, masks, vehicle, index, settings) for index in range(2)]
-    slopes, drawn = _regress(axles, settings, bootstrap, seed)
-    uncertainty = np.sqrt(np.diag(drawn.covariance))
-    estimates = tuple(
-        Estimate(f"cornering_stiffness_{axle}", float(slopes[i]), "N/rad", float(uncertainty[i]),
-                 drawn.interval(i, slopes[i], uncertainty[i]), METHOD, tuple(run.name for run in runs),
-                 _verdict(axle, slopes[i], uncertainty[i], len(axles[i].slip), drawn.words(i)),
-                 _status(slopes[i], uncertainty[i])) for i, axle in enumerate(AXLES))
-    figure = {f"{name}_{axle}": getattr(samples, name)
-              for axle, samples in zip(AXLES, axles, strict=True) for name in ("slip", "force", "run_of")}
-    return Identification(
-        "stiffness", estimates, tuple(run.name for run in runs), tuple(r for rows in rejected for r in rows),
-        drawn.correlation, covered,
-        (*noticed, *strong_correlations([e.parameter for e in estimates], drawn.correlation)), figure)
+    regressions, correlation, rejected = _regressions(runs, vehicle, settings)
+    require(regressions[0].coverage, "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 across.")
+    for one in regressions:
+        if int(one.samples.used.sum()) < FEWEST:
+            raise IdentificationError("; ".join(one.reasons))
+    names = tuple(run.name for run in runs)
+    estimates = tuple(Estimate(f"cornering_stiffness_{one.axle}", one.stiffness, "N/rad", one.standard_error,
+                               one.interval95, METHOD, names, _verdict(one), _status(one)) for one in regressions)
+    figure = {f"{key}_{one.axle}": getattr(one.samples, key)[one.samples.used]
+              for one in regressions for key in ("slip", "force", "run_of")}
+    return Identification("stiffness", estimates, names, rejected, correlation, regressions[0].coverage,
+                          (*noticed, *strong_correlations([e.parameter for e in estimates], correlation)), figure)
 
 
 def _gate(run: RunSamples, settings: StiffnessSettings) -> tuple[np.ndarray, list[tuple[str, str]]]:
@@ -121,53 +258,26 @@ def _coverage(runs: Sequence[RunSamples], masks: Sequence[np.ndarray]) -> tuple[
 
 def _axle(runs: Sequence[RunSamples], masks: Sequence[np.ndarray], vehicle: VehicleParameters, index: int,
           settings: StiffnessSettings) -> AxleSamples:
-    columns: list[list[np.ndarray]] = [[], [], [], []]
+    columns: list[list[np.ndarray]] = [[], [], [], [], []]
     for number, (run, mask) in enumerate(zip(runs, masks, strict=True)):
         slip, force = slip_angles(run, vehicle)[index], axle_forces(run, vehicle)[index]
+        fast = np.abs(run.velocity_x) >= settings.minimum_speed
         use = mask & (np.abs(slip) <= settings.maximum_slip)
-        for column, values in zip(columns, (slip, force, np.full(len(run), number), run.time), strict=True):
-            column.append(values[use])
-    samples = AxleSamples(*(np.concatenate(c) for c in columns))
-    if len(samples.slip) < FEWEST:
-        raise IdentificationError(
-            f"too few samples: {len(samples.slip)} of the {AXLES[index]} axle pass (speed, bend, |a_y|, slip angle "
-            f"below {np.rad2deg(settings.maximum_slip):g} deg), {FEWEST} are needed; check offset and lever arm too")
-    return samples
+        values = (slip, force, np.full(len(run), number), run.time, use)
+        for column, value in zip(columns, values, strict=True):
+            column.append(value[fast])
+    return AxleSamples(AXLES[index], *(np.concatenate(c) for c in columns))
 
 
-def _regress(axles: Sequence[AxleSamples], settings: StiffnessSettings, count: int,
-             seed: int) -> tuple[np.ndarray, resampling.Drawn]:
-    """Slopes (2,) and their bootstrap; both axles drawn together."""
-    both = np.concatenate([a.run_of for a in axles]), np.concatenate([a.time for a in axles])
-    pieces = resampling.pieces(*both)
-    sides = np.split(pieces.of, [len(axles[0].slip)])
-    totals = []
-    for axle, own in zip(axles, sides, strict=True):
-        moments = np.stack([np.ones_like(axle.slip), axle.slip, axle.force, axle.slip**2, axle.slip * axle.force], 1)
-        totals.append(np.stack([np.bincount(own, column, len(pieces)) for column in moments.T], axis=1))
-    slopes = np.array([_slope(t.sum(axis=0), settings.through_origin) for t in totals])
-
-    def estimate(weights: np.ndarray) -> np.ndarray:
-        return np.stack([_slope((weights @ t).T, settings.through_origin) for t in totals], axis=1)
-
-    return slopes, resampling.bootstrap(estimate, pieces, count, seed)
-
-
-def _slope(moments: np.ndarray, through_origin: bool) -> np.ndarray:
-    """C of F = -C alpha + intercept from (n, sum a, sum F, sum a^2, sum a F)."""
-    n, a, f, aa, af = moments
-    return -af / aa if through_origin else -(n * af - a * f) / (n * aa - a * a)
-
-
-def _status(slope: float, uncertainty: float) -> Status:
-    if not slope > 2.0 * uncertainty:
+def _status(one: AxleRegression) -> Status:
+    if not one.usable:
         return "unidentifiable"
-    return "identified" if uncertainty < 0.1 * slope else "doubtful"
+    return "identified" if one.standard_error < LARGEST_RELATIVE * one.stiffness else "doubtful"
 
 
-def _verdict(axle: str, slope: float, uncertainty: float, count: int, words: str) -> str:
-    if not slope > 2.0 * uncertainty:
-        return (f"The force of the {axle} axle does not follow its slip angle, {slope:.0f} +/- {uncertainty:.0f} N/rad:"
-                " offset of the steering, misalignment or lever arm of the INS, or a sign may be wrong.")
-    return (f"{slope:.0f} N/rad +/- {100 * uncertainty / slope:.1f} % from {count} samples, resampling {words}. "
+def _verdict(one: AxleRegression) -> str:
+    if one.reasons:
+        text = "; ".join(one.reasons)
+        return f"{text[0].upper()}{text[1:]}."
+    return (f"{one.stiffness:.0f} N/rad +/- {100 * one.standard_error / one.stiffness:.1f} % from {one.basis}. "
             "Average slope up to 2 deg of slip, compliance and roll steer included.")

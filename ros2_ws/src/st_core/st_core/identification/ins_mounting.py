@@ -21,10 +21,19 @@ import numpy as np
 
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
-from . import resampling
-from .coverage import SPEED_EDGES, coverage, require
+from .blocks import Blocks, Spread, blocks
 from .free_parameters import MISALIGNMENT
-from .result import Coverage, Estimate, Identification, Status, correlation_of, strong_correlations
+from .result import (
+    SPEED_EDGES,
+    Coverage,
+    Estimate,
+    Identification,
+    Status,
+    correlation_of,
+    coverage,
+    require,
+    strong_correlations,
+)
 from .run_samples import RunSamples, prepared, run_samples
 
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
@@ -35,8 +44,7 @@ TIGHT_SECONDS = 5.0  # to each side
 EVERY = 0.1  # s between the samples kept: behind the filter nearer ones add nothing
 
 
-def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters, *, bootstrap: int = 200,
-                          seed: int = 0) -> Identification:
+def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """cg_to_ins_x [m], ins_misalignment [rad, heading reported too far left] and, with tight bends, cg_to_ins_y [m].
 
     vehicle: the lengths; its lever arm does not enter. Raises IdentificationError for too thin driving.
@@ -49,21 +57,21 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters, 
     columns = [_columns(run, mask, vehicle) for run, mask in zip(runs, masks, strict=True)]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, across, rate, angle = np.concatenate(columns).T
-    pieces = resampling.pieces(run_of, time)
+    group = blocks(run_of, time)
     used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
     regressors = np.stack([speed, rate, speed**2 * rate], axis=1)
-    theta, drawn, left = _solve(pieces, regressors, across, bootstrap, seed)
-    covariance = drawn.covariance
-    estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, drawn, 1, 1.0, "m", used,
+    theta, spread, residuals = group.regression(regressors, across)
+    covariance = spread.covariance
+    estimates = [_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
                            f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
-                 _estimate(MISALIGNMENT, -theta[0], drawn, 0, 1.0, "rad", used,
+                 _estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
                            f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading against the car's axis", 0.005)]
     correlation = correlation_of(covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
     together = correlation_of(covariance)[1:, 1:]
     warnings = [*noticed, *strong_correlations(["lever arm", "rear slip"], together),
                 _stiffness_words(theta[2], covariance[2, 2], vehicle)]
-    across_estimate = _across(speed, rate, angle, pieces, vehicle, used, bootstrap, seed)
+    across_estimate = _across(speed, rate, angle, group, vehicle, used)
     if isinstance(across_estimate, str):
         warnings.append(across_estimate)
     else:
@@ -72,7 +80,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters, 
         wide[:2, :2] = correlation
         correlation = wide
     figure = {"curvature": rate / speed, "speed": speed, "run": run_of, "names": tuple(run.name for run in runs),
-              "slope": across / speed - theta[2] * speed * rate, "residual": left, "theta": theta}
+              "slope": across / speed - theta[2] * speed * rate, "residual": residuals, "theta": theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or beyond {MAXIMUM_ACCELERATION:g} m/s^2")
                      for run, mask in zip(runs, masks, strict=True) if not mask.all())
@@ -102,23 +110,8 @@ def _columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> n
                      run.velocity_y[where] + rate * vehicle.cg_to_ins_x, rate, run.road_wheel_angle[where]], axis=1)
 
 
-def _solve(pieces: resampling.Pieces, regressors: np.ndarray, wanted: np.ndarray, count: int,
-           seed: int) -> tuple[np.ndarray, resampling.Drawn, np.ndarray]:
-    """Least squares (p,), its bootstrap over pieces, and what is left over (n,)."""
-    squares = pieces.sums(regressors[:, :, None] * regressors[:, None, :])
-    pulls = pieces.sums(regressors * wanted[:, None])
-    theta = np.linalg.solve(squares.sum(axis=0), pulls.sum(axis=0))
-
-    def estimate(weights: np.ndarray) -> np.ndarray:
-        # A draw may hold no bend at all; a millionth of the whole keeps it solvable and counts for nothing otherwise.
-        return np.linalg.solve(np.tensordot(weights, squares, 1) + 1e-6 * squares.sum(axis=0),
-                               (weights @ pulls + 1e-6 * pulls.sum(axis=0))[:, :, None])[:, :, 0]
-
-    return theta, resampling.bootstrap(estimate, pieces, count, seed), wanted - regressors @ theta
-
-
-def _across(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, pieces: resampling.Pieces,
-            vehicle: VehicleParameters, used: tuple[str, ...], count: int, seed: int) -> Estimate | str:
+def _across(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks, vehicle: VehicleParameters,
+            used: tuple[str, ...]) -> Estimate | str:
     curvature = rate / speed
     seconds = [float(np.count_nonzero(side * curvature > TIGHT)) * EVERY for side in (1.0, -1.0)]
     if min(seconds) < TIGHT_SECONDS:
@@ -131,23 +124,22 @@ def _across(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, pieces: resa
         slope = -vehicle.wheelbase * rate**2 / (forward**2 + (vehicle.wheelbase * rate) ** 2)
         # delta_file = f (kinematic + slope (d_y' - d_y) + K v r) + o
         regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed), kinematic**3], axis=1)
-        theta, drawn, _ = _solve(pieces, regressors, angle, count, seed)
+        theta, spread, _ = group.regression(regressors, angle)
         d_y += float(theta[1] / theta[0])
-    return _estimate("cg_to_ins_y", d_y, drawn, 1, float(1.0 / theta[0]), "m", used,
+    return _estimate("cg_to_ins_y", d_y, spread, 1, float(1.0 / theta[0]), "m", used,
                      "left of the CG, from bends to both sides", 0.1)
 
 
-def _estimate(name: str, value: float, drawn: resampling.Drawn, index: int, factor: float, unit: str,
+def _estimate(name: str, value: float, spread: Spread, index: int, factor: float, unit: str,
               used: tuple[str, ...], words: str, acceptable: float) -> Estimate:
-    uncertainty = float(abs(factor) * np.sqrt(drawn.covariance[index, index]))
+    uncertainty = float(abs(factor) * spread.deviations[index])
     found: Status = "identified" if uncertainty < acceptable else (
         "doubtful" if uncertainty < 5.0 * acceptable else "unidentifiable")
     head = {"identified": "", "doubtful": "Poorly fixed: ", "unidentifiable": "The data cannot tell it: "}[found]
     return Estimate(name, float(value), unit, uncertainty,
-                    drawn.interval(index, value, uncertainty), "lateral velocity of slow driving"
+                    spread.interval(index, value, uncertainty), "lateral velocity of slow driving"
                     if name != "cg_to_ins_y" else "steering against curvature in tight bends", used,
-                    f"{head}{words}, +/- {uncertainty:.2g} {unit}, from {len(drawn.pieces.of)} samples, "
-                    f"resampling {drawn.words(index)}.", found)
+                    f"{head}{words}, +/- {uncertainty:.2g} {unit}, from {spread.basis[index]}.", found)
 
 
 def _stiffness_words(slip: float, variance: float, vehicle: VehicleParameters) -> str:

@@ -24,7 +24,7 @@ from ..log_signals import LogSignals
 from ..models import Model
 from ..stability import StepTooLongWarning
 from ..vehicle import VehicleParameters
-from . import resampling
+from .blocks import Spread, blocks
 from .free_parameters import DELAY, FREE, Applied, start_value
 from .result import IdentificationError
 
@@ -72,27 +72,17 @@ class Fit:
     time: np.ndarray
     at_bound: tuple[str, ...] = field(default=())
 
-    def bootstrap(self, count: int, seed: int) -> resampling.Drawn:
-        """One Gauss-Newton step from the estimate to that of the drawn pieces:
+    def spread(self) -> Spread:
+        """Covariance of the values over the blocks of driving, see `blocks`.
 
-            theta* = theta - (sum w_c J_c^T J_c)^-1 sum w_c J_c^T e_c
-
-        Good as long as the predictions are nearly linear in the parameters over their spread; complete fits to the
-        same draws agree (test_prediction_error.py). Raises IdentificationError when the pieces do not fix them.
+        Raises IdentificationError when the drives do not fix them.
         """
-        pieces = resampling.pieces(self.run_of, self.time)
-        squares = pieces.sums(self.jacobian[:, :, None] * self.jacobian[:, None, :])
-        pulls = pieces.sums(self.jacobian * self.residuals[:, None])
-
-        def estimate(weights: np.ndarray) -> np.ndarray:
-            steps = np.linalg.solve(np.tensordot(weights, squares, 1), np.tensordot(weights, pulls, 1)[:, :, None])
-            return self.values - steps[:, :, 0]
-
-        try:
-            return resampling.bootstrap(estimate, pieces, count, seed)
-        except np.linalg.LinAlgError:
+        squares = self.jacobian.T @ self.jacobian
+        if np.linalg.cond(squares * np.outer(*2 * [1.0 / np.sqrt(np.diag(squares).clip(1e-300))])) > 1e12:
             raise IdentificationError(f"{', '.join(self.names)}: not fixed by the data; drive with more variety of "
-                                      "speed and bends, or free fewer parameters") from None
+                                      "speed and bends, or free fewer parameters")
+        group = blocks(self.run_of, self.time)
+        return group.spread(group.influence(self.jacobian, self.residuals))
 
 
 class PredictionError:

@@ -18,7 +18,7 @@ from ..filtering import filtered_derivative
 from ..handling import understeer_coefficient
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
-from . import resampling
+from .blocks import Spread, blocks
 from .prediction_error import PredictionError, PredictionErrorSettings
 from .result import Estimate, Identification, IdentificationError, contradiction
 from .run_samples import RunSamples, prepared, run_samples
@@ -33,8 +33,7 @@ SMOOTHING = 1.0  # Hz, of the measured yaw rate
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters,
-                             settings: PredictionErrorSettings = SETTINGS, *, bootstrap: int = 200,
-                             seed: int = 0) -> Identification:
+                             settings: PredictionErrorSettings = SETTINGS) -> Identification:
     """Offset by both ways [rad at the hand wheel, left +]; parameters PAPER and DIRECT.
 
     vehicle: ratio and all else; its offset is where the search starts. Raises IdentificationError for too little
@@ -50,18 +49,15 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
             f"steady hand and faster than {settings.minimum_speed:g} m/s; {FEWEST_WINDOWS} are needed")
     problem = PredictionError([_smoothed(log) for log in logs], vehicle, (PAPER,), "linear", settings)
     fit = problem.fit(noise=np.array([1.0e-3, np.inf]))  # yaw rate alone, in its own unit of a thousandth
-    paper = _estimate(PAPER, fit.values[0], fit.bootstrap(bootstrap, seed),
+    paper = _estimate(PAPER, fit.values[0], fit.spread(),
                       "simulated against measured yaw rate (paper)", problem.starts,
                       f"{sum(problem.starts.values())} predictions on straights")
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
-    pieces = resampling.pieces(run_of, times)
-    totals = pieces.sums(np.stack([np.ones_like(values), values], axis=1))
-    drawn = resampling.bootstrap(lambda weights: (weights @ totals[:, 1:]) / (weights @ totals[:, :1]), pieces,
-                                 bootstrap, seed + 1)
+    _, spread, _ = blocks(run_of, times).regression(np.ones((len(values), 1)), values)
     used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
-    direct = _estimate(DIRECT, float(values.mean()), drawn, "mean reading on steady straights", used,
+    direct = _estimate(DIRECT, float(values.mean()), spread, "mean reading on steady straights", used,
                        f"{len(values)} windows of {WINDOW:g} s")
     said = contradiction(paper, direct.value, direct.standard_uncertainty, "the mean reading on steady straights")
     if said:
@@ -100,12 +96,12 @@ def _windows(run: RunSamples, vehicle: VehicleParameters, minimum_speed: float) 
     return np.array(rows).reshape(-1, 2)
 
 
-def _estimate(name: str, value: float, drawn: resampling.Drawn, method: str, used: Mapping[str, int],
+def _estimate(name: str, value: float, own: Spread, method: str, used: Mapping[str, int],
               basis: str) -> Estimate:
-    uncertainty = float(np.sqrt(drawn.covariance[0, 0]))
+    uncertainty = float(own.deviations[0])
     degrees, spread = np.rad2deg(value), np.rad2deg(uncertainty)
-    return Estimate(name, float(value), "rad", uncertainty, drawn.interval(0, value, uncertainty),
+    return Estimate(name, float(value), "rad", uncertainty, own.interval(0, value),
                     method, tuple(n for n, c in used.items() if c),
-                    f"The hand wheel reads {degrees:.2f} +/- {spread:.2f} deg when driving straight, from {basis}, "
-                    f"resampling {drawn.words(0)}.",
+                    f"The hand wheel reads {degrees:.2f} +/- {spread:.2f} deg when driving straight, from {basis} in "
+                    f"{own.basis[0]}.",
                     "identified" if spread < 0.5 else "doubtful")

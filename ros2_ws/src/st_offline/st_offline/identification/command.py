@@ -109,7 +109,7 @@ def checked(found: Sequence[Identification]) -> dict[str, tuple[Finding, ...]]:
 def about(job: Job, now: datetime) -> dict[str, Any]:
     """What the values depend on."""
     return {
-        "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name, "seed": job.setup.seed,
+        "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
         "vehicle": {"name": job.setup.vehicle.name, "file": job.vehicle_file, "hash": job.setup.vehicle.hash},
         "files": file_hashes(job.files), "versions": versions(),
     }

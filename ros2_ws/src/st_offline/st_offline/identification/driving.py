@@ -7,12 +7,10 @@ from pathlib import Path
 from st_core.checks import Finding
 from st_core.errors import StCoreError
 from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.driving_prediction import identify_steering, identify_yaw_inertia, predict_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification, IdentificationError, contradiction
-from st_core.identification.steering_driving import identify_steering
 from st_core.identification.steering_offset import identify_steering_offset
-from st_core.identification.stiffness_prediction import predict_stiffness
-from st_core.identification.yaw_inertia import identify_yaw_inertia
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_recordings.runs import RunError, find_runs, read
@@ -58,28 +56,32 @@ def drives(files: Sequence[Path], setup: Setup) -> Drives:
 
 def experiment(name: str, what: str, needs: str, compute: Callable[..., Identification], draw,
                predicts: bool = False) -> Experiment:
-    """compute(logs, vehicle, seed=...) -> Identification; predicts: it takes a model, base=..., too."""
+    """compute(logs, vehicle) -> Identification; predicts: it takes a model, base=..., too."""
     def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
         if not predicts and setup.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} predicts nothing, so it has no use for a --model")
         given = drives(files, setup)
-        found = compute(given.logs, setup.vehicle, seed=setup.seed, **({"base": setup.model} if predicts else {}))
+        found = compute(given.logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
         return (replace(found, what=name, rejected=(*given.failed, *found.rejected),
                         warnings=(*found.warnings, *given.warnings), findings=given.findings),)
 
     return Experiment(name, what, f"{RECORDINGS}; {needs}", identify, draw)
 
 
-def stiffness(logs: Sequence[DriveLog], vehicle, seed: int, base: Model) -> Identification:
-    """By prediction; the paper's regression of the same drives stands beside it in the figure and in words."""
-    found = predict_stiffness(logs, vehicle, base, seed=seed, profiles=True)
+def stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
+    """By prediction; the paper's regression of the same drives is in the figure and the warnings."""
+    found = predict_stiffness(logs, vehicle, base)
     try:
-        paper = identify_stiffness(logs, vehicle, seed=seed)
+        paper = identify_stiffness(logs, vehicle)
     except IdentificationError as error:
         return replace(found, warnings=(*found.warnings, f"The paper's regression could not be made: {error}"))
-    estimates, said = [], []
+    estimates, comparisons = [], []
     for one in found.estimates:
         other = paper[one.parameter]
+        if other.status == "unidentifiable":
+            estimates.append(one)
+            comparisons.append(f"The paper's regression gives no {one.parameter}: {other.verdict}")
+            continue
         words = contradiction(one, other.value, other.standard_uncertainty, "the paper's regression")
         if words and abs(one.value - other.value) > DISAGREEMENT * other.value:
             # A regression averages over the tyre's curve, so a few per cent are expected; more is a fault elsewhere.
@@ -87,9 +89,9 @@ def stiffness(logs: Sequence[DriveLog], vehicle, seed: int, base: Model) -> Iden
             estimates.append(replace(one, status="doubtful", verdict=f"{one.verdict} Doubtful: {ADVICE}"))
         else:
             estimates.append(one)
-        said.append(words or f"The paper's regression gives {one.parameter} {other.value:.0f} +/- "
+        comparisons.append(words or f"The paper's regression gives {one.parameter} {other.value:.0f} +/- "
                     f"{other.standard_uncertainty:.0f} N/rad, which agrees.")
-    return replace(found, estimates=tuple(estimates), warnings=(*found.warnings, *said),
+    return replace(found, estimates=tuple(estimates), warnings=(*found.warnings, *comparisons),
                    figure={**found.figure, "paper": paper})
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.stats import chi2
 from st_core.identification.free_parameters import FREE
 from st_core.identification.result import Estimate, Identification
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
@@ -71,31 +72,29 @@ def regression(found: Identification, place: Place) -> Drawn:
 
 
 def stiffness(found: Identification, place: Place) -> Drawn:
-    """Both estimators over the paper's cloud, bootstrap of the pair, profiles."""
+    """Both estimators over the paper's cloud, and their 95 % intervals."""
     data = found.figure
     paper = data.get("paper")
     with style():
-        figure, panels = plt.subplots(2, 2, figsize=(WIDTH, 6.4))
+        figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
         if paper is not None:
-            _clouds(panels[0], paper, (paper, found))
+            _clouds(panels[:2], paper, (paper, found))
         else:
-            for axes in panels[0]:
+            for axes in panels[:2]:
                 axes.set_axis_off()
-        drawn = data["bootstrap"]
-        panels[1, 0].plot(drawn[:, 0] * 1e-3, drawn[:, 1] * 1e-3, ".", color=BETTER, ms=3, label="bootstrap")
+        pair = panels[2]
+        _ellipse(pair, found, found.estimates[:2])
         for one, colour, label in ((found, BETTER, "prediction"), (paper, PAPER, "regression (paper)")):
-            if one is not None:
+            if one is not None and np.isfinite([e.value for e in one.estimates[:2]]).all():
                 front, rear = one.estimates[:2]
-                panels[1, 0].errorbar(
+                pair.errorbar(
                     front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT, label=label, zorder=3,
                     **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
                        for axis, e in (("x", front), ("y", rear))})
-        panels[1, 0].set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
-        panels[1, 0].legend()
-        _profiles(panels[1, 1], found.estimates, data.get("profiles", ()))
+        pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
+        pair.legend(fontsize=8)
         return finish(figure, place, "stiffness", f"Cornering stiffness {_both(found)} by prediction",
-                      "Top: the paper's force and slip, with both slopes. Below: 95 % intervals and bootstrap of the "
-                      "pair; rise of the deviance beside the estimate, 3.84 ends a 95 % interval.")
+                      "Left: the paper's force and slip, with both slopes. Right: 95 % intervals and region of both.")
 
 
 def prediction(found: Identification, place: Place) -> Drawn:
@@ -117,13 +116,11 @@ def prediction(found: Identification, place: Place) -> Drawn:
             axes.set_ylabel(label)
         panels["rate"].tick_params(labelbottom=False)
         panels["across"].set_xlabel("driving, s (runs one after the other)")
-        names, drawn = data["names"], data["bootstrap"]
         second = found.estimates[1]
         if found.correlation is not None:
             second = found.estimates[1 + int(np.argmax(np.abs(found.correlation[0, 1:])))]
         pair = panels["pair"]
-        pair.plot(*(drawn[:, names.index(e.parameter)] * _unit(e.parameter)[0] for e in (first, second)), ".",
-                  color=BETTER, ms=3, label="bootstrap")
+        _ellipse(pair, found, (first, second))
         x, y = (e.value * _unit(e.parameter)[0] for e in (first, second))
         errors = [np.abs(np.array(e.interval95) - e.value)[:, None] * _unit(e.parameter)[0] for e in (first, second)]
         pair.errorbar(x, y, xerr=errors[0], yerr=errors[1], fmt="o", ms=4, color=TEXT, label="95 % interval")
@@ -133,7 +130,7 @@ def prediction(found: Identification, place: Place) -> Drawn:
         title = "; ".join(f"{_name(e.parameter)} {_value(e)}" for e in (first, second))
         return finish(figure, place, found.what, title,
                       "Left: predicted minus measured, dotted lines between runs. Right: the first parameter and the "
-                      "one it is correlated with most. Intervals hold what the runs cannot show too.")
+                      "one it is correlated with most; intervals include what the runs cannot show.")
 
 
 def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[Identification]) -> None:
@@ -145,22 +142,24 @@ def _clouds(panels: Sequence[plt.Axes], cloud: Identification, lines: Sequence[I
         middle, ends = slip.mean(), np.array([slip.min(), slip.max()])
         for one, colour, label in zip(lines, (PAPER, BETTER), ("regression (paper)", "prediction"), strict=False):
             estimate = one[f"cornering_stiffness_{axle}"]
+            if not np.isfinite(estimate.value):
+                continue
             axes.plot(ends * DEG, (force.mean() - estimate.value * (ends - middle)) * 1e-3, color=colour,
                       label=f"{label}: {estimate.value * 1e-3:.1f} kN/rad")
         axes.set(xlabel=f"{axle} slip angle, deg (+ slides left)", ylabel=f"{axle} axle force, kN (left +)")
         axes.legend(fontsize=8)
 
 
-def _profiles(axes: plt.Axes, estimates: Sequence[Estimate], profiles) -> None:
-    for estimate, one, colour in zip(estimates, profiles, (MODEL_COLOUR["kinematic"], MODEL_COLOUR["nonlinear"], BETTER,
-                                                           PAPER), strict=False):
-        share = 100.0 * (one.values / estimate.value - 1.0)
-        axes.plot(share, one.deviance, "o-", ms=3, color=colour,
-                  label=estimate.parameter.replace("cornering_stiffness_", ""))
-    axes.axhline(3.84, color=TEXT, lw=0.8, ls=":")
-    axes.set(xlabel="beside the estimate, %", ylabel="rise of the deviance, 1")
-    if profiles:
-        axes.legend()
+def _ellipse(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]) -> None:
+    """95 % region of two estimates by the covariance of the fit."""
+    data, names = found.figure, [e.parameter for e in pair]
+    index = [data["names"].index(name) for name in names]
+    values, axes_of = np.linalg.eigh(data["covariance"][np.ix_(index, index)])
+    size = axes_of * np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))
+    angle = np.linspace(0.0, 2.0 * np.pi, 121)
+    x, y = size @ np.stack([np.cos(angle), np.sin(angle)])
+    axes.plot((pair[0].value + x) * _unit(names[0])[0], (pair[1].value + y) * _unit(names[1])[0], color=BETTER, lw=1,
+              label="95 % region")
 
 
 def _thin(count: int) -> np.ndarray:

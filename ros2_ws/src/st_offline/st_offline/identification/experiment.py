@@ -14,13 +14,11 @@ from ..evaluation.drawing import Drawn, Place
 
 @dataclass(frozen=True)
 class Setup:
-    """What every experiment may use beside its files. seed: of bootstraps. read: how recordings are read.
-
-    force: whether drives are used of which the checks say that it means nothing. model: what drives are predicted with.
+    """What every experiment may use in addition to its files. read: how recordings are read. force: use drives that the
+    checks refuse. model: what drives are predicted with.
     """
 
     vehicle: VehicleParameters
-    seed: int = 0
     read: ReadSettings = field(default_factory=ReadSettings)
     force: bool = False
     model: Model = MODELS["nonlinear"]

@@ -1,0 +1,138 @@
+"""Lateral force of an axle against its slip angle over the driven range: of a model with its band, and as measured.
+
+    F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
+
+F_model is what the model's equations of motion ask of the axle at equal slip of both axles, straight wheels, no forward
+acceleration: every effect that acts at that state is in it, offsets cancel. The slip angle is the geometric one of the
+measured steering, as in a regression: compliance makes the axle softer; `tyres_only` leaves it out. Roll steer does not
+act at this state. Nothing is stated beyond the driven slip. Checked by: test_axle_curve.py.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..augmented import AugmentedModel
+from ..effects.steering_compliance import SteeringCompliance
+from ..errors import ConfigurationError, StCoreError
+from ..models import Model, get_model
+from ..vehicle import VehicleParameters
+from .cornering_stiffness import AXLES, AxleSamples
+
+SPEED = 20.0  # m/s, at which the curve is evaluated: above every minimum_slip_speed of a car, below none's limit
+DRIVEN = 0.995  # quantile of the slip angles up to which the curve is given
+FEWEST_DRAWS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class AxleCurve:
+    """Force curve of one axle. slip: (m,) [rad], 0 to the driven slip; force, low, high, file: (m,) [N], opposing the
+    slip; low and high: the band of `level`, equal to force without draws; file: the original model's.
+
+    density: (m - 1,) share of the driving between two values of slip [1], sum 1 up to the driven slip.
+    """
+
+    axle: str
+    slip: np.ndarray
+    force: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    file: np.ndarray
+    density: np.ndarray
+    level: float
+
+    @property
+    def stiffness_ratio(self) -> float:
+        """Force over the file's at the smallest slip above 0 [1]."""
+        return float(self.force[1] / self.file[1])
+
+
+def axle_force(model: str | Model, vehicle: VehicleParameters, axle: str, slip: np.ndarray,
+               tyres_only: bool = False) -> np.ndarray:
+    """Force of the axle ("front" or "rear") that opposes the slip angles >= 0 [rad]: (n,) [N]; see the module.
+
+    Raises StCoreError for a model without tyres.
+    """
+    model = get_model(model)
+    if tyres_only and isinstance(model, AugmentedModel):
+        model = model.only(e for e in model.effects if e is not SteeringCompliance)
+    car = model.effective_vehicle(vehicle) if isinstance(model, AugmentedModel) else vehicle
+    base = model.base if isinstance(model, AugmentedModel) else model
+    if base.axles is None and not (isinstance(model, AugmentedModel) and any(e.lifts for e in model.active)):
+        raise StCoreError(f"{base.name}: this model has no axle forces")
+    slip = np.asarray(slip, float)
+    left, right = (_axle_forces(model, car, vehicle, side * slip)[AXLES.index(axle)] for side in (-1.0, 1.0))
+    return 0.5 * (left - right)
+
+
+def _axle_forces(model: Model, car: VehicleParameters, vehicle: VehicleParameters,
+                 slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(front, rear) [N] by the moment balance of the accelerations at v_y = v tan(slip), r = 0."""
+    zero = np.zeros_like(slip)
+    p = model.parameters(vehicle)
+    w = model.inputs(zero, zero, p, *(zero for _ in model.signals))
+    state = model.start_state((zero, zero, zero + SPEED, SPEED * np.tan(slip), zero, zero), w, p)
+    derivative = model.rhs(tuple(state), w, p)
+    total, moment = car.mass * derivative[3], car.yaw_inertia * derivative[5]
+    return ((car.cg_to_rear_axle * total + moment) / car.wheelbase,
+            (car.cg_to_front_axle * total - moment) / car.wheelbase)
+
+
+def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
+               draws: Iterable[Model] = (), original: str | Model | None = None, level: float = 0.9,
+               points: int = 41, tyres_only: bool = False) -> AxleCurve:
+    """The force curve of one axle with its band over the driven slip.
+
+    driven_slip: (n,) slip angles of the axle while driving [rad], either sign. draws: models with other values, as
+    `drawn_models` gives them; the band holds the middle `level` of them point by point. original: what the file
+    predicts, the base model without effects if not given. Raises StCoreError for fewer than two driven slip angles.
+    """
+    size = np.abs(np.asarray(driven_slip, float))
+    size = size[np.isfinite(size)]
+    if len(size) < 2 or not size.max() > 0.0:
+        raise StCoreError(f"{axle} axle: {len(size)} driven slip angles; two or more above 0 are needed")
+    slip = np.linspace(0.0, float(np.quantile(size, DRIVEN)), points)
+    model = get_model(model)
+    if original is None:
+        original = model.base if isinstance(model, AugmentedModel) else model
+    force, file = (axle_force(one, vehicle, axle, slip, tyres_only) for one in (model, original))
+    rows = [axle_force(one, vehicle, axle, slip, tyres_only) for one in draws]
+    low, high = np.quantile(rows, (0.5 - 0.5 * level, 0.5 + 0.5 * level), axis=0) if rows else (force, force)
+    counts = np.histogram(size, slip)[0]
+    return AxleCurve(axle, slip, force, np.minimum(low, force), np.maximum(high, force), file,
+                     counts / max(int(counts.sum()), 1), level)
+
+
+def drawn_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleParameters, count: int = 200,
+                 seed: int = 0) -> list[AugmentedModel]:
+    """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
+
+    covariance: (p, p) of `model.vector` [SI]; rows of zeros for what is held. vehicle: draws that are no car are left
+    out. Raises StCoreError where fewer than FEWEST_DRAWS are left: the uncertainty is as wide as the bounds.
+    """
+    low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
+    values = np.random.default_rng(seed).multivariate_normal(model.vector, covariance, count, method="eigh")
+    found = []
+    for row in np.clip(values, low, high):
+        one = model.with_vector(row.tolist())
+        try:
+            one.parameters(vehicle)
+        except ConfigurationError:
+            continue
+        found.append(one)
+    if len(found) < FEWEST_DRAWS:
+        raise StCoreError(f"{len(found)} of {count} drawn parameter sets are a car; {FEWEST_DRAWS} are needed")
+    return found
+
+
+def force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples, bins: int = 12) -> float:
+    """Root mean square difference of a model's axle force and the measured one over the slip, over the peak [1].
+
+        sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max |mean F|
+
+    The bins divide the driven |slip| evenly, so that straights do not outweigh bends; bins with fewer than 1 % of an
+    even share are left out. The measured slip and force are centred (`AxleSamples.centred`).
+    """
+    slip, force, _ = samples.binned(bins)
+    return float(np.sqrt(np.mean((axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

@@ -1,0 +1,138 @@
+"""Covariance of estimates from driving, by whole runs or blocks of them.
+
+Neighbouring samples share slow errors of INS and road, so single samples would give uncertainties far too small. With
+psi_c the influence of block c on the estimate, k blocks,
+
+    covariance = k / (k - 1) sum_c psi_c psi_c^T * sqrt(f f^T)
+    least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c, g_c = J_c^T e_c: what leaving it out moves
+
+which a bootstrap over the blocks tends to; `bootstrap` draws one for estimators that are far from linear. Blocks of one
+run share what is slower still: with the correlation rho of psi from block to block, pooled over the runs, the variance
+grows by
+
+    f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run, k: all blocks
+
+and the blocks count as k / f for Student's t. The rho of k values about their own mean is too small by (1 + 3 rho) / k
+(Marriott and Pope, 1954), which is added. Source: Cameron and Miller, A practitioner's guide to cluster-robust
+inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .result import correlation_of, symmetric_interval
+
+FEWEST_RUNS = 8
+"""Below so many runs, blocks of them are used instead."""
+BLOCK_LENGTH = 10.0
+"""s."""
+NUDGE = 1e-4
+"""Change of a block's weight by which its influence on an estimator is differentiated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """covariance (p, p) of estimates; freedom: (p,) degrees of freedom for Student's t; basis: (p,) what it rests on,
+    in words."""
+
+    covariance: np.ndarray
+    freedom: np.ndarray
+    basis: tuple[str, ...]
+
+    @property
+    def deviations(self) -> np.ndarray:
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        return correlation_of(self.covariance)
+
+    def interval(self, index: int, value: float, deviation: float | None = None) -> tuple[float, float]:
+        """95 % interval about a value; deviation: another standard uncertainty than the covariance's."""
+        own = float(self.deviations[index]) if deviation is None else float(deviation)
+        return symmetric_interval(float(value), own, float(self.freedom[index]))
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """of: (n,) the block of each sample; run, block: (k,) of each block, in that order; name: what they are."""
+
+    of: np.ndarray
+    run: np.ndarray
+    block: np.ndarray
+    name: str
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def sums(self, values: np.ndarray) -> np.ndarray:
+        """Sums of values (n, ...) over the samples of each block, (k, ...)."""
+        values = np.asarray(values, float)
+        result = np.zeros((len(self), *values.shape[1:]))
+        np.add.at(result, self.of, values)
+        return result
+
+    def spread(self, influence: np.ndarray) -> Spread:
+        """Of estimates with the influence (k, p) of each block; see the module."""
+        own = influence - influence.mean(axis=0)
+        return self._widened(own.T @ own, self._inflation(own))
+
+    def bootstrap(self, estimator: Callable[[np.ndarray], np.ndarray], draws: int, seed: int) -> Spread:
+        """Of an estimator from weights of the blocks (m, k) to estimates (m, p), by draws with replacement."""
+        count = len(self)
+        weights = np.random.default_rng(seed).multinomial(count, np.full(count, 1.0 / count), size=draws).astype(float)
+        influence = (estimator(1.0 + NUDGE * np.eye(count)) - estimator(np.ones((1, count)))) / NUDGE
+        own = influence - influence.mean(axis=0)
+        return self._widened(np.atleast_2d(np.cov(estimator(weights), rowvar=False)), self._inflation(own))
+
+    def _widened(self, covariance: np.ndarray, factor: np.ndarray) -> Spread:
+        count = len(self)
+        covariance = covariance * count / max(count - 1, 1) * np.sqrt(np.outer(factor, factor))
+        effective = count / factor
+        basis = tuple(self.name + (f" ({number:.0f} independent ones)" if number < 0.8 * count else "")
+                      for number in effective)
+        return Spread(covariance, np.maximum(effective - 1.0, 1.0), basis)
+
+    def regression(self, regressors: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray]:
+        """Least squares of response (n,) on regressors (n, p): coefficients (p,), their spread, residuals (n,)."""
+        found = np.linalg.lstsq(regressors, response, rcond=None)[0]
+        residuals = response - regressors @ found
+        return found, self.spread(self.influence(regressors, residuals)), residuals
+
+    def influence(self, jacobian: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+        """psi (k, p) of each block on the least squares estimate with this jacobian (n, p) and these residuals (n,)."""
+        squares = self.sums(jacobian[:, :, None] * jacobian[:, None, :])
+        gradient, whole = self.sums(jacobian * residuals[:, None]), squares.sum(axis=0)
+        # Without a block that alone shows a parameter nothing would fix it; a millionth of the whole keeps it solvable.
+        others = (1.0 + 1e-6) * whole - squares
+        return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
+
+    def _inflation(self, own: np.ndarray) -> np.ndarray:
+        """f of each estimate (p,)."""
+        neighbours = np.flatnonzero((np.diff(self.run) == 0) & (np.diff(self.block) == 1))
+        power = np.square(own).mean(axis=0)
+        if not len(neighbours):
+            return np.ones(len(power))
+        product = (own[neighbours] * own[neighbours + 1]).mean(axis=0)
+        rho = np.divide(product, power, out=np.zeros_like(power), where=power > 0.0)
+        rho = np.clip(rho + (1.0 + 3.0 * rho) / len(self), 0.0, 0.9)
+        distance = np.abs(self.block[:, None] - self.block)[self.run[:, None] == self.run]
+        return np.power(rho[:, None], distance).sum(axis=1) / len(self)
+
+
+def blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
+    """Whole runs from FEWEST_RUNS on, else blocks of BLOCK_LENGTH, never across runs.
+
+    run_of: (n,) number of the run of each sample; time: (n,) after the begin of its run [s].
+    """
+    run_of = np.asarray(run_of)
+    runs, number = np.unique(run_of, return_inverse=True)
+    if len(runs) >= FEWEST_RUNS:
+        return Blocks(number, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
+    keys = np.stack((run_of, np.floor(np.asarray(time) / BLOCK_LENGTH).astype(np.int64)), axis=1)
+    found, member = np.unique(keys, axis=0, return_inverse=True)
+    plural = "s" if len(runs) > 1 else ""
+    return Blocks(member.ravel(), found[:, 0], found[:, 1],
+                  f"{len(found)} blocks of {BLOCK_LENGTH:g} s from {len(runs)} run{plural}")

@@ -1,0 +1,222 @@
+"""Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
+
+In addition to what is asked for, the offset of the steering and the misalignment of the INS are fitted, which would
+otherwise pass for tyres. Stiffness: with the nonlinear model it is the slope at small slip at the static load, and the
+tyre's curve is that of the vehicle file; with the linear one it is the slope that predicts best over the slips driven.
+
+Steering ratio, where no turntables are at hand:
+
+    delta = (delta_h - o) / i:    L kappa + K v^2 kappa = delta
+
+Slow bends show the ratio, fast ones add the understeer, straights the offset; so the stiffnesses are fitted too. The
+ratio comes out relative to the wheelbase: 1 % more of the one is 1 % less of the other.
+
+Yaw inertia, from transients: I_z r_dot = l_f F_f cos(delta) - l_r F_r. In steady bends r_dot is zero and any inertia
+fits. Steering dynamics, a time stamp that is off, and the relaxation of the tyres delay the response as inertia does;
+dead time of the steering and relaxation length are therefore fitted too. Without the relaxation the inertia of a car
+that has 0.4 m of it comes out 17 % too small. An angle may be as old as a sampling interval T when it is stamped, and
+how old changes from drive to drive, which one dead time for N drives cannot follow: T / sqrt(12 N) of dead time is
+added to the uncertainty, times what a second of it changes. Checked by: test_identification_driving.py.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..augmented import AugmentedModel
+from ..filtering import NANOSECOND
+from ..log import DriveLog
+from ..models import Model, get_model
+from ..vehicle import VehicleParameters
+from .free_parameters import DELAY, FREE, MISALIGNMENT, RELAXATION
+from .prediction_error import Fit, PredictionError, PredictionErrorSettings
+from .result import (
+    ACCELERATION_EDGES,
+    SPEED_EDGES,
+    Coverage,
+    Estimate,
+    Identification,
+    Status,
+    contradiction,
+    correlation_of,
+    coverage,
+    require,
+    strong_correlations,
+)
+from .run_samples import prepared, run_samples
+
+STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
+RATIO, OFFSET = "steering_ratio", "steering_wheel_offset"
+NUISANCE = (OFFSET, MISALIGNMENT)
+NEEDS = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}
+LARGEST_RELATIVE = 0.1
+"""Standard uncertainty over value from which on a stiffness, ratio or inertia is doubtful; five times that: none."""
+INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
+YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
+TRANSIENTS = PredictionErrorSettings(points=(0.1, 0.2, 0.3, 0.4, 0.6, 0.8), interval=0.3)
+RADIUS_OF_GYRATION = (0.35, 0.65)
+"""Share of the wheelbase between which cars lie; an inertia outside is not given."""
+
+
+def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
+                      settings: PredictionErrorSettings | None = None, *, also: Sequence[str] = ()) -> Identification:
+    """Both stiffnesses with their uncertainty over runs.
+
+    vehicle: everything else, and where the fit starts. base: linear, nonlinear, or either with effects that are known
+    (`augment`: drive force on steered wheels, say). also: further parameters to fit and report, of
+    `free_parameters.FREE` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). Raises
+    IdentificationError for too thin driving.
+    """
+    settings = settings or PredictionErrorSettings()
+    names = tuple(dict.fromkeys((*STIFFNESSES, *also, *NUISANCE)))
+    logs, noticed = prepared(logs, vehicle)
+    needs = NEEDS | ({"speed": (5.0, 2)} if RATIO in names else {})
+    covered = driving_coverage(logs, needs, settings.minimum_speed)
+    require(covered, "Drive bends to both sides, at two speeds or more, with 1 to 4 m/s^2 across.")
+    problem = PredictionError(logs, vehicle, names, base, settings)
+    method = f"multi-step prediction, {described(base)}"
+    result = estimates_of("stiffness", problem, problem.fit(), method, (*STIFFNESSES, *also), covered)
+    return replace(result, warnings=(*noticed, *result.warnings))
+
+
+def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
+                      settings: PredictionErrorSettings | None = None) -> Identification:
+    """Ratio and offset with their uncertainty, and the stiffnesses that go with them.
+
+    Raises IdentificationError for too thin driving: two bins of speed at least.
+    """
+    result = predict_stiffness(logs, vehicle, base, settings, also=(RATIO, OFFSET))
+    order = [e.parameter for e in result.estimates]
+    chosen = [order.index(name) for name in (RATIO, OFFSET, *(n for n in order if n not in (RATIO, OFFSET)))]
+    correlation = result.correlation[chosen][:, chosen] if result.correlation is not None else None
+    return replace(result, what="steering", estimates=tuple(result.estimates[i] for i in chosen),
+                   correlation=correlation)
+
+
+def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
+                         settings: PredictionErrorSettings = TRANSIENTS) -> Identification:
+    """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
+
+    Raises IdentificationError without transients: half a second of r_dot above 0.3 rad/s^2 to either side.
+    """
+    logs, noticed = prepared(logs, vehicle)
+    runs = [run_samples(log, vehicle, cutoff=5.0) for log in logs]
+    interval = float(np.median(np.concatenate([np.diff(run.time) for run in runs])))
+    fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
+    covered = (*driving_coverage(logs, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)}, settings.minimum_speed),
+               coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, interval, 0.5, 5))
+    require(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
+    problem = PredictionError(logs, vehicle, INERTIA_NAMES, base, settings)
+    fit = problem.fit()
+    result = estimates_of("yaw-inertia", problem, fit, f"multi-step prediction of transients, {described(base)}",
+                          INERTIA_NAMES[:4], covered, _timing_uncertainty(fit, logs, problem.starts))
+    inertia = result["yaw_inertia"]
+    warnings = [*noticed, *result.warnings]
+    share = float(np.sqrt(inertia.value / vehicle.mass) / vehicle.wheelbase)
+    if not RADIUS_OF_GYRATION[0] <= share <= RADIUS_OF_GYRATION[1]:
+        text = (f"A radius of gyration of {share:.2f} wheelbases does not occur in cars: the transients are too weak, "
+                "or steering or tyre dynamics pass for inertia.")
+        warnings.append(text)
+        inertia = replace(inertia, status="unidentifiable", verdict=f"{text} {inertia.verdict}")
+    conflict = contradiction(inertia, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia, "the vehicle file (as +/- 10 %)")
+    return replace(result, estimates=(inertia, *result.estimates[1:]),
+                   warnings=(*warnings, conflict) if conflict else tuple(warnings))
+
+
+def _timing_uncertainty(fit: Fit, logs: Sequence[DriveLog], starts: Mapping[str, int]) -> dict[str, float]:
+    """Standard uncertainty of the dead time [s] and, through it, of the inertia; see the module."""
+    interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
+    time = interval / np.sqrt(12.0 * sum(count > 0 for count in starts.values()))
+    squares = fit.jacobian.T @ fit.jacobian
+    delay = fit.names.index(DELAY)
+    others = [i for i in range(len(fit.names)) if i != delay]
+    change = dict(zip([fit.names[i] for i in others],
+                      np.linalg.solve(squares[np.ix_(others, others)], squares[others, delay]), strict=True))
+    return {DELAY: time, "yaw_inertia": abs(change["yaw_inertia"]) * time}
+
+
+def estimates_of(what: str, problem: PredictionError, fit: Fit, method: str, reported: Sequence[str],
+                 covered: Sequence[Coverage], systematic: Mapping[str, float] | None = None) -> Identification:
+    """Result of a fit. reported: parameters to give as estimates; correlation over them. systematic: standard
+    uncertainties the drives cannot show, added to theirs."""
+    spread = fit.spread()
+    share = single_track_share(problem)
+    extra = {n: share * v for n, v in zip(fit.names, fit.values, strict=True)
+             if n.startswith("cornering_stiffness")} | dict(systematic or {})
+    # Independent of the drives, so added to the variances alone.
+    covariance = spread.covariance + np.diag([extra.get(name, 0.0) ** 2 for name in fit.names])
+    chosen = [fit.names.index(name) for name in reported]
+    uncertainty = np.sqrt(np.diag(covariance))
+    runs = tuple(name for name, starts in problem.starts.items() if starts)
+    estimates = tuple(
+        Estimate(fit.names[i], float(fit.values[i]), FREE[fit.names[i]].unit, float(uncertainty[i]),
+                 spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
+                 _verdict(fit, i, uncertainty[i], f"{len(fit.residuals) // 2} residuals in {spread.basis[i]}"),
+                 _status(fit, i, uncertainty[i])) for i in chosen)
+    rejected = [(name, f"{problem.considered[name] - used} of {problem.considered[name]} starts slower than "
+                 f"{problem.settings.minimum_speed:g} m/s, beyond {problem.settings.maximum_acceleration:g} m/s^2 or "
+                 "with gaps") for name, used in problem.starts.items() if used < problem.considered[name]]
+    others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE[n].unit} was fitted too."
+              for i, n in enumerate(fit.names) if n not in reported]
+    warnings = (*strong_correlations(fit.names, correlation_of(covariance)), *others)
+    figure = {"residuals": fit.residuals.reshape(-1, 2) * fit.noise, "residual_run": fit.run_of[::2],
+              "residual_time": fit.time[::2], "names": fit.names, "covariance": covariance, "noise": fit.noise}
+    return Identification(what, estimates, runs, tuple(rejected), correlation_of(covariance[np.ix_(chosen, chosen)]),
+                          tuple(covered), warnings, figure)
+
+
+def _status(fit: Fit, index: int, uncertainty: float) -> Status:
+    name, value = fit.names[index], abs(fit.values[index])
+    if name in fit.at_bound:
+        return "unidentifiable"
+    if not FREE[name].relative:
+        return "identified" if uncertainty < FREE[name].scale else "doubtful"
+    if uncertainty > 5.0 * LARGEST_RELATIVE * value:
+        return "unidentifiable"
+    return "doubtful" if uncertainty > LARGEST_RELATIVE * value else "identified"
+
+
+def _verdict(fit: Fit, index: int, uncertainty: float, basis: str) -> str:
+    """How well the data fix the value, and what it rests on."""
+    name, value = fit.names[index], fit.values[index]
+    if name in fit.at_bound:
+        return f"Stopped at its bound {value:.4g}: the data do not fix it, or contradict the rest of the vehicle file."
+    if FREE[name].relative:
+        share = 100.0 * uncertainty / abs(value)
+        head = {"identified": "Fixed", "doubtful": "Poorly fixed",
+                "unidentifiable": "Not identifiable: fixed only"}[_status(fit, index, uncertainty)]
+        return f"{head} to +/- {share:.1f} %, from {basis}."
+    return f"{value:.4g} +/- {uncertainty:.2g} {FREE[name].unit}, from {basis}."
+
+
+def single_track_share(problem: PredictionError) -> float:
+    """Standard uncertainty of a stiffness for what one track leaves out, as a share of it: (0.8 L)^2 mean(curvature^2).
+
+    Two wheels with Ackermann angles turn an axle's force into a yaw moment that one wheel does not have, by terms of
+    (L / R)^2. On the virtual Leaf without noise: rear stiffness 4.6 m^2 / R^2 too small, 1.1 % at 20 m, 0.1 % at 60 m.
+    All of it counts, as a car with full Ackermann angles has all of it.
+    """
+    return (0.8 * problem.vehicle.wheelbase) ** 2 * problem.curvature_square
+
+
+def described(base: str | Model) -> str:
+    """The model a fit predicts with, in words."""
+    if isinstance(base, AugmentedModel):
+        return f"{base.base.name} tyres with {', '.join(effect.name for effect in base.effects)}"
+    return f"{get_model(base).name} tyres"
+
+
+def driving_coverage(logs: Sequence[DriveLog], needs: Mapping[str, tuple[float, int]],
+                     minimum_speed: float) -> tuple[Coverage, ...]:
+    """Speed and lateral acceleration v_x r of all driving above a speed [m/s].
+
+    needs: {"speed" | "lateral acceleration": (seconds a bin must hold, bins needed)}.
+    """
+    fast = [log.velocity_x >= minimum_speed for log in logs]
+    interval = float(np.median(np.concatenate([np.diff(log.ins_time_ns) for log in logs]))) * NANOSECOND
+    speeds = [log.velocity_x[m] for log, m in zip(logs, fast, strict=True)]
+    lateral = [(log.velocity_x * log.yaw_rate)[m] for log, m in zip(logs, fast, strict=True)]
+    return (coverage("speed", "m/s", SPEED_EDGES, speeds, interval, *needs["speed"]),
+            coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES, lateral, interval,
+                     *needs["lateral acceleration"]))
