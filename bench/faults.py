@@ -1,4 +1,4 @@
-"""Faults put into the running suite, one by one: noticed, survived, lost. Table: docs/manual/reliability.md.
+"""Faults put into the running suite, one by one: noticed, survived, lost. Table: docs/measurements/reliability.md.
 
 Fourteen minutes; ST_FAULTS=long adds an INS silent for two minutes, ST_FAULTS=short leaves most of them out, parts of
 names (a,b) put in only what is called so and renew those lines of the table.
@@ -18,7 +18,7 @@ from faults.measure import Recorded, Row, row
 from faults.measure import run as put_all
 from faults.rig import running
 
-DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "manual" / "reliability.md"
+DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "measurements" / "reliability.md"
 BEGIN, END = "<!-- fault table: written by `st bench faults` -->\n", "<!-- end of fault table -->\n"
 
 ALL = (*FAULTS, *DRIVING, *LONG)
