@@ -181,7 +181,7 @@ def test_a_log_under_the_wrong_extension_is_read_as_what_it_is(tmp_path: Path) -
         ("text.MF4", b"time,value\n1,2\n", "this is not an MF4 file"),
         ("noise.log", bytes(range(256)) * 10, "this is no CAN log that can be read"),
         ("packets.asc", b"\xe7" + bytes(71), "this is no CAN log that can be read"),
-        ("nothing.log", b"(1.0) can0 #nonsense\n", "no whole frame is in it"),
+        ("nothing.log", b"(1.0) can0 002#nonsense\n", "no whole frame is in it"),
     ],
 )
 def test_files_that_are_no_log(tmp_path: Path, name: str, content: bytes, message: str) -> None:
@@ -196,7 +196,7 @@ def test_a_cut_text_log_is_read_up_to_there(tmp_path: Path) -> None:
     file.write_text("(1700000000.000000) can0 002#1D000007B0\n(1700000000.010000) can0 002#1D0000\n(17000000")
     log = read_can_logs([file])
     assert len(log.frames) == 2
-    assert "cut or damaged behind frame 2" in log.warnings[0]
+    assert "1 of 3 lines (33 %) cannot be read, the first is line 3" in log.warnings[0]
 
 
 def test_an_mf4_without_can_frames(tmp_path: Path) -> None:

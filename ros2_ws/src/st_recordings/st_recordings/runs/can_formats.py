@@ -1,40 +1,178 @@
-"""The CAN logs there are: a further text or binary format is one line here. What reads it is imported when it reads."""
+"""Text and binary CAN logs through the readers of python-can, line by line: a line that cannot be read costs itself."""
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
+from .errors import share
 from .mf4 import MAKERS_CONTAINERS
 
 MF4_EXTENSIONS = (".mf4", ".mdf")
 _BLF_HEAD = 16  # bytes: "LOBJ", length of the head, version, length of the object, kind
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
+# Months as Vector's tools write them in the language of the computer, by their first letters.
+_MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "avr": 4, "abr": 4,
+           "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
+           "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
+           "dic": 12, "juin": 6, "juil": 7}
+_ENGLISH = "Jan Feb Mar Apr May Jun Jul Aug Sep Oct Nov Dec".split()
+
+
+class Lines:
+    """The lines of a text log in any encoding, as the file object that python-can reads from.
+
+    position: number of the last line read. `unread` puts one in front of the rest.
+    """
+
+    def __init__(self, file: Path, change: Callable[[str], str] = str):
+        self._stream, self._change, self._front = file.open("rb"), change, list[str]()
+        head = self._stream.read(2)
+        self._codec = "utf-16-le" if head == _UTF16[0] else "utf-16-be" if head == _UTF16[1] else ""
+        self._stream.seek(len(head) if self._codec else 0)
+        self.position = 0
+
+    def __iter__(self) -> "Lines":
+        return self
+
+    def __next__(self) -> str:
+        if self._front:
+            return self._front.pop()
+        self.position += 1
+        line = self._line()
+        if not line:
+            self.position -= 1
+            raise StopIteration
+        return self._change(line)
+
+    def _line(self) -> str:
+        raw = self._stream.readline()
+        if self._codec:
+            if raw.endswith(b"\n") and self._codec.endswith("le"):
+                raw += self._stream.read(1)
+            return raw.decode(self._codec, "replace").lstrip("\ufeff")
+        try:
+            return raw.decode("utf-8-sig" if self.position == 1 else "utf-8")
+        except UnicodeDecodeError:
+            return raw.decode("cp1252", "replace")
+
+    def unread(self, line: str) -> None:
+        self._front.append(line)
+
+    def read(self) -> str:
+        return "".join(self)
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+@dataclass
+class Found:
+    """Frames of a log, and what is wrong with it: notes for the user, without the name of the file."""
+
+    notes: list[str] = field(default_factory=list)
+    bad: list[int] = field(default_factory=list)
+
+    def finish(self, lines: int) -> None:
+        if self.bad:
+            self.notes.insert(0, f"{share(len(self.bad), lines, 'lines')} cannot be read, the first is line "
+                              f"{self.bad[0]}; they were skipped")
 
 
 @dataclass(frozen=True)
 class Format:
-    """How python-can reads a text or binary log. extensions: lower case. mark: whether the head of a file is of it."""
+    """A text or binary log. extensions: lower case. mark: whether the head of a file is of it. messages: frames of
+    python-can in the order of the file; appends to Found."""
 
     name: str
     extensions: tuple[str, ...]
     mark: Callable[[bytes], bool]
-    reader: Callable[[str], Iterable[Any]]
-
-
-def _is_candump(head: bytes) -> bool:
-    line = head.lstrip().split(b"\n", 1)[0]
-    return line.startswith(b"(") and b") " in line and b"#" in line
+    messages: Callable[[Path, Found], Iterator[Any]]
 
 
 def _io(name: str) -> Any:
     return import_module(f"can.io.{name}")
 
 
-def _blf(file: str) -> Iterable[Any]:
+def _by_line(make: Callable[[Lines, Found], Any], change: Callable[[str], str] = str,
+             restart: str = "") -> Callable[[Path, Found], Iterator[Any]]:
+    """A reader of text that goes on behind a line it cannot read. restart: a line its header parser may consume."""
+    def messages(file: Path, found: Found) -> Iterator[Any]:
+        lines = Lines(file, change)
+        try:
+            reader = make(lines, found)
+            going = iter(reader)
+            while True:
+                try:
+                    yield next(going)
+                except StopIteration:
+                    break
+                except Exception:  # readers of python-can raise whatever int() and indexing raise
+                    found.bad.append(lines.position)
+                    if restart:
+                        lines.unread(restart)
+                    going = iter(reader)
+            found.finish(lines.position)
+        finally:
+            lines.close()
+
+    return messages
+
+
+def _candump(lines: Lines, found: Found) -> Any:
+    return _io("canutils").CanutilsLogReader(lines)
+
+
+def _asc(lines: Lines, found: Found) -> Any:
+    class Reader(_io("asc").ASCReader):
+        def _datetime_to_timestamp(self, text: str) -> float:
+            try:
+                return super()._datetime_to_timestamp(text)
+            except ValueError:
+                note = f"its date {text[:40]!r} cannot be read; times count from the start of the log"
+                if note not in found.notes:
+                    found.notes.append(note)
+                return 0.0
+
+    return Reader(lines, relative_timestamp=False)
+
+
+def _asc_line(line: str) -> str:
+    """Dates in the form python-can reads: month in English, no am or pm behind a 24-hour clock."""
+    match = _WEEKDAY_MONTH.match(line)
+    if match is None:
+        return line
+    key, month, rest = match.groups()
+    name = month.lower().rstrip(".")
+    number = _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
+    hour = re.search(r"\s(\d{1,2}):", rest)
+    if hour and not 1 <= int(hour.group(1)) <= 12:
+        rest = re.sub(r"(?i)\s[ap]\.?m\.?(?=\s)", "", rest)
+    return f"{key} Mon {_ENGLISH[number - 1] if number else month}{rest}\n"
+
+
+def _trc(lines: Lines, found: Found) -> Any:
+    class Reader(_io("trc").TRCReader):
+        def _parse_line(self, line: str) -> Any:
+            return self._parse_cols(tuple(line.split(maxsplit=self._num_columns))) if line else None
+
+        def _parse_msg_v1_0(self, columns: tuple[str, ...]) -> Any:
+            message = super()._parse_msg_v1_0(columns)
+            if message is not None:  # version 1.0 may write all identifiers with eight digits
+                message.is_extended_id = message.arbitration_id > 0x7FF
+            return message
+
+    return Reader(lines)
+
+
+def _blf(file: Path, found: Found) -> Iterator[Any]:
     from can.io import blf
 
     class Reader(blf.BLFReader):
-        """python-can's reader never gets past an object that says it has no length."""
+        """python-can's reader never gets past an object that gives its length as 0."""
 
         def _parse_data(self, data: bytes) -> Iterator[Any]:
             at = data.find(b"LOBJ", 0, 8)
@@ -45,15 +183,46 @@ def _blf(file: str) -> Iterable[Any]:
                 at = data.find(b"LOBJ", at + length, at + length + 8)
             return super()._parse_data(data)
 
-    return Reader(file)
+    size = file.stat().st_size
+    reader = Reader(str(file))
+    count = 0
+    try:
+        for message in reader:
+            count += 1
+            yield message
+    except Exception as error:
+        at = min(reader.file.tell(), size) if not reader.file.closed else size
+        what = " ".join(str(error).split())[:100] or type(error).__name__
+        found.notes.append(f"is damaged behind frame {count} ({what}); the {share(size - at, size, 'bytes')} behind "
+                           "it are not used")
+    finally:
+        reader.stop()
+    if not reader.file_size:
+        found.notes.append("was not closed by its logger: whether its end is missing is unknown")
+    elif size < reader.file_size:
+        found.notes.append(f"is cut: {share(reader.file_size - size, reader.file_size, 'bytes')} of the log are "
+                           "missing; read up to there")
+
+
+def _is_candump(head: bytes) -> bool:
+    lines = head.replace(b"\0", b"").splitlines()[:20]
+    return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) for line in lines)
+
+
+def _is_trc(head: bytes) -> bool:
+    return any(mark in head for mark in (b";$FILEVERSION", b";   Message Number")) or (
+        head.lstrip().startswith(b";") and b"Start time:" in head)
+
+
+def _is_asc(head: bytes) -> bool:
+    text = head.replace(b"\0", b"").removeprefix(b"\xef\xbb\xbf").removeprefix(_UTF16[0]).removeprefix(_UTF16[1])
+    return text.lstrip()[:5].lower() == b"date " or b"\nbase hex" in text or b"\nbase dec" in text
 
 
 FORMATS = (
-    Format("candump", (".log", ".candump"), _is_candump, lambda file: _io("canutils").CanutilsLogReader(file)),
-    Format("Vector ASC", (".asc",), lambda head: head.lstrip()[:5].lower() == b"date " or b"\nbase hex" in head,
-           lambda file: _io("asc").ASCReader(file, relative_timestamp=False)),
+    Format("candump", (".log", ".candump"), _is_candump, _by_line(_candump)),
+    Format("Vector ASC", (".asc",), _is_asc, _by_line(_asc, _asc_line, "\n")),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _blf),
-    Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or b";   Message Number" in head,
-           lambda file: _io("trc").TRCReader(file)),
+    Format("PEAK trace", (".trc",), _is_trc, _by_line(_trc)),
 )
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *MAKERS_CONTAINERS}

@@ -1,7 +1,7 @@
 """CAN logs of every kind to one column set: MF4 of a CANedge2, candump, and Vector's and PEAK's files."""
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 import can
 import numpy as np
 
-from .can_formats import FORMATS, MF4_EXTENSIONS, Format
+from .can_formats import FORMATS, MF4_EXTENSIONS, Format, Found
 from .errors import RunError, check_readable
 from .frames import (
     ERROR,
@@ -103,35 +103,19 @@ def _read_one(file: Path) -> tuple[Frames, int, bool, Sequence[str]]:
 
 def _through_python_can(file: Path, kind: Format) -> tuple[Frames, list[str]]:
     parts: list[Frames] = []
-    trouble: list[str] = []
+    found = Found()
     try:
-        messages = _until_damage(iter(kind.reader(str(file))), trouble)
+        messages = kind.messages(file, found)
         while block := list(itertools.islice(messages, BLOCK)):
             parts.append(_columns(block))
     except Exception as error:  # the readers let anything through: a head that only looks like one, a missing file
         what = f"cannot be read as a {kind.name} log ({_short(error)})"
         raise RunError(file, what, "copy or export it again") from None
     if not parts:
-        what = f"no whole frame is in it ({trouble[0]})" if trouble else "the log holds no frames"
+        what = f"no whole frame is in it ({'; '.join(found.notes)})" if found.notes else "the log holds no frames"
         raise RunError(file, what, "copy or export it again")
     frames, steps = continued(in_file_order(parts))
-    trouble += set_back(steps)
-    return joined([frames]), trouble
-
-
-def _until_damage(messages: Any, trouble: list[str]) -> Iterable[can.Message]:
-    """The frames up to the first that cannot be read."""
-    count = 0
-    while True:
-        try:
-            message = next(messages)
-        except StopIteration:
-            return
-        except Exception as error:
-            trouble.append(f"is cut or damaged behind frame {count} ({_short(error)}); read up to there")
-            return
-        count += 1
-        yield message
+    return joined([frames]), found.notes + set_back(steps)
 
 
 def _columns(messages: Sequence[can.Message]) -> Frames:

@@ -16,6 +16,12 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+def share(count: int, total: int, what: str) -> str:
+    """A part of a recording with its share, "98 of 249 rows (39 %)"."""
+    percent = 100.0 * count / max(total, 1)
+    return f"{count} of {total} {what} ({f'{percent:.0f}' if percent >= 10 else f'{percent:.2g}'} %)"
+
+
 def check_readable(path: Path) -> None:
     """Raises RunError for a file that is missing, empty or not to be opened."""
     try:

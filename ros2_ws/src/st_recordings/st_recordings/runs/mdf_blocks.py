@@ -163,7 +163,7 @@ class _Walk:
         if flags & _INVALIDATION and invalid and invalid_bit >= 8 * invalid:
             raise Damage(f"the channel at byte {block.at} has its invalidation bit outside the record")
         if kind == _VALUE_ELSEWHERE:
-            if bits != 64 or bit or data_type not in _TEXTS_AND_BYTES:
+            if bits not in (32, 64) or bit or data_type not in _TEXTS_AND_BYTES:
                 raise Damage(f"the channel at byte {block.at} has its values elsewhere and does not say where")
             if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # its group is in the chain of groups
                 self._records(block.links[5], b"SD")

@@ -4,7 +4,7 @@ import io
 import logging
 import mmap
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,8 @@ LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum fits into 64 bits
 AS_IT_IS: dict[str, Any] = {"process_bus_logging": False}
 MAKERS_CONTAINERS = (".mfc", ".mfe", ".mfm")
 _KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
-_VALUE_ELSEWHERE, _TIMES = 1, (2, 3)  # types of a channel
+_VALUE_ELSEWHERE, _TIMES, VIRTUAL = 1, (2, 3), (3, 6)  # types of a channel
+FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # by data length code, ISO 11898-1
 _BUS = re.compile(r"CAN[ _]?(\d+)")
 _SPLIT = re.compile(r"^(\d{8})(-[0-9A-Fa-f]{8})?$")
 
@@ -201,11 +202,15 @@ def _group_frames(log: Any, group: int, start_ns: int) -> Iterator[Frames]:
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=True, record_offset=first,
                              record_count=min(PIECE, count - first))
-        yield _frames(name, signal, bus, start_ns)
+        yield _frames(name, signal, bus, start_ns, {c.name.rsplit(".", 1)[-1]: c for c in content.channels})
 
 
-def _frames(name: str, signal: Any, bus: int, start_ns: int) -> Frames:
-    """asammdf makes arrays of what the file describes, and any description is possible: every column is looked at."""
+def _frames(name: str, signal: Any, bus: int, start_ns: int, channels: Mapping[str, Any]) -> Frames:
+    """Columns of one piece of a group; every column is checked, because a file can describe any layout.
+
+    channels: by short name. A virtual channel takes no bytes of the record, its value is its conversion; firmware
+    01.07 and later stores bus, IDE and direction so. Lengths of CAN FD frames are a table on their code.
+    """
     rows, n = signal.samples, len(signal.samples)
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
     needed = {"CAN_DataFrame": ("ID", "DataBytes"), "CAN_RemoteFrame": ("ID",)}.get(name, ())
@@ -213,6 +218,9 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int) -> Frames:
         raise Damage(f"its frames have no {missing[0]}")
 
     def member(short: str, default: int = 0) -> np.ndarray:
+        channel = channels.get(short)
+        if channel is not None and channel.channel_type in VIRTUAL:
+            return np.full(n, _constant(channel), np.uint8)
         if short not in members:
             return np.full(n, default, np.uint8)
         column = rows[members[short]]
@@ -222,7 +230,8 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int) -> Frames:
 
     identifier = member("ID").astype(np.uint32)
     extended = member("IDE").astype(bool) | (identifier > 0x7FF)
-    length = member("DataLength") if "DataLength" in members else member("DLC", 8)
+    length = _lengths(member("DataLength"), channels["DataLength"]) if "DataLength" in members else \
+        FD_LENGTHS[member("DLC", 8) & 15]
     flags = np.full(n, _KINDS[name], np.uint8)
     flags |= np.where(member("Dir").astype(bool), SENT, 0).astype(np.uint8)
     flags |= np.where(member("EDL").astype(bool), FD, 0).astype(np.uint8)
@@ -232,6 +241,25 @@ def _frames(name: str, signal: Any, bus: int, start_ns: int) -> Frames:
         payload=_payload(rows[members["DataBytes"]] if "DataBytes" in members else np.zeros((n, 8), np.uint8)),
         length=length.astype(np.uint8), bus=member("BusChannel", bus).astype(np.uint8), flags=flags,
     )
+
+
+def _constant(channel: Any) -> int:
+    """Value of a virtual channel: its conversion is 0 * row + constant."""
+    conversion = channel.conversion
+    slope, value = getattr(conversion, "a", 1.0), getattr(conversion, "b", 0.0)
+    if slope or not 0 <= value <= 255 or value != int(value):
+        raise Damage(f"{channel.name} is a virtual channel and no constant")
+    return int(value)
+
+
+def _lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
+    """Bytes of each frame: the stored number, or through the channel's table of CAN FD length codes."""
+    if channel.conversion is None or not len(stored):
+        return FD_LENGTHS[stored & 15] if channel.bit_count <= 4 else stored
+    length = np.asarray(channel.conversion.convert(stored.astype(np.int64)))
+    if length.dtype.kind not in "biuf" or not ((length >= 0) & (length <= MOST_BYTES)).all():
+        raise Damage("the lengths of its frames are no lengths")
+    return length
 
 
 def _nanoseconds(seconds: np.ndarray, n: int) -> np.ndarray:
