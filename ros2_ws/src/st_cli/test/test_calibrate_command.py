@@ -34,7 +34,7 @@ def test_calibrate_names_what_it_leaves_out_and_says_what_is_promised(folder):
     base, result = folder
     assert result.exit_code == 1, result.output
     text = " ".join(result.output.split())
-    assert "one horizon is 5 s" in text and "holds the same as" in text
+    assert "one horizon is 5 s" in text and "has the same content as" in text
     assert "bands of linear from 10 runs" in text and "10 runs can promise 90.9% at most" in text
     assert "recordings:" in (base / "bands.yaml").read_text()
 

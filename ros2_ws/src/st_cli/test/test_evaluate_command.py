@@ -85,7 +85,7 @@ def test_page_is_one_file_that_loads_nothing_and_escapes_names(folder):
     assert "prefers-color-scheme: dark" in text
     for choice in ("causal, as in the car", "interpolated within a step", "over the horizon means", "Nissan Leaf"):
         assert choice in text
-    assert "short" in text and text.count("<figure>") == 11
+    assert "short" in text and text.count("<figure>") == 6
 
 
 def test_files_beside_it(folder):
@@ -121,7 +121,7 @@ def test_settings_the_paper_leaves_open_change_the_result_and_are_printed(folder
     (["--model", "wrong"], "unknown model 'wrong'"),
     (["--horizon", "5.02"], "not a whole number of steps"),
     (["--figures", "gif"], "gif is not one of"),
-    (["--at", "soon"], "numbers of seconds"),
+    (["--at", "soon"], "expected comma-separated"),
     (["--interval", "0"], "interval"),
 ])
 def test_wrong_options_say_so_in_one_line(folder, tmp_path, arguments, words):

@@ -1,4 +1,4 @@
-"""What was measured lately: INS and steering on one time axis, with the filtered forward acceleration."""
+"""Recent measurements: INS and steering on one time axis, with the filtered forward acceleration."""
 
 import math
 from typing import NamedTuple
@@ -13,7 +13,7 @@ YAW, VELOCITY_X, YAW_RATE, FILTERED, DERIVATIVE = 2, 3, 5, 6, 7
 
 
 class PositionJump(NamedTuple):
-    """time_ns: of the first sample after it. size: what velocity knows nothing of [m]."""
+    """time_ns: of the first sample after it. size: position change not explained by velocity [m]."""
 
     time_ns: int
     size: float
@@ -24,7 +24,7 @@ class MeasurementHistory:
 
     Samples that come out of order are put in their place; late ones (over half a second), repeated ones and those with
     a NaN are refused. Whatever the order of arrival within half a second, the content is the same, the filtered
-    acceleration included. When the INS time jumps back (a replay that starts over) both signals begin anew;
+    acceleration included. When the INS time jumps back (a replay that starts over) both signals restart;
     `generation` counts that. Between samples further apart than maximum_gap nothing is known, nor where the position
     jumps (position_jumps.py): `jumps` counts that since the start, `jump` is the newest one.
 

@@ -1,8 +1,8 @@
-"""Predictions over a recorded drive, all at once: from a log and start times to states at the horizon points wanted.
+"""Predictions over a recorded drive, all at once: from a log and start times to states at horizon points.
 
-The numbers are those of `prediction.predict` with the inputs the log holds; how they are computed is a backend's
-affair. Work goes block by block: besides what is handed back, memory holds the two inputs of the log on the grid, 16
-bytes each half step, as much again for a model that changes what was measured, and the tables of one block.
+The numbers are those of `prediction.predict` with the inputs of the log; the backend decides how they are
+computed. Work is done block by block: in addition to the result, memory contains the two inputs of the log on the
+grid, 16 bytes each half step, as much again for a model that changes what was measured, and the tables of one block.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -79,7 +79,7 @@ class LogBatch:
     points [s]: of the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps in a step;
     auto = as few as are stable at the speeds of the log. A step too long for those is warned of once.
     backend: lanes or numpy; None: the fastest there is. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
-    LogSignals; they are taken from there when `log` is one. signals: what a model asks for beyond its inputs,
+    LogSignals; they are taken from there when `log` is one. signals: those that a model needs beyond its inputs,
     (time [ns], values) by name.
     Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, substeps
     below 1 and an unknown backend. Checked by: test_batch.py, against Evaluator and `predict`.
@@ -107,10 +107,11 @@ class LogBatch:
     def _numbers(self, points: Sequence[float] | None) -> np.ndarray:
         if points is None:
             return np.arange(self.steps + 1)
-        wanted = np.asarray(points, float).ravel()
-        numbers = np.round(wanted / self.step).astype(np.int64)
-        if np.any(np.abs(numbers * self.step - wanted) > 1.0e-9) or np.any(np.diff(numbers) <= 0) or not len(numbers) \
-                or numbers[0] < 0 or numbers[-1] > self.steps:
+        requested = np.asarray(points, float).ravel()
+        numbers = np.round(requested / self.step).astype(np.int64)
+        off_grid = np.abs(numbers * self.step - requested) > 1.0e-9
+        if np.any(off_grid) or np.any(np.diff(numbers) <= 0) or not len(numbers) or numbers[0] < 0 \
+                or numbers[-1] > self.steps:
             raise ConfigurationError(f"points: {list(points)} are not rising multiples of {self.step:g} s within the "
                                      f"horizon of {self.steps * self.step:g} s")
         return numbers
@@ -165,7 +166,7 @@ class LogBatch:
         return self._substeps
 
     def _blocks(self, count: int, apart: bool) -> Iterable[Block]:
-        """Laid out once where there is no more than one."""
+        """Cached if there is only one."""
         if (count, apart) not in self._only:
             blocks = self._planned(count, apart)
             begun = list(islice(blocks, 2))
@@ -176,13 +177,13 @@ class LogBatch:
 
     def _planned(self, count: int, apart: bool) -> Iterator[Block]:
         half_steps = np.arange(2 * self.steps * count + 1) * (0.5 * self.step / count / NANOSECOND)
-        # Held inputs are wanted at the start alone, unless the wheels still follow what the steering did before it.
+        # Held inputs are needed at the start alone, unless the wheels still follow what the steering did before it.
         throughout = self._inputs == "measured" or apart
-        wanted = np.round(half_steps).astype(np.int64) if throughout else np.zeros(1, np.int64)
-        return plan(self._unique, wanted, self._backend.LANES, share=not apart)
+        instants = np.round(half_steps).astype(np.int64) if throughout else np.zeros(1, np.int64)
+        return plan(self._unique, instants, self._backend.LANES, share=not apart)
 
     def recording(self, model: Model) -> Recording:
-        """The drive with what the model says of sensors and steering taken into account."""
+        """The drive with the sensor and steering corrections of the model applied."""
         log = corrected_log(model, self.signals.log, self.signals.maximum_gap)
         return self._recorded if log is self.signals.log else Recording(self.signals.of(log))
 
@@ -232,4 +233,4 @@ class LogBatch:
             column[:block.count] = value
         offsets = block.offsets if len(block.offsets) > 1 else np.zeros(2 * self.steps * substeps + 1, np.int64)
         out = self._backend.advance(model, p, columns, w, offsets, self.step / substeps, self.points * substeps)
-        return out[:, :, :block.count] if len(block.wanted) == block.count else out[:, :, block.wanted]
+        return out[:, :, :block.count] if len(block.selected) == block.count else out[:, :, block.selected]

@@ -16,7 +16,7 @@ STRAIGHT = math.radians(5.0)  # heading changes by less over the horizon
 
 @dataclass(frozen=True, eq=False)
 class Bin:
-    """label: as shown in tables, with the unit. low, high: edges in SI, None where there is none. select: (n,)."""
+    """label: as shown in tables, with the unit. low, high: edges in SI, None if open. select: (n,)."""
 
     quantity: str
     label: str
@@ -26,7 +26,7 @@ class Bin:
 
 
 def bins(evaluation: LogEvaluation) -> list[Bin]:
-    """All bins that hold a start; starts whose conditions are not known are in none."""
+    """All bins with a start; starts with unknown conditions are in none."""
     c = evaluation.conditions
     found = [
         *_edges("speed", "m/s", c["speed"], SPEED),

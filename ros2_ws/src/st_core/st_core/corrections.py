@@ -16,8 +16,8 @@ from . import channels
 from .errors import StCoreError
 from .filtering import NANOSECOND
 from .frames import body_to_map, map_to_body
-from .interpolation import interpolate
 from .log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from .timeseries import interpolate
 from .vehicle import VehicleParameters
 
 MAXIMUM_GAP = 0.25

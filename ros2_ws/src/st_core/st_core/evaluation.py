@@ -80,7 +80,7 @@ class _Pending:
 class Evaluator:
     """Scores every prediction once its horizon has passed in the measurements.
 
-    span [s]: how much measurement is kept; at least two horizons. models: those beside the known ones, of model files.
+    span [s]: how much measurement is kept; at least two horizons. models: further ones, of model files.
     Memory is bounded: by the span, and by MAXIMUM_PENDING predictions waiting (the oldest then end incomplete).
     """
 
@@ -124,7 +124,7 @@ class Evaluator:
     def view(self, model: str) -> ModelView:
         """What that model makes of the measurements. Raises ConfigurationError for an unknown one."""
         if model not in self._views:
-            get_model(model)  # says which there are
+            get_model(model)  # raises with the list of known models
         return self._views[model]
 
     def add_prediction(self, model: str, start_ns: int, start: VehicleState, inputs: ControlInput,
@@ -137,10 +137,10 @@ class Evaluator:
             self._give_up([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
-        """Scores of all predictions whose horizon has passed in both signals.
+        """Scores of all predictions with a horizon that has passed in both signals.
 
-        newest_ns: the present on the clock of the stamps; a prediction whose horizon ended PATIENCE before it is scored
-        with what there is. None: the newest INS sample is taken for the present.
+        newest_ns: the present on the clock of the stamps; a prediction with a horizon that ended PATIENCE before it is
+        scored with the available measurements. None: the newest INS sample is taken for the present.
         """
         scores, self._overtaken = self._overtaken, []
         ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
@@ -166,7 +166,7 @@ class Evaluator:
             for pending in self._waiting.pop(key):
                 for mode in ("forecast", "hindsight"):
                     self._overtaken.append(make_score(pending.model, mode, start_ns, step, nothing, reason))
-        # Nobody may ask for them: the scores wait for `poll`, bounded like the predictions they came from.
+        # The scores wait for `poll`, bounded like their predictions, as it may never be called.
         del self._overtaken[:-2 * self.MAXIMUM_PENDING]
 
     def _score(self, key: tuple[int, int, float], group: Sequence[_Pending]) -> list[Score]:

@@ -29,7 +29,7 @@ from .vehicle import VehicleParameters
 
 MODES: tuple[Mode, ...] = ("hindsight", "forecast")
 AXES = ("longitudinal", "lateral", "yaw")
-BLOCK = 1024  # starts predicted together; each model and mode then holds 7 MB
+BLOCK = 1024  # starts predicted together; each model and mode then takes 7 MB
 AHEAD = 2  # blocks being made, one a thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
 ALL = slice(None)
@@ -45,7 +45,7 @@ class EvaluationSettings:
     prediction: as for the live nodes; stale_after has no meaning here. interval: between starts [s].
     acceleration: filter of the forward speed before its derivative, causal as in the car, or zero_phase.
     inputs: measured inputs within an integration step, interpolate: at its start, middle and end; hold: the value at
-    its start throughout. The paper says neither.
+    its start throughout. Not specified in the paper.
     """
 
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
@@ -88,7 +88,7 @@ class ModelErrors:
 
     @property
     def n_starts(self) -> int:
-        """Starts whose whole horizon was scored."""
+        """Starts with a completely scored horizon."""
         return int(self.complete.sum())
 
     def statistics(self, axis: str, over: Literal["means", "samples"] = "means",
@@ -117,10 +117,10 @@ class ModelErrors:
 class LogEvaluation:
     """All models over one drive.
 
-    starts_ns: (n,) of the predictions made. skipped: starts without one, by reason. incomplete: starts whose horizon
-    could not be scored in hindsight, by reason. conditions: (n,) each, over the horizon as measured, NaN for those:
-    mean speed [m/s], mean lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], root mean square
-    steering_rate of the road wheels [rad/s], heading_change [rad]; left +.
+    starts_ns: (n,) of the predictions made. skipped: starts without one, by reason. incomplete: starts with a
+    horizon that could not be scored in hindsight, by reason. conditions: (n,) each, over the horizon as measured,
+    NaN for those: mean speed [m/s], mean lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], root mean
+    square steering_rate of the road wheels [rad/s], heading_change [rad]; left +.
     errors: by (model, mode). horizon: (points,) [s].
     """
 
@@ -160,8 +160,8 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     signals = log if isinstance(log, LogSignals) else settings.signals(log)
     log = signals.log
     origin = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
-    wanted = regular_starts(log, settings.interval) if starts_ns is None else np.asarray(starts_ns, np.int64)
-    starts, skipped = usable_starts(signals, vehicle, wanted, settings.prediction.minimum_speed)
+    requested = regular_starts(log, settings.interval) if starts_ns is None else np.asarray(starts_ns, np.int64)
+    starts, skipped = usable_starts(signals, vehicle, requested, settings.prediction.minimum_speed)
     horizon = settings.prediction.step * np.arange(settings.prediction.steps + 1)
     collected = {(model.name, mode): _Collector(len(starts), horizon) for model in chosen for mode in MODES}
     conditions = {name: np.full(len(starts), np.nan) for name in CONDITIONS}
@@ -192,16 +192,16 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
     return first + step * np.arange(-((first - begin) // step), (end - first) // step + 1, dtype=np.int64)
 
 
-def usable_starts(signals: LogSignals, vehicle: VehicleParameters, wanted: np.ndarray,
+def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np.ndarray,
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
     """The starts from which a prediction can be made, and how many of the others there are by reason."""
-    speed, yaw_rate, acceleration = signals.ins_at(wanted, "velocity_x", "yaw_rate", "velocity_x_dot")
-    angle = signals.road_wheel_angle_at(wanted)
+    speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
+    angle = signals.road_wheel_angle_at(requested)
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)
     slow = np.abs(speed + yaw_rate * vehicle.cg_to_ins_y) < minimum_speed
     bad = {"INS not known": no_ins, "steering not known": no_steering & ~no_ins,
            f"slower than {minimum_speed:g} m/s": slow & ~no_ins & ~no_steering}
-    return wanted[~(no_ins | no_steering | slow)], {name: int(b.sum()) for name, b in bad.items() if b.any()}
+    return requested[~(no_ins | no_steering | slow)], {name: int(b.sum()) for name, b in bad.items() if b.any()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from .filtering import NANOSECOND, filtered_derivative
-from .interpolation import at, between
 from .log import INS_SIGNALS, DriveLog
+from .timeseries import at, between
 from .vehicle import VehicleParameters
 
 Acceleration = Literal["causal", "zero_phase"]

@@ -49,7 +49,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Sine:
-    """A sine whose frequency grows exponentially from `low` to `high` [Hz] within `duration` [s]; then straight."""
+    """A sine with a frequency growing exponentially from `low` to `high` [Hz] within `duration` [s]; then straight."""
 
     low: float
     high: float
@@ -96,12 +96,12 @@ class Manoeuvre:
         return (wheelbase + understeer * self.speed**2) * self.curvature(time)
 
     def speed_at(self, time: np.ndarray | float) -> np.ndarray:
-        """Wanted speed [m/s]; time [s] >= 0."""
+        """Target speed [m/s]; time [s] >= 0."""
         times, speeds = self._speeds
         return np.interp(np.asarray(time) % self.period, times, speeds)
 
     def forward(self, time: np.ndarray | float) -> np.ndarray:
-        """Wanted forward acceleration [m/s^2]; time [s] >= 0."""
+        """Target forward acceleration [m/s^2]; time [s] >= 0."""
         times, speeds = self._speeds
         slopes = np.diff(speeds) / np.diff(times)
         i = np.searchsorted(times, np.asarray(time) % self.period, side="right") - 1

@@ -14,7 +14,6 @@ from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import ConfigurationError, StCoreError
 from .filtering import NANOSECOND
-from .interpolation import interpolate
 from .log import OPTIONAL_INS_SIGNALS
 from .models import Model
 from .readings import (
@@ -28,6 +27,7 @@ from .readings import (
     readings,
     wanting,
 )
+from .timeseries import interpolate
 from .types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
 

@@ -62,7 +62,7 @@ class PredictionSettings:
 
 
 def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings, model_hash: str = "") -> str:
-    """sha256 (hex) of everything a prediction depends on besides its inputs: vehicle values and settings.
+    """sha256 (hex) of everything a prediction depends on except its inputs: vehicle values and settings.
 
     model_hash: of the model file, for a model that comes from one.
     """
@@ -147,7 +147,7 @@ class Predictor:
 
     models: names, or models such as those of a model file. runners: for some of them, by name, something faster than
     `predict` that gives the same numbers (see compiled.py). Raises ConfigurationError for an unknown or no model, and
-    for one that needs signals nobody measures here.
+    for one that needs signals which are not measured live.
     """
 
     # Kept so that a late sample still finds its place and the filter its past.
@@ -173,7 +173,7 @@ class Predictor:
 
     @property
     def frozen_steering(self) -> FrozenAngle | None:
-        """The steering angle that stands still while the car turns differently; None while all is well."""
+        """The steering angle that is constant while the car turns differently; None without such a fault."""
         return self._frozen.found
 
     @property
@@ -204,7 +204,7 @@ class Predictor:
         return {name: math.inf if s.newest is None else (now_ns - s.newest) * NANOSECOND for name, s in series.items()}
 
     def start(self, now_ns: int) -> Start | Skip:
-        """The newest instant at which both INS and steering are known, or why there is no prediction now.
+        """The newest instant at which both INS and steering are known, or the reason for making no prediction.
 
         now_ns: the present, on the clock the samples are stamped with. A sample further in the future than stale_after
         means that two clocks disagree; it is treated like a stale one.
@@ -254,11 +254,11 @@ class Predictor:
         return None if ins is None or steering is None else min(ins, steering)
 
     def _why_apart(self, now_ns: int, time_ns: int | None) -> str:
-        wanted = self._newest_of_both()
+        common = self._newest_of_both()
         for name, series in (("INS", self.history.ins), ("steering", self.history.steering)):
-            if wanted is not None and series.known_until(wanted) != wanted:
+            if common is not None and series.known_until(common) != common:
                 old = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
-                return f"{name}: {series.why_unknown(wanted)} at the newest common instant{old}"
+                return f"{name}: {series.why_unknown(common)} at the newest common instant{old}"
         return "INS and steering: no common instant"
 
     def run(self, start: Start, model: str) -> Trajectory:

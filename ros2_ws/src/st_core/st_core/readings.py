@@ -14,9 +14,9 @@ from .augmented import AugmentedModel
 from .effects import Measured
 from .errors import StCoreError
 from .filtering import NANOSECOND
-from .interpolation import interpolate
 from .log import DriveLog
 from .models import Model
+from .timeseries import interpolate
 from .types import InsSample
 from .vehicle import VehicleParameters
 

@@ -17,7 +17,7 @@ OWN_BLOCK = 2**17  # instants
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Some columns of a batch. rows: which of the starts. wanted: the column of each of them.
+    """Some columns of a batch. rows: which of the starts. selected: the column of each of them.
 
     starts_ns: (count,) of the columns. times_ns: instants to sample, (m,) where shared, else (instants, columns).
     offsets: column i has its instant k at `offsets[k] + i` of a row of the table. columns: count made up to a multiple.
@@ -25,7 +25,7 @@ class Block:
 
     number: int
     rows: slice
-    wanted: np.ndarray
+    selected: np.ndarray
     starts_ns: np.ndarray
     times_ns: np.ndarray
     offsets: np.ndarray
@@ -72,7 +72,7 @@ def _reach(spacing: int, instants_ns: np.ndarray) -> int:
 
 
 def _runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, int, int]]:
-    """(rows, half steps between columns, columns) of stretches with overlapping windows; empty where there is no grid.
+    """(rows, half steps between columns, columns) of stretches with overlapping windows; empty without a common grid.
     """
     if len(instants_ns) < 2 or not len(starts_ns):
         return []
@@ -93,7 +93,7 @@ def _runs(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[tuple[slice, i
 
 def _shared(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int,
             runs: Sequence[tuple[slice, int, int]]) -> Iterator[Block]:
-    """Runs one after the other in a block: columns between them, as many as a window reaches, are nobody's."""
+    """Runs one after the other in a block: columns between them, as many as a window reaches, are unused."""
     pieces = []
     for rows, spacing, cover in runs:
         place = (starts_ns[rows] - starts_ns[rows.start]) // (int(instants_ns[1]) * spacing)
@@ -127,9 +127,9 @@ def _joined(number: int, pieces: list[tuple], instants_ns: np.ndarray, lanes: in
     indices = sum(width)
     times = [origin + half * np.arange(w * spacing) for (*_, origin), w in zip(pieces, width, strict=True)]
     starts = np.concatenate([t[::spacing] for t in times])[:count]
-    wanted = np.concatenate([place + f for (_, _, place, _), f in zip(pieces, first, strict=False)])
+    selected = np.concatenate([place + f for (_, _, place, _), f in zip(pieces, first, strict=False)])
     k = np.arange(len(instants_ns))
-    return Block(number, slice(pieces[0][0].start, pieces[-1][0].stop), wanted, starts, np.concatenate(times),
+    return Block(number, slice(pieces[0][0].start, pieces[-1][0].stop), selected, starts, np.concatenate(times),
                  (k % spacing) * indices + k // spacing, columns, spacing)
 
 

@@ -6,11 +6,10 @@ import numpy as np
 
 from .filtering import NANOSECOND
 from .frames import wrap_angle
-from .interpolation import between
 
 # A sample this much older than the newest is put in its place; an older one is late and dropped ...
 REORDER_WINDOW_NS = 500_000_000
-# ... unless so many in a row say the same: then time itself has jumped back and they are the new beginning.
+# ... unless so many in a row are that old: then time itself has jumped back and they are the new beginning.
 JUMP_SAMPLES = 5
 MAXIMUM_SAMPLES = 200_000
 
@@ -64,7 +63,7 @@ class TimeSeries:
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
         """Take a sample. Returns (its position in `rows` or None if it was refused, whether time jumped back).
 
-        After a jump the series holds only the samples after it and the position is 0.
+        After a jump the series has only the samples after it and the position is 0.
         """
         if not np.isfinite(row).all():
             return None, False
@@ -116,7 +115,7 @@ class TimeSeries:
             self._first += 1
 
     def _make_room(self) -> None:
-        # Moved to the front where that frees half the room: a long run asks for no more memory. Else twice the room.
+        # Moved to the front where that frees half the room: a long run needs no more memory. Else twice the room.
         count = len(self)
         times, rows = self._times, self._rows
         if 2 * count > len(times):
@@ -148,10 +147,10 @@ class TimeSeries:
 
     def sample(self, times_ns: np.ndarray) -> np.ndarray:
         """Rows at many instants, (n, columns); NaN where not known. The same numbers as `at`."""
-        times, wanted = self.times, np.asarray(times_ns, np.int64)
+        times, instants = self.times, np.asarray(times_ns, np.int64)
         if not len(times):
-            return np.full((len(wanted), len(self.columns)), np.nan)
-        before, after, exact, known, fraction = between(times, wanted, self.maximum_gap_ns)
+            return np.full((len(instants), len(self.columns)), np.nan)
+        before, after, exact, known, fraction = between(times, instants, self.maximum_gap_ns)
         if self.breaks:
             known &= exact | ~np.isin(times[after], list(self.breaks))
         low, high = self.rows[before], self.rows[after]
@@ -170,7 +169,7 @@ class TimeSeries:
         return int(times[after - 1]) if after > 0 else None
 
     def why_unknown(self, time_ns: int) -> str:
-        """Why there is no value at an instant, for a reader: what is around it."""
+        """Reason for an unknown value at an instant, naming the samples around it."""
         times = self.times
         if not len(times):
             return "no samples"
@@ -182,3 +181,30 @@ class TimeSeries:
         if reason := self.breaks.get(int(times[after])):
             return reason
         return f"gap of {int(times[after] - times[after - 1]) * NANOSECOND:.3f} s"
+
+
+def between(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> tuple[np.ndarray, ...]:
+    """(sample before, after, whether it is just that of `after`, whether it is known, share of the way there).
+
+    times [ns]: rising, at least one. instants [ns]: of any shape. gap_ns: unknown between samples further apart.
+    """
+    after = np.minimum(np.searchsorted(times, instants), len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    spacing = times[after] - times[before]
+    exact = times[after] == instants
+    known = exact | ((instants > times[before]) & (instants < times[after]) & (spacing <= gap_ns))
+    return before, after, exact, known, np.where(exact, 1.0, (instants - times[before]) / np.maximum(spacing, 1))
+
+
+def interpolate(time_ns: np.ndarray, values: np.ndarray, instants_ns: np.ndarray, gap_ns: int) -> np.ndarray:
+    """A signal at given instants; NaN where not known."""
+    if not len(time_ns):
+        return np.full(len(instants_ns), np.nan)
+    return at(values, *between(time_ns, instants_ns, gap_ns))
+
+
+def at(values: np.ndarray, before: np.ndarray, after: np.ndarray, exact: np.ndarray, known: np.ndarray,
+       fraction: np.ndarray) -> np.ndarray:
+    """A signal interpolated with the weights of `between`."""
+    low, high = values[before], values[after]
+    return np.where(known, np.where(exact, high, low + fraction * (high - low)), np.nan)

@@ -49,7 +49,7 @@ class ControlInput:
 class InputSequence:
     """Inputs over a horizon on the half-step grid 0, step/2, step, ...: 2 * steps + 1 values each, as ControlInput.
 
-    NaN marks an input that is not known; the trajectory is NaN from there on. signals: what a model asks for beyond its
+    NaN marks an input that is not known; the trajectory is NaN from there on. signals: those a model needs beyond its
     inputs (`Model.signals`), by name, on the same grid.
     """
 

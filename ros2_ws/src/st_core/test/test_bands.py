@@ -93,7 +93,7 @@ def test_bands_cover_runs_they_were_not_learnt_from_and_not_everything():
 
 
 def test_no_band_of_few_runs_or_errors_that_are_not_finite():
-    with pytest.raises(StCoreError, match=r"^2 runs: what a run does must be learnt from two others; give 3 or more"):
+    with pytest.raises(StCoreError, match=r"^2 runs: each run is scored with bands of two others; give 3 or more"):
         calibrate([drawn(k) for k in range(2)], QUESTION, TIME, (0.5,))
     with pytest.raises(StCoreError, match="5 runs can promise 83"):
         calibrate([drawn(k) for k in range(5)], QUESTION, TIME)
@@ -149,7 +149,7 @@ def test_a_file_is_read_back_and_an_edited_one_refused(bands):
     assert widths.shape == (2, 101, 3) and (widths[0, 0] == 0).all() and np.isnan(widths[1]).all()
     assert (widths[0, 1:] > bands.half_widths("linear", "hindsight", probe, 0.5)[0, 1:]).all()
     assert again.to_yaml() == text
-    with pytest.raises(ConfigurationError, match="x: hash: the content was changed"):
+    with pytest.raises(ConfigurationError, match="x: hash: the content was edited"):
         Bands.from_yaml(text.replace("runs: 12", "runs: 99"), "x")
     for broken in ("", "schema: 1", text[:len(text) // 2], "[1, 2]"):
         with pytest.raises(ConfigurationError) as caught:

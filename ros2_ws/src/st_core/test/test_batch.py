@@ -232,7 +232,7 @@ def test_starts_that_share_a_grid_share_its_instants():
     block, = plan(regular(0, 1000), instants, 1)
     assert block.shared and block.spacing == 4 and len(block.times_ns) == 4 * (1000 + 50)
     block, = plan(np.delete(regular(0, 1000), slice(100, 140)), instants, 1)
-    assert block.shared and block.count == 1000 and len(block.wanted) == 960
+    assert block.shared and block.count == 1000 and len(block.selected) == 960
     blocks = list(plan(regular(0, 1000) + np.arange(1000), instants, 1))
     assert not any(b.shared for b in blocks) and sum(b.count for b in blocks) == 1000
     assert max(b.times_ns.size for b in blocks) <= start_grid.OWN_BLOCK
@@ -245,7 +245,7 @@ def test_starts_that_share_a_grid_share_its_instants():
     for b in [*plan(hours_apart, instants, 48), *plan(faster, instants, 48), *plan(regular(0, 20_000), instants, 48)]:
         known = b.times_ns.reshape(-1, b.spacing).T.ravel()
         for k in (0, 1, 77, 200):
-            np.testing.assert_array_equal(known[b.offsets[k] + b.wanted], b.starts_ns[b.wanted] + instants[k])
+            np.testing.assert_array_equal(known[b.offsets[k] + b.selected], b.starts_ns[b.selected] + instants[k])
 
 
 def test_numba_and_casadi_come_only_when_asked_for():

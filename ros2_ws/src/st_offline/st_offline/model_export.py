@@ -1,4 +1,4 @@
-"""A model as files for a controller: CasADi functions or C, and what x, u and p are."""
+"""A model as files for a controller: CasADi functions or C, with a description of x, u and p."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -18,14 +18,14 @@ from st_recordings.plain_json import finite
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)
-"""s; for each of them the description says from which speed on it is stable."""
+"""s; the description states the lowest stable speed of each."""
 
 
-def load_model(name: str, vehicle: VehicleParameters, origin: str, asked: bool) -> tuple[Model, VehicleParameters]:
+def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bool) -> tuple[Model, VehicleParameters]:
     """The model of a name or of a model file, and the car it is for: that of the file where one is embedded.
 
-    origin: of `vehicle`, for errors. asked: it was named, and is not taken for want of one. Raises
-    ConfigurationError, one line, for what is no model or belongs to another car, OSError for a file that cannot be
+    origin: of `vehicle`, for errors. requested: it was named by the user, not a default. Raises
+    ConfigurationError, one line, for an unknown model or one of another car, OSError for a file that cannot be
     read.
     """
     if not name.endswith((".yaml", ".yml")):
@@ -33,7 +33,7 @@ def load_model(name: str, vehicle: VehicleParameters, origin: str, asked: bool) 
             raise ConfigurationError(f"{name}: there are {', '.join(MODELS)}, or a model file (.yaml)")
         return get_model(name), vehicle
     file = ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
-    if asked or file.vehicle is None:
+    if requested or file.vehicle is None:
         file.check_vehicle(vehicle, origin)
     return file.model(), file.vehicle or vehicle
 
@@ -70,7 +70,7 @@ def _c_files(symbolic: SymbolicModel, folder: Path) -> list[Path]:
 
 
 def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, files: list[str]) -> dict[str, Any]:
-    """What model.json says. Limits and values that do not exist are null."""
+    """Content of model.json. Limits and values that do not exist are null."""
     effects: Mapping[str, Mapping[str, float]] = getattr(model, "values", {})
     return {
         "model": symbolic.name,
@@ -115,7 +115,7 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
         *_table("x", description["states"]),
         *_table("u", description["inputs"]),
         *(_table("p", description["parameters"]) if p else []),
-        "Bounds say where the model is meant to hold; put them, or narrower ones, into the optimisation problem.",
+        "The model is meant for states and inputs within the bounds; use them, or narrower ones, as constraints.",
         "",
         "| function | arguments | results |",
         "|---|---|---|",
@@ -138,8 +138,8 @@ def _readme(description: dict[str, Any], kind: Format) -> str:
                   f"x_next = step({step})", "```", ""]
     else:
         lines += [f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are column by column, "
-                  "Jacobians without their structural zeros: `_sparsity_out` says where the entries belong. Arguments "
-                  "and results are arrays of pointers:", "", "```c",
+                  "Jacobians without their structural zeros: `_sparsity_out` gives the places of the entries. "
+                  "Arguments and results are arrays of pointers:", "", "```c",
                   f"{name}_step(arguments, results, iw, w, 0);", "```", "",
                   f"Sizes of the four arrays: `{name}_step_work`.", ""]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""What every report page shares: style, colours, the table of findings. Nothing is loaded, every name is escaped."""
+"""Shared parts of the report pages: style, colours, the table of findings. Nothing is loaded, every name is escaped."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +18,7 @@ _HERE = Path(__file__).parent
 def template(folder: str, name: str, **filters: Callable) -> jinja2.Template:
     """A template in a folder of this package; it may include those of evaluation/ and checking/.
 
-    filters: further ones of it; `drawing`, which takes an SVG as it is, is there for all.
+    filters: further ones of it; `drawing`, which inserts an SVG unescaped, is always available.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader([_HERE / one for one in (folder, "evaluation", "checking")]), autoescape=True,

@@ -1,4 +1,4 @@
-"""What every verb shows on the terminal alike: progress, tables of rows, lines, the files it wrote."""
+"""Terminal output shared by the verbs: progress, tables of rows, lines, the files it wrote."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,11 +29,11 @@ def line(text: str, console: Console) -> None:
     console.print(text, highlight=False, soft_wrap=True)
 
 
-def tell_problem(name: str, problem: str, console: Console) -> None:
+def report_problem(name: str, problem: str, console: Console) -> None:
     line(f"[red]{escape(name)}[/red]: {escape(problem)}", console)
 
 
-def tell_files(files: Mapping[Path, str], console: Console) -> None:
+def list_files(files: Mapping[Path, str], console: Console) -> None:
     """Files, with what they are."""
     for file, what in files.items():
         line(f"  {escape(str(file))}  [dim]{what}[/dim]", console)

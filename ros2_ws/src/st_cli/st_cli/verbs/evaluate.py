@@ -104,7 +104,7 @@ def model_named(name: str) -> str | tuple[str, str]:
 
 def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
            effects: Path | None = None) -> tuple["VehicleParameters", str]:
-    """The car and where it comes from: the file given, else the model file that holds one, else the Leaf.
+    """The car and where it comes from: the file given, else the model file with an embedded one, else the Leaf.
 
     effects: folder of own effects the model files use; they are loaded.
     """
@@ -126,4 +126,4 @@ def _numbers(text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(",") if part.strip())
     except ValueError:
-        raise typer.BadParameter(f"--at {text!r}: numbers of seconds with commas between are wanted") from None
+        raise typer.BadParameter(f"--at {text!r}: expected comma-separated seconds") from None

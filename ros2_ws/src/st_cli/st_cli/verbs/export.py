@@ -1,4 +1,4 @@
-"""`st export`: a model for somebody's controller."""
+"""`st export`: a model as functions for a controller."""
 
 import importlib.util
 from pathlib import Path
@@ -19,7 +19,7 @@ def export(
     substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
     free: list[str] = typer.Option([], help="Parameter left as an argument: road_bank.angle; repeatable."),
 ) -> None:
-    """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; names, units and bounds beside them.
+    """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; with names, units and bounds.
 
     acados and other CasADi users load the .casadi files as they are; see examples/mpc.
     """

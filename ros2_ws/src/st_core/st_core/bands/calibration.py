@@ -1,4 +1,4 @@
-"""The band of one model and question, learnt from runs: shape and scale first, then the conformal factors."""
+"""Calibration of the band of one model and question from runs: the scale of its errors, then the conformal factors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ RELIABILITY = tuple(round(0.05 * k, 2) for k in range(1, 20))
 """Levels for the reliability diagram, as far as the runs can promise them; and of the ratios below."""
 FOLDS = 5
 FEWEST_RUNS = 3
-"""One to be scored, and two to say what the others do (see `seen`)."""
+"""One to be scored, and two for a calibration domain without it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
     """
     check_levels(levels, len(runs))
     if len(runs) < FEWEST_RUNS:
-        raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: what a run does must be learnt from two "
+        raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: each run is scored with bands of two "
                           f"others; give {FEWEST_RUNS} or more")
     for run in runs:
         if not np.isfinite(run.errors[question]).all():
@@ -65,7 +65,7 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
             if rows.any():
                 ratio = np.abs(run.errors[question][rows]) / scale(run.conditions[rows])
                 scores.append(ratio.max(axis=(1, 2)))
-                # Neighbouring points say the same.
+                # Neighbouring points are redundant.
                 ratios.append(ratio[:, ::5].reshape(-1, ratio.shape[2]))
     if len(scores) < len(runs):
         try:
@@ -73,8 +73,8 @@ def calibrate(runs: Sequence[RunSamples], question: Question, time: np.ndarray,
         except StCoreError as error:
             raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven under conditions that none "
                               f"of the others has; {error}") from None
-    wanted = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
-    factors = dict(zip(wanted, conformal_factors(scores, wanted).tolist(), strict=True))
+    stated = sorted({*levels, *(level for level in RELIABILITY if level <= highest_level(len(scores)))})
+    factors = dict(zip(stated, conformal_factors(scores, stated).tolist(), strict=True))
     return Band(_scale(runs, question, time), factors, _quantiles(ratios))
 
 

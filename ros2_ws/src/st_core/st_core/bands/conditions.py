@@ -31,7 +31,7 @@ _INSTANTS_NS = np.round(np.arange(-ACTIVITY_SPAN, 0.5 * ACTIVITY_STEP, ACTIVITY_
 
 
 def activity_instants(start_ns: int | np.ndarray) -> np.ndarray:
-    """Instants [ns] at which `steering_activity` wants the road wheel angle: (..., 21) for starts (...)."""
+    """Instants [ns] of the road wheel angles that `steering_activity` takes: (..., 21) for starts (...)."""
     return np.asarray(start_ns, np.int64)[..., None] + _INSTANTS_NS
 
 
@@ -69,7 +69,7 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
 FEWEST_STARTS = 10
 """Of a run in a cell of speed and lateral acceleration: one second of driving."""
 FEWEST_RUNS = 2
-"""With so many starts in a cell: how much runs differ there cannot be told from one, whatever the number of starts."""
+"""With so many starts in a cell: one run does not show how much runs differ there."""
 CELLED = {CONDITIONS.index("speed"): SPEED, CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION}
 """Edges by column of the conditions."""
 
@@ -90,7 +90,7 @@ class CalibrationDomain:
 
     @classmethod
     def of(cls, conditions: Sequence[np.ndarray]) -> "CalibrationDomain":
-        """What conditions (n, 4), one array a run, have seen."""
+        """The domain of conditions (n, 4), one array a run."""
         starts = np.zeros((len(conditions), *(len(edges) for edges in CELLED.values())), int)
         for one, of_run in zip(conditions, starts, strict=True):
             np.add.at(of_run, cells(one), 1)
@@ -112,7 +112,7 @@ class CalibrationDomain:
         return bool(self.starts[row, column] > 0) and condition[2] <= self.most[0] and condition[3] <= self.most[1]
 
     def why_not(self, condition: Sequence[float]) -> str:
-        """For conditions, four numbers, without a band: why, in one line; empty where there is one."""
+        """Reason, in one line, why conditions (four numbers) have no band; empty if they have one."""
         if self.one(condition):
             return ""
         for name, value in zip(CONDITIONS, condition, strict=True):

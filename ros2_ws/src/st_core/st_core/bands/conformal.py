@@ -1,4 +1,4 @@
-"""One number that makes a band keep its promise on a run never seen: the conformal factor, calibrated run by run.
+"""Conformal factors: the multiple of the scale that covers a new run with a stated probability, calibrated run by run.
 
 Windows of one run repeat each other; runs are exchangeable, windows are not. Take one window at random of each of n
 runs and one of a run to come: n + 1 exchangeable scores, so that the k-th smallest of the n,
@@ -6,13 +6,13 @@ runs and one of a run to come: n + 1 exchangeable scores, so that the k-th small
     k = level (n + 1),
 
 is not exceeded by the last with the probability k/(n + 1) = level, whatever the errors are distributed like. For k > n
-nothing can be said: n runs promise n/(n + 1) at most. Which windows were drawn must not matter, so the factor c is what
+there is no bound: n runs support levels up to n/(n + 1). The draw of windows must not matter, so the factor c
 covers as much as draws do on average, every run weighing the same:
 
     F(c) = E[ F(k-th smallest of one window a run) ],     F(s) = 1/n sum_r 1/n_r #{i : s_ri <= s}
 
-For a k that is not whole, E[...] is mixed of the whole ones beside it in proportion. With one window a run and a whole
-k, c is the split-conformal quantile, exactly. The statement holds for one draw; that it does for the average over draws
+For a k that is not whole, E[...] is interpolated between the neighbouring whole ones. With one window a run and a whole
+k, c is the split-conformal quantile, exactly. This is proven for one draw; for the average over draws it
 is measured, not proven (docs/manual/bands.md).
 Source: Dunn, Wasserman and Ramdas, Distribution-free prediction sets for two-layer hierarchical models, JASA 2023,
 subsampling once and repeatedly. Checked by: test_bands.py, against crepes and by drawing runs.
@@ -29,17 +29,17 @@ ROUNDING = 1.0e-9
 
 
 def highest_level(runs: int) -> float:
-    """The highest level that so many runs can promise, n/(n + 1) [1]."""
+    """The highest level that so many runs support, n/(n + 1) [1]."""
     return runs / (runs + 1.0)
 
 
 def runs_needed(level: float) -> int:
-    """The fewest runs that can promise a level in (0, 1): the least n with n/(n + 1) >= level."""
+    """The fewest runs that support a level in (0, 1): the least n with n/(n + 1) >= level."""
     return max(1, math.ceil(level / (1.0 - level) - ROUNDING))
 
 
 def check_levels(levels: Sequence[float], runs: int) -> None:
-    """Raises StCoreError, one line, for a level outside (0, 1) or above what `runs` runs can promise."""
+    """Raises StCoreError, one line, for a level outside (0, 1) or above what `runs` runs support."""
     for level in levels:
         if not 0.0 < level < 1.0:
             raise StCoreError(f"level {level:g}: not between 0 and 1")
@@ -66,8 +66,8 @@ def conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> 
     # at_least[k]: distribution of the k-th smallest of a draw; what it covers on average. The 0-th covers nothing.
     at_least = _chance_of_at_least(below)
     mean = np.concatenate([[0.0], np.diff(at_least[1:], axis=1, prepend=0.0) @ covered])
-    wanted = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
-    return values[np.minimum(np.searchsorted(covered, wanted - ROUNDING), len(values) - 1)]
+    target = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
+    return values[np.minimum(np.searchsorted(covered, target - ROUNDING), len(values) - 1)]
 
 
 def _chance_of_at_least(below: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How often bands held while driving, and whether they surely cover less than they state: car or road have changed.
+"""Coverage of bands while driving, and a test for coverage significantly below the stated level.
 
 The second is a sequential test. A window with a band of level p that its path leaves counts against the band, one it
 keeps for it, as a likelihood ratio of a band that covers ALTERNATIVE only:
@@ -35,7 +35,7 @@ END_SHARE = 0.5
 
 @dataclass
 class Coverage:
-    """Of one model and question. n: scored windows with a band. kept: by level, those whose whole path lay inside."""
+    """Of one model and question. n: scored windows with a band. kept: by level, those with the whole path inside."""
 
     n: int = 0
     kept: dict[float, int] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class Coverage:
 
 
 class Coverages:
-    """Bands that were published with predictions, until their horizon has passed and their score says how it was.
+    """Bands that were published with predictions, until the score of their horizon arrives.
 
     Memory is bounded where every prediction gets its two scores, as of `Evaluator`.
     """
@@ -79,7 +79,7 @@ class Coverages:
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
 
     def add(self, score: Score) -> None:
-        """A score of a prediction; one that is not complete says nothing."""
+        """A score of a prediction; incomplete ones are ignored."""
         stated = self._waiting.pop((score.model, score.mode, score.start_ns), None)
         if stated is None or not score.complete:
             return
@@ -90,7 +90,7 @@ class Coverages:
         one.add(score.start_ns, float(score.horizon[-1]), kept)
 
     def warning(self) -> str:
-        """Which bands cover surely less than they state, in one line; empty where none does."""
+        """Bands that cover significantly less than stated, in one line; empty without one."""
         found = [f"{mode} of {model} (the {max(one.kept):.0%} band {one.share(max(one.kept)):.0%} so far)"
                  for (model, mode), one in self.by_question.items() if one.warns]
         if not found:

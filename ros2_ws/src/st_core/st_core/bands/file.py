@@ -9,8 +9,8 @@
     bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
     hash: "..."
 
-Half-widths are in m, m and rad; coefficients, factors and ratios have no unit. A file whose content does not fit its
-hash was changed and is refused: a promise does not survive an edit.
+Half-widths are in m, m and rad; coefficients, factors and ratios have no unit. A file that does not match its
+hash was edited and is refused.
 """
 
 import hashlib
@@ -125,13 +125,13 @@ class Bands:
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":
-        """What a file says. origin: name shown in errors, usually the path. Raises ConfigurationError, one line."""
+        """The bands in a file. origin: name shown in errors, usually the path. Raises ConfigurationError, one line."""
         try:
             return cls._read(load(text))
         except ConfigurationError as error:
             raise ConfigurationError(f"{origin}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-            raise ConfigurationError(f"{origin}: not a bands file, or one cut off; make it anew with st calibrate") \
+            raise ConfigurationError(f"{origin}: not a complete bands file; make one with st calibrate") \
                 from None
 
     @classmethod
@@ -144,7 +144,7 @@ class Bands:
             raise ConfigurationError(f"schema: {document['schema']} is not {SCHEMA}; calibrate with this version")
         content = {key: document[key] for key in keys[2:-1]}
         if _digest(content) != document["hash"]:
-            raise ConfigurationError("hash: the content was changed since it was made; calibrate anew")
+            raise ConfigurationError("hash: the content was edited; run st calibrate again")
         settings = document["settings"]
         time = times(settings["horizon"], settings["step"])
         bands: dict[Question, Band] = {}

@@ -41,7 +41,7 @@ def _angles_before(steering: TimeSeries, time_ns: int) -> np.ndarray:
     whole = first >= 0 and time_ns <= times[-1] and (near[1:] - near[:-1]).max() <= steering.maximum_gap_ns
     if not whole or steering.breaks:
         return steering.sample(instants)[:, 0]
-    # The same numbers in a third of the time. Relative to the start, as floats cannot tell instants 256 ns apart.
+    # The same numbers in a third of the time. Relative to the start, as floats resolve 256 ns of absolute time.
     return np.interp(instants - time_ns, near - time_ns, steering.rows[first:, 0])
 
 
@@ -74,12 +74,11 @@ class LiveBands:
                 self.stated[model][mode, level] = one.T
 
     def why_not(self, condition: Sequence[float]) -> str:
-        """For conditions, four numbers, without a band: why, in one line; empty where there is one."""
+        """Reason, in one line, why conditions (four numbers) have no band; empty if they have one."""
         return self._seen.why_not(condition)
 
     def __call__(self, condition: Sequence[float]) -> bool:
-        """Make `stated` anew under conditions, four numbers; False, and nothing done, where they were never calibrated.
-        """
+        """Update `stated` for conditions, four numbers. False, without an update, outside the calibration domain."""
         if not self._seen.one(condition):
             return False
         # Limited at the knots: between them lies nothing beyond, and they are few.

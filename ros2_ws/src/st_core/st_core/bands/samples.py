@@ -1,4 +1,4 @@
-"""What bands are learnt from: whole error curves of scored starts, with the conditions they started under."""
+"""Samples for calibration: whole error curves of scored starts, with the conditions at the start."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ from ..vehicle import VehicleParameters
 from .conditions import conditions_at
 
 STARTS_PER_RUN = 1000
-"""Starts of one run overlap and repeat each other: more of them cost memory (1.2 kB each, model and question) and tell
-next to nothing, for what counts is the number of runs."""
+"""Starts of one run overlap and repeat each other: more of them cost memory (1.2 kB each, model and question) and add
+little: the number of runs decides."""
 
 Question = tuple[str, str]
-"""(model, mode): mode hindsight asks for the model alone, forecast for model and driver."""
+"""(model, mode): hindsight is the error of the model alone, forecast that of model and driver."""
 
 
 class NotFiniteError(StCoreError):
@@ -55,7 +55,7 @@ def run_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: Lo
                 most: int = STARTS_PER_RUN) -> RunSamples:
     """Error curves of one drive from at most `most` starts spread over it.
 
-    Only starts whose whole horizon was measured and whose conditions are known count. Raises StCoreError, one line,
+    Only starts with a completely measured horizon and known conditions count. Raises StCoreError, one line,
     for a drive shorter than the horizon, for one without such a start, and, as NotFiniteError, where a model's errors
     are not finite though all its inputs were measured.
     """
@@ -93,8 +93,7 @@ def together(runs: Sequence[RunSamples]) -> RunSamples:
 
 def _known(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
            settings: EvaluationSettings) -> np.ndarray:
-    """Starts (n,) whose whole horizon is measured, also as models have it that take recorded signals as late or early.
-    """
+    """Starts (n,) with a completely measured horizon, also for models that shift recorded signals in time."""
     known = np.ones(len(starts_ns), bool)
     half_steps = np.arange(2 * settings.prediction.steps + 1) * (0.5 * settings.prediction.step / NANOSECOND)
     times = starts_ns[:, None] + np.round(half_steps).astype(np.int64)
@@ -112,5 +111,5 @@ def _refuse_not_finite(errors: np.ndarray, model: str, time: np.ndarray) -> None
     bad = ~np.isfinite(errors).all(axis=(1, 2))
     if bad.any():
         raise NotFiniteError(f"errors of {model} are not finite from {int(bad.sum())} starts, the first at "
-                             f"{time[bad][0]:.1f} s, though all inputs were measured: mend the model or take a shorter "
-                             "--step; no band is made of such errors")
+                             f"{time[bad][0]:.1f} s, though all inputs were measured: correct the model or take a "
+                             "shorter --step; no band is made of such errors")

@@ -35,8 +35,8 @@ MOST_STEPS, MOST_HALVINGS = 100, 20
 TOLERANCE = 1.0e-3
 """Of the derivative: mean squares as stated to a thousandth, which no number of runs resolves."""
 FIT_STARTS = 100
-"""Starts of a run that enter the fit; their neighbours say the same."""
-HATS = (1.5, 3.0, 4.5, 6.0, 7.5)
+"""Starts of a run that enter the fit; their neighbours are redundant."""
+SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)
 """m/s^2 of lateral acceleration: tyres do not saturate along a parabola."""
 
 
@@ -49,11 +49,11 @@ def features(conditions: np.ndarray) -> np.ndarray:
     """phi (..., 20) of conditions (..., 4) as `conditions.CONDITIONS`; each of the order of 1.
 
     1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
-    log((w + 0.005 rad/s) / 0.02 rad/s); their squares and products; triangles 3 m/s^2 wide about HATS in a_y.
+    log((w + 0.005 rad/s) / 0.02 rad/s); their squares and products; triangles 3 m/s^2 wide about SPLINE_KNOTS in a_y.
     """
     z = np.asarray(conditions, float)
     logs = np.log((np.maximum(z, _FLOORS) + _OFFSETS) / _UNITS)
-    hats = np.maximum(0.0, 1.0 - np.abs(z[..., 1:2] - HATS) / HATS[0])
+    hats = np.maximum(0.0, 1.0 - np.abs(z[..., 1:2] - SPLINE_KNOTS) / SPLINE_KNOTS[0])
     return np.concatenate([np.ones_like(z[..., :1]), logs, logs[..., _LEFT] * logs[..., _RIGHT], hats], axis=-1)
 
 
@@ -61,7 +61,7 @@ def features_of_one(condition: Sequence[float]) -> list[float]:
     """`features` of one start's four conditions, on floats: half the time, a third where the caches are cold."""
     logs = [math.log((max(value, floor) + offset) / unit)
             for value, floor, offset, unit in zip(condition, _FLOORS, _OFFSETS, _UNITS, strict=True)]
-    hats = [max(0.0, 1.0 - abs(condition[1] - hat) / HATS[0]) for hat in HATS]
+    hats = [max(0.0, 1.0 - abs(condition[1] - hat) / SPLINE_KNOTS[0]) for hat in SPLINE_KNOTS]
     return [1.0, *logs, *(logs[k] * logs[m] for k, m in _PAIRS), *hats]
 
 

@@ -1,4 +1,4 @@
-"""What the error of a model is made of: parameters, sensors and start state, and what remains.
+"""Decomposition of the error of a model: parameters, sensors and start state, residual.
 
     mean e_a(t)^2 = sum_p mean( (de_a(t)/dp sigma_p)^2 ) + sum_s mean( (de_a(t)/ds sigma_s)^2 ) + rest
 
@@ -6,8 +6,8 @@ p: parameters of vehicle and model file that state an uncertainty (standard devi
 independent. s: the six states at the start and the measured pose at t, with the white noise of this recording. The
 derivatives are differences of whole predictions, a standard deviation to both sides, seen along and across the
 predicted heading. What remains: the structure of the model, parameters that state no uncertainty, slow errors of the
-sensors, noise of steering and acceleration over the horizon. It is negative where the stated uncertainties say more
-than was seen. Only of the model question; that of the forecast is the driver's. Checked by: test_bands_shares.py.
+sensors, noise of steering and acceleration over the horizon. It is negative where the stated uncertainties exceed
+the observed errors. Only of the model question; that of the forecast is the driver's. Checked by: test_bands_shares.py.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ from .scale import spread
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
 STARTS = 200
-"""Of a run: their neighbours say the same."""
+"""Of a run: their neighbours are redundant."""
 NORMAL_MEDIAN = 0.6745
 """Median magnitude of a normal quantity, in standard deviations."""
 EDGES_95 = 1.96
@@ -101,8 +101,7 @@ def white_noise(log: DriveLog) -> dict[str, float]:
 
 
 def _cars(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, VehicleParameters]]:
-    """The car with each uncertain parameter a standard deviation lower and higher; those that are no car are left out.
-    """
+    """The car with each uncertain parameter a standard deviation lower and higher; invalid ones are left out."""
     found = {}
     for key, about in vehicle.provenance.items():
         if about.uncertainty:
@@ -117,7 +116,7 @@ def _cars(vehicle: VehicleParameters) -> dict[str, tuple[VehicleParameters, Vehi
 
 def with_value(vehicle: VehicleParameters, key: str, value: float) -> VehicleParameters:
     """The car with another value of one key of the file ("mass", "tyre_front.p_cy1"), SI; what is derived from it as
-    well. Raises ConfigurationError where that is no car.
+    well. Raises ConfigurationError for an invalid car.
     """
     tyre, _, name = key.partition(".")
     changed = replace(vehicle, **({tyre: getattr(vehicle, tyre)._replace(**{name: value})} if name else {key: value}))

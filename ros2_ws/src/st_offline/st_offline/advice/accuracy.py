@@ -74,7 +74,7 @@ def processor_time(cost: Cost) -> float:
 
 def cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
              tolerance: float) -> dict[float, tuple[Key | None, ...]]:
-    """By lower edge of speed [m/s]: for each second ahead the cheapest whose error across stays within the tolerance
+    """By lower edge of speed [m/s]: for each second ahead the cheapest with an error across within the tolerance
     [m] in SHARE of the starts; None where no model does.
     """
     order = sorted(accuracies, key=lambda key: processor_time(costs[key]))

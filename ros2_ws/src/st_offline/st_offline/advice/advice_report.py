@@ -23,7 +23,7 @@ from st_recordings.runs import RunError, RunSource, read
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..evaluation.work import Task, load_models
-from ..terminal import line, rows_table, tell_files
+from ..terminal import line, list_files, rows_table
 from .accuracy import SHARE, Accuracy, Key, cheapest, model_accuracy, processor_time, speed_label
 from .cost import Cost, costs
 
@@ -33,7 +33,7 @@ MULTIPLES = (1, 2, 4)
 
 @dataclass(frozen=True)
 class Advice:
-    """costs and accuracies by model and step [s]. unusable: reason where there is no accuracy. tolerance: [m]."""
+    """costs and accuracies by model and step [s]. unusable: reason for a missing accuracy. tolerance: [m]."""
 
     costs: Mapping[Key, Cost]
     accuracies: Mapping[Key, Accuracy]
@@ -62,7 +62,7 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
         writer.writerows(found)
     if advice.accuracies:
         figure(advice.costs, advice.accuracies, tolerance, Place(task.folder, task.formats))
-    tell_files({file: "cost, error and band of each model and step"}, console)
+    list_files({file: "cost, error and band of each model and step"}, console)
 
 
 def measure(sources: Sequence[RunSource], task: Task, tolerance: float) -> Advice:

@@ -40,7 +40,7 @@ def _reliability(models: dict[str, Any], place: Place) -> Drawn:
                 for model, modes in models.items() for mode, one in modes.items() if one["coverage"].get("0.9"))[1] \
         if any(one["coverage"].get("0.9") for modes in models.values() for one in modes.values()) else "not stated"
     return finish(figure, place, "bands_reliability", f"Reliability of the bands; farthest from 90 %: {worst}",
-                  "Grey: as stated. Below it the band covers less than it says.")
+                  "Grey: as stated. Below it the band covers less than stated.")
 
 
 def _sharpness(models: dict[str, Any], place: Place) -> Drawn:
@@ -95,7 +95,7 @@ def bands_table(reports: Sequence[Any], width: int) -> Table | None:
         return None
     content = finished(pooled_sums([report.bands for report in reports]))
     known = content["known_recordings"]
-    caption = f"{len(known)} of the files were calibrated with: that is no test of the bands" if known else None
+    caption = f"{len(known)} of the files were used for calibration: not a test of the bands" if known else None
     return rows_table(band_rows(content), title="Bands: how often the whole path lies inside", caption=caption,
                       width=min(width, 200))
 

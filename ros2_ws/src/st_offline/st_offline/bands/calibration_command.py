@@ -1,4 +1,4 @@
-"""What `st calibrate` does: read the runs, collect the errors of their starts, learn the bands, write one file."""
+"""`st calibrate`: read the runs, collect the errors of their starts, calibrate the bands, write one file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -71,7 +71,7 @@ def run_command(job: Job, console: Console) -> int:
 
 def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
             problems: list[str], console: Console) -> list[RunSamples]:
-    """Samples by run. A run that cannot be used is said at once and left out.
+    """Samples by run. A run that cannot be used is reported at once and left out.
 
     recordings: sha256 by file, and problems: both are added to.
     """
@@ -112,15 +112,15 @@ def learn(samples: Sequence[RunSamples], task: Task, models: Sequence[Model], re
 
 
 def _refuse_again(source: RunSource, run: LoadedRun, recordings: dict[str, str]) -> None:
-    """A copy of a run is no further run: it would be promised what was only repeated."""
+    """Raises RunError for a copy of a run: it adds no evidence."""
     before = {digest: name for name, digest in recordings.items()}
     for digest in run.provenance["files"].values():
         if digest in before:
-            raise RunError(source.where, f"holds the same as {before[digest]}", "give every recording once")
+            raise RunError(source.where, f"has the same content as {before[digest]}", "give every recording once")
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """By the name of the car in the recording, where there is one: its values may have been mended since."""
+    """Compares the name of the car in the recording, if any: its values may have been updated since."""
     text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

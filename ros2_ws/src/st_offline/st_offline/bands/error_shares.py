@@ -1,4 +1,4 @@
-"""What the error is made of, of all runs together: shares of parameters, of sensors and start, and what remains."""
+"""Decomposition of the error over all runs: shares of parameters, of sensors and start, residual."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -102,7 +102,7 @@ def share_figures(shares: Mapping[str, Any], place: Place) -> list[Drawn]:
         figure, panels = plt.subplots(1, len(shares), figsize=(WIDTH, 3.2), squeeze=False, sharey=True)
         for axes, (model, one) in zip(panels[0], shares.items(), strict=True):
             seconds = [int(s) for s in one["rms"]]
-            # Cut off at the whole: stated uncertainties may say more than was seen.
+            # Cut off at the whole: stated uncertainties may exceed the observed errors.
             lower = np.zeros(len(seconds))
             for kind, values in one["share"].items():
                 height = np.clip([values[str(s)]["lateral"] for s in seconds], 0.0, 1.0 - lower)
@@ -113,8 +113,8 @@ def share_figures(shares: Mapping[str, Any], place: Place) -> list[Drawn]:
         figure.legend(handles=[Patch(color=colour, label=kind) for kind, colour in COLOURS.items()],
                       loc="outside lower left", ncols=3)
         last = list(next(iter(shares.values()))["rms"])[-1]
-        told = ", ".join(f"{model} {one['share'][REMAINS][last]['lateral']:.0%}" for model, one in shares.items())
-        return [finish(figure, place, "bands_shares", f"What the error across is made of; remains at {last} s: {told}",
+        text = ", ".join(f"{model} {one['share'][REMAINS][last]['lateral']:.0%}" for model, one in shares.items())
+        return [finish(figure, place, "bands_shares", f"What the error across is made of; residual at {last} s: {text}",
                        "Parameters: those with a stated uncertainty. Sensors and start: white noise of these runs. "
                        "Cut off at 100 %.")]
 

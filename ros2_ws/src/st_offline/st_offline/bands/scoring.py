@@ -19,14 +19,14 @@ _PROBABILITIES = np.concatenate([0.5 - 0.5 * np.array(RELIABILITY)[::-1], [0.5],
 
 
 class Scorer:
-    """What one run says of the bands, as sums. Errors are turned into the predicted frame, as bands are."""
+    """Scores of the bands over one run, as sums. Errors are turned into the predicted frame, as bands are."""
 
     def __init__(self, bands: Bands, signals: LogSignals):
         self._bands, self._signals = bands, signals
         self._sums: list[Sums] = []
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """One block of an evaluation; starts whose horizon was not measured count nowhere."""
+        """One block of an evaluation; starts without a measured horizon are left out."""
         conditions = conditions_at(self._signals, starts_ns)
         seen = self._bands.seen(conditions)
         for (model, mode), errors in block.errors.items():
@@ -141,7 +141,7 @@ def _add(total: Sums, one: Mapping[str, Any]) -> None:
 
 
 def finished(sums: Sums) -> dict[str, Any]:
-    """{model: {mode: shares and means}} and what is said beside them; None where no start had a band."""
+    """{model: {mode: shares and means}} and the known recordings; None where no start had a band."""
     return {"known_recordings": sums.get("known_recordings", []),
             "models": {model: {mode: _question(one) for mode, one in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}

@@ -15,7 +15,7 @@ from st_recordings.recorded import configuration_of
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
 
-from ..terminal import progress_bars, tell_files
+from ..terminal import list_files, progress_bars
 from .document import CheckedRun, FailedRun, document
 from .gate import PROBLEMS, checked_log, in_words
 from .page import write_page
@@ -66,7 +66,7 @@ def run_command(job: Job, console: Console, told: Callable[[str], None] | None =
         for file in sorted({run.vehicle_from for run in good}):
             told(file)
     cures = {} if job.cure is None else {job.cure: proposal(sources[0], good[0].checked.findings, job.cure, job.read)}
-    tell_files(write(good, failed, folder, job.json, cures, console), console)
+    list_files(write(good, failed, folder, job.json, cures, console), console)
     return int(bool(failed) or any(run.checked.of(Severity.ERROR) for run in good))
 
 

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.markup import escape
 from st_core.checks import Checked, Finding, Severity, together
 
-from ..terminal import line, tell_problem
+from ..terminal import line, report_problem
 from . import words
 from .document import CheckedRun, FailedRun
 
@@ -16,7 +16,7 @@ STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"
 def show(run: CheckedRun | FailedRun, console: Console) -> None:
     """The verdict in a line, then what was found."""
     if isinstance(run, FailedRun):
-        tell_problem(run.name, run.problem, console)
+        report_problem(run.name, run.problem, console)
         return
     line(f"[bold]{escape(run.name)}[/bold]: [{_colour(run.checked)}]{escape(words.verdict(run.checked))}[/]  "
          f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]", console)

@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 from st_core.discovery import Discovery
 
-from ..terminal import tell_files, tell_problem
+from ..terminal import list_files, report_problem
 from . import quantities, words
 from .drives import Drive
 from .law_told import Told
@@ -38,10 +38,10 @@ def show(found: Discovery, mended: Mended | None, failed: Sequence[Drive], files
     for warning in found.warnings:
         console.print(f"[yellow]{escape(warning)}[/yellow]", highlight=False)
     for drive in failed:
-        tell_problem(drive.name, drive.problem, console)
+        report_problem(drive.name, drive.problem, console)
     if earlier:
         console.print("[dim]The answer of an earlier call with the same inputs; --fresh searches anew.[/dim]")
-    tell_files({file: WHAT[name] for name, file in files.items()}, console)
+    list_files({file: WHAT[name] for name, file in files.items()}, console)
 
 
 def _law(law: Told, console: Console) -> None:

@@ -1,4 +1,4 @@
-"""Work for a second core while this process goes on: in a forked child, which has everything without copying it."""
+"""Work for a second core while this process continues: in a forked child, which shares all memory without copies."""
 
 import contextlib
 import multiprocessing
@@ -36,11 +36,11 @@ def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         yield result
     finally:
         receiver.close()
-        child.terminate()  # where nobody waits for it any more
+        child.terminate()  # if its result is not needed any more
         child.join()
 
 
 def _do(work: Callable[[], T], sender: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends this
-    with contextlib.suppress(Exception):  # what fails here fails in the parent again, which says so
+    with contextlib.suppress(Exception):  # what fails here fails in the parent again, which reports it
         sender.send(work())

@@ -35,7 +35,7 @@ WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
 TITLE_LETTERS = 104  # of a line of the title
 TICK_ROOM = 0.09  # inch
 PAGE_DPI = 110  # of what is drawn as pixels inside an SVG
-MOST_POINTS = 900  # of a line; more cannot be told apart on 9 inches
+MOST_POINTS = 900  # of a line; more cannot be distinguished on 9 inches
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,10 @@ def style():
 
 
 def finish(figure: Figure, where: Place, key: str, title: str, caption: str) -> Drawn:
-    """Save the figure and close it. Files carry the title; on the page it stands beside the figure."""
+    """Save the figure and close it. Files carry the title; on the page it is a heading."""
     lines = textwrap.wrap(title, TITLE_LETTERS)
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
-    # Laid out once: that takes longer than the drawing. An engine "none" would still be asked before each file, and one
+    # Laid out once: that takes longer than the drawing. An engine "none" would still run before each file, and one
     # taken off comes back as the settings have it.
     figure.draw_without_rendering()
     with plt.rc_context({"figure.constrained_layout.use": False}):
@@ -94,7 +94,7 @@ def _save(figure: Figure, where: Place, key: str) -> None:
 
 def _svg_below(figure: Figure, heading: Text) -> str:
     width, height = figure.get_size_inches()
-    # Half a tick label stands out above the highest axes.
+    # Half a tick label extends above the highest axes.
     below = heading.get_window_extent().y0 / figure.dpi + TICK_ROOM
     heading.set_visible(False)
     svg = io.StringIO()

@@ -1,4 +1,4 @@
-"""What `st evaluate` does: find the runs, evaluate them with a progress bar, write and show the results."""
+"""`st evaluate`: find the runs, evaluate them here or in Dask workers, write and show the results."""
 
 import contextlib
 import time
@@ -19,13 +19,13 @@ from ..bands.error_shares import finished_shares, shares_table
 from ..bands.scoring import pooled_sums
 from ..checking.document import findings_in
 from ..checking.shown import say
-from ..terminal import line, progress_bars, tell_files, tell_problem
+from ..terminal import line, list_files, progress_bars, report_problem
 from .drawing import check_formats
 from .evaluation_report import Choices, finding, settings_in_words, write_results
 from .tables import terminal_table
 from .work import Progress, RunReport, Task, evaluate_run
 
-WHAT_IS_WHAT = {
+FILE_DESCRIPTIONS = {
     "page": "the whole report, one file", "json": "every number, docs/manual/evaluation.md", "table": "the table above",
     "latex": "the same in the paper's form", "seconds": "by second of the horizon", "bins": "by condition",
     "manoeuvres": "by part of the drive",
@@ -57,15 +57,15 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     if shares := shares_table(finished_shares(pooled_sums([report.bands for report in good])), console.width):
         console.print(shares)
     if tolerance is not None:
-        from ..advice.advice_report import advise  # half a second of libraries for who asks for advice
+        from ..advice.advice_report import advise  # half a second of libraries, needed for advice only
 
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in found:
         say(report.name, findings_in(report.about), console)
-    tell_files({files[key]: what for key, what in WHAT_IS_WHAT.items()}, console)
+    list_files({files[key]: what for key, what in FILE_DESCRIPTIONS.items()}, console)
     failed = [report for report in found if report.problem]
     for report in failed:
-        tell_problem(report.name, report.problem, console)
+        report_problem(report.name, report.problem, console)
     console.print(_times(good, time.perf_counter() - began), highlight=False)
     return 1 if failed else 0
 
@@ -77,7 +77,7 @@ def _refuse_if_all(problems: Sequence[RunError | str | None]) -> None:
 
 def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
                  console: Console) -> list[RunReport]:
-    """Every run, in the order of the sources, problems said at once."""
+    """Every run, in the order of the sources, problems reported at once."""
     found: dict[str, RunReport] = {}
     with progress_bars(console) as progress:
         runs = progress.add_task("runs", total=len(sources))
@@ -109,18 +109,18 @@ def _times(reports: Sequence[RunReport], wall: float) -> str:
 
 
 
-MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is started anew, and its run is a failed one
+MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run has failed
 
 
 class WorkersError(RuntimeError):
-    """Workers that cannot be had; the text says why."""
+    """Workers are not available; the text gives the reason."""
 
 
 def reports(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
             progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
     """One report per run; in order with one worker, else as they are done.
 
-    scheduler: address of a Dask scheduler whose workers see the same files. Raises WorkersError.
+    scheduler: address of a Dask scheduler with workers that see the same files. Raises WorkersError.
     """
     if workers <= 1 and not scheduler:
         for source in sources:

@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
+from st_core.log_evaluation import MODES
 from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import versions
@@ -25,6 +26,9 @@ from .tables import SHOWN_AXES, shown, values
 from .work import RunReport, Task, slug
 
 SCHEMA = 1
+BUDGET = 4_500_000  # bytes of figures, so that the page stays below 5 MB
+MAX_FIGURES = 6  # on the page; the others are files
+MOST_RUNS = 40  # in the overview
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Choices:
 
 
 def settings_in_words(choices: Choices) -> dict[str, str]:
-    """Every setting with its value, as a reader wants it."""
+    """Every setting with its value, as text."""
     s, p = choices.task.settings, choices.task.settings.prediction
     filters = {"causal": "causal, as in the car", "zero_phase": "zero-phase (forward and backward)"}
     inputs = {"interpolate": "interpolated within a step", "hold": "held over each step"}[s.inputs]
@@ -139,37 +143,32 @@ def _readable(content: dict[str, Any]) -> str:
 
 
 
-BUDGET = 4_500_000  # bytes of figures, so that the page stays below 5 MB
-
-
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
                settings: dict[str, str], overview: Drawn | None, bands: Sequence[Drawn], over: str) -> None:
-    """content: of evaluation.json. bands: figures of the bands that were tested."""
+    """content: of evaluation.json. bands: figures of the tested bands, the most important first."""
     good = [r for r in reports if not r.problem]
+    leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
+    of_bands = list(bands[:1])
+    of_run = _of_first_run(good, leading, MAX_FIGURES - len(leading) - len(of_bands))
+    pooled_bands = content.get("bands_all_runs", {})
     text = template("evaluation", "page.html.jinja").render(
         title=title, reports=good, failed=[r for r in reports if r.problem], content=content, settings=settings,
-        about={r.name: r.about for r in reports},
-        overview=overview, band_figures=bands, band_rows=band_rows(content.get("bands_all_runs")),
-        share_rows=share_rows(content.get("bands_all_runs", {}).get("shares", {})),
-        over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS,
-        figures=_within_budget(good), shown=tables.shown, best=tables.best, values=tables.values, slug=slug)
+        about={r.name: r.about for r in reports}, minutes=sum(r.about["duration"] for r in good) / 60.0,
+        horizon=content["settings"]["horizon"], leading=leading, band_figures=of_bands,
+        band_rows=band_rows(pooled_bands or None), share_rows=share_rows(pooled_bands.get("shares", {})),
+        over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS, modes=MODES,
+        figures=of_run, shown=tables.shown, best=tables.best, values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")
 
 
-def _within_budget(reports: Sequence[RunReport]) -> dict[str, list[Drawn]]:
-    """The figures shown on the page by run: of the first runs, as many as there is room for."""
-    room, shown = BUDGET, {}
-    for report in reports:
-        size = sum(len(figure.svg.encode()) for figure in report.figures)
-        if size > room:
-            break
-        room -= size
-        shown[report.name] = report.figures
-    return shown
-
-
-
-MOST_RUNS = 40
+def _of_first_run(reports: Sequence[RunReport], leading: Sequence[Drawn], count: int) -> dict[str, list[Drawn]]:
+    """At most `count` figures of the first run that are not among the leading ones and fit into the page, by run."""
+    room, chosen = BUDGET, []
+    for figure in (f for f in reports[0].figures if f not in leading) if reports else ():
+        room -= len(figure.svg.encode())
+        if len(chosen) < count and room > 0:
+            chosen.append(figure)
+    return {reports[0].name: chosen} if chosen else {}
 
 
 def overview(reports: Sequence[RunReport], over: str, place: Place) -> Drawn | None:

@@ -22,7 +22,7 @@ from .drawing import TEXT, WIDTH, Drawn, Place, broken, finish, style, thinned
 SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in SIDE.items()}
 AXLES = ("front", "rear")
-NOTICEABLE = 0.5  # m; half of what is left of a lane beside a car
+NOTICEABLE = 0.5  # m; half of the free width of a lane with a car in it
 
 
 @dataclass(frozen=True)
@@ -53,15 +53,15 @@ def complete_in_all(evaluation: LogEvaluation) -> np.ndarray:
     return np.all([e.complete for (_, mode), e in evaluation.errors.items() if mode == "hindsight"], axis=0)
 
 
-def chosen_starts(evaluation: LogEvaluation, wanted: Sequence[float], count: int = 4) -> np.ndarray:
-    """Rows of the complete starts nearest to the wanted times [s], or `count` of them spread over the run."""
+def chosen_starts(evaluation: LogEvaluation, times: Sequence[float], count: int = 4) -> np.ndarray:
+    """Rows of the complete starts nearest to the times times [s], or `count` of them spread over the run."""
     complete = np.flatnonzero(complete_in_all(evaluation))
     if not len(complete):
         return complete
-    if wanted:
-        rows = [complete[np.abs(evaluation.time[complete] - t).argmin()] for t in wanted]
+    if times:
+        rows = [complete[np.abs(evaluation.time[complete] - t).argmin()] for t in times]
     else:
-        # Not the very first and last: they say least about the drive.
+        # Not the very first and last: they are the least representative.
         rows = complete[np.linspace(0, len(complete) - 1, count + 2).round().astype(int)[1:-1]]
     return np.unique(rows)
 
@@ -291,7 +291,7 @@ def slip(drawing: Drawing) -> Drawn | None:
     title = f"{drawing.name} from {evaluation.time[row]:.1f} s: {_finding(models, ends)}"
     peak = np.degrees(np.nanmax(np.abs(measured_slip)))
     caption = (f"Slip angles and forces that the models predict with the measured inputs; measured slip angles reach "
-               f"{peak:.1f}°. The start: the one asked for, else that of the largest lateral acceleration.")
+               f"{peak:.1f}°. The start: the requested one, else that of the largest lateral acceleration.")
     return finish(figure, drawing.place, "slip_and_forces", title, caption)
 
 
@@ -306,7 +306,7 @@ def _slip_angles(model: Model, vehicle: VehicleParameters, states: np.ndarray, a
 
 
 def _start(drawing: Drawing) -> int | None:
-    """The start asked for, if it is just one; else where the lateral acceleration over the horizon is largest."""
+    """The requested start, if it is just one; else where the lateral acceleration over the horizon is largest."""
     rows = chosen_starts(drawing.evaluation, drawing.starts)
     if not len(rows):
         return None

@@ -1,4 +1,4 @@
-"""What evaluation.json says of one run: plain values, from a LogEvaluation (docs/manual/evaluation.md)."""
+"""Content of evaluation.json for one run: plain values, from a LogEvaluation (docs/manual/evaluation.md)."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -46,13 +46,13 @@ def _seconds(errors: ModelErrors) -> dict[str, Entry]:
 
 
 def by_bin(evaluation: LogEvaluation) -> list[Entry]:
-    """One entry for each bin that holds a start; see st_core.binning."""
+    """One entry for each bin with a start; see st_core.binning."""
     return [{"quantity": b.quantity, "label": b.label, "low": b.low, "high": b.high,
              "models": by_model(evaluation, b.select)} for b in bins(evaluation)]
 
 
 def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[Entry]:
-    """One entry for each part of the drive; a start belongs to the part that holds the middle of its horizon."""
+    """One entry for each part of the drive; a start belongs to the part that contains the middle of its horizon."""
     middles = evaluation.time + 0.5 * float(evaluation.horizon[-1])
     return [{"name": part.name, "start": part.start, "end": part.end,
              "heading_change_deg": math.degrees(part.heading_change), "models": by_model(evaluation, rows)}

@@ -47,7 +47,7 @@ def shown(value: float | None) -> str:
 
 
 def terminal_table(reports: Sequence[RunReport], over: str, title: str, width: int) -> Table:
-    """The paper's table (hindsight), and beside it, if there is room, the RMSE of the forecasts."""
+    """The paper's table (hindsight), and if the terminal is wide enough the RMSE of the forecasts."""
     wide = width >= WIDE
     heading = Text(f"{title}\n{NOTE.format(what=WHAT[over])}", style="bold")
     table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))

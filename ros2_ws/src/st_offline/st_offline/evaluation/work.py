@@ -40,7 +40,7 @@ class Task:
     starts: times [s] to look at closely, () for a choice.
 
     folder: gets runs/<name>/ with starts.csv and figures; None: nothing is written. formats: of the figures.
-    force: whether runs are evaluated of which the checks say that it means nothing. bands: (file name, content) of a
+    force: whether runs with errors in the checks are evaluated. bands: (file name, content) of a
     bands.yaml to be tested. effects: folder of own effects the model files use.
     """
 
@@ -82,7 +82,7 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
     """Read, evaluate and draw one run. What is wrong with it becomes its `problem`, never an exception."""
     try:
         with warnings.catch_warnings():
-            # It is a finding, with where and cure.
+            # Reported as a finding, with place and remedy.
             warnings.simplefilter("ignore", StepTooLongWarning)
             return _evaluate(source, task, progress)
     except Refused as error:
@@ -103,7 +103,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         try:
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       watch=scorer.add if scorer else None)
-        finally:  # that a recording means nothing says more than what its evaluation ran into
+        finally:  # a failed check explains more than the exception it led to
             findings, parts = looked()
             if isinstance(findings, Refused):
                 raise findings

@@ -22,7 +22,7 @@ from ..checking.document import documents
 from ..checking.shown import say
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
-from ..terminal import line, tell_files
+from ..terminal import line, list_files
 from .experiment import Experiment, Setup
 from .experiments import EXPERIMENTS
 from .shown import HEADS, rows
@@ -54,7 +54,7 @@ def run(job: Job, console: Console) -> int:
     with console.status("writing"):
         files = write(job, found, car, about(job, now))
     show(found, job.setup.vehicle, stale, console)
-    tell_files({files["identification.json"]: "values, uncertainties, verdicts",
+    list_files({files["identification.json"]: "values, uncertainties, verdicts",
                 files["vehicle.yaml"]: "the car with them",
                 files["report.html"]: "figures, correlations, data used and left out"}, console)
     return 0 if any(e.status != "unidentifiable" for one in found for e in one.estimates) else 1

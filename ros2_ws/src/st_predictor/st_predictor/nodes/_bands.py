@@ -24,8 +24,8 @@ AXES = ("along", "across", "yaw")
 class PredictionBands:
     """What the predictor states around its paths; nothing where no file is given.
 
-    models: hash of the model file by model, "" for one of the paper's. Raises ConfigurationError for a file that holds
-    for another car, model or configuration.
+    models: hash of the model file by model, "" for one of the paper's. Raises ConfigurationError for a file of
+    another car, model or configuration.
     """
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, models: Mapping[str, str],
@@ -62,7 +62,7 @@ class PredictionBands:
 
 
 class BandMessages:
-    """Half-widths as messages that are filled again and again: making them anew takes ten times as long.
+    """Half-widths as reused messages: constructing them takes ten times as long.
 
     stated: by model; its arrays are read at every `fill`.
     """
@@ -90,9 +90,9 @@ class BandMessages:
 
 def read_bands(message: Prediction) -> Stated:
     """What a prediction states; what does not fit its points is left out."""
-    wanted = len(message.x)
+    points = len(message.x)
     columns = {(one.mode, one.level): [getattr(one, axis) for axis in AXES] for one in message.bands}
-    return {key: np.array(three, float).T for key, three in columns.items() if {len(c) for c in three} == {wanted}}
+    return {key: np.array(three, float).T for key, three in columns.items() if {len(c) for c in three} == {points}}
 
 
 def coverage_check(coverages: Coverages) -> Check:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from st_core.checks import Series
-from st_core.interpolation import interpolate
+from st_core.timeseries import interpolate
 
 NEAR_NS = 100_000_000  # two wheels are compared at instants between samples no further apart
 
