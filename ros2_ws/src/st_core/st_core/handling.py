@@ -1,7 +1,11 @@
-"""Closed forms of the linear single-track car: understeer and stability."""
+"""Closed forms of the linear single-track car, and the plausibility of a car's parameters by them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
+from .tyres import GRAVITY
 from .vehicle import VehicleParameters
 
 
@@ -27,3 +31,59 @@ def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.
                    -(l_f**2 * front + l_r**2 * rear) / (car.yaw_inertia * v)]])
     ratio = speed / v
     return a, ratio * np.array([front / car.mass, l_f * front / car.yaw_inertia])
+
+
+@dataclass(frozen=True)
+class Plausible:
+    """Range of a quantity in which road cars lie. key: of the vehicle file it mainly rests on; value: from a car, in
+    `unit`; name: in words; source: of the range, which is wider than what is published there."""
+
+    key: str
+    name: str
+    unit: str
+    low: float
+    high: float
+    value: Callable[[VehicleParameters], float]
+    source: str
+
+    def objection(self, car: VehicleParameters) -> str:
+        """A sentence with value, range and source where the car is outside; else an empty text."""
+        value = self.value(car)
+        if self.low <= value <= self.high:
+            return ""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return (f"{self.key}: {self.name} {value:.3g}{unit} is outside {self.low:g} to {self.high:g}{unit} of road "
+                f"cars ({self.source})")
+
+
+def _load(car: VehicleParameters, axle: str) -> float:
+    """Static load of an axle [N]."""
+    return 2.0 * (car.static_tyre_load_front if axle == "front" else car.static_tyre_load_rear)
+
+
+_INERTIA, _TYPICAL = "NHTSA inertia measurements, SAE 1999-01-1336", "typical vehicle parameters, SAE 840561"
+PLAUSIBLE = (
+    Plausible("cg_to_front_axle", "share of the weight on the front axle", "1", 0.35, 0.68,
+              lambda car: car.cg_to_rear_axle / car.wheelbase, _INERTIA),
+    Plausible("yaw_inertia", "k^2 / (l_f l_r)", "1", 0.6, 1.4,
+              lambda car: car.yaw_inertia / (car.mass * car.cg_to_front_axle * car.cg_to_rear_axle), _INERTIA),
+    Plausible("cg_height", "CG height over the wheelbase", "1", 0.1, 0.33, lambda car: car.cg_height / car.wheelbase,
+              f"{_INERTIA}; racing cars from 0.1"),
+    Plausible("cornering_stiffness_front, cornering_stiffness_rear", "understeer gradient", "deg/g", -1.0, 8.0,
+              lambda car: float(np.rad2deg(understeer_coefficient(car) * car.wheelbase * GRAVITY)), _TYPICAL),
+    Plausible("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
+              "steering systems of passenger cars 11 to 22, vans to 25"),
+    *(Plausible(f"cornering_stiffness_{axle}", f"cornering stiffness of the {axle} axle over its load", "1/rad", 4.0,
+                30.0, lambda car, axle=axle: getattr(car, f"cornering_stiffness_{axle}") / _load(car, axle),
+                f"{_TYPICAL}; compliance halves, racing tyres double it") for axle in ("front", "rear")),
+)
+
+
+def objections(car: VehicleParameters, file: VehicleParameters | None = None) -> tuple[str, ...]:
+    """A sentence for each quantity of the car that is outside the range of road cars, by PLAUSIBLE.
+
+    file: with the original car, only what it did not have already: the objections to an answer. An unusual car may be
+    right, so a vehicle file is not refused for them; an identified or discovered value is doubtful.
+    """
+    known = {one.name for one in PLAUSIBLE if file is not None and one.objection(file)}
+    return tuple(text for one in PLAUSIBLE if one.name not in known and (text := one.objection(car)))

@@ -78,3 +78,20 @@ def test_growth_tells_where_the_step_is_too_long(car):
     unstable = predict("linear", bare, VehicleState(0.0, 0.0, limit - 0.2, 1e-6, 0.0, 0.0), ControlInput(0.0, 0.0))
     stable = predict("linear", bare, VehicleState(0.0, 0.0, limit + 0.2, 1e-6, 0.0, 0.0), ControlInput(0.0, 0.0))
     assert np.abs(unstable.velocity_y[-1]) > 1e-6 > np.abs(stable.velocity_y[-1])
+
+
+@pytest.mark.parametrize(("changes", "key", "number"), [
+    ({"cg_to_front_axle": 0.8}, "cg_to_front_axle", "0.704 is outside 0.35 to 0.68 of road cars"),
+    ({"yaw_inertia": 1500.0}, "yaw_inertia", "k^2 / (l_f l_r) 0.526"),
+    ({"cg_height": 0.95}, "cg_height", "0.352"),
+    ({"cornering_stiffness_front": 40_000.0}, "cornering_stiffness_front, cornering_stiffness_rear", "8.94 deg/g"),
+    ({"steering_ratio": 1.0 / 0.9}, "steering_ratio", "1.11 is outside 9 to 26"),
+    ({"cornering_stiffness_rear": 250_000.0}, "cornering_stiffness_rear", "36.8 1/rad is outside 4 to 30"),
+])
+def test_what_no_road_car_has_is_named_with_its_number(leaf, changes, key, number):
+    assert not handling.objections(leaf)
+    found = handling.objections(replace(leaf, **changes))
+    assert any(text.startswith(f"{key}: ") and number in text and "(" in text for text in found), found
+    # An answer is not blamed for what the file had already.
+    assert not handling.objections(replace(leaf, **changes), replace(leaf, **changes))
+    assert handling.objections(replace(leaf, **changes), leaf) == found

@@ -152,4 +152,4 @@ def test_an_inertia_no_car_has_is_none(leaf):
     wide = replace(leaf, yaw_inertia=9000.0)
     logs = [drive(wide, speed, steps(angle), 30.0, seed=9) for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
     inertia = identify_yaw_inertia(logs, wide, "linear")["yaw_inertia"]
-    assert inertia.status == "unidentifiable" and "wheelbases does not occur in cars" in inertia.verdict
+    assert inertia.status == "unidentifiable" and "k^2 / (l_f l_r) 3." in inertia.verdict

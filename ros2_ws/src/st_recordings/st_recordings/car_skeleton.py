@@ -8,9 +8,17 @@ from typing import Any
 from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
+from st_core.handling import objections
 from st_core.prediction import PredictionSettings
 from st_core.stability import slip_speed_needed
-from st_core.vehicle import VEHICLE_QUANTITIES
+from st_core.vehicle import (
+    DEFAULT_UNCERTAINTIES,
+    FOR_EFFECTS,
+    TYRE_QUANTITIES,
+    TYRES,
+    VEHICLE_QUANTITIES,
+    VehicleParameters,
+)
 
 from .car import Car, car_named, read_table, read_vehicle
 from .paths import config
@@ -29,10 +37,13 @@ HINTS = {
     "cornering_stiffness_front": "at first from a comparable car, later identified",
     "cornering_stiffness_rear": "at first from a comparable car, later identified",
 }
-"""What no other car can lend, and how it is got."""
+"""What no other car can lend, and how it is measured."""
+ASSUMED_UNCERTAINTY = {"cg_height": 0.1}
+"""SI, one standard deviation of a value taken over from another car; passenger cars lie within 0.45 to 0.65 m."""
 SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """m/s, at which the models have to be stable with that step."""
 ZERO = ("cg_to_ins_y", "steering_wheel_offset")
+NOT_FITTED = ("minimum_slip_speed", "length", "width", *FOR_EFFECTS)
 _ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
 
 SIGNALS = """\
@@ -69,7 +80,8 @@ steering_latency: 0.0    # s, from the motion of the wheel to the frame in the l
 """
 VEHICLE = """\
 # Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
-# The other values are assumptions to start with.
+# The other values are assumptions to start with. uncertainty: one standard deviation, in the unit of the value;
+# st discover holds the value to it. Without it a default is taken, which st car check prints.
 name: FILL_IN
 """
 
@@ -108,6 +120,36 @@ def problems(folder: str) -> list[str]:
         car = Car(Path(error.path).parent, 1, 0.0)
         return [str(error), *_vehicle_problems(car.vehicle), *_bus_problems(car)]
     return [*_vehicle_problems(car.vehicle), *_bus_problems(car)]
+
+
+def remarks(folder: str) -> list[str]:
+    """Lines on a car without mistakes: what is unusual for a road car, and the uncertainties in force."""
+    file = car_named(folder).vehicle
+    vehicle = read_vehicle(file)
+    notes = [f"{file}: unusual: {text}" for text in objections(vehicle)]
+    return [*notes, "uncertainty of each quantity, one standard deviation (st discover holds the value to it):",
+            *(f"  {line}" for line in uncertainties(vehicle))]
+
+
+def uncertainties(vehicle: VehicleParameters) -> list[str]:
+    """One line for each quantity with an uncertainty of the file or a default; the others in the last line."""
+    keys = {**VEHICLE_QUANTITIES, **{f"{tyre}.{key}": one for tyre in TYRES for key, one in TYRE_QUANTITIES.items()}}
+    lines, without = [], []
+    for key, quantity in keys.items():
+        spread = vehicle.uncertainty(key)
+        if spread is None:
+            without.append(key)
+            continue
+        stated = vehicle.provenance.get(key)
+        unit = "" if quantity.si_unit == "1" else f" {quantity.si_unit}"
+        default = DEFAULT_UNCERTAINTIES.get(key)
+        if stated is not None and stated.uncertainty:
+            lines.append(f"{key} +/- {spread:.3g}{unit} as the file states")
+        elif default is not None:
+            size = f"{100 * default.size:g} %" if default.relative else f"{spread:.3g}{unit}"
+            lines.append(f"{key} taken as +/- {size} ({default.source}); state `uncertainty` to change that")
+    free = [key for key in without if "." not in key and key not in NOT_FITTED]
+    return [*lines, f"not held to the file without a stated `uncertainty`: {', '.join(free)}"] if free else lines
 
 
 def _vehicle_problems(file: Path) -> list[str]:
@@ -168,7 +210,8 @@ def _places(document: Any, top: str = "") -> Iterator[str]:
 
 def _limit(key: str) -> str:
     quantity = VEHICLE_QUANTITIES.get(key)
-    return f", value and source; {quantity.limit().removesuffix(' 1')}" if quantity else ""
+    what = "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
+    return f", {what}; {quantity.limit().removesuffix(' 1')}" if quantity else ""
 
 
 def _leaf(name: str) -> str:
@@ -187,9 +230,11 @@ def _mine(line: str) -> str:
         return line
     key, unit = row["key"], row["unit"]
     if key in HINTS:
-        return f"{key}: {{value: {FILL_IN}, unit: {unit}, source: {FILL_IN}}}  # {HINTS[key]}"
+        uncertainty = f", uncertainty: {FILL_IN}" if key in DEFAULT_UNCERTAINTIES else ""
+        return f"{key}: {{value: {FILL_IN}, unit: {unit}, source: {FILL_IN}{uncertainty}}}  # {HINTS[key]}"
     value, why = (0.0, "none") if key in ZERO else (row["value"], "as a Nissan Leaf ZE0")
-    return f'{row["indent"]}{key}: {{value: {value}, unit: {unit}, source: "assumed: {why}"}}'
+    uncertainty = f", uncertainty: {ASSUMED_UNCERTAINTY[key]}" if key in ASSUMED_UNCERTAINTY else ""
+    return f'{row["indent"]}{key}: {{value: {value}, unit: {unit}, source: "assumed: {why}"{uncertainty}}}'
 
 
 def _signals() -> str:

@@ -15,10 +15,11 @@ def car(
     """Write the folder of a new car for you to fill in, or check the folder of a car.
 
     new: vehicle.yaml, signals.yaml, can.dbc, rt.dbc (of an OxTS RT on the same bus, to append to can.dbc) and car.yaml.
-    check: one line for each mistake and each place that is not filled in. Exit status: 0 written, or no mistake; 1
+    check: one line for each mistake and each place that is not filled in; without mistakes what is unusual for a road
+    car, and the uncertainty in force for each quantity. Exit status: 0 written, or no mistake; 1
     mistakes were found; 2 there is no such folder to check, or the folder to write exists.
     """
-    from st_recordings.car_skeleton import problems, write_skeleton
+    from st_recordings.car_skeleton import problems, remarks, write_skeleton
 
     with refusals("car"):
         if what == "new":
@@ -26,8 +27,9 @@ def car(
                 typer.echo(file)
             return
         found = problems(folder)
+        notes = [] if found else remarks(folder)
     for line in found:
         typer.echo(f"st car: {line}", err=True)
     if not found:
-        typer.echo(f"{folder}: no mistake found")
+        typer.echo("\n".join([f"{folder}: no mistake found", *notes]))
     raise typer.Exit(int(bool(found)))

@@ -26,6 +26,7 @@ import numpy as np
 
 from ..augmented import AugmentedModel
 from ..filtering import NANOSECOND
+from ..handling import objections
 from ..log import DriveLog
 from ..models import Model, get_model
 from ..vehicle import VehicleParameters
@@ -55,8 +56,6 @@ LARGEST_RELATIVE = 0.1
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 TRANSIENTS = PredictionErrorSettings(points=(0.1, 0.2, 0.3, 0.4, 0.6, 0.8), interval=0.3)
-RADIUS_OF_GYRATION = (0.35, 0.65)
-"""Share of the wheelbase between which cars lie; an inertia outside is not given."""
 
 
 def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
@@ -113,10 +112,10 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
                           INERTIA_NAMES[:4], covered, _timing_uncertainty(fit, logs, problem.starts))
     inertia = result["yaw_inertia"]
     warnings = [*noticed, *result.warnings]
-    share = float(np.sqrt(inertia.value / vehicle.mass) / vehicle.wheelbase)
-    if not RADIUS_OF_GYRATION[0] <= share <= RADIUS_OF_GYRATION[1]:
-        text = (f"A radius of gyration of {share:.2f} wheelbases does not occur in cars: the transients are too weak, "
-                "or steering or tyre dynamics pass for inertia.")
+    implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(inertia.value, 10.0)))
+                   if text.startswith("yaw_inertia")]
+    if implausible:
+        text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics pass for inertia."
         warnings.append(text)
         inertia = replace(inertia, status="unidentifiable", verdict=f"{text} {inertia.verdict}")
     conflict = contradiction(inertia, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia, "the vehicle file (as +/- 10 %)")

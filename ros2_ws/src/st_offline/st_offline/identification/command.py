@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from st_core.checks import Finding
+from st_core.handling import objections
 from st_core.identification.apply import against_file, apply, stale_scales
 from st_core.identification.result import Identification, IdentificationError
 from st_core.vehicle import VehicleParameters
@@ -50,6 +51,7 @@ def run(job: Job, console: Console) -> int:
         found = tuple(_compared(one, job.setup.vehicle) for one in identified(job))
     now = datetime.now(UTC)
     car = apply(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
+    found = (replace(found[0], warnings=(*found[0].warnings, *objections(car, job.setup.vehicle))), *found[1:])
     stale = stale_scales(job.setup.vehicle, found)
     with console.status("writing"):
         files = write(job, found, car, about(job, now))
