@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from controller import Controller, Reference
 from st_sim.car import Car
-from st_sim.controlled import ControlledCar
 from st_sim.scenarios import Plan
 from st_sim.settings import Settings
+from st_sim.simulation import ControlledCar
 
 LEFT_THE_ROAD = 4.0
 """m. Further away the drive ends: what a controller does then says nothing."""

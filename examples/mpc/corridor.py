@@ -29,10 +29,10 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.output import new_folder
 from st_recordings.paths import config
 from st_sim.car import Car, read_car
-from st_sim.controlled import ControlledCar
 from st_sim.path import straight
 from st_sim.scenarios import RoadPlan
 from st_sim.settings import REALISTIC, Settings
+from st_sim.simulation import ControlledCar
 
 SPEED, DURATION, HORIZON = 10.0, 20.0, 2.5
 SPREAD = {"mass_factor": 0.04, "front_stiffness_factor": 0.08, "rear_stiffness_factor": 0.08, "friction_factor": 0.05,

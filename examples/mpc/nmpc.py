@@ -23,10 +23,9 @@ from st_offline.model_export import load_model
 from st_recordings.output import new_folder
 from st_recordings.paths import config
 from st_sim.car import read_car
-from st_sim.errors import SimulationError
 from st_sim.path import lane_shift, straight
 from st_sim.scenarios import Plan, RoadPlan, load
-from st_sim.settings import resolve
+from st_sim.settings import SimulationError, resolve
 
 MODELS = ["kinematic", "linear", "nonlinear"]
 HORIZONS = [0.5, 1.0, 2.0, 3.0]

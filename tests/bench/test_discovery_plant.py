@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from st_core.effects import EFFECTS
 from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE
-from st_sim.plant import STEP, Plant
+from st_sim.plant import STEP, Plant, Truth
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve
-from st_sim.truth import Truth
 
 from bench.discovery import programmes as m
 from bench.discovery.compiled import DECIDE, Programme, Stopped, drive

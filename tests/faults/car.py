@@ -13,8 +13,7 @@ from canedge_bridge.decode import Decoder
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config
 from st_sim.can_wire import Background, CanWire, Frame
-from st_sim.geodesy import Origin
-from st_sim.ncom_wire import NcomWire
+from st_sim.ncom_wire import NcomWire, Origin
 from st_sim.sensors import InsReading, WheelSpeeds
 from winding_road import RATE, Truth, winding_road
 

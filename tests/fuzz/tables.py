@@ -13,8 +13,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, find_runs, read
 from st_sim import scenarios
 from st_sim.car import read_car
-from st_sim.errors import SimulationError
-from st_sim.settings import resolve
+from st_sim.settings import SimulationError, resolve
 from support import ROOT
 
 from .harness import Target, one_line

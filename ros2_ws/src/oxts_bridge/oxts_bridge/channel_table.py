@@ -232,7 +232,7 @@ TABLE: dict[int, list[Field]] = {
          _b("GpsExternal.Format", 2), _b("DualPortRamStatus", 3),
          F("GpsPrimary.PosRate", "lo4", 4, validity=NIBBLE), F("GpsPrimary.VelRate", "hi4", 4, validity=NIBBLE),
          F("GpsPrimary.RawRate", "lo4", 5, validity=NIBBLE), F("GpsSecondary.RawRate", "hi4", 5, validity=NIBBLE),
-         # Vendor habit: a unit that sends this channel has GPS and no BeiDou; no bit says so.
+         # By the vendor's convention, a unit that sends this channel has GPS and no BeiDou; there is no bit for either.
          F("GnssGpsEnabled", "constant", 6, offset=1), F("GnssBeiDouEnabled", "constant", 6, offset=0),
          *(F(name, f"ibits{bit}+1", 6, validity=INVERTED_B6) for bit, name in enumerate(
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",

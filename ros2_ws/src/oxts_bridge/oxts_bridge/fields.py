@@ -82,7 +82,7 @@ _F32 = struct.Struct("<f")
 
 
 def wire(kind: str, at: int) -> Wire:
-    """The reader and writer of a kind at byte `at`.
+    """Reader and writer of a number format at byte `at`.
 
     kind: u8..u64, i8..i32 (little-endian); lo4, hi4: half a byte; bits<first>+<count>: bits of a byte,
     ibits<first>+<count>: of the inverted byte; shifted: i8 whose bit 0 is its validity; f32.

@@ -1,4 +1,4 @@
-"""Parameters of the node: name, default, unit, range. The same list stands in config/nodes.yaml."""
+"""Parameters of the node: name, default, unit, range. config/nodes.yaml holds the same list."""
 
 import math
 from pathlib import Path
@@ -49,7 +49,7 @@ PARAMETERS = (
 
 
 def check(settings: SimpleNamespace, node_name: str) -> None:
-    """What one parameter alone cannot tell. Raises ConfigurationError naming the key and what is wanted."""
+    """Check parameters that depend on each other. Raises ConfigurationError with the key and the required value."""
 
     def refuse(key: str, reason: str) -> None:
         raise ConfigurationError(f"{node_name}.{key}: {reason}")

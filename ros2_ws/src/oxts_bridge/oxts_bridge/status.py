@@ -18,7 +18,7 @@ PARTS = frozenset(
 LOCAL_FRAME = ("RefLat", "RefLon", "RefAlt", "RefHeading")
 # Weight of a new value in the filtered lag, as in the vendor's tools.
 _LAG_WEIGHT = 0.01
-# Channels whose derived values change although their bytes do not, and 12 and 57, which share a field.
+# Channels with derived values that change without their bytes, and 12 and 57, which share a field.
 _NEVER_SKIPPED = frozenset({12, 23, 45, 57})
 
 _CYCLIC = {

@@ -139,7 +139,7 @@ class NcomParser:
         return None if gps_ms is None else gps_ms * 1_000_000, order
 
     def _trigger(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
-        """GPS time [ns] and order of an event; no time where the packet holds none."""
+        """GPS time [ns] and order of an event; None without a time in the packet."""
         self.counters.triggers += 1
         before, self._last_trigger = self._last_trigger, raw
         if packet.channel not in TRIGGER_CHANNELS:
@@ -170,7 +170,7 @@ class NcomParser:
 
 
 class HostMinute:
-    """The minute of live packets from the host's clock, for a stream whose channel 0 (every 10th packet) is missing."""
+    """The minute of live packets from the host's clock, for a stream without channel 0 (normally every 10th packet)."""
 
     def __init__(self) -> None:
         self._untimed_since: int | None = None

@@ -8,8 +8,8 @@ from typing import Any
 
 from st_recordings.car import read_vehicle
 from st_recordings.paths import config, project_root
-from st_sim.errors import SimulationError
 from st_sim.run import check
+from st_sim.settings import SimulationError
 
 from .suite import Suite, SuiteError, find_executable, free_udp_port
 

@@ -1,7 +1,4 @@
-"""Readings to CAN frames.
-
-The Leaf's own and what the INS sends on CAN; counters, checksums and signs by the shared codec.
-"""
+"""Readings to CAN frames of the Leaf and of the INS; counters, checksums and signs by the shared codec."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +7,7 @@ import can
 import numpy as np
 from canedge_bridge.decode import Decoder
 
-from .geodesy import Origin
+from .ncom_wire import Origin
 from .sensors import InsReading, WheelSpeeds
 
 STEERING_MESSAGE = "Leaf_Steering"
@@ -18,13 +15,12 @@ VEHICLE_BUS, INS_BUS = 1, 2
 """CANedge channels: the car on the first, the INS on the second. On a live bus both share one channel."""
 
 FRAME_TIME = 0.00025
-"""s, about one frame at 500 kbit/s: frames of one instant follow each other on the bus."""
+"""s, duration of a frame at 500 kbit/s; frames of one instant are sent at this interval."""
 
 CAR_CAN_RATE = 1750
 """Frames per second on a Leaf-family Car-CAN (52 identifiers counted in a recording)."""
 
-# Identifiers of that recording that our table does not have, with periods in ms; `full` sends them with made-up
-# contents.
+# Other identifiers of that recording with periods in ms; `full` sends them with random contents.
 _BACKGROUND = {
     **dict.fromkeys((0x174, 0x176, 0x180, 0x182, 0x1CA, 0x1CB, 0x1D5, 0x1D6, 0x215, 0x216, 0x245, 0x260), 10),
     **dict.fromkeys((0x280, 0x292, 0x2DE, 0x300), 20),
@@ -50,9 +46,9 @@ class CanWire:
         self._counters: dict[str, int] = {}
 
     def steering(self, angle: float, rate: float) -> list[Frame]:
-        """Angle as the sensor says it, left + [rad], and rate of the hand wheel [rad/s].
+        """Frame of the sensor's angle, left + [rad], and hand-wheel rate [rad/s].
 
-        The rate goes out without a sign, as on the car; its scale is not known, 4 deg/s is made up.
+        The rate is sent unsigned, as on the car; its true scale is unknown, 4 deg/s is assumed.
         """
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
         return [self._own(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
@@ -77,7 +73,7 @@ class CanWire:
         return [self._own("Leaf_Gear", {"GearCode": code})]
 
     def ins(self, reading: InsReading) -> list[Frame]:
-        """0x600, 0x601, 0x604, 0x607, 0x608, 0x630, 0x633, 0x634, as an RT3000 sends them once per epoch."""
+        """0x600, 0x601, 0x604, 0x607, 0x608, 0x630, 0x633, 0x634, sent by an RT3000 once per epoch."""
         degrees = math.degrees
         unix_time = (self._start_ns + round(reading.stamp * 1e9)) / 1e9
         latitude, longitude, _ = self._origin.to_geodetic(reading.x, reading.y, reading.z)
@@ -109,9 +105,9 @@ class CanWire:
 
 
 class Background:
-    """The other traffic of the Car-CAN, so that filters and queues have something to do.
+    """Other traffic of the Car-CAN, as load for filters and queues.
 
-    With the frames of our table (about 217 per second) it makes CAR_CAN_RATE; the INS comes on top.
+    Together with the decoded frames (about 217 per second) CAR_CAN_RATE; INS frames are additional.
     """
 
     def __init__(self, seed: int):
@@ -122,7 +118,7 @@ class Background:
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
         own = 100 + 2 * 50 + 1000 / 60
         listed = sum(1000 / period for period, _, _ in self._frames)
-        # The recording has more identifiers than were taken down; the fastest ones stand in for the rest.
+        # The recording has more identifiers than the list; the fastest ones represent the rest.
         self._extra = max(0, round((CAR_CAN_RATE - own - listed) / 100))
         self._frames += [(10, i % 10, self._frames[i % 12][2]) for i in range(self._extra)]
 

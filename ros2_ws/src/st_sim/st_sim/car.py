@@ -1,6 +1,6 @@
-"""The car's data from config/vehicle/*.yaml, as the virtual car needs them.
+"""Vehicle data of the virtual car from config/vehicle/*.yaml.
 
-Read here a second time, on purpose without the suite's own reader: a slip in either shows as a disagreement.
+This reader is independent of st_core.vehicle on purpose, so that an error in either shows as a difference.
 """
 
 import math
@@ -9,27 +9,14 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from .documents import read_document
-from .errors import SimulationError
+from .settings import SimulationError, read_document
 
 GRAVITY = 9.81
-"""m/s^2, as everywhere in the suite."""
-
-# Of the virtual car, whatever file its other data come from. Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear.
+"""m/s^2, as in st_core."""
 TRACK_WIDTH = 1.54
-"""m, both axles."""
+"""m, both axles, for every vehicle file. Leaf ZE0, manufacturer: 1.540 m front, 1.535 m rear."""
 
-_TO_SI = {
-    "rad": 1.0,
-    "deg": math.pi / 180,
-    "kg": 1.0,
-    "kg m^2": 1.0,
-    "m": 1.0,
-    "m/s": 1.0,
-    "N": 1.0,
-    "N/rad": 1.0,
-    "1": 1.0,
-}
+_TO_SI = {"deg": math.pi / 180, **dict.fromkeys(("rad", "kg", "kg m^2", "m", "m/s", "N", "N/rad", "1"), 1.0)}
 
 
 @dataclass(frozen=True)
@@ -78,7 +65,7 @@ _TYRE_KEYS = tuple(one.name for one in fields(Tyre) if one.name != "lambda_ky")
 
 
 def read_car(file: str | Path) -> Car:
-    """Raises SimulationError, one line naming file and key."""
+    """The car of a vehicle file. Raises SimulationError, one line naming file and key."""
     path = Path(file)
     document = read_document(path)
     if not isinstance(document, Mapping):
@@ -98,7 +85,7 @@ def read_car(file: str | Path) -> Car:
 
 
 def _tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness: float, static_load: float) -> Tyre:
-    """lambda_ky from the axle's stiffness at the static load of one tyre, unless the file gives it."""
+    """Tyre of an axle; without lambda_ky in the file, it is set to give the axle's stiffness at static load."""
     section = document.get(key)
     if not isinstance(section, Mapping):
         raise SimulationError(f"{path}: {key} is missing")

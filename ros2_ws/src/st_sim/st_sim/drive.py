@@ -1,10 +1,9 @@
-"""A real recorded drive as the source of everything: what the car did is played, nothing is simulated.
+"""A recorded drive as source of sensor data instead of the simulation.
 
-Between two rows every column is a straight line (yaw unwrapped first). Nothing is smoothed or integrated: position,
-velocity and rates are played as recorded, also where they disagree. The yaw acceleration, needed only where the INS
-is not at the CG, is the slope of the yaw rate between two rows. Columns: t, x, y, yaw, vx, vy, yaw_rate, ax, ay,
-delta (SI; x east, y north, yaw from east, body axes forward and left, delta the road-wheel angle, left +), taken at
-the CG.
+Columns at the CG: t, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta (SI; x east, y north, yaw from east, body axes forward
+and left, delta the road-wheel angle, left +), interpolated linearly (yaw unwrapped). Nothing is smoothed or integrated:
+position, velocity and rates are replayed as recorded, also where inconsistent. The yaw acceleration, needed only for an
+INS away from the CG, is the slope of the yaw rate.
 """
 
 import csv
@@ -15,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from .car import Car
-from .errors import SimulationError
-from .truth import DRIVE, Truth
+from .plant import DRIVE, Truth
+from .settings import SimulationError
 
 COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "ax", "ay", "delta")
 
 
 class RecordedDrive:
-    """Source of a Stream. Time 0 is the first row; after the last row it stays there."""
+    """Source of a Stream. Time 0 is the first row; the last row remains after the end."""
 
     def __init__(self, file: str | Path, car: Car):
         """Raises SimulationError naming file and line or column."""
@@ -70,7 +69,7 @@ def _read(path: Path) -> np.ndarray:
             reader = csv.DictReader(stream)
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:
-                raise SimulationError(f"{path}: column {missing[0]} is missing; wanted are {', '.join(COLUMNS)}")
+                raise SimulationError(f"{path}: column {missing[0]} is missing; required are {', '.join(COLUMNS)}")
             rows = [_numbers(row, path, reader.line_num) for row in reader]
     except OSError as error:
         raise SimulationError(f"--drive {path}: cannot be read: {error.strerror}") from None
@@ -79,9 +78,9 @@ def _read(path: Path) -> np.ndarray:
     if len(rows) < 2:
         raise SimulationError(f"{path}: has {len(rows)} rows, at least 2 are needed")
     table = np.array(rows)
-    falls = np.flatnonzero(np.diff(table[:, 0]) <= 0)
-    if falls.size:
-        raise SimulationError(f"{path}: line {falls[0] + 3}: t does not rise")
+    backward = np.flatnonzero(np.diff(table[:, 0]) <= 0)
+    if backward.size:
+        raise SimulationError(f"{path}: line {backward[0] + 3}: t does not increase")
     return table
 
 

@@ -1,4 +1,4 @@
-"""The person at the wheel: looks ahead along the road, steers with a hand that has limits, keeps the speed."""
+"""Driver model: preview steering along the road with limited hand-wheel rate, and speed control."""
 
 import math
 
@@ -13,18 +13,21 @@ from .scenarios import Plan
 from .settings import Settings
 
 DECISION = 0.01
-"""s between two decisions."""
+"""s, sampling time."""
 PREVIEW_TIME, SHORTEST_PREVIEW = 0.8, 4.0
+"""s, m."""
 ANTICIPATION = 0.18
-"""s. The bend is steered this much ahead, for what hand, steering and tyres lag behind."""
+"""s by which the curvature is steered early, to compensate the lag of hand, steering and tyres."""
 HAND_TIME = 0.08
+"""s, time constant of the hand."""
 FASTEST_HAND, FURTHEST_HAND = 8.0, 9.5
-"""rad/s and rad at the hand wheel: 460 deg/s is quick for a person, 540 deg is the lock."""
+"""rad/s and rad at the hand wheel: 460 deg/s is fast for a person, 540 deg is the end stop."""
 TREMOR_TIME = 0.4
+"""s, correlation time of random steering."""
 INTEGRAL_STEER, INTEGRAL_LIMIT = 0.015, 0.03
 SPEED_GAIN, SPEED_INTEGRAL = 1.2, 0.5
 SLOWEST_STEERING = 0.5
-"""m/s. Slower, the hands wait."""
+"""m/s. Below, the hand wheel is held, because the course angle is not defined."""
 JERK = 10.0
 HARDEST_BRAKING, HARDEST_DRIVE = 7.0, 3.5
 HOLDING_BRAKE = 2.0
@@ -32,7 +35,7 @@ HOLDING_BRAKE = 2.0
 
 
 class Driver:
-    """Hands and foot. Call `advance` before every plant step and hand the plant the two attributes.
+    """Driver of one car; advance() before every plant step updates the two inputs of the plant.
 
     steering_wheel_angle: true, left + [rad]. drive_force: sum over the wheels, braking < 0 [N].
     """
@@ -44,22 +47,22 @@ class Driver:
         self._mass = car.mass * settings["mass_factor"]
         self._tremor_size = settings["driver_tremor"]
         self._draw = normal_stream(np.random.default_rng([seed, 2]))
-        self._tremor = self._steer_sum = self._speed_sum = self._pedal = self._wanted = 0.0
+        self._tremor = self._steer_sum = self._speed_sum = self._pedal = self._target = 0.0
         self._next = -math.inf
-        self._held = False
+        self._holding = False
 
-    def take_seat(self, plant: Plant, distance: float) -> None:
-        """Hands where the wheel is; the car stands at `distance` along the road [m]."""
+    def place(self, plant: Plant, distance: float) -> None:
+        """Start at a distance along the road [m] with the hand-wheel angle of the plant."""
         self.distance = distance
-        self.steering_wheel_angle = self._wanted = plant.steering_wheel_for
+        self.steering_wheel_angle = self._target = plant.steering_wheel_for
         self._mass = plant.mass
 
     def advance(self, plant: Plant, time: float, step: float) -> None:
         if time >= self._next - 1e-9:
-            # Counted from the first call, so that a drive does not depend on where the clock stands.
+            # Counted from the first call, so that a drive does not depend on the time at its start.
             self._next = time + DECISION
             self._decide(plant, time)
-        move = (self._wanted + self._tremor - self.steering_wheel_angle) * step / HAND_TIME
+        move = (self._target + self._tremor - self.steering_wheel_angle) * step / HAND_TIME
         fastest = FASTEST_HAND * step
         self.steering_wheel_angle += min(max(move, -fastest), fastest)
 
@@ -69,38 +72,37 @@ class Driver:
         self._track(s[X], s[Y], speed)
         demand = self.plan.demand(time, self.distance, speed)
         if callable(demand.steer):
-            self._wanted = demand.steer(self.car.wheelbase) * self.car.steering_ratio
+            self._target = demand.steer(self.car.wheelbase) * self.car.steering_ratio
         elif demand.steer == "path":
-            # At a crawl the course says nothing: the hands wait.
             steers = speed > SLOWEST_STEERING
-            if self._held and steers:
-                self._back_on_the_road(s)
+            if self._holding and steers:
+                self._continue_from_here(s)
             if steers:
                 angle = self._steer_along(s, speed) * self.car.steering_ratio
-                self._wanted = min(max(angle, -FURTHEST_HAND), FURTHEST_HAND)
-                self._held = False
+                self._target = min(max(angle, -FURTHEST_HAND), FURTHEST_HAND)
+                self._holding = False
         else:
-            self._held = True
+            self._holding = True
         self._pedals(plant, demand.speed, demand.acceleration)
         if self._tremor_size:
             memory = math.exp(-DECISION / TREMOR_TIME)
             self._tremor = memory * self._tremor + self._tremor_size * math.sqrt(1 - memory**2) * self._draw()
 
     def _track(self, x: float, y: float, speed: float) -> None:
-        """Move `distance` to the point of the road beside the car."""
+        """Update `distance` to the point of the road nearest to the car."""
         self.distance += speed * DECISION
         for _ in range(2):
             road = self.plan.path.pose(self.distance)
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
 
-    def _back_on_the_road(self, s: tuple[float, ...]) -> None:
-        """After hands-still the old road is somewhere else; go on along the same bend from here."""
+    def _continue_from_here(self, s: tuple[float, ...]) -> None:
+        """Move the road to the car after a phase with a held hand wheel; its curvature continues."""
         course = s[YAW] + math.atan2(s[VY], s[VX])
         self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
         self._steer_sum = 0.0
 
     def _steer_along(self, s: tuple[float, ...], speed: float) -> float:
-        """Road-wheel angle [rad]: the bend ahead plus what brings the car back within the preview distance."""
+        """Road-wheel angle [rad] of the curvature ahead and of the correction within the preview distance."""
         road = self.plan.path.pose(self.distance)
         offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
         course = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)
@@ -111,18 +113,18 @@ class Driver:
         curvature = bend - 2 * (offset + preview * math.sin(course)) / preview**2 - self._steer_sum
         return math.atan(self.car.wheelbase * curvature) + UNDERSTEER * speed**2 * curvature
 
-    def _pedals(self, plant: Plant, wanted: float, acceleration: float) -> None:
+    def _pedals(self, plant: Plant, target_speed: float, acceleration: float) -> None:
         s = plant.state
         if plant.parked and acceleration <= 0.0:
             self.drive_force, self._pedal, self._speed_sum = -HOLDING_BRAKE * self._mass, 0.0, 0.0
             return
-        error = wanted - s[VX]
+        error = target_speed - s[VX]
         if abs(acceleration) < 0.5:
-            # Only while cruising: in a braking or a start the sum would fill with what the feed-forward is about to do.
+            # Only at constant speed: while braking or accelerating the integral would add to the feed-forward.
             self._speed_sum = min(max(self._speed_sum + SPEED_INTEGRAL * error * DECISION, -1.0), 1.0)
-        # What a bend costs: the front tyres pull backwards by their side force times the steer angle.
-        bend = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * plant.to_rear / self.car.wheelbase
-        target = acceleration + SPEED_GAIN * error + self._speed_sum + bend - s[VY] * s[YAW_RATE]
+        # Cornering resistance: the side force of the front tyres times the steer angle.
+        cornering = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * plant.to_rear / self.car.wheelbase
+        target = acceleration + SPEED_GAIN * error + self._speed_sum + cornering - s[VY] * s[YAW_RATE]
         target = min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)
         self._pedal += min(max(target - self._pedal, -JERK * DECISION), JERK * DECISION)
         self.drive_force = self._mass * self._pedal

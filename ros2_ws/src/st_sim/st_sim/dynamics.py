@@ -1,16 +1,14 @@
-"""Equations of motion of the virtual car as plain functions of numbers: what `Plant` steps, and what may be compiled.
+"""Equations of motion and tyre force of the virtual car as pure functions, which run in Python and compiled.
 
-Axes, signs and equations: see `plant`. Nothing here holds state, so the same lines run in Python and compiled
-(checked by: bench/discovery, tests/bench/test_discovery_plant.py).
+Axes, signs and equations: see `plant`. Checked by: test_plant.py, test_tyres.py; compiled: bench/discovery.
 """
 
 from collections.abc import Sequence
-from math import atan, cos, hypot, sin
+from math import atan, cos, hypot, sin, sqrt
 from typing import NamedTuple
 
-from .car import GRAVITY, TRACK_WIDTH, Car
+from .car import GRAVITY, TRACK_WIDTH, Car, Tyre
 from .settings import Settings
-from .tyres import MINIMUM_LOAD, TyreLaw, left_by_ellipse, tyre_force, tyre_law
 
 AIR_DENSITY = 1.2
 SIDE_AREA = 2.5
@@ -19,29 +17,45 @@ WIND_ARM = 0.25
 """m, centre of side wind ahead of the CG."""
 BRAKE_SHARE_FRONT = 0.65
 ROLL_SHARE_FRONT = 0.55
-"""Share of the lateral load transfer that the front axle takes."""
-
-# Slip needs a speed to divide by. The paper's models use 3 m/s; a real tyre has no such limit, so it is as low as the
-# step allows.
+"""Share of the lateral load transfer at the front axle."""
+MINIMUM_LOAD = 50.0
+"""N. Lower limit of a wheel load, also of a lifted wheel, to avoid division by zero."""
 LOWEST_SLIP_SPEED = 0.5
+"""m/s. Lower limit of the denominator of slip: as low as the step allows (the paper's models use 3 m/s)."""
 CREEP_SPEED = 2.5
+"""m/s. Below, CREEP_DAMPING is added to a relaxing tyre, which is a spring with little damping there."""
 CREEP_DAMPING = 0.17
-"""s/m. Below CREEP_SPEED a relaxing tyre is a spring with little damping; so much slip per sliding speed is added."""
+"""s/m, slip per sliding speed."""
 ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4
-"""rad/s (2 Hz) and share of critical, of the body on its springs; both load transfer and roll follow it."""
+"""rad/s (2 Hz) and damping ratio of body roll, which also determines the lateral load transfer."""
 PITCH_TIME = 0.08
 COMPLIANCE_TIME = 0.01
-"""s, first-order: pitch with its load transfer, and the give of the steering."""
+"""s, time constants of pitch with its load transfer, and of the steering compliance."""
 ROLLING_ONSET = 0.2
-"""m/s. Below it the rolling resistance fades out, so that it cannot push a standing car."""
+"""m/s. Below, the rolling resistance decreases to 0, so that it cannot move a stationary car."""
 
 # Positions in the state tuple.
 X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, GIVE, S_FL, S_FR, S_RL, S_RR, LEAN, LEAN_RATE, SQUAT = range(16)
 STATES = 16
 
 
+class TyreLaw(NamedTuple):
+    """Coefficients of `tyre_force`; stiffness: p_ky1 F_z0 lambda [N/rad]; knee: 1 / (p_ky2 F_z0) [1/N]."""
+
+    nominal: float
+    shape: float
+    stiffness: float
+    knee: float
+    p_ky4: float
+    p_dy1: float
+    p_dy2: float
+    p_ey1: float
+    p_ey2: float
+    p_ey3: float
+
+
 class Constants(NamedTuple):
-    """What the equations need of one car and its settings, SI. fastest: largest pace of a relaxing tyre [1/s]."""
+    """Parameters of the equations of motion, SI. fastest: largest rate of a relaxing tyre [1/s]."""
 
     mass: float
     yaw_inertia: float
@@ -71,7 +85,7 @@ class Constants(NamedTuple):
 
 
 def constants(car: Car, settings: Settings, step: float) -> Constants:
-    """Of a car with its settings, integrated in steps of `step` [s]."""
+    """Parameters of a car with its settings, integrated with a time step [s]."""
     s = settings
     mass = car.mass * s["mass_factor"]
     to_front = car.cg_to_front_axle - s["cg_shift"]
@@ -81,7 +95,7 @@ def constants(car: Car, settings: Settings, step: float) -> Constants:
         yaw_inertia=car.yaw_inertia * s["yaw_inertia_factor"],
         to_front=to_front,
         to_rear=to_rear,
-        # A lag shorter than a step is a step: the integrator could not follow it.
+        # At least one step, for a stable integration.
         lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,
         steering_offset=s["steering_offset"],
         compliance=s["steering_compliance"],
@@ -106,6 +120,54 @@ def constants(car: Car, settings: Settings, step: float) -> Constants:
     )
 
 
+def tyre_law(tyre: Tyre, stiffness_factor: float) -> TyreLaw:
+    """Coefficients of one tyre with its cornering stiffness K scaled by a factor."""
+    nominal = tyre.nominal_load
+    stiffness = tyre.p_ky1 * nominal * tyre.lambda_ky * stiffness_factor
+    return TyreLaw(
+        nominal,
+        tyre.p_cy1,
+        stiffness,
+        1.0 / (tyre.p_ky2 * nominal),
+        tyre.p_ky4,
+        tyre.p_dy1,
+        tyre.p_dy2,
+        tyre.p_ey1,
+        tyre.p_ey2,
+        tyre.p_ey3,
+    )
+
+
+def tyre_force(law: TyreLaw, slip_angle: float, load: float, friction_factor: float) -> tuple[float, float]:
+    """(F_y, peak) [N] of one tyre; slip_angle [rad], load [N].
+
+        F_y = D sin(C atan(B a - E (B a - atan(B a)))),  D = mu F_z,  B = K / (C D)
+        K = p_ky1 F_z0 sin(p_ky4 atan(F_z / (p_ky2 F_z0))) lambda
+        mu = p_dy1 + p_dy2 df_z,  E = (p_ey1 + p_ey2 df_z)(1 - p_ey3 sgn a)
+
+    slip_angle positive when the wheel slides to its left; the force is then negative (to the right). The friction
+    factor scales the peak D and not the slope K. peak = |D|.
+
+    Source: the paper's appendix. Checked by: test_tyres.py (slope, peak, load dependency, lambda).
+    """
+    nominal, shape, stiffness, knee, p_ky4, p_dy1, p_dy2, p_ey1, p_ey2, p_ey3 = law
+    excess = load / nominal - 1.0
+    peak = (p_dy1 + p_dy2 * excess) * friction_factor * load
+    curvature = p_ey1 + p_ey2 * excess
+    if p_ey3 != 0.0:
+        curvature *= 1.0 - p_ey3 * ((slip_angle > 0) - (slip_angle < 0))
+    # E > 1, at loads below those measured, would bend the curve back beyond the peak.
+    curvature = min(curvature, 1.0)
+    b_alpha = stiffness * sin(p_ky4 * atan(load * knee)) / (shape * peak) * slip_angle
+    return peak * sin(shape * atan(b_alpha - curvature * (b_alpha - atan(b_alpha)))), peak
+
+
+def lateral_share(longitudinal: float, peak: float) -> float:
+    """sqrt(1 - (F_x / peak)^2): share of the lateral force available with a longitudinal one, 0 beyond the peak."""
+    used = longitudinal / peak
+    return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0
+
+
 def wheel(
     contact: tuple[float, float, float],
     law: TyreLaw,
@@ -118,8 +180,8 @@ def wheel(
 ) -> tuple[float, float, float]:
     """Lateral and longitudinal force of one wheel [N] and the rate of its delayed slip.
 
-    contact: relaxation length [m], share of combined slip, largest pace of the slip [1/s]. slip: delayed (state); slid,
-    rolled: velocity of the contact patch across and along the wheel [m/s]; pull: wanted F_x [N].
+    contact: relaxation length [m], share of combined slip, largest rate of the slip [1/s]. slip: delayed (state); slid,
+    rolled: velocity of the contact patch across and along the wheel [m/s]; pull: requested F_x [N].
     """
     relaxation, combined, fastest = contact
     speed = abs(rolled)
@@ -135,32 +197,29 @@ def wheel(
     if abs(pull) > 0.98 * peak:
         pull = 0.98 * peak if pull > 0 else -0.98 * peak
     if combined:
-        lateral *= 1.0 - combined + combined * left_by_ellipse(pull, peak)
+        lateral *= 1.0 - combined + combined * lateral_share(pull, peak)
     return lateral, pull, rate
 
 
 def air_force(
     calm: bool, drag_area: float, yaw: float, vx: float, vy: float, wind_x: float, wind_y: float
 ) -> tuple[float, float]:
-    """Drag and side force [N] in body axes.
-
-    Still air acts lengthways only: the side force is what the wind adds.
-    """
+    """Drag and side force [N] in body axes; the side force is that of the wind alone, 0 in still air."""
     along, across, own = -vx, -vy, hypot(vx, vy)
     if calm:
         return 0.5 * AIR_DENSITY * own * drag_area * along, 0.0
     cosine, sine = cos(yaw), sin(yaw)
     along, across = along + wind_x * cosine + wind_y * sine, across + wind_y * cosine - wind_x * sine
-    felt = hypot(along, across)
-    side = 0.5 * AIR_DENSITY * SIDE_AREA * (felt * across + own * vy)
-    return 0.5 * AIR_DENSITY * felt * drag_area * along, side
+    airspeed = hypot(along, across)
+    side = 0.5 * AIR_DENSITY * SIDE_AREA * (airspeed * across + own * vy)
+    return 0.5 * AIR_DENSITY * airspeed * drag_area * along, side
 
 
-# long: one set of equations over two dozen shared symbols, twice in every step of 2 ms.
+# Long on purpose: one set of equations over two dozen shared symbols, evaluated twice per step of 2 ms.
 def derivative(  # noqa: PLR0915
     s: Sequence[float], rack_target: float, drive_force: float, here: tuple, c: Constants
 ) -> tuple[tuple, tuple]:
-    """Time derivative of the state, and what `Forces` keeps of it.
+    """Time derivative of the state, and the wheel quantities that `Forces` contains.
 
     here: (friction, bank, grade [rad], wind_x, wind_y [m/s]). Second result: road-wheel angle; lateral and longitudinal
     force, load [N], velocity across and along [m/s] of each wheel.
@@ -184,7 +243,7 @@ def derivative(  # noqa: PLR0915
     cos_l, sin_l, cos_r, sin_r = cos(steer_l), sin(steer_l), cos(steer_r), sin(steer_r)
     steer_rear = rear_roll_steer * roll
 
-    # Loads: static, then what the filtered accelerations move.
+    # Loads: static plus transfer by the filtered accelerations.
     normal = cos(bank) * cos(grade)
     pitch_load = transfer_x * squat
     sway = transfer_y * lean
@@ -214,7 +273,7 @@ def derivative(  # noqa: PLR0915
         y_fl, y_fr = y_fl - lean_out * load_fl, y_fr - lean_out * load_fr
         y_rl, y_rr = y_rl - lean_out * load_rl, y_rr - lean_out * load_rr
 
-    # Into the body. The rear steers by a fraction of a degree at most: first order is exact to 1e-5.
+    # Into body axes. The rear wheels steer by less than 1 deg: first order is exact to 1e-5.
     bx_fl, by_fl = x_fl * cos_l - y_fl * sin_l, x_fl * sin_l + y_fl * cos_l
     bx_fr, by_fr = x_fr * cos_r - y_fr * sin_r, x_fr * sin_r + y_fr * cos_r
     bx_rl, by_rl = x_rl - y_rl * steer_rear, y_rl + x_rl * steer_rear
@@ -232,9 +291,9 @@ def derivative(  # noqa: PLR0915
         + drive_offset * drive_force
     )
 
-    felt_x, felt_y = force_x / mass, force_y / mass
-    vx_dot = felt_x - GRAVITY * sin(grade) + r * vy
-    vy_dot = felt_y - GRAVITY * sin(bank) - r * vx
+    specific_x, specific_y = force_x / mass, force_y / mass
+    vx_dot = specific_x - GRAVITY * sin(grade) + r * vy
+    vy_dot = specific_y - GRAVITY * sin(bank) - r * vx
     r_dot = moment / yaw_inertia
     cos_yaw, sin_yaw = cos(yaw), sin(yaw)
     climb = vx * sin(grade) + vy * sin(bank)
@@ -254,10 +313,10 @@ def derivative(  # noqa: PLR0915
         rate_rl,
         rate_rr,
         lean_rate,
-        ROLL_FREQUENCY * (ROLL_FREQUENCY * (felt_y - lean) - 2 * ROLL_DAMPING * lean_rate),
-        (felt_x - squat) / PITCH_TIME,
+        ROLL_FREQUENCY * (ROLL_FREQUENCY * (specific_y - lean) - 2 * ROLL_DAMPING * lean_rate),
+        (specific_x - squat) / PITCH_TIME,
     )
-    seen = (
+    wheels = (
         steer,
         (y_fl, y_fr, y_rl, y_rr),
         (x_fl, x_fr, x_rl, x_rr),
@@ -265,4 +324,4 @@ def derivative(  # noqa: PLR0915
         (slid_fl, slid_fr, slid_rl, slid_rr),
         (rolled_fl, rolled_fr, left_x, right_x),
     )
-    return rates, seen
+    return rates, wheels

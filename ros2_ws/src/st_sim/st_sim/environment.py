@@ -1,4 +1,4 @@
-"""Road and air around the car: friction, slopes, wind; each depends on where the car is or on the time."""
+"""Road and air: friction, slopes and wind as functions of position or time."""
 
 import math
 from collections.abc import Callable
@@ -10,14 +10,14 @@ from .settings import Settings
 
 WAVE_LENGTH = 80.0
 PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0
+"""m."""
 GUST_TIME = 1.5
+"""s, correlation time."""
 
 
 class Surroundings(NamedTuple):
-    """What the car meets now.
-
-    bank_angle: road rises to the left; grade_angle: road rises ahead [rad]. Wind over ground, in map axes.
-    """
+    """Road and air at the car. bank_angle: road rises to the left +; grade_angle: rises ahead + [rad]. Wind over ground
+    in map axes [m/s]."""
 
     friction: float
     bank_angle: float
@@ -27,7 +27,7 @@ class Surroundings(NamedTuple):
 
 
 class Road(NamedTuple):
-    """What `road_at` needs of the settings of the same names."""
+    """Settings of the road, see SETTINGS."""
 
     friction: float
     patch: float
@@ -43,7 +43,7 @@ def road_of(settings: Settings) -> Road:
 
 
 def road_at(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
-    """(friction factor, bank, grade [rad]) under a car at x [m, map] that heads for yaw [rad]. May be compiled."""
+    """(friction factor, bank, grade [rad]) of a car at x [m, map] with a yaw angle [rad]. May be compiled."""
     friction = road.friction * (road.patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
     bank, grade = road.bank, road.grade
     if road.hillside or road.wave:
@@ -55,10 +55,7 @@ def road_at(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
 
 
 class Environment:
-    """Surroundings at a place and time.
-
-    Gusts are a seeded Ornstein-Uhlenbeck process that advances with `at`, once per step.
-    """
+    """Surroundings along a drive. Gusts are a seeded Ornstein-Uhlenbeck process, advanced by at(), once per step."""
 
     def __init__(self, settings: Settings, step: float, seed: int):
         self._road = road_of(settings)
@@ -66,17 +63,13 @@ class Environment:
         self._memory = math.exp(-step / GUST_TIME)
         self._gust = [0.0, 0.0]
         self._draw = normal_stream(np.random.default_rng([seed, 1]))
-        self._calm = not (self._wind or self._gust_sigma)
+        self.calm = not (self._wind or self._gust_sigma)
         r = self._road
         self._constant = Surroundings(r.friction, r.bank, r.grade, 0.0, 0.0)
-        self._everywhere = self._calm and not (r.hillside or r.wave) and r.patch == 1.0
-
-    @property
-    def calm(self) -> bool:
-        return self._calm
+        self._uniform = self.calm and not (r.hillside or r.wave) and r.patch == 1.0
 
     def at(self, x: float, y: float, yaw: float) -> Surroundings:
-        if self._everywhere:
+        if self._uniform:
             return self._constant
         if self._gust_sigma:
             kick = self._gust_sigma * math.sqrt(1 - self._memory**2)
@@ -85,7 +78,7 @@ class Environment:
 
 
 def normal_stream(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
-    """Standard normal numbers one at a time; drawn in blocks, which is ten times faster than single draws."""
+    """Source of standard normal numbers, drawn in blocks, ten times faster than single draws."""
     buffer: list[float] = []
 
     def draw() -> float:

@@ -1,4 +1,4 @@
-"""Files the virtual car writes: run.ncom, run.log or run.mf4, truth.mcap. All are complete after `close`."""
+"""Files of the virtual car: run.ncom, run.log or run.mf4, truth.mcap. All are complete after close()."""
 
 import json
 from collections.abc import Mapping
@@ -11,13 +11,12 @@ from can.io.canutils import CanutilsLogWriter
 from mcap.writer import Writer
 
 from .can_wire import INS_BUS, VEHICLE_BUS, Frame
-from .errors import SimulationError
-from .settings import Settings
-from .truth import Truth
+from .plant import Truth
+from .settings import Settings, SimulationError
 
 TRUTH_TOPIC = "/truth"
 CHUNK = 64 * 1024
-"""bytes, about a second of truth: what a kill -9 may cost."""
+"""bytes, about 1 s of truth: the loss when the process is killed."""
 
 _HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vendor>st_sim</tool_vendor></FHcomment>"
 
@@ -34,7 +33,7 @@ _UNITS = {
 TRUTH_SCHEMA = {
     "type": "object",
     "title": "Truth",
-    "description": "State at the true CG (map axes ENU, body axes FLU) and what acts on a simulated car.",
+    "description": "State at the true CG (map axes ENU, body axes FLU) and forces on a simulated car.",
     "properties": {
         "time": {"type": "number", "description": "s since the start of the drive"},
         **{name: {"type": "array" if ":" in unit else "number", "description": unit} for name, unit in _UNITS.items()},
@@ -56,7 +55,7 @@ def truth_record(truth: Truth) -> dict[str, object]:
 
 
 class TruthFile:
-    """What was true, for scoring: truth.mcap.
+    """True states for scoring: truth.mcap.
 
     Channel /truth, JSON with a JSON schema, log time = UTC of the measurement; settings as metadata `settings`.
     """
@@ -73,7 +72,7 @@ class TruthFile:
         self._writer.add_metadata("run", {name: str(value) for name, value in about.items()})
 
     def write(self, truth: Truth) -> None:
-        """A disk that is full ends the file, not the drive; `fault` says so."""
+        """Add a record. A full disk ends the file, not the drive; the reason is in `fault`."""
         if self.fault:
             return
         time_ns = self._start_ns + round(truth.time * 1e9)
@@ -91,14 +90,14 @@ class TruthFile:
 
 
 class LogFile:
-    """candump text. can0: the car, can1: the INS."""
+    """CAN log as candump text. can0: the car, can1: the INS."""
 
     def __init__(self, path: Path):
         self._writer = CanutilsLogWriter(path)
 
     def write(self, time_ns: int, frame: Frame) -> None:
         message = frame.message
-        # A copy: background frames are one object sent again and again.
+        # A copy, because a background frame is one object sent repeatedly.
         self._writer.on_message_received(
             can.Message(
                 timestamp=time_ns / 1e9,
@@ -114,9 +113,9 @@ class LogFile:
 
 
 class Mf4File:
-    """MDF 4.11 as a CANedge's finalised log: one bus-logging group per channel, times on a grid of 50 us.
+    """MDF 4.11 like a finalised CANedge log: one bus-logging group per channel, times on a grid of 50 us.
 
-    CAN1: the car, CAN2: the INS. Frames are kept in memory until `close`.
+    CAN1: the car, CAN2: the INS. Frames are in memory until close().
     """
 
     GRID_NS = 50_000
@@ -149,10 +148,10 @@ class Mf4File:
             if frames:
                 log.append([self._signal(bus, frames)], comment="virtual Leaf", common_timebase=True)
                 group: Any = log.groups[-1].channel_group
-                # asammdf calls every such group CAN; a CANedge tells its channels apart.
+                # asammdf names every such group CAN; a CANedge numbers its channels.
                 group.acq_name = f"CAN{bus}"
-                group.flags |= 0x6  # bus event, plain bus event: what readers of bus logs look for
-        # With a history of our own: asammdf's has the present time in it, and equal seeds are to give equal bytes.
+                group.flags |= 0x6  # bus event, plain bus event: required by readers of bus logs
+        # asammdf's own history contains the present time, but equal seeds must give equal bytes.
         history = FileHistory()
         history.comment, history.abs_time = _HISTORY, self._start_ns
         log.file_history.append(history)
@@ -183,9 +182,9 @@ class Mf4File:
 
 
 def make_folder(option: str, folder: Path) -> Path:
-    """Raises SimulationError naming the option."""
+    """Create the folder of an option. Raises SimulationError naming the option."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SimulationError(f"{option} {folder}: cannot be made: {error.strerror}") from None
+        raise SimulationError(f"{option} {folder}: cannot be created: {error.strerror}") from None
     return folder

@@ -1,26 +1,79 @@
-"""INS readings to NCOM bytes, with the status channels a real unit cycles through."""
+"""INS readings to NCOM bytes: position on WGS84, axes of the wire, and the status channels of an RT3000 with RTK and
+dual antenna, locked for some time.
+"""
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
+from oxts_bridge.channels import encode_channel
 from oxts_bridge.ncom import Packet, encode
 
-from .geodesy import Origin
-from .ncom_status import UNDULATION, StatusChannels
-from .sensors import InsReading
+from .sensors import ACCURACY, InsReading
+
+SEMI_MAJOR = 6378137.0
+FLATTENING = 1 / 298.257223563
+_E2 = FLATTENING * (2 - FLATTENING)
+UNDULATION = 45.5
+"""m, geoid above ellipsoid, EGM96 near Eindhoven. Altitude is sent above the geoid, the default of real units."""
 
 UNIX_OF_GPS_EPOCH_NS = 315_964_800_000_000_000
 LEAP_SECONDS_NS = 18_000_000_000
 """GPS is ahead of UTC by 18 s since 2017."""
 
 NOTHING, RAW, INITIALISING, LOCKING, LOCKED = 0, 1, 2, 3, 4
-_NOWHERE = (math.nan, math.nan, math.nan)
+_INVALID = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Origin of the map: x east, y north, z up of the tangent plane; geodetic degrees, ellipsoidal height [m]."""
+
+    latitude_deg: float
+    longitude_deg: float
+    height: float
+    _rotation: tuple[float, ...] = field(init=False, repr=False)
+    _centre: tuple[float, float, float] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        latitude, longitude = math.radians(self.latitude_deg), math.radians(self.longitude_deg)
+        object.__setattr__(
+            self, "_rotation", (math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude))
+        )
+        object.__setattr__(self, "_centre", to_ecef(latitude, longitude, self.height))
+
+    def to_geodetic(self, x: float, y: float, z: float) -> tuple[float, float, float]:
+        """Latitude, longitude [rad] and ellipsoidal height [m] of a map point [m]."""
+        s_lat, c_lat, s_lon, c_lon = self._rotation
+        across = c_lat * z - s_lat * y
+        cx, cy, cz = self._centre
+        return from_ecef(cx - s_lon * x + c_lon * across, cy + c_lon * x + s_lon * across, cz + c_lat * y + s_lat * z)
+
+
+def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, float, float]:
+    """Earth-centred x, y, z [m] of geodetic latitude, longitude [rad] and ellipsoidal height [m]."""
+    normal = SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(latitude) ** 2)
+    flat = (normal + height) * math.cos(latitude)
+    return flat * math.cos(longitude), flat * math.sin(longitude), (normal * (1 - _E2) + height) * math.sin(latitude)
+
+
+def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Latitude, longitude [rad], height [m] by Bowring's formula: error below 1 um near the ground (test_stream.py)."""
+    flat = math.hypot(x, y)
+    semi_minor = SEMI_MAJOR * (1 - FLATTENING)
+    second = _E2 / (1 - _E2)
+    reduced = math.atan2(z * SEMI_MAJOR, flat * semi_minor)
+    latitude = math.atan2(
+        z + second * semi_minor * math.sin(reduced) ** 3, flat - _E2 * SEMI_MAJOR * math.cos(reduced) ** 3
+    )
+    sine = math.sin(latitude)
+    normal = SEMI_MAJOR / math.sqrt(1 - _E2 * sine**2)
+    height = flat * math.cos(latitude) + z * sine - SEMI_MAJOR**2 / normal
+    return latitude, math.atan2(y, x), height
 
 
 class NcomWire:
-    """One unit.
-
-    start_ns: UTC of the start of the drive, whole milliseconds [ns since 1970], because the wire has no finer time.
-    """
+    """NCOM packets of one unit. start_ns: UTC of the start [ns since 1970], in whole milliseconds as in NCOM."""
 
     def __init__(self, origin: Origin, start_ns: int, rate: int):
         self._origin = origin
@@ -28,7 +81,7 @@ class NcomWire:
         self._status = StatusChannels(origin, rate)
 
     def packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72 bytes of one epoch. status: navigation status; what 0 and 1 declare invalid is marked so."""
+        """The 72 bytes of one epoch; values that the navigation status declares invalid are marked as such."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.next(minutes if status >= INITIALISING else None, reading)
@@ -38,8 +91,8 @@ class NcomWire:
             milliseconds=milliseconds if status >= INITIALISING else 0,
             navigation_status=status,
             # Body axes FLU -> FRD.
-            acceleration=(force_x, -force_y, -force_z) if status >= RAW else _NOWHERE,
-            angular_rate=(roll_rate, -pitch_rate, -yaw_rate) if status >= RAW else _NOWHERE,
+            acceleration=(force_x, -force_y, -force_z) if status >= RAW else _INVALID,
+            angular_rate=(roll_rate, -pitch_rate, -yaw_rate) if status >= RAW else _INVALID,
             latitude=0.0,
             longitude=0.0,
             altitude=0.0,
@@ -58,3 +111,152 @@ class NcomWire:
             packet.heading = math.remainder(math.pi / 2 - reading.yaw, 2 * math.pi)
             packet.pitch, packet.roll = reading.pitch, reading.roll
         return encode(packet)
+
+
+CYCLE = 200
+MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES = 0, 1, 2, 18, 23
+UP_TIME_AT_START = 1800.0
+
+_DEG = math.degrees
+_RTK, _SATELLITES = 6, 14
+
+
+def _xyz(prefix: str, x: float, y: float, z: float, suffix: str = "") -> dict[str, float]:
+    return {f"{prefix}{axis}{suffix}": value for axis, value in zip("XYZ", (x, y, z), strict=True)}
+
+
+def _receiver(name: str) -> dict[str, float]:
+    values = {"AntStatus": 0, "AntPower": 0, "CpuUsed": 34, "CoreNoise": 12, "SerBaud": 14, "NumSats": _SATELLITES,
+              "PosMode": _RTK, "CoreTemp": 41, "SupplyVolt": 12.1}
+    return {f"{name}.{key}": value for key, value in values.items()}
+
+
+# Constant values, typical for the unit; the suite evaluates accuracies, origin, UTC offset and undulation of them.
+_FIXED: Mapping[int, Mapping[str, float | str]] = {
+    **{channel: {} for channel in (24, 43, 45, 46, 47, 49, 51, 52, 53, 54, 60, 61, 62, 63, 65, 74)},
+    3: {"NorthAcc": ACCURACY["position"], "EastAcc": ACCURACY["position"], "AltAcc": 2 * ACCURACY["position"]},
+    4: {"VnAcc": ACCURACY["velocity"], "VeAcc": ACCURACY["velocity"], "VdAcc": 1.5 * ACCURACY["velocity"],
+        "ProcessingMethod": 1},
+    5: {"HeadingAcc": _DEG(ACCURACY["heading"]), "PitchAcc": _DEG(ACCURACY["level"]),
+        "RollAcc": _DEG(ACCURACY["level"])},
+    6: {**{f"W{a}Bias": 0.002 for a in "xyz"}, "GpsPrimary.NumGpsL1": 9, "GpsPrimary.NumGpsL2": 9},
+    7: {**{f"A{a}Bias": 0.004 for a in "xyz"}, "GpsSecondary.NumGpsL1": 9, "GpsSecondary.NumGpsL2": 8},
+    8: {f"W{a}Sf": 1e-4 for a in "xyz"},
+    9: {f"W{a}BiasAcc": 0.0005 for a in "xyz"},
+    10: {f"A{a}BiasAcc": 0.001 for a in "xyz"},
+    11: {f"W{a}SfAcc": 1e-4 for a in "xyz"},
+    12: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05},
+    13: {"AtH": 0.0, "AtP": 0.0, "BaseLineLength": 1.2, "HeadNumGpsAvailable": 9, "HeadNumGpsUsed": 8},
+    14: {"GAPxAcc": 0.01, "GAPyAcc": 0.01, "GAPzAcc": 0.01, "NumGpsUsedInPos": 9, "NumGloUsedInPos": 5},
+    15: {"AtHAcc": 0.08, "AtPAcc": 0.1, "BaseLineLengthAcc": 0.003},
+    16: {"Imu2VehHeading": 0.0, "Imu2VehPitch": 0.0, "Imu2VehRoll": 0.0, "TimeUtcOffset": -18},
+    17: {"GpsSecondary.Chars": 9123, "GpsSecondary.Pkts": 611, "GpsSecondary.CharsSkipped": 0,
+         "GpsSecondary.OldPkts": 0},
+    19: {"DevId": "250101.1"},
+    20: {"GpsDiffAge": 1.0, "BaseStationId": "0021"},
+    21: {"DiskSpace": 12_000_000 * 1024, "FileSize": 20_000 * 1024},
+    22: {"TimeMismatch": 0, "ImuTimeDiff": 0, "ImuTimeMargin": 2, "ImuLoopTime": 10, "OpLoopTime": 4},
+    26: _xyz("RemoteLeverArm", 0.0, 0.0, 0.0),
+    27: {"HeadQuality": 3, "HeadSearchType": 3, "HeadSearchStatus": 0, "HeadSearchReady": 1, "HeadSearchInit": 40,
+         "HeadSearchNum": 1},
+    28: {"HeadSearchMaster": 12, "HeadSearchSlave1": 5, "HeadSearchSlave2": 25, "HeadSearchSlave3": 29,
+         "HeadSearchTime": 21, "HeadSearchConstr": 1},
+    29: {"OptionLevel": 1, "OptionVibration": 0, "OptionGpsAcc": 1, "OptionUdp": 0, "OptionSer1": 0, "OptionSer2": 0,
+         "OptionHeading": 3, "OptionHeave": 2},
+    30: {"OsVersion1": 1, "OsVersion2": 2, "OsVersion3": 3, "OsScriptId": "250101", "SerialNumber": 4711},
+    31: {"ImuType": 4, "GpsPrimary.Type": 14, "GpsSecondary.Type": 14},
+    32: {"InnZeroVelX": 0.1, "InnNoSlipH": -0.2},
+    33: _xyz("ZeroVelLeverArm", 0.0, 0.0, 0.35),
+    34: _xyz("ZeroVelLeverArm", 0.05, 0.05, 0.05, "Acc"),
+    35: _xyz("NoSlipLeverArm", -1.126, 0.0, 0.35),
+    36: _xyz("NoSlipLeverArm", 0.05, 0.05, 0.05, "Acc"),
+    37: {"HeadingMisAlign": 0.0, "HeadingMisAlignAcc": 0.05, "NumSatsUsedPos": _SATELLITES,
+         "NumSatsUsedVel": _SATELLITES, "NumSatsUsedAtt": 8},
+    38: {"OptionSZVDelay": 2, "OptionSZVPeriod": 1.0, "OptionTopSpeed": 70.0, "OptionInitSpeed": 5.0, "OptionSer3": 0},
+    39: {"OptionNSDelay": 2.0, "OptionNSPeriod": 0.2, "OptionNSAngleStd": 0.2, "OptionNSHAccel": 1.0,
+         "OptionNSVAccel": 1.0, "OptionNSSpeed": 5.0, "OptionNSRadius": 20.0},
+    40: {"NcomVersion": 22, "OutputLatency": 0.0, "SerialNumber24": 4711},
+    41: {"OptionSer1Baud": 11, "OptionSer2Baud": 11, "OptionSer3Baud": 0, "OptionCanBaud": 5},
+    42: {"OptionHLDelay": 2, "OptionHLPeriod": 1.0, "OptionHLAngleStd": 0.2, "OptionStatDelay": 2,
+         "OptionStatSpeed": 0.1},
+    44: {"WarmupStatus": 0x1F},
+    48: {"Undulation": UNDULATION, "HDOP": 0.7, "PDOP": 1.3, "OutputDatum": 0, "DatumEllipsoid": 0,
+         "DatumEarthFrame": 0},
+    50: {"CmdChars": 0, "CmdPkts": 0, "CmdCharsSkipped": 0, "CmdErrors": 0},
+    55: _receiver("GpsPrimary"),
+    56: _receiver("GpsSecondary"),
+    57: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05},
+    58: {"VehicleToOutputHeading": 0.0, "VehicleToOutputPitch": 0.0, "VehicleToOutputRoll": 0.0},
+    59: {"ImuMissedPkts": 0, "ImuResetCount": 0, "ImuErrorCount": 0, "ImuCalibrationDay": 16000,
+         "ImuTemperature": 38.5},
+    64: {"DualPortRamStatus": 9, "GpsPrimary.PosRate": 3, "GpsPrimary.VelRate": 3},
+    72: {"AxSf": 1e-4, "AySf": 1e-4, "AzSf": 1e-4},
+    73: {"AxSfAcc": 1e-4, "AySfAcc": 1e-4, "AzSfAcc": 1e-4},
+    75: {"SupplyVoltage": 12.4, "ImuRate": 100.0},
+    76: {"DiffChars": 0, "DiffPkts": 0, "DiffCharsSkipped": 0, "NtripStatus": 6, "WifiStatus": 1},
+    78: {"CanTx": 0, "CanRx": 0, "CanTxOkPercent": 100, "CanRxOkPercent": 100, "CanErrors": 0, "CanLastError": 0},
+}
+_EVERY_10, _EVERY_25, _EVERY_50 = (0, 1), (32, 45), (3, 4, 5, 20, 24, 43, 65, 66, 67)
+_EVERY_200 = (46, 47, 49, 50, 51, 52, 53, 54, 58, 60, 61, 62, 63, 64, 72, 73, 74, 75, 76, 78)
+_MOVING = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
+
+
+def schedule() -> list[int]:
+    """Channel of each of CYCLE packets, by the periods above; free slots carry channel 0."""
+    slots: list[int | None] = [None] * CYCLE
+
+    def put(channels: tuple[int, ...], period: int) -> None:
+        for channel in channels:
+            places = (p for p in range(period) if all(slots[q] is None for q in range(p, CYCLE, period)))
+            first = next(places)
+            for place in range(first, CYCLE, period):
+                slots[place] = channel
+
+    put(_EVERY_10, 10)
+    put(_EVERY_25, 25)
+    put(_EVERY_50, 50)
+    named = {*_EVERY_10, *_EVERY_25, *_EVERY_50, *_EVERY_200}
+    put(tuple(sorted({*_FIXED, *_MOVING} - named)), 100)
+    put(_EVERY_200, 200)
+    return [MINUTES if channel is None else channel for channel in slots]
+
+
+class StatusChannels:
+    """Status channels of successive packets. rate: packets per second."""
+
+    def __init__(self, origin: Origin, rate: int):
+        self._rate, self._count = rate, 0
+        self._slots = schedule()
+        frame = {
+            66: {"RefLat": origin.latitude_deg, "RefLon": origin.longitude_deg},
+            # Heading 90 deg: x of the local frame is east.
+            67: {"RefAlt": origin.height - UNDULATION, "RefHeading": 90.0},
+        }
+        self._fixed = {channel: encode_channel(channel, values) for channel, values in {**_FIXED, **frame}.items()}
+
+    def next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:
+        """Channel number and 8 bytes of the next packet; gps_minutes: of this packet, None while unknown."""
+        channel = self._slots[self._count % CYCLE]
+        self._count += 1
+        if channel in self._fixed:
+            return channel, self._fixed[channel]
+        return channel, encode_channel(channel, self._moving(channel, gps_minutes, reading))
+
+    def _moving(self, channel: int, gps_minutes: int | None, reading: InsReading) -> dict[str, float | None]:
+        seconds = self._count / self._rate
+        if channel == MINUTES:
+            return {"GpsMinutes": gps_minutes, "GpsNumObs": _SATELLITES, "GpsPosMode": _RTK, "GpsVelMode": _RTK,
+                    "GpsAttMode": _RTK}
+        if channel == INNOVATIONS:
+            # Small and slow, as of a converged filter.
+            names = ("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading")
+            return {name: round(0.4 * math.sin(0.7 * seconds + i), 1) for i, name in enumerate(names)}
+        if channel == RECEIVER:
+            return {"GpsPrimary.Chars": int(900 * seconds) & 0xFFFF, "GpsPrimary.Pkts": int(12 * seconds) & 0xFFFF,
+                    "GpsPrimary.CharsSkipped": 0, "GpsPrimary.OldPkts": 0}
+        if channel == IMU_COUNTERS:
+            return {"ImuChars": int(4200 * seconds) & 0xFFFFFFFF, "ImuPkts": int(100 * seconds) & 0xFFFF,
+                    "ImuCharsSkipped": 0}
+        up_time = UP_TIME_AT_START + seconds
+        return {"BnsLag": 4, "UpTimeCode": int(up_time) if up_time <= 10800 else int(up_time / 60) + 10620,
+                "GPSPosReject": 0, "GPSVelReject": 0, "GPSAttReject": 0}

@@ -1,4 +1,4 @@
-"""A road as curvature over distance, and the speed that goes with it. Repeats without end."""
+"""A periodic road as curvature over distance, and its speed profile."""
 
 import bisect
 import math
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 GRID = 0.1
-"""m. Between grid points the path is a straight line: 0.1 mm off at R = 11.5 m."""
+"""m. Linear interpolation in between: error 0.1 mm at R = 11.5 m."""
 
 
 class Pose(NamedTuple):
@@ -27,10 +27,7 @@ class Pose(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Part of a road.
-
-    Curvature runs linearly from start to end [1/m, left +] over the length [m]; wanted speed [m/s].
-    """
+    """Part of a road with linear curvature [1/m, left +] over its length [m], and target speed [m/s]."""
 
     length: float
     curvature_start: float
@@ -43,9 +40,9 @@ def straight(length: float, speed: float) -> list[Piece]:
 
 
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
-    """A turn of the given heading change, left +; its curvature grows and falls linearly over `blend` metres.
+    """A turn by an angle [deg, left +]; its curvature rises and falls linearly over a length `blend` [m].
 
-    Raises ValueError where the blends alone turn further than the angle.
+    Raises ValueError if the blends alone exceed the angle.
     """
     arc = math.radians(abs(angle_deg)) * radius - blend
     if arc < 0:
@@ -57,9 +54,9 @@ def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> l
 
 
 def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
-    """Sideways by `offset` [m, left +] within `length` [m], heading unchanged: curvature +, -, linear in between.
+    """Lateral shift by an offset [m, left +] within a length [m] at constant heading; curvature +, -, linear.
 
-    offset = 2 k (length / 4)^2 for small angles; Checked by: test_scenarios.py.
+    offset = 2 k (length / 4)^2 for small angles. Checked by: test_scenarios.py.
     """
     quarter = length / 4
     k = offset / (2 * quarter**2)
@@ -67,13 +64,10 @@ def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
 
 
 class Path:
-    """The pieces one after the other, again and again; each round starts where and as the last one ended.
-
-    Distance may be negative or beyond the length of one round.
-    """
+    """The pieces in periodic sequence, each round continuing the previous one; any distance, also negative [m]."""
 
     def __init__(self, pieces: Sequence[Piece]):
-        """Raises ValueError where the pieces have no length."""
+        """Raises ValueError if the total length is 0."""
         self.pieces = tuple(p for p in pieces if p.length > 0)
         if not self.pieces:
             raise ValueError("the road has no length")
@@ -118,7 +112,7 @@ class Path:
         return piece.curvature_start + (piece.curvature_end - piece.curvature_start) * along / piece.length
 
     def speed(self, distance: float) -> float:
-        """Wanted speed of the piece there [m/s]."""
+        """Target speed of the piece at a distance [m/s]."""
         return self._find(distance % self.length)[0].speed
 
     def _find(self, rest: float) -> tuple[Piece, float]:
@@ -150,13 +144,13 @@ class Path:
 
 
 class SpeedProfile:
-    """The highest speed over distance that keeps every piece's speed, the acceleration and the braking [m/s^2, > 0]."""
+    """Highest speed over distance within the speed of every piece, acceleration and braking [m/s^2, > 0]."""
 
     def __init__(self, path: Path, acceleration: float, braking: float, step: float = 0.25):
         count = max(4, math.ceil(path.length / step))
         self._step, self._length = path.length / count, path.length
         squares = [path.speed(i * self._step) ** 2 for i in range(count)]
-        # Twice round, because a round may start while the car is still braking for it.
+        # Two rounds, because braking may begin before the start of a round.
         for i in range(2 * count):
             squares[(i + 1) % count] = min(squares[(i + 1) % count], squares[i % count] + 2 * acceleration * self._step)
         for i in range(2 * count, 0, -1):
@@ -164,7 +158,7 @@ class SpeedProfile:
         self._squares = squares
 
     def at(self, distance: float) -> tuple[float, float]:
-        """Speed [m/s] and acceleration [m/s^2] there."""
+        """Speed [m/s] and acceleration [m/s^2] at a distance."""
         position = (distance % self._length) / self._step
         index = int(position) % len(self._squares)
         here, there = self._squares[index], self._squares[(index + 1) % len(self._squares)]

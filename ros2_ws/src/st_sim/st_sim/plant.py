@@ -1,4 +1,4 @@
-"""The truth: a double-track car on the road. Own equations, no model of the suite is used here.
+"""The virtual car: a double-track vehicle with its own equations, independent of the models in st_core.
 
 Axes ISO 8855 (x forward, y left, z up), state at the true CG, yaw counter-clockwise from east. Wheels: front left,
 front right, rear left, rear right. A slip angle is positive when the wheel slides to its left, so the force is
@@ -8,16 +8,16 @@ negative.
     m (dv_y/dt + r v_x) = sum F_y + wind - m g sin(bank)
     I_z dr/dt           = sum (x_i F_y,i - y_i F_x,i) + wind moment
 
-with forces turned from each wheel into the body, tyre force from the delayed slip, loads from filtered accelerations,
-and the steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, roll steer, compliance.
+with forces rotated from wheel to body axes, tyre force from the delayed slip, loads from filtered accelerations, and
+the steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, roll steer, compliance.
 
 Source: Pacejka, Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.py, test_effects.py.
 """
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import atan, atan2
+from dataclasses import dataclass, field
+from math import atan, atan2, cos, sin
 
 from .car import Car
 from .dynamics import (
@@ -49,15 +49,14 @@ STEP = 0.002
 """s, of the integrator (Heun). Halving it moves a 10 s drive by less than a millimetre (test_plant.py)."""
 
 STANDSTILL = 0.02
-"""m/s. Slower than this with the brakes on is at rest."""
+"""m/s. Below, with the brakes applied, the car is at rest."""
+DRIVE = 4
+"""Gear code on CAN; 1 P, 2 R, 3 N."""
 
 
 @dataclass(slots=True)
 class Forces:
-    """What the last derivative saw.
-
-    Per wheel (FL, FR, RL, RR) and of the body, for the truth record and the sensors.
-    """
+    """Forces, loads and accelerations at one instant, per wheel (FL, FR, RL, RR) and of the body; SI."""
 
     acceleration_x: float = 0.0
     acceleration_y: float = 0.0
@@ -73,8 +72,56 @@ class Forces:
     wheel_speed: tuple[float, ...] = (0.0,) * 4
 
 
+@dataclass(slots=True)
+class Truth:
+    """True motion at the CG, of a simulated or a recorded drive. SI; time in seconds since the start of the drive.
+
+    Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, body and
+    road together. velocity_z: upwards. steering_wheel_angle: left +, without the offset of the sensor.
+    acceleration_x, _y: without gravity. wheel_speed: FL, FR, RL, RR.
+    """
+
+    time: float
+    x: float
+    y: float
+    z: float
+    yaw: float
+    velocity_x: float
+    velocity_y: float
+    yaw_rate: float
+    acceleration_x: float
+    acceleration_y: float
+    yaw_acceleration: float
+    steering_wheel_angle: float
+    road_wheel_angle: float
+    steering_wheel_rate: float = 0.0
+    velocity_z: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+    roll_rate: float = 0.0
+    wheel_speed: tuple[float, ...] = (0.0,) * 4
+    gear: int = DRIVE
+    forces: Forces | None = None
+    surroundings: dict[str, float] = field(default_factory=dict)
+
+    def at_point(self, x: float, y: float) -> tuple[float, float, float, float]:
+        """Map x, y [m] and body velocity v_x, v_y [m/s] of the body point (x, y) relative to the CG [m]."""
+        c, s = cos(self.yaw), sin(self.yaw)
+        return (
+            self.x + c * x - s * y,
+            self.y + s * x + c * y,
+            self.velocity_x - self.yaw_rate * y,
+            self.velocity_y + self.yaw_rate * x,
+        )
+
+    def acceleration_at(self, x: float, y: float) -> tuple[float, float]:
+        """Acceleration of a body point: a_x - r^2 x - dr/dt y,  a_y + dr/dt x - r^2 y  [m/s^2]."""
+        r2, r_dot = self.yaw_rate**2, self.yaw_acceleration
+        return self.acceleration_x - r2 * x - r_dot * y, self.acceleration_y + r_dot * x - r2 * y
+
+
 class Plant:
-    """One car. `step` advances by STEP with the hand wheel and the drive force held."""
+    """State of one car; `step` advances it by one time step with constant hand-wheel angle and drive force."""
 
     def __init__(self, car: Car, settings: Settings, seed: int = 0, step: float = STEP):
         self.car, self.settings, self.time_step = car, settings, step
@@ -90,11 +137,11 @@ class Plant:
         self._ratio = car.steering_ratio * s["steering_ratio_factor"]
         self._play = s["steering_backlash"] / 2
         self._delay: deque[float] = deque([0.0] * round(s["steering_delay"] / step))
-        self._loose = 0.0
+        self._after_play = 0.0
         self._wheel_slip = s["wheel_slip_compliance"]
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
-        """Start there, on a circle of that curvature, without slip; what settles then is part of the drive."""
+        """Set position [m], yaw [rad], speed [m/s] and curvature [1/m, left +] of a motion without slip."""
         values = [0.0] * 16
         values[X], values[Y], values[YAW], values[VX], values[YAW_RATE] = x, y, yaw, speed, speed * curvature
         values[VY] = speed * curvature * self.to_rear
@@ -102,22 +149,22 @@ class Plant:
         values[RACK] = rack
         self.state = tuple(values)
         self.here = self.environment.at(x, y, yaw)
-        self._loose = rack * self._ratio
-        self._delay = deque([self._loose] * len(self._delay))
+        self._after_play = rack * self._ratio
+        self._delay = deque([self._after_play] * len(self._delay))
 
     @property
     def steering_wheel_for(self) -> float:
-        """Hand-wheel angle that belongs to the present rack position [rad]."""
+        """Hand-wheel angle of the present rack position [rad]."""
         return self.state[RACK] * self._ratio
 
     @property
     def body_roll(self) -> float:
-        """rad, relative to the road, right side down positive (the outside in a left turn)."""
+        """Roll relative to the road [rad], right side down positive (outwards in a left turn)."""
         return self.settings["roll_gradient"] * self.state[LEAN]
 
     @property
     def body_pitch(self) -> float:
-        """rad, relative to the road, nose up positive."""
+        """Pitch relative to the road [rad], nose up positive."""
         return self.settings["pitch_gradient"] * self.state[SQUAT]
 
     def step(self, steering_wheel_angle: float, drive_force: float) -> None:
@@ -145,12 +192,12 @@ class Plant:
     def observe(self, drive_force: float) -> Forces:
         """Forces and accelerations at the present state, also kept in `forces`. At rest nothing accelerates."""
         s, f, here = self.state, self.forces, self.here
-        rates, seen = derivative(s, s[RACK], drive_force, here, self.constants)
+        rates, wheels = derivative(s, s[RACK], drive_force, here, self.constants)
         f.velocity_z, f.velocity_x_dot = rates[Z], rates[VX]
         f.velocity_y_dot, f.yaw_acceleration = rates[VY], rates[YAW_RATE]
         f.acceleration_x = f.velocity_x_dot - s[YAW_RATE] * s[VY]
         f.acceleration_y = f.velocity_y_dot + s[YAW_RATE] * s[VX]
-        f.road_wheel_angle, f.lateral, f.longitudinal, f.load, slid, rolled = seen
+        f.road_wheel_angle, f.lateral, f.longitudinal, f.load, slid, rolled = wheels
         f.slip_angle = tuple(
             [atan2(across, max(abs(along), LOWEST_SLIP_SPEED)) for across, along in zip(slid, rolled, strict=True)]
         )
@@ -166,7 +213,7 @@ class Plant:
         return f
 
     def _at_rest(self, s: Sequence[float]) -> tuple[float, ...]:
-        """Held by the brakes: no velocity, no slip; the body settles."""
+        """State at rest with brakes applied: no velocity, no slip; roll and pitch decay."""
         values = list(s)
         for i in (VX, VY, YAW_RATE, GIVE, S_FL, S_FR, S_RL, S_RR):
             values[i] = 0.0
@@ -179,6 +226,6 @@ class Plant:
             self._delay.append(hand)
             hand = self._delay.popleft()
         if self._play:
-            self._loose = min(max(self._loose, hand - self._play), hand + self._play)
-            hand = self._loose
+            self._after_play = min(max(self._after_play, hand - self._play), hand + self._play)
+            hand = self._after_play
         return hand / self._ratio

@@ -1,4 +1,4 @@
-"""The `virtual_leaf` command: a simulated car or a recorded drive on the wires in real time, or into files at once."""
+"""The `virtual_leaf` command: a simulated car or a recorded drive, sent in real time or written to files."""
 
 import argparse
 import atexit
@@ -18,23 +18,20 @@ from canedge_bridge.decode import Decoder
 from .can_wire import STEERING_MESSAGE, CanWire
 from .car import Car, read_car
 from .drive import RecordedDrive
-from .errors import SimulationError
 from .files import LogFile, Mf4File, TruthFile, make_folder
-from .geodesy import Origin
-from .ncom_wire import NcomWire
-from .realtime import Wires, send
+from .ncom_wire import NcomWire, Origin
+from .plant import Truth
 from .scenarios import SCENARIOS, load
 from .sensors import Ins, SteeringSensor
-from .settings import SETTINGS, overrides, resolve
+from .settings import SETTINGS, SimulationError, overrides, resolve
 from .simulation import SimulatedCar
-from .stream import Kind, Source, Stream
-from .truth import Truth
+from .stream import Kind, Source, Stream, Wires, send
 
 DEFAULT_DURATION = 60.0
 START_GRID_NS = 20_000_000
-"""Drives start on this grid of UTC, so that every epoch at 100 or 250 Hz is a whole millisecond."""
+"""UTC grid of the start of drives, so that every epoch at 100 or 250 Hz is a whole millisecond."""
 LEAD_NS = 20_000_000
-"""From everything open to the first epoch, at least."""
+"""Minimum time from the end of preparation to the first epoch."""
 FILE_EPOCH_NS = 1_756_900_800_000_000_000
 """2025-09-03 12:00:00 UTC: start of a drive written to files, plus one hour per seed."""
 DEFAULT_ORIGIN = "51.448,5.49,65.0"
@@ -59,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def check(arguments: Sequence[str]) -> None:
-    """Raises SimulationError, one line, for what `main` would refuse before a clock starts."""
+    """Check arguments as main() does before it starts. Raises SimulationError, one line."""
     try:
         _prepare(_parser().parse_args(arguments))
     except (OSError, ValueError) as error:
@@ -67,32 +64,31 @@ def check(arguments: Sequence[str]) -> None:
 
 
 def _one_line(error: Exception) -> str:
-    """Files and tables of the codecs say themselves what is wrong with them."""
     return " ".join(str(error).split())
 
 
 class _Stop:
-    """True after SIGINT or SIGTERM."""
+    """Callable that returns True after SIGINT or SIGTERM."""
 
     def __init__(self) -> None:
-        self._asked = False
+        self._received = False
         for number in (signal.SIGINT, signal.SIGTERM):
-            # Not in the main thread (a test, an embedding program): then nobody sends us signals.
+            # ValueError: not in the main thread (tests, embedding programs), which receives no signals.
             with contextlib.suppress(ValueError):
-                signal.signal(number, self._ask)
-                # The interpreter takes handlers away before it ends; a signal would then kill what has ended well.
+                signal.signal(number, self._on_signal)
+                # The interpreter removes handlers before it exits; a signal would then turn success into failure.
                 atexit.register(signal.signal, number, signal.SIG_IGN)
 
-    def _ask(self, *_: object) -> None:
-        self._asked = True
+    def _on_signal(self, *_: object) -> None:
+        self._received = True
 
     def __call__(self) -> bool:
-        return self._asked
+        return self._received
 
 
 @dataclass(frozen=True)
 class _Run:
-    """Everything that is to be read and checked before a clock starts."""
+    """Inputs of a run, read and checked before it starts."""
 
     car: Car
     settings: dict[str, float]
@@ -119,19 +115,19 @@ class _Run:
 
 
 def _bus(options: argparse.Namespace) -> tuple[Path, Path]:
-    """DBC and signal table of the Leaf, whatever car drives: those beside the vehicle file, else those of a config."""
+    """DBC and signal table of the Leaf, also for other cars: in the folder of the vehicle file, else in a config."""
     folder = options.vehicle.resolve().parent
     tables = [(config / "can" / "leaf_ze0.dbc", config / "can" / "leaf_ze0.yaml") for config in _configs(options)]
     for dbc, signals in ((folder / "can.dbc", folder / "signals.yaml"), *tables):
-        here = dbc.exists() and signals.exists() and (options.config is None or dbc.is_relative_to(options.config))
-        if here and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
+        usable = dbc.exists() and signals.exists() and (options.config is None or dbc.is_relative_to(options.config))
+        if usable and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
-    raise SimulationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the bus "
-                          "of the virtual car, are in config/ of the project; give that folder")
+    raise SimulationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN "
+                          "tables of the virtual car, are in config/ of the project; give that folder")
 
 
 def _configs(options: argparse.Namespace) -> list[Path]:
-    """That given; else the one the vehicle file is in, and that of the checkout: a car may be anywhere."""
+    """The given folder; else that of the vehicle file, then those of the checkout and of the current folders."""
     if options.config:
         return [options.config]
     checkout, here = os.environ.get("ST_ENVIRONMENT"), Path.cwd()
@@ -154,7 +150,6 @@ def _prepare(options: argparse.Namespace) -> _Run:
     if not 0 < duration <= 1e6:
         raise SimulationError(f"--duration {duration:g}: not within 0 to 1000000 s")
     if source.duration is not None:
-        # A drive that jumped back to its first row would be a car that jumps.
         duration = min(duration, source.duration)
     about = {
         "scenario": "" if options.drive else options.scenario,
@@ -172,12 +167,12 @@ def _settings(options: argparse.Namespace) -> dict[str, float]:
     if not options.drive:
         return resolve(options.plant or "realistic", options.effect)
     if options.plant:
-        raise SimulationError("--plant does not go with --drive: a recorded drive has no plant")
+        raise SimulationError("--plant cannot be combined with --drive: a recorded drive has no plant")
     settings = resolve("ideal", options.effect)
     for name in overrides(settings):
         if SETTINGS[name].group not in _SENSOR_GROUPS:
             raise SimulationError(
-                f"--effect {name} does not go with --drive: of a recorded drive only sensors can be changed"
+                f"--effect {name} cannot be combined with --drive: only sensor effects apply to a recorded drive"
             )
     return settings
 
@@ -202,29 +197,29 @@ def _live(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
         now_ns, monotonic = time.time_ns(), time.monotonic()
         start_ns = -(-(now_ns + LEAD_NS) // START_GRID_NS) * START_GRID_NS
         started = monotonic + (start_ns - now_ns) / 1e9
-        keep_truth: Callable[[Truth], None] = _forget
+        record_truth: Callable[[Truth], None] = _discard
         truth = None
         if options.output:
             truth = TruthFile(make_folder("--output", options.output) / "truth.mcap", start_ns, run.settings, run.about)
             resources.callback(truth.close)
-            keep_truth = truth.write
+            record_truth = truth.write
         outputs = run.stream(options, start_ns).outputs(run.duration)
-        _take_precedence()
+        _raise_priority()
         time.sleep(max(0.0, started - time.monotonic()))
-        _say(state="sending", start_ns=start_ns, duration=run.duration)
-        report = send(outputs, wires, keep_truth, started, stop)
+        _report(state="sending", start_ns=start_ns, duration=run.duration)
+        report = send(outputs, wires, record_truth, started, stop)
     faults = {"fault": truth.fault} if truth and truth.fault else {}
-    _say(state="done", **report.as_dict(), **faults)
+    _report(state="done", **report.as_dict(), **faults)
 
 
-def _take_precedence() -> None:
-    """A car does not wait for the computer it is simulated on: run before ordinary processes where that is allowed."""
+def _raise_priority() -> None:
+    """Run with priority over ordinary processes, if permitted, to keep the deadlines."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, -10)
 
 
 def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
-    """Logger times are UTC of the departure, bent by the settings of the logger's clock."""
+    """Write files. Logger times are UTC of sending with the offset and drift of the logger's clock."""
     run = _prepare(options)
     start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000
     folder = make_folder("--to-files", options.to_files)
@@ -247,15 +242,15 @@ def _to_files(options: argparse.Namespace, stop: Callable[[], bool]) -> None:
             else:
                 truth.write(output.payload)
             written = output.due
-    _say(state="done", duration=round(written, 3), seconds=round(time.monotonic() - began, 3))
+    _report(state="done", duration=round(written, 3), seconds=round(time.monotonic() - began, 3))
 
 
-def _forget(truth: Truth) -> None:
+def _discard(truth: Truth) -> None:
     pass
 
 
-def _say(**values: object) -> None:
-    """One line of JSON, at once; a reader that has gone is no reason to stop."""
+def _report(**values: object) -> None:
+    """Print one line of JSON; a closed pipe is ignored."""
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps(values), flush=True)
 
@@ -271,7 +266,7 @@ def _print_lists() -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A bad argument is a SimulationError like any other."""
+    """Argument parser that raises SimulationError for a bad argument."""
 
     def error(self, message: str) -> NoReturn:
         raise SimulationError(message)
@@ -296,7 +291,7 @@ def _parser() -> argparse.ArgumentParser:
         "--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE", help="settings on top; see --list"
     )
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="of the map [deg, deg, m]")
-    parser.add_argument("--startup", action="store_true", help="the unit starts up instead of being locked already")
+    parser.add_argument("--startup", action="store_true", help="begin with the start-up of the unit instead of locked")
     parser.add_argument("--ncom-host", default="127.0.0.1")
     parser.add_argument("--ncom-port", type=_port, default=3000)
     parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100)

@@ -1,6 +1,6 @@
-"""What is driven: S1 to S7 of the paper and the manoeuvres of `st_core.manoeuvres`. All go on until they are stopped.
+"""Scenarios: S1 to S7 of the paper and the manoeuvres of `st_core.manoeuvres`, each of unlimited duration.
 
-The paper prints R ~ 23 m and R ~ 20 m where its own error table fits the diameters; 11.5 m and 10 m are used.
+The paper prints R ~ 23 m and R ~ 20 m, but its error table matches these as diameters; 11.5 m and 10 m are used.
 """
 
 import math
@@ -12,28 +12,27 @@ from typing import Any, Protocol
 
 from st_core.manoeuvres import CATALOGUE, Lines, Manoeuvre
 
-from .documents import read_document
-from .errors import SimulationError
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
+from .settings import SimulationError, read_document
 
 Hands = Callable[[float], float]
 """Wheelbase of the car [m] -> road-wheel angle [rad, left +]."""
 
 LONGEST_ROAD = 20_000.0
-"""m, of one round given by a file."""
+"""m, of one round from a file."""
 FASTEST = 100.0
 """m/s."""
 PEDAL_LEAD = 0.15
-"""s."""
+"""s by which the pedals move before the speed has to change."""
 SPEED_SLACK = 0.15
-"""m/s."""
+"""m/s by which the target may fall below the speed while braking."""
 
 
 @dataclass(frozen=True)
 class Demand:
-    """What the driver is to do now.
+    """Target of the driver: speed [m/s], acceleration [m/s^2], and steering.
 
-    steer: "path" (follow the road), "hold" (hands still) or what hands do that do not look.
+    steer: "path" (follow the road), "hold" (constant hand wheel) or an open-loop road-wheel angle.
     """
 
     speed: float
@@ -48,14 +47,14 @@ class Plan(Protocol):
     start: float
 
     def speed_at(self, distance: float) -> float:
-        """What the car drives there when the drive begins [m/s]."""
+        """Initial speed at a distance [m/s]."""
         ...
 
     def demand(self, time: float, distance: float, speed: float) -> Demand: ...
 
 
 class RoadPlan:
-    """Follow the road at the speed that belongs to it."""
+    """Follow a road with its speed profile."""
 
     def __init__(self, pieces: Sequence[Piece], acceleration: float = 1.2, braking: float = 1.5, start: float = 0.0):
         self.path = Path(pieces)
@@ -66,16 +65,12 @@ class RoadPlan:
         return self._profile.at(distance)[0]
 
     def demand(self, time: float, distance: float, speed: float) -> Demand:
-        # The foot is a little slow: it starts to move before the speed has to change.
         return Demand(self._profile.at(distance)[0], self._profile.at(distance + PEDAL_LEAD * speed)[1])
 
 
 @dataclass(frozen=True)
 class Phase:
-    """Part of a plan; steer as in Demand.
-
-    Ends after `duration` [s], or when the car is slower than `until` [m/s]. Braking to a stop: until 0.
-    """
+    """Phase of a plan; steer as in Demand. Ends after `duration` [s] or below the speed `until` [m/s], 0 = rest."""
 
     steer: str
     acceleration: float = 0.0
@@ -84,13 +79,13 @@ class Phase:
 
 
 class PhasePlan:
-    """A circle driven in phases, over and over: cruise, brake, rest, pull away."""
+    """A circle driven in repeated phases: cruise, brake, rest, accelerate."""
 
     def __init__(self, radius: float, side: int, speed: float, phases: Sequence[Phase]):
         self.path = Path([Piece(2 * math.pi * radius, side / radius, side / radius, speed)])
         self.start = 0.0
         self._cruise, self._phases = speed, tuple(phases)
-        self._index, self._since, self._wanted, self._last = 0, 0.0, speed, 0.0
+        self._index, self._since, self._target, self._last = 0, 0.0, speed, 0.0
 
     def speed_at(self, distance: float) -> float:
         return self._cruise
@@ -101,16 +96,16 @@ class PhasePlan:
             self._index, self._since = (self._index + 1) % len(self._phases), time
             phase = self._phases[self._index]
         dt, self._last = time - self._last, time
-        self._wanted = min(max(self._wanted + phase.acceleration * dt, 0.0), self._cruise)
+        self._target = min(max(self._target + phase.acceleration * dt, 0.0), self._cruise)
         if phase.acceleration < 0:
-            # While the brakes build up the car falls behind; catching that up would be braking harder than wanted.
-            self._wanted = max(self._wanted, speed - SPEED_SLACK)
-        reached = phase.acceleration > 0 and self._wanted >= self._cruise
-        return Demand(self._wanted, 0.0 if reached else phase.acceleration, phase.steer)
+            # While the brake force builds up the target must not run ahead, or braking would exceed the demand.
+            self._target = max(self._target, speed - SPEED_SLACK)
+        reached = phase.acceleration > 0 and self._target >= self._cruise
+        return Demand(self._target, 0.0 if reached else phase.acceleration, phase.steer)
 
 
 class OpenLoopPlan:
-    """Constant speed and a hand that does not look at the road."""
+    """Constant speed and open-loop steering."""
 
     def __init__(self, manoeuvre: Manoeuvre):
         self.path = Path(straight(100.0, manoeuvre.speed))
@@ -127,7 +122,7 @@ class OpenLoopPlan:
 
 
 def plan_of(manoeuvre: Manoeuvre) -> Plan:
-    """What the driver of the virtual car does of it: with pedals on a circle, along a road, or with open-loop hands."""
+    """Plan of a manoeuvre: pedals on a circle, a road, or open-loop steering."""
     speed, curvature = manoeuvre.speed, manoeuvre.lateral / manoeuvre.speed**2
     if manoeuvre.pedals:
         return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, _phases(manoeuvre))
@@ -138,7 +133,7 @@ def plan_of(manoeuvre: Manoeuvre) -> Plan:
 
 
 def _phases(manoeuvre: Manoeuvre) -> list[Phase]:
-    """Hands are still while braking; it ends at a speed, so that the car has it whatever the brakes made of it."""
+    """Phases of the pedals; steering is held while braking, which ends at a speed instead of a time."""
     phases, end = [], 0.0
     for seconds, acceleration in manoeuvre.pedals:
         end += seconds
@@ -155,7 +150,7 @@ def _circle(lateral_acceleration: float, radius: float = 11.5) -> Plan:
 
 
 def _u_turns() -> Plan:
-    """Right, left, left; turned by 180 deg after that, so two rounds close."""
+    """Right, left, left; a round ends rotated by 180 deg, so that two rounds close."""
     return RoadPlan(
         [
             *straight(24, 6),
@@ -179,7 +174,7 @@ def _roundabout() -> Plan:
 
 
 def _circle_to_rest() -> Plan:
-    """R = 10 m to the right at 1.5 m/s^2; brakes at 1.5 m/s^2 to rest, stands 4 s, pulls away and does it again."""
+    """R = 10 m to the right at 1.5 m/s^2; brakes at 1.5 m/s^2 to rest, rests 4 s, accelerates, repeats."""
     return PhasePlan(
         10.0,
         -1,
@@ -199,7 +194,7 @@ SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
     "S2": (lambda: _circle(1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),
     "S3": (lambda: _circle(3.77), "left circle, R = 11.5 m, 3.8 m/s^2"),
     "S4": (lambda: _circle(6.37), "left circle, R = 11.5 m, 6.4 m/s^2"),
-    "S5": (_circle_to_rest, "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, pull away, again"),
+    "S5": (_circle_to_rest, "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, accelerate, repeat"),
     "S6": (_u_turns, "U-turns right, left, left with straights, 4 to 6 m/s"),
     "S7": (_roundabout, "16 m/s, slightly right, brake to 5 m/s, 450 deg roundabout, back to 16 m/s"),
     **SUGGESTED,
@@ -207,12 +202,12 @@ SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
 
 
 def load(name: str) -> Plan:
-    """A fresh plan by name, or from a YAML file (see config/manoeuvres). Raises SimulationError."""
+    """New plan of a scenario by name, or from a YAML file (see config/manoeuvres). Raises SimulationError."""
     if name in SCENARIOS:
         return SCENARIOS[name][0]()
     if name.endswith((".yaml", ".yml")):
         return _from_file(FilePath(name))
-    raise SimulationError(f"--scenario {name}: there are {', '.join(SCENARIOS)}, or a .yaml file")
+    raise SimulationError(f"--scenario {name}: unknown; choose {', '.join(SCENARIOS)}, or a .yaml file")
 
 
 def _from_file(file: FilePath) -> Plan:
@@ -223,9 +218,9 @@ def _from_file(file: FilePath) -> Plan:
             raise ValueError("no rows")
         if not sum(abs(piece.length) for piece in pieces) <= LONGEST_ROAD:
             raise ValueError(f"longer than {LONGEST_ROAD:g} m")
-        pedals = [float(document.get(key, usual)) for key, usual in (("acceleration", 1.2), ("braking", 1.5))]
+        pedals = [float(document.get(key, default)) for key, default in (("acceleration", 1.2), ("braking", 1.5))]
         if not all(0.01 <= pedal <= 20.0 for pedal in pedals):
-            raise ValueError(f"acceleration and braking {pedals}: 0.01 to 20 m/s^2 wanted")
+            raise ValueError(f"acceleration and braking {pedals}: not within 0.01 to 20 m/s^2")
         return RoadPlan(pieces, *pedals)
     except (ArithmeticError, AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
         raise SimulationError(
@@ -240,11 +235,11 @@ def _pieces(row: dict[str, Any]) -> list[Piece]:
     size, speed = values.pop(kind), values.pop("speed")
     if not 0 < speed <= FASTEST:
         raise ValueError(f"speed {speed:g} is not above 0 and at most {FASTEST:g} m/s")
-    made = {
+    pieces = {
         "straight": lambda: straight(size, speed),
         "turn": lambda: turn(values.pop("radius"), size, speed, values.pop("blend", 0.0)),
         "shift": lambda: lane_shift(size, values.pop("length"), speed),
     }[kind]()
     if values:
         raise ValueError(f"unknown key {next(iter(values))}")
-    return made
+    return pieces

@@ -1,4 +1,4 @@
-"""What the sensors make of the truth: delay, noise, bias, loss. Rounding is left to the wire."""
+"""Sensors of the virtual car: noise, bias, lever arm, loss. Rounding is done by the encoders of NCOM and CAN."""
 
 import math
 from collections.abc import Callable
@@ -8,21 +8,22 @@ import numpy as np
 
 from .car import GRAVITY, Car
 from .environment import normal_stream
+from .plant import Truth
 from .settings import Settings
-from .truth import Truth
 
 OUTAGE_LENGTH = 1.0
+"""s."""
 ROUGH_SPEED = 5.0
-"""m/s. From here on the road shakes the unit fully; at rest a tenth of it is left."""
+"""m/s. Full vibration noise from here on; at rest a tenth of it."""
 SLOWEST_WHEEL, SLOWEST_VEHICLE = 1.1 / 3.6, 2.8 / 3.6
-"""m/s. Below these the wheel speeds and the vehicle speed read 0 (recorded drives of the family)."""
+"""m/s. Below, wheel speeds and vehicle speed are sent as 0 (recorded drives of this car family)."""
 
 
 @dataclass(slots=True)
 class InsReading:
-    """One epoch of the INS, at the INS. Map axes (ENU) and body axes (FLU); SI.
+    """One epoch at the INS. Map axes (ENU) and body axes (FLU); SI.
 
-    stamp: seconds since the start, as the unit says. roll: right side down +, pitch: nose up +. specific_force
+    stamp: reported time since the start [s]. roll: right side down +, pitch: nose up +. specific_force
     includes gravity: +9.81 on z at rest.
     """
 
@@ -40,9 +41,8 @@ class InsReading:
     specific_force: tuple[float, float, float]
 
 
-# (white, slow, correlation time [s]) of each value, one standard deviation. RT3000 v3 with RTK: 0.01 m, 0.014 m/s,
-# 0.1 deg heading, 0.03 deg roll and pitch; most of it wanders slowly, because it comes through the filter. Rates and
-# forces: what a road adds.
+# Standard deviations (white, slow) and correlation time [s] of each value. RT3000 v3 with RTK: 0.01 m, 0.014 m/s,
+# 0.1 deg heading, 0.03 deg roll and pitch, mostly slow, because filtered. Rates and forces: vibration by the road.
 NOISE = {
     "x": (0.001, 0.006, 60.0),
     "y": (0.001, 0.006, 60.0),
@@ -61,11 +61,11 @@ NOISE = {
     "force_z": (0.15, 0.003, 300.0),
 }
 ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "level": 0.0005}
-"""One standard deviation the unit reports [m, m/s, rad, rad]."""
+"""Reported standard deviations [m, m/s, rad, rad]."""
 
 
 class _Noise:
-    """White noise plus a slow Gauss-Markov wander."""
+    """White noise plus a slow Gauss-Markov process."""
 
     def __init__(self, white: float, slow: float, time: float, interval: float, draw: Callable[[], float]):
         self._white, self._draw = white, draw
@@ -79,11 +79,11 @@ class _Noise:
 
 
 class Ins:
-    """The INS, `interval` seconds between epochs."""
+    """The INS with its errors; interval between epochs [s]."""
 
     def __init__(self, car: Car, settings: Settings, interval: float, seed: int):
         self._settings = settings
-        # The INS stays where it is in the body when the CG moves.
+        # The INS is fixed to the body, also when the CG is shifted.
         self._lever = (car.cg_to_ins_x - settings["cg_shift"] + settings["ins_lever_error"], car.cg_to_ins_y)
         scale = settings["ins_noise"]
         draw = normal_stream(np.random.default_rng([seed, 3]))
@@ -114,15 +114,15 @@ class Ins:
             rates=_body_rates(truth),
             specific_force=_specific_force(ax, ay, truth.roll, truth.pitch),
         )
-        self._falsify(reading)
+        self._add_errors(reading)
         if self._noise:
             self._add_noise(reading, 0.1 + 0.9 * min(abs(truth.velocity_x) / ROUGH_SPEED, 1.0))
         return reading
 
-    def _falsify(self, r: InsReading) -> None:
+    def _add_errors(self, r: InsReading) -> None:
         s = self._settings
         if s["ins_misalignment"]:
-            # Only what the unit calls forward turns; position and velocity over ground stay.
+            # Only the reported forward direction rotates; position and velocity over ground do not change.
             angle = s["ins_misalignment"]
             c, sine = math.cos(angle), math.sin(angle)
             r.velocity_x, r.velocity_y = c * r.velocity_x + sine * r.velocity_y, c * r.velocity_y - sine * r.velocity_x
@@ -149,7 +149,7 @@ class Ins:
 
 
 def _body_rates(truth: Truth) -> tuple[float, float, float]:
-    """Rates about x, y, z of the tilted body (FLU) from yaw rate and roll rate; the pitch changes too slowly to count.
+    """Rates about x, y, z of the tilted body (FLU) from yaw rate and roll rate; the pitch rate is neglected.
 
     In FRD: p = droll - dheading sin(pitch), q = dheading sin(roll) cos(pitch), r = dheading cos(roll) cos(pitch).
     """
@@ -161,7 +161,7 @@ def _body_rates(truth: Truth) -> tuple[float, float, float]:
 
 
 def _specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
-    """What accelerometers on the tilted body feel (FLU): a level acceleration (a_x, a_y, 0) and gravity."""
+    """Specific force in the axes of the tilted body (FLU) of a level acceleration (a_x, a_y, 0) and gravity."""
     forward, right, down = ax, -ay, -GRAVITY
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
     x, d = cp * forward - sp * down, sp * forward + cp * down
@@ -170,7 +170,7 @@ def _specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[fl
 
 
 class SteeringSensor:
-    """The sensor at the hand wheel: true angle plus the offset of the vehicle file, left + [rad]."""
+    """Hand-wheel angle sensor: true angle plus the offset of the vehicle file and noise, left + [rad]."""
 
     def __init__(self, car: Car, settings: Settings, seed: int):
         self._offset, self._noise = car.steering_wheel_offset, settings["steering_sensor_noise"]
@@ -183,7 +183,7 @@ class SteeringSensor:
 
 @dataclass(slots=True)
 class WheelSpeeds:
-    """m/s, unsigned. FL, FR, RL, RR and what the ABS unit calls the vehicle speed."""
+    """Unsigned wheel speeds FL, FR, RL, RR and vehicle speed of the ABS unit [m/s]."""
 
     wheels: tuple[float, ...]
     vehicle: float
@@ -199,14 +199,14 @@ def _unsigned(speed: float, slowest: float) -> float:
 
 
 class Loss:
-    """Which datagrams or frames never arrive: at random, and all of them for a second at every multiple of a period."""
+    """Loss of datagrams or frames: a random share, and all of them for 1 s at every multiple of a period."""
 
     def __init__(self, share: float, outage_every: float, seed: tuple[int, int]):
         self._share, self._every = share, outage_every
         self._generator = np.random.default_rng(seed)
 
     def loses(self, time: float) -> bool:
-        """time: seconds since the start. To be asked once for each datagram or frame."""
+        """Whether a datagram or frame at a time [s since the start] is lost; call once for each."""
         if self._every and time >= self._every and time % self._every < OUTAGE_LENGTH:
             return True
         return bool(self._share) and self._generator.random() < self._share

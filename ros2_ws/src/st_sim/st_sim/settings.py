@@ -1,7 +1,6 @@
-"""Every switch of the virtual car: {name: value}, each with a value at which it changes nothing.
+"""Settings of the virtual car, {name: value}, each with a null value at which it has no effect.
 
-`ideal` is everything at null. `realistic` is a car as one would meet it. A file or `--effect name=value` changes
-single values.
+Preset `ideal`: all at null. Preset `realistic`: a typical car. A file or `--effect name=value` changes single values.
 """
 
 import math
@@ -9,16 +8,31 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
-from .documents import read_document
-from .errors import SimulationError
+from st_core import plain_yaml
+from st_core.errors import ConfigurationError
 
 Settings = Mapping[str, float]
 
 
+class SimulationError(ValueError):
+    """A wrong argument or file, in one line that names file or option, key and limit."""
+
+
+def read_document(path: Path) -> Any:
+    """Content of a YAML file of plain values. Raises SimulationError naming the file."""
+    try:
+        return plain_yaml.load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SimulationError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ConfigurationError, UnicodeDecodeError) as error:
+        raise SimulationError(f"{path}: {error}") from None
+
+
 @dataclass(frozen=True)
 class Setting:
-    """One switch. group: steering, tyre, body, environment (the plant); driver; ins, can (the sensors)."""
+    """One setting with its range. group: steering, tyre, body, environment (the plant); driver; ins, can (sensors)."""
 
     name: str
     group: str
@@ -44,7 +58,7 @@ _TABLE = (
     ("front_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "cornering stiffness of the front tyres"),
     ("rear_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "cornering stiffness of the rear tyres"),
     ("friction_factor", "tyre", 1.0, 0.05, 2.0, "1", "peak force of all tyres"),
-    ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "way rolled until 63 % of a slip step is force"),
+    ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "rolled distance after which the force reaches 63 % of its step"),
     ("combined_slip", "tyre", 0.0, 0.0, 1.0, "1", "1: friction ellipse, drive and brakes cost lateral force"),
     ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z, for wheel speeds"),
     ("camber_thrust", "tyre", 0.0, -2.0, 2.0, "1/rad", "lateral force to the outside per load and body roll"),
@@ -55,8 +69,8 @@ _TABLE = (
     ("pitch_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body pitch per longitudinal acceleration"),
     ("mass_factor", "body", 1.0, 0.5, 2.0, "1", "mass"),
     ("yaw_inertia_factor", "body", 1.0, 0.5, 2.0, "1", "yaw inertia"),
-    ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "CG forward of the vehicle file's; the INS stays in the body"),
-    ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "drive and brake act so far right of the middle: torque steer"),
+    ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "true CG ahead of that in the vehicle file; the INS does not move"),
+    ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "offset of drive and brake force to the right: torque steer"),
     ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "c_d A"),
     ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "drag force over load"),
     # Road and air.
@@ -67,24 +81,24 @@ _TABLE = (
     ("friction_patch", "environment", 1.0, 0.1, 2.0, "1", "friction on the first 10 m of every 40 m of x"),
     ("wind_speed", "environment", 0.0, -40.0, 40.0, "m/s", "steady wind, towards north"),
     ("gust_speed", "environment", 0.0, 0.0, 20.0, "m/s", "standard deviation of gusts, correlated over 1.5 s"),
-    # The person at the wheel.
+    # Driver.
     ("driver_tremor", "driver", 0.0, 0.0, 0.2, "rad", "standard deviation of random steering, at the hand wheel"),
     # INS. Noise 1 = RT3000 with RTK on a normal road.
     ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "noise, in multiples of the unit's normal noise"),
-    ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "measurement to datagram; the stamp stays right"),
+    ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "measurement to datagram; the time stamp is not affected"),
     ("ins_time_error", "ins", 0.0, -0.5, 0.5, "s", "added to the stamp"),
-    ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading the unit reports too far to the left"),
-    ("ins_lever_error", "ins", 0.0, -1.0, 1.0, "m", "the unit sits so much ahead of where the file says"),
+    ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading error of the unit, left +"),
+    ("ins_lever_error", "ins", 0.0, -1.0, 1.0, "m", "true position of the unit ahead of that in the vehicle file"),
     ("yaw_rate_scale", "ins", 1.0, 0.8, 1.2, "1", "of the measured rates"),
     ("velocity_scale", "ins", 1.0, 0.8, 1.2, "1", "of the measured velocity"),
     ("lateral_acceleration_bias", "ins", 0.0, -2.0, 2.0, "m/s^2", "of the measured lateral acceleration"),
-    ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "share of datagrams that never arrive"),
+    ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "share of datagrams lost"),
     ("ins_outage_every", "ins", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
     # CAN.
     ("steering_sensor_noise", "can", 0.0, 0.0, 0.1, "rad", "standard deviation at the hand wheel, before rounding"),
     ("steering_sensor_latency", "can", 0.0, 0.0, 0.5, "s", "sample to frame"),
     ("wheel_speed_scale", "can", 1.0, 0.8, 1.2, "1", "of the four wheel speeds"),
-    ("can_frame_loss", "can", 0.0, 0.0, 0.9, "1", "share of frames that never arrive, counters run on"),
+    ("can_frame_loss", "can", 0.0, 0.0, 0.9, "1", "share of frames lost; counters continue"),
     ("can_outage_every", "can", 0.0, 0.0, 3600.0, "s", "silent for 1 s at every multiple; 0 never"),
     ("logger_clock_offset", "can", 0.0, -10.0, 10.0, "s", "clock of the logger ahead of UTC, in files only"),
     ("logger_clock_drift", "can", 0.0, -1e-3, 1e-3, "1", "its rate error, in files only"),
@@ -94,9 +108,8 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for ro
 
 IDEAL: Settings = MappingProxyType({s.name: s.null for s in SETTINGS.values()})
 
-# Chosen so that the three models of the paper miss this car as they missed the real one (test_pattern.py). Front
-# tyres are stiffer than the file's because the file's stiffness already holds what compliance, roll steer and load
-# transfer take away.
+# Chosen so that the prediction errors of the paper's three models are those of the real car (test_pattern.py). Front
+# tyres are stiffer than in the file, whose axle stiffness includes compliance, roll steer and load transfer.
 REALISTIC: Settings = MappingProxyType(
     {
         **IDEAL,
@@ -128,8 +141,8 @@ PRESETS: Mapping[str, Settings] = MappingProxyType({"ideal": IDEAL, "realistic":
 def resolve(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
     """All settings from `--plant` and `--effect name=value ...`.
 
-    plant: a preset, or a YAML file {preset: realistic, name: value, ...} (preset ideal where it is not given).
-    Raises SimulationError, one line naming file or option, key and limit.
+    plant: a preset, or a YAML file {preset: realistic, name: value, ...} (default preset: ideal).
+    Raises SimulationError.
     """
     settings = dict(PRESETS[plant]) if plant in PRESETS else _from_file(Path(plant))
     for effect in effects:
@@ -145,7 +158,7 @@ def resolve(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
 
 
 def overrides(settings: Settings) -> dict[str, float]:
-    """What differs from null."""
+    """Settings that differ from null."""
     return {name: value for name, value in settings.items() if value != SETTINGS[name].null}
 
 

@@ -1,18 +1,19 @@
-"""Plant and driver together: a car that drives a scenario. `advance` to a time, then read `truth`."""
+"""The virtual car with its driver on a scenario, or with an external controller."""
+
+from math import sin
 
 from .car import Car
-from .driver import Driver
-from .plant import LEAN_RATE, VX, VY, YAW, YAW_RATE, Plant, X, Y, Z
+from .driver import FASTEST_HAND, HARDEST_BRAKING, HARDEST_DRIVE, Driver
+from .plant import DRIVE, LEAN_RATE, RACK, VX, VY, YAW, YAW_RATE, Plant, Truth, X, Y, Z
 from .scenarios import Plan
 from .settings import Settings
-from .truth import DRIVE, Truth
 
 RUN_IN = 4.0
-"""s driven unseen before the start, so that the drive begins in steady motion."""
+"""s simulated before the start, so that the drive begins in steady motion."""
 
 
 class SimulatedCar:
-    """Time 0 is the start of the drive; the car is already moving then."""
+    """Car and driver on a scenario: advance() to a time, then read truth(). At time 0 the car is already moving."""
 
     def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
         self.car = car
@@ -24,7 +25,7 @@ class SimulatedCar:
             before -= plan.speed_at(before) * self._step
         road = plan.path.pose(before)
         self.plant.place(road.x, road.y, road.yaw, plan.speed_at(before), plan.path.curvature(before))
-        self.driver.take_seat(self.plant, before)
+        self.driver.place(self.plant, before)
         self._count = -round(RUN_IN / self._step)
         self._hand_rate = 0.0
         self.duration: float | None = None
@@ -35,7 +36,7 @@ class SimulatedCar:
         return self._count * self._step
 
     def advance(self, time: float) -> None:
-        """To the last step not after `time` [s]."""
+        """Simulate up to the last step not after `time` [s]."""
         last = int(time / self._step + 1e-6)
         plant, driver, step = self.plant, self.driver, self._step
         while self._count < last:
@@ -74,3 +75,51 @@ class SimulatedCar:
             forces=forces,
             surroundings=here._asdict(),
         )
+
+
+class ControlledCar:
+    """The plant with a controller instead of the driver: road-wheel angle and acceleration in, true state out."""
+
+    def __init__(self, car: Car, settings: Settings, seed: int = 0):
+        self.car = car
+        self.plant = Plant(car, settings, seed)
+        self.steering_wheel_angle = 0.0
+        self._count = 0
+
+    def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
+        """Start with position [m], yaw [rad], speed [m/s] and curvature [1/m, left +], without slip; time 0 is here."""
+        self.plant.place(x, y, yaw, speed, curvature)
+        self.steering_wheel_angle = self.plant.steering_wheel_for
+        self._count = 0
+
+    @property
+    def time(self) -> float:
+        """Time since place() [s]."""
+        return self._count * self.plant.time_step
+
+    @property
+    def state(self) -> tuple[float, float, float, float, float, float]:
+        """x, y [m], velocity_x, velocity_y [m/s, body axes], yaw [rad], yaw_rate [rad/s], at the CG."""
+        s = self.plant.state
+        return s[X], s[Y], s[VX], s[VY], s[YAW], s[YAW_RATE]
+
+    def advance(self, duration: float, road_wheel_angle: float, velocity_x_dot: float) -> None:
+        """Simulate a duration [s] with constant commands.
+
+        road_wheel_angle [rad, left +]: reached through the nominal steering ratio, the limited hand-wheel rate and the
+        steering of the plant. velocity_x_dot [m/s^2]: realised by a drive force from the nominal mass, with the
+        cornering resistance compensated; drag, slopes and tyre limits are not.
+        """
+        plant, target = self.plant, road_wheel_angle * self.car.steering_ratio
+        fastest = FASTEST_HAND * plant.time_step
+        for _ in range(round(duration / plant.time_step)):
+            self.steering_wheel_angle += min(max(target - self.steering_wheel_angle, -fastest), fastest)
+            plant.step(self.steering_wheel_angle, self._drive_force(velocity_x_dot))
+            self._count += 1
+
+    def _drive_force(self, velocity_x_dot: float) -> float:
+        # Cornering resistance: the side force of the front tyres times the steer angle.
+        s = self.plant.state
+        bend = abs(s[VX] * s[YAW_RATE] * sin(s[RACK])) * self.car.cg_to_rear_axle / self.car.wheelbase
+        target = velocity_x_dot + bend - s[VY] * s[YAW_RATE]
+        return self.car.mass * min(max(target, -HARDEST_BRAKING), HARDEST_DRIVE)

@@ -1,22 +1,32 @@
-"""Everything the car sends, in the order in which it leaves: one generator for sockets, buses and files alike."""
+"""Output of the virtual car in order of time, for sockets, buses and files, and its sending in real time."""
 
 import heapq
-from collections.abc import Iterator
+import socket
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
+import can
+from canedge_bridge.transport import open_bus
+
 from .can_wire import FRAME_TIME, Background, CanWire, Frame
 from .ncom_wire import INITIALISING, LOCKED, LOCKING, NOTHING, RAW, NcomWire
+from .plant import Truth
 from .sensors import Ins, Loss, SteeringSensor, read_wheel_speeds
-from .settings import Settings
-from .truth import Truth
+from .settings import Settings, SimulationError
 
 TICK_MS = 2
 TRUTH_PERIOD_MS = 10
-# (period, phase) in ms: the car's units do not start in step with the INS.
+# (period, phase) in ms: the control units of the car are not synchronous with the INS.
 STEERING, WHEELS, GEAR = (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015
 """s from the datagram to the first frame on CAN."""
+EARLY = 0.0003
+"""s. A frame due within this time is sent at once, as exact as on a bus."""
+LATE = 0.005
+"""s after the deadline, from which on an output counts as late."""
 
 
 class Kind(IntEnum):
@@ -26,7 +36,7 @@ class Kind(IntEnum):
 
 
 class Output(NamedTuple):
-    """due: when it leaves [s since the start]. order: within one instant. payload: 72 bytes, a Frame or a Truth."""
+    """due: time of sending [s since the start]. order: within one instant. payload: 72 bytes, a Frame or a Truth."""
 
     due: float
     order: int
@@ -35,7 +45,7 @@ class Output(NamedTuple):
 
 
 class Source(Protocol):
-    """What moves: a simulated car or a recorded drive. duration: its natural end [s], None if it goes on for ever."""
+    """A simulated car or a recorded drive. duration: its end [s], None if unlimited."""
 
     duration: float | None
 
@@ -45,15 +55,12 @@ class Source(Protocol):
 
 
 class StartUp:
-    """A unit switched on.
-
-    Raw IMU at 10 Hz, a pause of 1 s, initialising 1 s behind, locking while it catches up in 10 s, locked.
-    """
+    """Start-up of a unit: raw IMU at 10 Hz, pause of 1 s, initialising 1 s behind real time, 11 s locking, locked."""
 
     NOTHING_UNTIL, RAW_UNTIL, SILENT_UNTIL, INITIALISING_UNTIL, LOCKING_LENGTH = 0.5, 2.0, 3.0, 7.0, 11.0
 
     def status(self, time: float) -> tuple[int, float] | None:
-        """(navigation status, s behind real time) of the epoch measured at `time`; None: not sent."""
+        """Navigation status and delay [s] of the epoch measured at `time` [s]; None: not sent."""
         if time < self.RAW_UNTIL:
             sent = round(time * 1000) % 100 == 0
             return (NOTHING if time < self.NOTHING_UNTIL else RAW, 0.0) if sent else None
@@ -66,7 +73,7 @@ class StartUp:
 
 
 class Stream:
-    """Source -> sensors -> wires. `outputs` computes at most one tick ahead of what it hands out."""
+    """Source -> sensors -> packets and frames; outputs() simulates at most one tick ahead."""
 
     def __init__(
         self,
@@ -92,7 +99,7 @@ class Stream:
         self._made = 0
 
     def outputs(self, duration: float) -> Iterator[Output]:
-        """Everything measured in [0, duration), sorted by `due`."""
+        """Outputs measured in [0, duration), sorted by `due`."""
         end = round(duration * 1000)
         for now in range(0, end, TICK_MS):
             time = now / 1000
@@ -145,3 +152,86 @@ class Stream:
     def _push(self, due: float, kind: Kind, payload: bytes | Frame | Truth) -> None:
         self._made += 1
         heapq.heappush(self._queue, Output(due, self._made, kind, payload))
+
+
+@dataclass
+class Report:
+    """Counts of a real-time run. worst_delay: largest delay after a deadline [s]; late: outputs over 5 ms late."""
+
+    ncom_packets: int = 0
+    can_frames: int = 0
+    can_errors: int = 0
+    late: int = 0
+    worst_delay: float = 0.0
+
+    def as_dict(self) -> dict[str, float]:
+        return asdict(self)
+
+
+class Wires:
+    """UDP socket and CAN bus. Raises SimulationError naming the option that does not work."""
+
+    def __init__(self, ncom_host: str, ncom_port: int, can_interface: str, can_channel: str):
+        self.report = Report()
+        try:
+            self._address = (socket.gethostbyname(ncom_host), ncom_port)
+        except OSError as error:
+            raise SimulationError(f"--ncom-host {ncom_host}: {error}") from None
+        try:
+            self._bus = open_bus(can_interface, can_channel)
+        except (ValueError, OSError, can.CanError) as error:
+            raise SimulationError(f"--can-interface {can_interface} --can-channel {can_channel}: {error}") from None
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+
+    def send_ncom(self, packet: bytes) -> None:
+        try:
+            self._socket.sendto(packet, self._address)
+            self.report.ncom_packets += 1
+        except OSError:
+            # No receiver or a full buffer: not detected by a real unit either.
+            pass
+
+    def send_frame(self, frame: Frame) -> None:
+        try:
+            self._bus.send(frame.message)
+            self.report.can_frames += 1
+        except (can.CanError, OSError):
+            self.report.can_errors += 1
+
+    def close(self) -> None:
+        self._bus.shutdown()
+        self._socket.close()
+
+
+def send(
+    outputs: Iterable[Output],
+    wires: Wires,
+    record_truth: Callable[[Truth], None],
+    started: float,
+    stopped: Callable[[], bool],
+) -> Report:
+    """Send outputs at absolute deadlines, late ones at once; ends with the outputs or when stopped() is true.
+
+    started: monotonic time of the start of the drive [s].
+    """
+    report = wires.report
+    for output in outputs:
+        deadline = started + output.due
+        wait = deadline - time.monotonic()
+        # Frames of one instant are sent together; a packet is never sent before its time of measurement.
+        if wait > (0.0 if output.kind is Kind.NCOM else EARLY):
+            time.sleep(wait)
+        if stopped():
+            break
+        if output.kind is Kind.NCOM:
+            wires.send_ncom(output.payload)
+        elif output.kind is Kind.CAN:
+            wires.send_frame(output.payload)
+        else:
+            record_truth(output.payload)
+            continue
+        delay = time.monotonic() - deadline
+        report.worst_delay = max(report.worst_delay, delay)
+        report.late += delay > LATE
+    return report

@@ -4,8 +4,8 @@ import math
 
 import pytest
 from st_sim.car import read_car
-from st_sim.controlled import FASTEST_HAND, HARDEST_BRAKING, ControlledCar
 from st_sim.settings import PRESETS, resolve
+from st_sim.simulation import FASTEST_HAND, HARDEST_BRAKING, ControlledCar
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")

@@ -9,8 +9,8 @@ from oxts_bridge.stream import NcomParser
 from st_sim import run
 from st_sim.car import read_car
 from st_sim.drive import COLUMNS, RecordedDrive
-from st_sim.errors import SimulationError
-from st_sim.ncom_status import UNDULATION
+from st_sim.ncom_wire import UNDULATION
+from st_sim.settings import SimulationError
 from support import EXAMPLES, ROOT
 
 GENESIS = ROOT / "config/vehicle/hyundai_genesis.yaml"
@@ -76,7 +76,7 @@ GOOD = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
         (f"{HEAD}\n{GOOD}0.04,a,0,0,5,0,0,0,0,0\n", "line 4"),
         (f"{HEAD}\n{GOOD}0.04,0,0\n", "line 4"),
         (f"{HEAD}\n{GOOD}0.04,nan,0,0,5,0,0,0,0,0\n", "line 4: a value is not finite"),
-        (f"{HEAD}\n{GOOD}0.01,0,0,0,5,0,0,0,0,0\n", "line 4: t does not rise"),
+        (f"{HEAD}\n{GOOD}0.01,0,0,0,5,0,0,0,0,0\n", "line 4: t does not increase"),
         (f"{HEAD}\n0,0,0,0,5,0,0,0,0,0\n", "has 1 rows"),
         ("", "column t is missing"),
         ("\udcff\udcfe", "not a CSV file"),

@@ -5,13 +5,12 @@ import math
 import numpy as np
 import pytest
 from st_sim.car import GRAVITY, TRACK_WIDTH, read_car
+from st_sim.dynamics import tyre_force, tyre_law
 from st_sim.environment import Environment
-from st_sim.errors import SimulationError
 from st_sim.plant import RACK, STEP, VX, YAW_RATE, Plant, Y, Z
 from st_sim.scenarios import load
-from st_sim.settings import IDEAL, PRESETS, REALISTIC, SETTINGS, overrides, resolve
+from st_sim.settings import IDEAL, PRESETS, REALISTIC, SETTINGS, SimulationError, overrides, resolve
 from st_sim.simulation import SimulatedCar
-from st_sim.tyres import tyre_force, tyre_law
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
@@ -273,7 +272,7 @@ def test_presets_and_files(tmp_path):
         ("wind_speed: fast", "wind_speed: 'fast' is not within"),
         ("preset: perfect", "preset: 'perfect' is none of"),
         ("- 1", "not a mapping"),
-        ("a: [", "is not YAML"),
+        ("a: [", "not valid YAML"),
     ],
 )
 def test_bad_plant_file_is_named(tmp_path, text, said):

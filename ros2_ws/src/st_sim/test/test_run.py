@@ -238,8 +238,8 @@ def test_without_the_bus_of_the_leaf_it_says_where_that_is(tmp_path, monkeypatch
     (tmp_path / "vehicle.yaml").write_text(LEAF.read_text())
     assert run.main(["--vehicle", "vehicle.yaml", "--to-files", "run", "--duration", "1"]) == 2
     assert capsys.readouterr().err == (
-        "virtual_leaf: --config is missing: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the bus of the virtual car, are in "
-        "config/ of the project; give that folder\n")
+        "virtual_leaf: --config is missing: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN tables of the virtual car, "
+        "are in config/ of the project; give that folder\n")
     monkeypatch.setenv("ST_ENVIRONMENT", str(ROOT))
     assert run.main(["--vehicle", "vehicle.yaml", "--to-files", "run", "--duration", "1"]) == 0
 
@@ -252,8 +252,8 @@ def test_without_the_bus_of_the_leaf_it_says_where_that_is(tmp_path, monkeypatch
         (["--scenario", "S9"], "--scenario S9"),
         (["--drive", "none.csv"], "--drive none.csv"),
         (["--drive", "a.csv", "--scenario", "S1"], "not allowed with"),
-        (["--drive", "a.csv", "--plant", "ideal"], "--plant does not go with --drive"),
-        (["--drive", "a.csv", "--effect", "bank_angle=0.1"], "--effect bank_angle does not go with --drive"),
+        (["--drive", "a.csv", "--plant", "ideal"], "--plant cannot be combined with --drive"),
+        (["--drive", "a.csv", "--effect", "bank_angle=0.1"], "--effect bank_angle cannot be combined with --drive"),
         (["--plant", "none.yaml"], "--plant none.yaml"),
         (["--effect", "bank_angle=7"], "bank_angle: 7.0 is not within -0.3 to 0.3 rad"),
         (["--duration", "0"], "--duration 0"),

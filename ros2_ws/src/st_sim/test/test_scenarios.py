@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from st_sim.car import read_car
 from st_sim.driver import FASTEST_HAND
-from st_sim.errors import SimulationError
 from st_sim.path import Path, SpeedProfile, lane_shift, straight, turn
 from st_sim.scenarios import SCENARIOS, load
-from st_sim.settings import resolve
+from st_sim.settings import SimulationError, resolve
 from st_sim.simulation import SimulatedCar
 from support import ROOT
 
@@ -233,7 +232,7 @@ def test_pedals_on_straights_and_in_bends_to_both_sides():
         ("road: [{straight: 0, speed: 5}]", "no length"),
         ("road: [{turn: 90, radius: 0, speed: 5}]", "rows are"),
         ("road: [{loop: 90, speed: 5}]", "rows are"),
-        ("[", "is not YAML"),
+        ("[", "not valid YAML"),
     ],
 )
 def test_bad_road_is_named(tmp_path, text, said):

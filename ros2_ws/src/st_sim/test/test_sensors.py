@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from st_sim.car import GRAVITY, read_car
+from st_sim.plant import Truth
 from st_sim.sensors import ACCURACY, Ins, Loss, SteeringSensor, read_wheel_speeds
 from st_sim.settings import SETTINGS, resolve
-from st_sim.truth import Truth
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")

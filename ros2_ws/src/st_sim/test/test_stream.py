@@ -10,9 +10,7 @@ from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim.can_wire import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanWire
 from st_sim.car import read_car
-from st_sim.geodesy import Origin
-from st_sim.ncom_status import CYCLE, UNDULATION, schedule
-from st_sim.ncom_wire import NcomWire
+from st_sim.ncom_wire import CYCLE, UNDULATION, NcomWire, Origin, from_ecef, schedule, to_ecef
 from st_sim.scenarios import load
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve
@@ -230,3 +228,31 @@ def test_minute_of_every_packet_is_its_own():
     for r in after:
         minutes = decode_channel(0, r.packet.batch_s)["GpsMinutes"]
         assert minutes * 60_000 + r.packet.milliseconds == r.gps_ns // 1_000_000
+
+
+# Geodesy: against the independent conversion of the bridge and radii of curvature.
+
+@pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (100.0, -50.0, 2.0), (-3000.0, 8000.0, 30.0), (20000.0, 1.0, -5.0)])
+def test_there_and_back_through_the_bridge(point):
+    assert FRAME.enu(*ORIGIN.to_geodetic(*point)) == pytest.approx(point, abs=1e-6)
+
+
+def test_short_distances_follow_the_radii():
+    sine = math.sin(math.radians(51.448))
+    e2 = 0.00669437999014
+    normal = 6378137.0 / math.sqrt(1 - e2 * sine**2)
+    meridian = normal * (1 - e2) / (1 - e2 * sine**2)
+    latitude, longitude, height = ORIGIN.to_geodetic(1.0, 1.0, 0.0)
+    assert latitude - math.radians(51.448) == pytest.approx(1.0 / (meridian + 65.0), rel=1e-6)
+    assert longitude - math.radians(5.49) == pytest.approx(
+        1.0 / (normal + 65.0) / math.cos(math.radians(51.448)), rel=1e-6
+    )
+    assert height == pytest.approx(65.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("latitude", [-89.0, -37.5, 0.0, 12.0, 51.4, 88.9])
+@pytest.mark.parametrize("height", [-50.0, 0.0, 3000.0])
+def test_earth_fixed_round_trip(latitude, height):
+    back = from_ecef(*to_ecef(math.radians(latitude), 2.1, height))
+    assert back[0] == pytest.approx(math.radians(latitude), abs=1e-12)
+    assert back[1] == pytest.approx(2.1, abs=1e-12) and back[2] == pytest.approx(height, abs=1e-6)

@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 from st_sim.car import GRAVITY, read_car
-from st_sim.tyres import left_by_ellipse, tyre_force, tyre_law
+from st_sim.dynamics import lateral_share, tyre_force, tyre_law
 from support import ROOT
 
 CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
@@ -53,6 +53,6 @@ def test_stiffness_factor_scales_the_slope():
 
 
 def test_ellipse():
-    assert left_by_ellipse(0.0, 4000.0) == 1.0
-    assert left_by_ellipse(2400.0, 4000.0) == pytest.approx(0.8)
-    assert left_by_ellipse(-4000.0, 4000.0) == left_by_ellipse(5000.0, 4000.0) == 0.0
+    assert lateral_share(0.0, 4000.0) == 1.0
+    assert lateral_share(2400.0, 4000.0) == pytest.approx(0.8)
+    assert lateral_share(-4000.0, 4000.0) == lateral_share(5000.0, 4000.0) == 0.0
