@@ -20,8 +20,10 @@ LONGEST_STEP = 0.25  # s between samples; what is missing is no driving
 SAMPLE_NS = 20_000_000  # one sample of so much time is used
 PERIOD = 10.0  # s of measurement from one check to the next
 SHARE = 0.018  # of a core: where a check costs more than PERIOD allows, it comes less often
-# On one bend heading and measuring point look alike: only a whole drive tells them. Gaps are told where they arise.
-NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps"))
+# On one bend heading and measuring point look alike: only a whole drive separates them. Gaps are reported where they
+# arise, implausible samples by the bridges: half a minute in which a unit changes would seem full of them.
+NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
+                      "out_of_range", "channel_wraps", "channel_jumps"))
 
 
 @dataclass(frozen=True)

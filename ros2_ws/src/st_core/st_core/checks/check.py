@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..log import DriveLog
+from ..log import INS_SIGNALS, STEERING, DriveLog
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, with_car
 from .channel import identity, judged, size_of
@@ -14,6 +14,7 @@ from .gross import gross, time_unit
 from .lag import Agreement
 from .limits import HORIZON, LIMITS
 from .motion import Motion
+from .plausibility import broken_channels, plausible
 from .quality import quality
 from .regression import Estimate, held
 from .steps import steps
@@ -34,12 +35,20 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
     resampling. Never raises for what is in a recording: a channel too short or too poor to judge gives no finding.
     """
     extras = extras or Extras()
-    motion = Motion.of(log)
+    start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) and extras.start_ns is None else (
+        extras.start_ns or 0)
+    log, implausible = plausible(log, start_ns)
+    implausible = [*extras.implausible, *implausible]
+    motion = Motion.of(log, start_ns)
     known = sampling.channels(motion, extras)
     if len(log.ins_time_ns) < SHORTEST:
-        return Checked(_ordered(sampling.timing(motion, extras)), known, ())
+        return Checked(_ordered([*implausible, *sampling.timing(motion, extras, implausible)]), known, ())
     motion, unit = time_unit(motion)
-    told = [*sampling.timing(motion, extras), *quality(extras.quality, int(log.ins_time_ns[0]))]
+    told = [*implausible, *sampling.timing(motion, extras, implausible), *quality(extras.quality, start_ns)]
+    broken = broken_channels(implausible)
+    if broken & {*INS_SIGNALS}:  # whatever is compared with it would seem wrong
+        return Checked(_ordered([*told, *sampling.stuck(motion, known)]), known, ())
+    motion = motion.with_(**dict.fromkeys(broken & {"acceleration_x", "acceleration_y"}, None))
     stuck = sampling.stuck(motion, known)
     motion, coarse = gross(sampling.unfrozen(motion, stuck))
     coarse = [unit, *coarse] if unit else coarse
@@ -49,12 +58,12 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
         told += stepping
     before = _factors(coarse)
     speed = motion.velocity_x
-    motion, fine, estimates, identities = _sensors(motion, before, extras, int(log.ins_time_ns[0]), seed)
+    motion, fine, estimates, identities = _sensors(motion, before, extras, start_ns, seed)
     told += _once(coarse, fine, estimates)
     if vehicle is not None:
         hand_wheel = log.steering_wheel_angle is not None
         frozen = {channel for one in stuck if one.name == "channel_frozen" for channel in one.channels}
-        comparisons = [with_car.steering(motion, vehicle, hand_wheel, seed)]
+        comparisons = [] if broken & {*STEERING} else [with_car.steering(motion, vehicle, hand_wheel, seed)]
         if not frozen & {"velocity_y", "yaw_rate"}:  # what stands still says nothing of where the INS sits
             comparisons.append(with_car.rear_axle(motion, vehicle, seed))
         for found, more, shown in comparisons:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .finding import Finding
+
 
 @dataclass(frozen=True, eq=False)
 class Series:
@@ -35,7 +37,8 @@ class Extras:
 
     missing: channel -> rows that held no usable value and were left out. wheel_speed: of the wheels or the car's own
     speed signal [m/s]. ins_speed: forward speed from a second output of the INS (its CAN frames, the NCOM packets
-    beside an odometry) [m/s]. corrected: what run.yaml corrected, a phrase each.
+    beside an odometry) [m/s]. corrected: what run.yaml corrected, a phrase each. implausible: findings on samples that
+    the reading left out, see `plausibility`. start_ns: first recorded INS measurement; None for that of the drive.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -44,3 +47,5 @@ class Extras:
     ins_speed: Series | None = None
     quality: InsQuality | None = None
     corrected: tuple[str, ...] = ()
+    implausible: tuple[Finding, ...] = ()
+    start_ns: int | None = None

@@ -34,8 +34,9 @@ class Motion:
     acceleration_y: np.ndarray | None = None
 
     @classmethod
-    def of(cls, log: DriveLog) -> "Motion":
-        start = log.ins_time_ns[:1]
+    def of(cls, log: DriveLog, start_ns: int | None = None) -> "Motion":
+        """start_ns: zero of the times; None for the first INS measurement."""
+        start = log.ins_time_ns[:1] if start_ns is None else start_ns
         return cls((log.ins_time_ns - start) * NANOSECOND, log.x - log.x[:1], log.y - log.y[:1], log.yaw,
                    log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start) * NANOSECOND,
                    log.road_wheel_angle, log.acceleration_x, log.acceleration_y)

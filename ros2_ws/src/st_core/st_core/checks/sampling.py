@@ -68,13 +68,13 @@ def resolution(values: np.ndarray) -> float:
     return smallest if small.sum() >= 10 and grid[small].mean() > 0.95 else 0.0
 
 
-def timing(motion: Motion, extras: Extras) -> list[Finding]:
-    """Stamps and missing rows."""
+def timing(motion: Motion, extras: Extras, left_out: Sequence[Finding] = ()) -> list[Finding]:
+    """Stamps, gaps and missing rows. left_out: findings whose samples were left out, which makes no gap."""
     told = []
     for signal, stamps in extras.stamps.items():
         told += _stamps(signal, np.asarray(stamps, np.int64))
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
-        told += _gaps(signal, time)
+        told += _gaps(signal, time, [span for one in left_out for span in one.where])
     for channel, count in extras.missing.items():
         # Samples without an acceleration were kept, those without another channel were not.
         left = len(motion.steering_time if channel in STEERING else motion.time)
@@ -132,10 +132,11 @@ def _stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
     return told
 
 
-def _gaps(signal: str, time: np.ndarray) -> list[Finding]:
+def _gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, float]]) -> list[Finding]:
     spacing = np.diff(time)
     # A slow recording has no gap between every two of its samples.
     long = np.flatnonzero(spacing > max(LONGEST_GAP, 1.5 * float(np.median(spacing)))) if len(spacing) else spacing
+    long = np.array([k for k in long if not any(time[k] < begin and end < time[k + 1] for begin, end in left_out)], int)
     if not len(long):
         return []
     missing = float((spacing[long] - np.median(spacing)).sum())

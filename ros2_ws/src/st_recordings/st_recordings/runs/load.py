@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from st_core.checks.plausibility import plausible
 from st_core.corrections import Correction, corrected, in_words
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
@@ -21,8 +22,9 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     """Read one run.
 
     vehicle: steering ratio and offset for the road wheel angle; without one, the road wheel angle must be in the
-    recording (bag, CSV). What its run.yaml corrects is corrected, and said. Raises RunError, one sentence for the
-    user, for a run that cannot be used.
+    recording (bag, CSV). Samples that no working sensor produces (`st_core.checks.plausibility`) are left out and
+    listed in `extras.implausible`; then what its run.yaml corrects is corrected, with a warning. Raises RunError, one
+    sentence for the user, for a run that cannot be used.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
@@ -31,10 +33,12 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     with ThreadPoolExecutor(1) as beside:
         digests = beside.submit(hashes, source)
         loaded = READERS[source.kind].read(source, vehicle, settings)
-    log = loaded.log
+    start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
+    log, implausible = plausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
-    loaded = treated(source, replace(loaded, log=log), vehicle)
+    extras = replace(loaded.extras, implausible=tuple(implausible), start_ns=start_ns)
+    loaded = treated(source, replace(loaded, log=log, extras=extras), vehicle)
     check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
 

@@ -1,0 +1,337 @@
+"""Samples that no car and no working sensor produces: spikes, sentinels, values out of range, wrap-arounds.
+
+Judged on each channel alone, before anything is compared, so that one broken sample cannot pass for a wrong unit of the
+whole run. Whatever is found is reported and left out of the drive that every verb uses. A step from one sample to the
+next is large where it exceeds both what a car can do and what the channel usually does, so that a channel in another
+unit is not broken by its unit:
+
+    |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median over the steps that are not 0
+
+Checked by: test_checks_plausibility.py, over kinds and channels.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from .finding import Cure, Finding, Severity
+from .motion import LONGEST_GAP, stretches
+
+MEDIANS = 20.0  # median steps; noise and quantisation stay below
+HALF_WINDOW = 0.1  # s to both sides of a sample that its spike is judged in; at least two updates of the channel
+SHORTEST_SENTINEL, SHORTEST_ZERO = 3, 0.2  # samples of one value between two large steps; s for the value 0
+PAUSES = 3.0  # times the usual pause of a channel, from which on a repeated value is not its update rate
+MOVING = 1.0  # m/s
+MOST = 0.5  # share of the samples; beyond it the channel is unusable and nothing is left out
+FEW = 0.01  # share of the samples up to which spikes are a note: the rest of the run is as good as without them
+WRAP_LIMIT = 0.3  # of the largest plausible step; smaller wraps are smaller than what a channel can do anyway
+WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # of the wrap's size: how far its steps may differ, and its ends be asymmetric
+MOST_WRAPPED = 0.2  # share of the samples; beyond it the true range is not certain
+JUMP = 30.0  # times the 90th percentile of all steps; the largest of seventeen real drives is 15
+LEAST = 20  # samples
+MOST_LISTED = 200  # stretches of a finding
+STEP_TIME = 0.05  # s
+
+
+@dataclass(frozen=True)
+class Plausible:
+    """What a road car can do in one channel. step: largest change between samples up to STEP_TIME apart [unit], in
+    proportion beyond. largest: magnitude [unit] that is out of range; inf where there is no such limit."""
+
+    unit: str
+    step: float
+    largest: float = np.inf
+
+
+CHANNELS: Mapping[str, Plausible] = {
+    "x": Plausible("m", 5.0), "y": Plausible("m", 5.0),  # 100 m/s for 50 ms
+    "yaw": Plausible("rad", 0.2),  # 4 rad/s for 50 ms
+    "velocity_x": Plausible("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; no road car is faster
+    "velocity_y": Plausible("m/s", 1.0, 40.0),
+    "yaw_rate": Plausible("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice a step steer; a spin has 3 rad/s
+    "acceleration_x": Plausible("m/s^2", 15.0, 80.0),  # kerbs and potholes reach 10 m/s^2 in one sample
+    "acceleration_y": Plausible("m/s^2", 15.0, 80.0),
+    "road_wheel_angle": Plausible("rad", 0.1, 1.3),  # 2 rad/s; 75 degrees, beyond any steering lock
+    "steering_wheel_angle": Plausible("rad", 1.5, 25.0),  # 30 rad/s, twice an emergency; four turns
+}
+
+Span = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """One channel without the samples that are NaN. rows: places in the log. step, usual: |change| from each sample to
+    the next, and the median of those that are not 0. split: whether a gap lies between. update [s]: median time between
+    changes."""
+
+    name: str
+    plausible: Plausible
+    rows: np.ndarray
+    time: np.ndarray
+    values: np.ndarray
+    step: np.ndarray
+    usual: float
+    split: np.ndarray
+    update: float
+
+    @property
+    def spacing(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def limit(self) -> float:
+        """Largest plausible change from one sample to the next [unit]."""
+        physical = self.plausible.step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
+        return max(physical, MEDIANS * self.usual)
+
+
+def plausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
+    """(the drive without implausible samples, one finding for each kind and channel).
+
+    An INS row is left out for any of INS_SIGNALS; an optional signal becomes NaN; steering samples are left out of the
+    steering alone. A channel of which more than half is implausible keeps its samples, and its finding is an error.
+    start_ns: zero of the times in the findings; None for the first INS measurement.
+    """
+    origin = start_ns if start_ns is not None else int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
+    bad_rows = np.zeros(len(log.ins_time_ns), bool)
+    bad_steering = np.zeros(len(log.steering_time_ns), bool)
+    blanked: dict[str, np.ndarray] = {}
+    findings: list[Finding] = []
+    moving = _moving(log)
+    steering = "road_wheel_angle" if log.steering_wheel_angle is None else "steering_wheel_angle"
+    for name in (*INS_SIGNALS, "acceleration_x", "acceleration_y", steering):
+        values = getattr(log, name)
+        of_steering = name == steering
+        time_ns = log.steering_time_ns if of_steering else log.ins_time_ns
+        channel = _channel(name, (time_ns - origin) * 1e-9, values)
+        if channel is None:
+            continue
+        at = moving if not of_steering else np.interp(time_ns - origin, log.ins_time_ns - origin, moving) > 0.5
+        bad = np.zeros(len(values), bool)
+        for kind, samples in _implausible(channel, at[channel.rows]):
+            findings.append(_finding(kind, channel, samples))
+            bad[channel.rows[samples]] = kind != "channel_jumps"
+        if bad.mean() > MOST:
+            continue
+        if of_steering:
+            bad_steering |= bad
+        elif name in OPTIONAL_INS_SIGNALS and bad.any():
+            blanked[name] = np.where(bad, np.nan, values)
+        elif name not in OPTIONAL_INS_SIGNALS:
+            bad_rows |= bad
+    return _without(log, bad_rows, bad_steering, blanked), _both_axes(findings)
+
+
+def broken_channels(findings: Iterable[Finding]) -> set[str]:
+    """Channels that leaving samples out did not repair: nothing can be compared with them."""
+    return {channel for one in findings if one.name == "channel_jumps" or one.severity is Severity.ERROR
+            for channel in one.channels}
+
+
+def _channel(name: str, time: np.ndarray, values: np.ndarray | None) -> _Channel | None:
+    """None for a channel that is not there, too short, or constant."""
+    if values is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(values))
+    if len(rows) < LEAST:
+        return None
+    time, values = time[rows], values[rows]
+    step, spacing = np.abs(np.diff(values)), np.diff(time)
+    changes = np.flatnonzero(step > 0.0)
+    if len(changes) < 2:
+        return None
+    split = spacing > max(LONGEST_GAP, 1.5 * float(np.median(spacing)))
+    update = float(np.median(np.diff(time[changes + 1])))
+    return _Channel(name, CHANNELS[name], rows, time, values, step, float(np.median(step[changes])), split, update)
+
+
+def _moving(log: DriveLog) -> np.ndarray:
+    """Whether the car moves by its velocity or its positions, a bool for each INS sample; a dropout of one is no stop.
+    """
+    if len(log.ins_time_ns) < 2:
+        return np.zeros(len(log.ins_time_ns), bool)
+    time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))
+    way = np.hypot(*(np.interp(end, time, p) - np.interp(begin, time, p) for p in (log.x, log.y)))
+    return (way / (end - begin) > MOVING) | (np.abs(log.velocity_x) > MOVING)
+
+
+def _implausible(channel: _Channel, moving: np.ndarray) -> Iterable[tuple[str, np.ndarray]]:
+    """(name of the finding, places in the channel) of each kind, no sample twice."""
+    large = channel.step > channel.limit
+    taken = np.zeros(len(channel.values), bool)
+    for kind, samples in (("channel_wraps", _wrapped(channel)),
+                          ("sentinel_values", _sentinels(channel, large, moving)),
+                          ("sample_spikes", _spikes(channel, large)),
+                          ("out_of_range", _out_of_range(channel, large))):
+        new = np.setdiff1d(samples, np.flatnonzero(taken))
+        taken[new] = True
+        if len(new):
+            yield kind, new
+    if channel.name not in ("x", "y", "yaw") and len(jumps := _jumps(channel, large, taken)):
+        yield "channel_jumps", jumps
+
+
+def _jumps(channel: _Channel, large: np.ndarray, taken: np.ndarray) -> np.ndarray:
+    """Samples after a step that neither wraps nor returns and is far beyond all others, whatever the unit. Steps at the
+    end of a pause belong to a frozen channel."""
+    held = np.concatenate((channel.step[:1] == 0.0, channel.step == 0.0)) | np.concatenate(
+        (channel.step == 0.0, channel.step[-1:] == 0.0))
+    aside = taken | (held & (channel.update <= 1.5 * channel.spacing))
+    far = large & (channel.step > JUMP * float(np.percentile(channel.step[channel.step > 0.0], 90)))
+    return 1 + np.flatnonzero(far & ~channel.split & ~aside[1:] & ~aside[:-1])
+
+
+def _wrapped(channel: _Channel) -> np.ndarray:
+    """Samples on the far side of a wrap-around: steps of one size R, from about R/2 to about -R/2 and back. The range
+    in which the channel is nearest to 0 is taken for the true one."""
+    least = max(WRAP_LIMIT * channel.plausible.step, MEDIANS * channel.usual)
+    places = np.flatnonzero((channel.step > least) & ~channel.split)
+    if len(places) < 2:
+        return places[:0]
+    change = np.diff(channel.values)[places]
+    size = float(np.median(np.abs(change)))
+    ends = channel.values[places] + channel.values[places + 1]
+    wraps = (np.abs(np.abs(change) - size) < WRAP_SPREAD * size) & (np.abs(ends) < WRAP_SYMMETRY * size)
+    # Beside a wrap the channel approaches the end of its range: neighbours of a spike or of a sentinel do not.
+    if wraps.sum() < 2 or wraps.mean() < MOST or np.abs(channel.values).max() > (0.5 + WRAP_SPREAD) * size:
+        return places[:0]
+    level = np.zeros(len(channel.values), np.int64)
+    level[places[wraps] + 1] = -np.sign(change[wraps]).astype(np.int64)
+    level = np.cumsum(level)
+    true = min(np.unique(level), key=lambda one: float(np.median(np.abs(channel.values + size * (level - one)))))
+    return np.flatnonzero(level != true)
+
+
+def _out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
+    """Samples beyond what a car can do, in stretches that begin or end with a large step, of a channel that is mostly
+    within: a channel in another unit is beyond throughout, and gets there without a step."""
+    beyond = np.abs(channel.values) > channel.plausible.largest
+    if not beyond.any() or beyond.mean() > MOST:
+        return np.zeros(0, np.int64)
+    found = [np.arange(first, last + 1) for first, last in _spans(beyond)
+             if (first > 0 and large[first - 1]) or (last < len(large) and large[last])]
+    return np.concatenate(found) if found else np.zeros(0, np.int64)
+
+
+def _sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Stretches of one value that the channel leaps to and from: a fixed far value, or 0 while the car moves."""
+    same = np.concatenate((channel.step == 0.0, [False]))
+    edges = np.flatnonzero(~same)
+    first, last = np.concatenate(([0], edges[:-1] + 1)), edges
+    duration = channel.time[last] - channel.time[first]
+    count = last - first + 1
+    usual = float(np.percentile(count, 98))
+    found = []
+    zero_step = max(8.0 * channel.usual, 0.0 if usual < 2.0 else 0.3 * channel.limit)
+    for k in np.flatnonzero((count >= SHORTEST_SENTINEL) & (count > PAUSES * usual)):
+        begin, end = int(first[k]), int(last[k])
+        zero = channel.values[begin] == 0.0
+        if zero and not (duration[k] >= SHORTEST_ZERO and moving[begin:end + 1].mean() > 0.5):
+            continue
+        enough = channel.step > zero_step if zero and channel.name != "velocity_x" else large
+        entered = begin == 0 or channel.split[begin - 1] or enough[begin - 1]
+        left = end == len(channel.values) - 1 or channel.split[end] or enough[end]
+        leaps = (begin > 0 and enough[begin - 1]) or (end < len(enough) and enough[end])
+        if entered and left and leaps:
+            found.append(np.arange(begin, end + 1))
+    return np.concatenate(found) if found else np.zeros(0, np.int64)
+
+
+def _spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
+    """Samples further than the limit from the median of their surroundings (Hampel 1974, with a physical limit), and
+    stretches in which most steps are large.
+
+    Only samples beside a large step are looked at. Surroundings end at gaps.
+    """
+    if not large.any():
+        return np.zeros(0, np.int64)
+    half = max(round(max(HALF_WINDOW, 2.5 * channel.update) / channel.spacing), 2)
+    near = np.flatnonzero(np.convolve(large, np.ones(2 * half + 1), "same") > 0.5)
+    stretch = np.concatenate(([0], np.cumsum(channel.split)))
+    near = np.unique(np.clip(np.concatenate((near, near + 1)), 0, len(channel.values) - 1))
+    offsets = np.arange(-half, half + 1)
+    found = []
+    for part in np.array_split(near, len(near) // 4096 + 1):
+        around = part[:, None] + offsets
+        inside = np.clip(around, 0, len(channel.values) - 1)
+        known = (around == inside) & (stretch[inside] == stretch[part][:, None])
+        middle = np.nanmedian(np.where(known, channel.values[inside], np.nan), axis=1) if len(part) else np.zeros(0)
+        found.append(part[np.abs(channel.values[part] - middle) > channel.limit])
+    dense = np.convolve(large & ~channel.split, np.ones(2 * half + 1), "same") > half
+    for first, last in _spans(dense):
+        places = first + np.flatnonzero(large[first:last + 1])
+        found += [np.arange(places[0] + 1, places[-1] + 1)] if len(places) else []
+    return np.unique(np.concatenate(found))
+
+
+def _spans(mask: np.ndarray) -> list[Span]:
+    """(first, last) of each stretch of a mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
+
+
+def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
+    share = len(samples) / len(channel.values)
+    values, times = channel.values[samples], channel.time[samples]
+    value = float(values[np.argmax(np.abs(values))])
+    where = stretches(times, 1.5 * channel.spacing)
+    unit = channel.plausible.unit
+    when = f"at {where[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
+    count = f"{len(samples)} of {len(channel.values)} samples"
+    text = {
+        "sample_spikes": f"{channel.name} is {value:.4g} {unit} {when}, " + (
+            f"in sample {channel.rows[samples[0]] + 1}" if len(samples) == 1 else f"the largest of {count}")
+            + ", which its neighbours exclude",
+        "sentinel_values": f"{channel.name} holds {value:.6g} {unit} {when} ({count}): "
+                           + ("0 while the car moves" if value == 0.0 else "a value that stands for no measurement"),
+        "out_of_range": f"{channel.name} reaches {value:.4g} {unit} {when} ({count}), beyond any road car",
+        "channel_wraps": f"{channel.name} wraps around at ±{np.abs(channel.values).max():.4g} {unit} "
+                         f"{when} ({count}): its signal is too short for the values of this drive",
+        "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "
+                         f"{float(channel.step[samples - 1].max()):.4g} {unit} from one sample to the next "
+                         f"{when}, and does not return: it is compared with nothing",
+    }[kind]
+    severity = (Severity.ERROR if share > (MOST_WRAPPED if kind == "channel_wraps" else MOST) else
+                Severity.NOTE if kind == "sample_spikes" and share <= FEW else Severity.WARNING)
+    text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; left out"
+    advice = ("look at the definition of the signal: more bits, or a larger factor" if kind == "channel_wraps" else
+              "look at the sensor and the logger" if kind == "channel_jumps" else
+              "look at the sensor and the logger; no command uses the samples named")
+    return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MOST_LISTED],
+                   cure=Cure("look", advice))
+
+
+def _both_axes(findings: list[Finding]) -> list[Finding]:
+    """One finding for x and y, or for all channels of a row, that are wrong at the same times in the same way."""
+    found: dict[tuple, Finding] = {}
+    for one in findings:
+        key = (one.name, one.where, one.value)
+        before = found.get(key)
+        if before is None:
+            found[key] = one
+            continue
+        names = (*before.channels, *one.channels)
+        text = before.text.replace(", ".join(before.channels), ", ".join(names), 1)
+        found[key] = replace(before, channels=names, text=text)
+    return list(found.values())
+
+
+def _without(log: DriveLog, rows: np.ndarray, steering: np.ndarray, blanked: Mapping[str, Any]) -> DriveLog:
+    if blanked:
+        log = replace(log, **blanked)
+    if rows.any() and not rows.all():
+        kept = np.flatnonzero(~rows)
+        # Unwrapped across a wrong sample, yaw may have gained a turn there.
+        turns = np.where(np.diff(kept) > 1, np.round(np.diff(log.yaw[kept]) / (2.0 * np.pi)), 0.0)
+        log = log.with_ins(kept)
+        log = replace(log, yaw=log.yaw - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(turns))))
+    if steering.any() and not steering.all():
+        keep = ~steering
+        log = replace(log, steering_time_ns=log.steering_time_ns[keep], road_wheel_angle=log.road_wheel_angle[keep],
+                      steering_wheel_angle=None if log.steering_wheel_angle is None else log.steering_wheel_angle[keep])
+    return log
