@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+from st_core.log import DriveLog
 
+T0 = 1_700_000_000_000_000_000
 COLUMNS = "t,x,y,yaw,vx,vy,yaw_rate,ax,ay,delta"
 
 
@@ -56,3 +58,18 @@ def write_vehicle(path: Path, leaf: Path) -> Path:
     text = leaf.read_text().replace("cg_to_ins_x: {value: -0.398", "cg_to_ins_x: {value: 0.0")
     path.write_text(text)
     return path
+
+
+def wavy_drive(seconds=12.0, seed=1) -> DriveLog:
+    """Weaving at 6 to 10 m/s with uneven stamps; INS at 100 Hz, steering at 50 Hz."""
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.007, 0.013, int(seconds * 100)))
+    steering_time = np.cumsum(rng.uniform(0.015, 0.025, int(seconds * 50)))
+    speed = 8.0 + 2.0 * np.sin(0.5 * time)
+    yaw_rate = 0.25 * np.sin(0.8 * time)
+    dt = np.diff(time, prepend=0.0)
+    yaw = np.cumsum(yaw_rate * dt)
+    return DriveLog(
+        "wavy", T0 + np.round(time * 1e9).astype(np.int64), np.cumsum(speed * np.cos(yaw) * dt),
+        np.cumsum(speed * np.sin(yaw) * dt), yaw, speed + rng.normal(0.0, 0.01, len(time)), -0.1 * yaw_rate, yaw_rate,
+        T0 + np.round(steering_time * 1e9).astype(np.int64), 2.7 / 8.0 * 0.25 * np.sin(0.8 * steering_time))

@@ -19,13 +19,14 @@ from .filtering import NANOSECOND
 from .log import DriveLog
 from .log_signals import Acceleration, LogSignals, same
 from .models import Model, get_model
+from .planned_inputs import wheel_sequence
 from .prediction import step_count
 from .readings import corrected_log, has_memory, held_steering, readings
 from .start_grid import Block, plan
-from .types import STATE_NAMES
+from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
 
-Inputs = Literal["measured", "held"]
+Inputs = Literal["measured", "held"] | tuple[np.ndarray, np.ndarray]
 Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
@@ -75,7 +76,8 @@ class LogBatch:
 
     starts_ns: any instants [ns]. Fastest where they are multiples of half an integration step apart: then everything
     that depends on the inputs alone is computed once for the log, not for each start.
-    horizon, step [s]. inputs: measured = those of the log over the horizon (hindsight); held = those at the start.
+    horizon, step [s]. inputs: measured = those of the log over the horizon (hindsight); held = those at the start; or
+    planned road wheel angles [rad] and velocity_x_dot [m/s^2], each (n, 2 * steps + 1) on the half-step grid.
     points [s]: of the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps in a step;
     auto = as few as are stable at the speeds of the log. A step too long for those is warned of once.
     backend: lanes or numpy; None: the fastest there is. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
@@ -89,7 +91,7 @@ class LogBatch:
                  inputs: Inputs = "measured", points: Sequence[float] | None = None,
                  substeps: int | Literal["auto"] = 1, backend: str | None = None, maximum_gap: float = 0.1,
                  filter_cutoff: float = 5.0, acceleration: Acceleration = "causal", signals: Signals | None = None):
-        if inputs not in ("measured", "held"):
+        if isinstance(inputs, str) and inputs not in ("measured", "held"):
             raise ConfigurationError(f"inputs: {inputs!r} is neither measured nor held")
         if substeps != "auto" and (not isinstance(substeps, int) or not 1 <= substeps <= stability.MOST_SUBSTEPS):
             raise ConfigurationError(f"substeps: {substeps!r} is not auto and outside 1 to {stability.MOST_SUBSTEPS}")
@@ -99,7 +101,9 @@ class LogBatch:
         self.step, self.steps = step, step_count(horizon, step)
         self.points = self._numbers(points)
         self._inputs, self._substeps, self.others = inputs, substeps, dict(signals or {})
-        self._unique, self._place = np.unique(self.starts_ns, return_inverse=True)
+        self._unique, first, self._place = np.unique(self.starts_ns, return_index=True, return_inverse=True)
+        if not isinstance(inputs, str):
+            self._ahead = self._check_planned(inputs, substeps, first)
         self._speeds = self._occurring_speeds()
         self._recorded = Recording(self.signals)
         self._only: dict[tuple[int, bool], list[Block]] = {}
@@ -115,6 +119,16 @@ class LogBatch:
             raise ConfigurationError(f"points: {list(points)} are not rising multiples of {self.step:g} s within the "
                                      f"horizon of {self.steps * self.step:g} s")
         return numbers
+
+    def _check_planned(self, planned: tuple[np.ndarray, np.ndarray], substeps: int | str,
+                       rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        expected = len(self.starts_ns), 2 * self.steps + 1
+        for name, values in zip(("road_wheel_angle", "velocity_x_dot"), planned, strict=True):
+            if values.shape != expected:
+                raise ConfigurationError(f"planned {name}: shape {values.shape}, not {expected}")
+        if substeps != 1:
+            raise ConfigurationError("substeps: planned inputs are on the half-step grid; take 1")
+        return planned[0][rows], planned[1][rows]
 
     def _occurring_speeds(self) -> tuple[float, ...]:
         if not len(self._unique):
@@ -137,11 +151,15 @@ class LogBatch:
                 raise ConfigurationError(f"model {model.name} needs the signal {name}, which was not given")
         count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
-        recording, apart = self.recording(model), self._inputs == "held" and has_memory(model)
+        recording = self.recording(model)
+        apart = not isinstance(self._inputs, str) or (self._inputs == "held" and has_memory(model))
         signals = recording.signals
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
         for block in self._blocks(count, apart):
-            values = self._sample_held(block, signals, model) if apart else self._sample(block, recording, model)
+            if not isinstance(self._inputs, str):
+                values = self._sample_planned(block, signals, model)
+            else:
+                values = self._sample_held(block, signals, model) if apart else self._sample(block, recording, model)
             states = signals.states_at(block.starts_ns, car).T
             result[:, :, block.rows] = self._advance(block, values, states, model, p, count)
         states = result if np.array_equal(self._unique, self.starts_ns) else result[:, :, self._place]
@@ -217,6 +235,17 @@ class LogBatch:
         others = [signals.sample(*self.others[name], starts) for name in model.signals]
         return [block.laid_out(np.broadcast_to(v, block.times_ns.shape))
                 for v in (np.array(wheels).T, acceleration, *others)]
+
+    def _sample_planned(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
+        """As `_sample`, of planned inputs; block: not shared."""
+        raw, (angle, acceleration) = self.signals.log, (values[block.rows] for values in self._ahead)
+        if has_memory(model):
+            angle = np.array([wheel_sequence(model, InputSequence(*both), int(start), self.step, raw.steering_time_ns,
+                                             raw.road_wheel_angle, signals.maximum_gap).road_wheel_angle
+                              for *both, start in zip(angle, acceleration, block.starts_ns, strict=False)])
+        others = [signals.sample(*self.others[name], block.times_ns[0]) for name in model.signals]
+        columns = [np.pad(v.T, ((0, 0), (0, block.columns - len(v))), mode="edge") for v in (angle, acceleration)]
+        return [block.laid_out(np.broadcast_to(v, block.times_ns.shape)) for v in (*columns, *others)]
 
     def _table(self, block: Block, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
         """w at all instants of a block."""

@@ -1,7 +1,7 @@
 """Predictions against what was then measured: error along, across and in yaw over the horizon, and their statistics."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -19,14 +19,16 @@ from .vehicle import VehicleParameters
 
 _NEVER = -(2**62)  # before all times
 
-Mode = Literal["forecast", "hindsight"]
+Mode = Literal["forecast", "hindsight", "plan", "course"]
+"""Inputs over the horizon: forecast = held as at the start; hindsight = as then measured; plan = as planned beforehand;
+course = as remembered from earlier drives at the same place."""
 
 
 @dataclass(frozen=True)
 class Score:
     """Error of one prediction of one model, predicted minus measured, at the INS point.
 
-    mode: forecast = the trajectory as issued, inputs held; hindsight = re-simulated from the same start with the
+    mode: forecast, plan, course = the trajectory as issued; hindsight = re-simulated from the same start with the
     measured inputs (the paper's protocol). start_ns: measured_at of the start [ns]. horizon: [s] after it, 0 first.
     longitudinal [m]: + predicted ahead, lateral [m]: + predicted to the left, both along the measured heading at each
     point; yaw [rad] in [-pi, pi): + predicted further to the left. NaN where not scored: no measured position, or in
@@ -74,7 +76,7 @@ def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Seque
 class _Pending:
     start: VehicleState
     model: str
-    trajectory: Trajectory
+    issued: Mapping[Mode, Trajectory]
 
 
 class Evaluator:
@@ -128,11 +130,12 @@ class Evaluator:
         return self._views[model]
 
     def add_prediction(self, model: str, start_ns: int, start: VehicleState, inputs: ControlInput,
-                       trajectory: Trajectory) -> None:
-        """Take an issued prediction: start state (CG), held inputs and trajectory."""
+                       trajectory: Trajectory, others: Mapping[Mode, Trajectory] | None = None) -> None:
+        """Take an issued prediction: start state (CG), held inputs and trajectory; others: of plan and course."""
         del inputs  # the forecast is scored as issued; hindsight takes the measured ones
+        issued: dict[Mode, Trajectory] = {"forecast": trajectory, **(others or {})}
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
-        self._waiting.setdefault(key, []).append(_Pending(start, model, trajectory))
+        self._waiting.setdefault(key, []).append(_Pending(start, model, issued))
         if self.pending > self.MAXIMUM_PENDING:
             self._give_up([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions waiting")
 
@@ -164,7 +167,7 @@ class Evaluator:
             start_ns, steps, step = key
             nothing = [np.full(steps + 1, math.nan)] * 3
             for pending in self._waiting.pop(key):
-                for mode in ("forecast", "hindsight"):
+                for mode in (*pending.issued, "hindsight"):
                     self._overtaken.append(make_score(pending.model, mode, start_ns, step, nothing, reason))
         # The scores wait for `poll`, bounded like their predictions, as it may never be called.
         del self._overtaken[:-2 * self.MAXIMUM_PENDING]
@@ -188,10 +191,9 @@ class Evaluator:
             view = self.view(pending.model)
             known = inputs if view.plain else view.measured(times)
             again = predict(view.model, self.vehicle, pending.start, known, steps * step, step)
-            issued = pending.trajectory
-            ways: tuple[tuple[Mode, Trajectory, np.ndarray, str], ...] = (
-                ("forecast", issued, unbroken, jump or no_position),
-                ("hindsight", again, unbroken & scorable, jump or no_inputs))
+            ways: list[tuple[Mode, Trajectory, np.ndarray, str]] = [
+                *((mode, issued, unbroken, jump or no_position) for mode, issued in pending.issued.items()),
+                ("hindsight", again, unbroken & scorable, jump or no_inputs)]
             for mode, trajectory, scored, reason in ways:
                 shown = view.shown(trajectory)
                 errors = [np.where(scored, e, math.nan) for e in pose_errors(shown.x, shown.y, shown.yaw, *measured)]

@@ -6,10 +6,9 @@ of each start are its errors' means, squares and extremes over the horizon and t
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -28,6 +27,7 @@ from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
 
 MODES: tuple[Mode, ...] = ("hindsight", "forecast")
+"""Those of every evaluation; plan and course come in addition where their inputs are given."""
 AXES = ("longitudinal", "lateral", "yaw")
 BLOCK = 1024  # starts predicted together; each model and mode then takes 7 MB
 AHEAD = 2  # blocks being made, one a thread
@@ -35,7 +35,11 @@ CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate"
 ALL = slice(None)
 
 Progress = Callable[[int, int], None]
+Planned = tuple[np.ndarray, np.ndarray]
 Watch = Callable[[np.ndarray, "Block"], None]
+Ahead = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Of starts (n,) [ns], rising: road wheel angle [rad] and velocity_x_dot [m/s^2] over the horizon, each
+(n, 2 * steps + 1) on the half-step grid; NaN from where not known. Called once for every start, in order."""
 
 
 @dataclass(frozen=True)
@@ -146,13 +150,15 @@ class LogEvaluation:
 
 def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog | LogSignals,
                  settings: EvaluationSettings | None = None, starts_ns: np.ndarray | None = None,
-                 progress: Progress | None = None, watch: Watch | None = None) -> LogEvaluation:
+                 progress: Progress | None = None, watch: Watch | None = None,
+                 ahead: Mapping[Mode, Ahead] | None = None) -> LogEvaluation:
     """Predict with every model from every start and score it.
 
     log: its signals are made with the settings, unless they are given.
     starts_ns: increasing; default every `interval` of the drive from its first INS sample on. A start where INS or
     steering is not known, or slower than minimum_speed, is skipped and counted. progress(done, total): after each
     block. watch(starts_ns, block): sees each block with its whole errors before they are let go.
+    ahead: inputs of further modes, plan and course; where they are not known, inputs are held.
     Source: paper, section on the comparison. Checked by: test_log_evaluation.py, against the live classes.
     """
     settings = settings or EvaluationSettings()
@@ -163,10 +169,11 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     requested = regular_starts(log, settings.interval) if starts_ns is None else np.asarray(starts_ns, np.int64)
     starts, skipped = usable_starts(signals, vehicle, requested, settings.prediction.minimum_speed)
     horizon = settings.prediction.step * np.arange(settings.prediction.steps + 1)
-    collected = {(model.name, mode): _Collector(len(starts), horizon) for model in chosen for mode in MODES}
+    modes = (*MODES, *(ahead or {}))
+    collected = {(model.name, mode): _Collector(len(starts), horizon) for model in chosen for mode in modes}
     conditions = {name: np.full(len(starts), np.nan) for name in CONDITIONS}
     reasons: dict[str, int] = {}
-    for rows, block in evaluate_blocks(chosen, vehicle, signals, starts, settings):
+    for rows, block in evaluate_blocks(chosen, vehicle, signals, starts, settings, ahead):
         for name, values in block.conditions.items():
             conditions[name][rows] = values
         for key, errors in block.errors.items():
@@ -218,20 +225,27 @@ class Block:
 
 
 def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
-                    settings: EvaluationSettings) -> Iterator[tuple[slice, Block]]:
+                    settings: EvaluationSettings,
+                    ahead: Mapping[Mode, Ahead] | None = None) -> Iterator[tuple[slice, Block]]:
     """Errors and whole trajectories of BLOCK starts at a time, with the rows of `starts_ns` they belong to.
 
     While one is looked at the next are being made: kernels and arrays leave the interpreter to other threads.
     """
     blocks = [slice(first, min(first + BLOCK, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK)]
-    make = partial(_evaluate_block, models, vehicle, signals, settings=settings)
+    # In order and here: a course follows the drive.
+    inputs = {mode: of_mode(starts_ns) for mode, of_mode in (ahead or {}).items()} if len(starts_ns) else {}
+
+    def make(starts_ns: np.ndarray, rows: slice) -> Block:
+        own: dict[Mode, Planned] = {mode: (angle[rows], rate[rows]) for mode, (angle, rate) in inputs.items()}
+        return _evaluate_block(models, vehicle, signals, starts_ns, settings, own)
+
     if len(blocks) == 1:
-        yield blocks[0], make(starts_ns=starts_ns)
+        yield blocks[0], make(starts_ns, blocks[0])
         return
     with ThreadPoolExecutor(AHEAD) as pool:
         waiting: deque[tuple[slice, Future[Block]]] = deque()
         for rows in blocks:
-            waiting.append((rows, pool.submit(make, starts_ns=starts_ns[rows])))
+            waiting.append((rows, pool.submit(make, starts_ns[rows], rows)))
             if len(waiting) > AHEAD:
                 first, made = waiting.popleft()
                 yield first, made.result()
@@ -240,7 +254,7 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
 
 
 def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
-                    settings: EvaluationSettings) -> Block:
+                    settings: EvaluationSettings, ahead: Mapping[Mode, Planned]) -> Block:
     step, steps = settings.prediction.step, settings.prediction.steps
     half_steps = np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
     instants, place = _instants(starts_ns, half_steps)
@@ -251,14 +265,17 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     speed, yaw_rate, acceleration, angle = (v[place].T for v in (*others, signals.road_wheel_angle_at(instants)))
     measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
+    batches: dict[Mode, LogBatch] = {mode: LogBatch(signals, starts_ns, step * steps, step, inputs=_or_held(
+        planned, angle[:, 0], acceleration[:, 0])) for mode, planned in ahead.items()}
     for model in models:
         trajectories[model.name, "hindsight"] = (
             measured.predict(model, vehicle).states if settings.inputs == "interpolate"
             else predict_held_per_step(model, vehicle, signals, starts_ns, times[:, ::2], step))
         trajectories[model.name, "forecast"] = held.predict(model, vehicle).states
+        trajectories |= {(model.name, mode): batch.predict(model, vehicle).states for mode, batch in batches.items()}
     errors: dict[tuple[str, Mode], np.ndarray] = {
         (model.name, mode): _reading_errors(model, vehicle, trajectories[model.name, mode], *measured_there)
-        for model in models for mode in MODES}
+        for model in models for mode in (*MODES, *ahead)}
     known = InputSequence(angle, acceleration).known_so_far
     for model in models:
         errors[model.name, "hindsight"][~known[:, ::2]] = np.nan
@@ -274,6 +291,12 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     }
     conditions = {name: np.where(complete, values, np.nan) for name, values in conditions.items()}
     return Block(errors, trajectories, conditions, {name: int(b.sum()) for name, b in incomplete.items() if b.any()})
+
+
+def _or_held(planned: Planned, angle: np.ndarray, acceleration: np.ndarray) -> Planned:
+    """Planned inputs (n, m), and the held ones (n,) for the starts where a planned one is not known."""
+    known = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]
+    return np.where(known, planned[0], angle[:, None]), np.where(known, planned[1], acceleration[:, None])
 
 
 def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ from .filtering import NANOSECOND
 from .frozen_steering import FrozenAngle, FrozenSteering
 from .model_view import ModelView
 from .models import Model, get_model
+from .planned_inputs import PlannedInputs, plan_problem, wheel_sequence
 from .stability import warn_if_too_long
 from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
@@ -261,13 +262,26 @@ class Predictor:
                 return f"{name}: {series.why_unknown(common)} at the newest common instant{old}"
         return "INS and steering: no common instant"
 
-    def run(self, start: Start, model: str) -> Trajectory:
-        """The trajectory of one model from a start, its inputs held. At the CG as that model has it, see `car`."""
+    def planned(self, plan: PlannedInputs, start: Start) -> InputSequence | str:
+        """The inputs of a plan over the horizon, for `run`; or the reason, in one line, why it cannot be used."""
+        settings = self.settings
+        problem = plan_problem(plan, start.time_ns, start.state, start.inputs, settings.horizon, self.vehicle)
+        return problem or plan.sequence(start.time_ns, settings.steps, settings.step)
+
+    def run(self, start: Start, model: str, ahead: InputSequence | None = None) -> Trajectory:
+        """The trajectory of one model from a start, at the CG as that model has it, see `car`.
+
+        ahead: inputs on the half-step grid of the horizon, of a plan (`planned`) or a course; None: inputs held.
+        """
         if model not in self._views:
             raise ConfigurationError(f"model {model!r} is not configured; there are {', '.join(self._views)}")
         view, settings = self._views[model], self.settings
         state, inputs = ((start.state, start.inputs) if view.plain
                          else view.start(start.time_ns, settings.steps, settings.step))
+        if ahead is not None:
+            steering = self.history.steering
+            inputs = wheel_sequence(view.model, ahead, start.time_ns, settings.step, steering.times,
+                                    steering.rows[:, 0], settings.maximum_gap)
         if model in self._runners:
             return self._runners[model](state, inputs)
         return predict(view.model, self.vehicle, state, inputs, settings.horizon, settings.step)

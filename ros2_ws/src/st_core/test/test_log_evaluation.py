@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from drives import T0, wavy_drive
 from st_core.binning import bins
 from st_core.errors import ConfigurationError
 from st_core.evaluation import ErrorStatistics, Evaluator, Statistic
@@ -13,23 +14,7 @@ from st_core.types import InsSample
 from steady_circle import Circle
 
 MODELS = ("kinematic", "linear", "nonlinear")
-T0 = 1_700_000_000_000_000_000
 SHORT = PredictionSettings(horizon=1.0)
-
-
-def wavy_drive(seconds=12.0, seed=1) -> DriveLog:
-    """Weaving at 6 to 10 m/s with uneven stamps; INS at 100 Hz, steering at 50 Hz."""
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(rng.uniform(0.007, 0.013, int(seconds * 100)))
-    steering_time = np.cumsum(rng.uniform(0.015, 0.025, int(seconds * 50)))
-    speed = 8.0 + 2.0 * np.sin(0.5 * time)
-    yaw_rate = 0.25 * np.sin(0.8 * time)
-    dt = np.diff(time, prepend=0.0)
-    yaw = np.cumsum(yaw_rate * dt)
-    return DriveLog(
-        "wavy", T0 + np.round(time * 1e9).astype(np.int64), np.cumsum(speed * np.cos(yaw) * dt),
-        np.cumsum(speed * np.sin(yaw) * dt), yaw, speed + rng.normal(0.0, 0.01, len(time)), -0.1 * yaw_rate, yaw_rate,
-        T0 + np.round(steering_time * 1e9).astype(np.int64), 2.7 / 8.0 * 0.25 * np.sin(0.8 * steering_time))
 
 
 def without(log: DriveLog, ins=(0.0, 0.0), steering=(0.0, 0.0)) -> DriveLog:

@@ -163,7 +163,8 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
 
 def _of_first_run(reports: Sequence[RunReport], leading: Sequence[Drawn], count: int) -> dict[str, list[Drawn]]:
     """At most `count` figures of the first run that are not among the leading ones and fit into the page, by run."""
-    room, chosen = BUDGET, []
+    room = BUDGET
+    chosen: list[Drawn] = []
     for figure in (f for f in reports[0].figures if f not in leading) if reports else ():
         room -= len(figure.svg.encode())
         if len(chosen) < count and room > 0:

@@ -1,0 +1,207 @@
+"""Planned inputs over the horizon: from steering and acceleration or from speed and curvature, checked before use.
+
+A plan states what the car is going to do at instants of the measurement clock. It replaces the held inputs of a
+forecast only where `plan_problem` finds nothing; otherwise the forecast holds its inputs and the reason is reported.
+Checked by: test_planned_inputs.py, against hindsight.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import StCoreError
+from .filtering import NANOSECOND
+from .handling import understeer_coefficient
+from .models import Model
+from .readings import MEMORY_NS, ahead_ns, corrected_steering, has_memory
+from .timeseries import interpolate
+from .types import ControlInput, InputSequence, VehicleState
+from .vehicle import VehicleParameters
+
+MAX_AGE = 0.5
+"""s. Planners of cars replan at 10 Hz and more; an older plan means that the planner has stopped."""
+MAX_SPACING = 0.5
+"""s between points: a driver's fastest correction lasts about so long (steering frequencies up to 1 Hz)."""
+MAX_ROAD_WHEEL_ANGLE = 0.8
+"""rad. Passenger cars lock at 0.55 to 0.75 rad."""
+MAX_STEERING_RATE = 1.5
+"""rad/s at the road wheel: a hand wheel at 24 rad/s, beyond what steering robots reach (about 20 rad/s)."""
+MAX_ACCELERATION = 12.0
+"""m/s^2, along and across together: a friction coefficient of 1.2, dry road and sports tyres."""
+ANGLE_TOLERANCE = 0.05
+"""rad between planned and measured road wheel angle at the start: 45 deg of the hand wheel."""
+ACCELERATION_TOLERANCE = 3.0
+"""m/s^2 between planned and measured at the start: a brake that is being applied needs 0.3 s to build up."""
+SPEED_TOLERANCE = 2.0
+"""m/s between planned and measured at the start."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedInputs:
+    """One plan. issued_ns, time_ns (n,): instants on the measurement clock [ns]. road_wheel_angle (n,): left + [rad],
+    as the steering sensor will show it. velocity_x_dot (n,) [m/s^2]. speed: (n,) [m/s] where the plan states it.
+
+    Between its points a plan is linear. Raises StCoreError, one line, for arrays of unequal length.
+    """
+
+    issued_ns: int
+    time_ns: np.ndarray
+    road_wheel_angle: np.ndarray
+    velocity_x_dot: np.ndarray
+    speed: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time_ns", np.asarray(self.time_ns, np.int64))
+        for name in ("road_wheel_angle", "velocity_x_dot", "speed"):
+            if (values := getattr(self, name)) is not None:
+                object.__setattr__(self, name, np.asarray(values, float))
+                if getattr(self, name).shape != self.time_ns.shape or self.time_ns.ndim != 1:
+                    raise StCoreError(f"plan: {name} has {np.size(values)} values, time has {self.time_ns.size}")
+
+    @classmethod
+    def from_path(cls, issued_ns: int, time_ns: np.ndarray, speed: np.ndarray, curvature: np.ndarray,
+                  vehicle: VehicleParameters) -> "PlannedInputs":
+        """A plan of speed v [m/s] and path curvature k [1/m], left +, of the CG.
+
+            delta = (L + K v^2) k,    velocity_x_dot = dv/dt
+
+        K: `handling.understeer_coefficient`, the linear car in a steady turn; the steering of a fast change of
+        curvature lags behind by the car's own response, about 0.1 s.
+        """
+        speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
+        seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
+        rising = len(seconds) > 1 and bool((np.diff(seconds) > 0.0).all()) and speed.shape == seconds.shape
+        acceleration = np.gradient(speed, seconds) if rising else np.zeros_like(speed)
+        return cls(issued_ns, time_ns, steady_state_steering(speed, curvature, vehicle), acceleration, speed)
+
+    def sequence(self, start_ns: int, steps: int, step: float) -> InputSequence:
+        """Inputs on the half-step grid from a start [ns]; NaN outside the plan."""
+        grid = half_step_grid(start_ns, steps, step)
+        return InputSequence(self._at(self.road_wheel_angle, grid), self._at(self.velocity_x_dot, grid))
+
+    def _at(self, values: np.ndarray, grid_ns: np.ndarray) -> np.ndarray:
+        return np.interp(grid_ns - grid_ns[0], self.time_ns - grid_ns[0], values, left=np.nan, right=np.nan)
+
+
+def steady_state_steering(speed: np.ndarray, curvature: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
+    """Road wheel angle [rad] of the linear car in a steady turn of curvature [1/m], left +, at speed [m/s].
+
+        delta = (L + K v^2) k            Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
+    """
+    return (vehicle.wheelbase + understeer_coefficient(vehicle) * speed * speed) * curvature
+
+
+def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
+    """Instants [ns] 0, step/2, step, ... after a start: (2 * steps + 1,)."""
+    return start_ns + np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
+
+
+def recorded_plan(time_ns: np.ndarray, road_wheel_angle: np.ndarray, velocity_x_dot: np.ndarray, steps: int,
+                  step: float, maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """A plan recorded along a drive as inputs of `log_evaluation.evaluate_log`.
+
+    time_ns: rising [ns]; each value is what had been planned for that instant before its horizon began. NaN, and gaps
+    longer than maximum_gap [s]: not planned.
+    """
+    gap_ns = round(maximum_gap / NANOSECOND)
+
+    def ahead(starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        grid = starts_ns[:, None] + half_step_grid(0, steps, step)
+        angle, acceleration = (interpolate(time_ns, values, grid.ravel(), gap_ns).reshape(grid.shape)
+                               for values in (road_wheel_angle, velocity_x_dot))
+        return angle, acceleration
+
+    return ahead
+
+
+def plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput, horizon: float,
+                 vehicle: VehicleParameters) -> str:
+    """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if it is.
+
+    state, inputs: measured at the start. In this order: empty, not finite, time not rising, stale, in the past, late,
+    short, coarse, infeasible, contradicting the measurement.
+    """
+    return _malformed(plan) or _mistimed(plan, start_ns, horizon) or _infeasible(plan, state, vehicle) \
+        or _contradiction(plan, start_ns, state, inputs)
+
+
+def _malformed(plan: PlannedInputs) -> str:
+    if len(plan.time_ns) < 2:
+        return f"plan: {len(plan.time_ns)} points; at least two are needed"
+    if (np.diff(plan.time_ns) <= 0).any():
+        return "plan: its time does not rise"
+    for name in ("road_wheel_angle", "velocity_x_dot", "speed"):
+        values = getattr(plan, name)
+        if values is not None and not np.isfinite(values).all():
+            return f"plan: {name} is not finite at point {int(np.flatnonzero(~np.isfinite(values))[0])}"
+    return ""
+
+
+def _mistimed(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
+    age = (start_ns - plan.issued_ns) * NANOSECOND
+    if age > MAX_AGE:
+        return f"plan: issued {age:.2f} s before the start (limit {MAX_AGE:g} s)"
+    if age < -MAX_AGE:
+        return f"plan: issued {-age:.2f} s after the start; the clocks disagree"
+    first, last = ((int(plan.time_ns[k]) - start_ns) * NANOSECOND for k in (0, -1))
+    if last <= 0.0:
+        return f"plan: it ended {-last:.2f} s before the start"
+    if first > 0.0:
+        return f"plan: it begins {first:.2f} s after the start"
+    if last < horizon - 1.0e-6:
+        return f"plan: it ends {last:.2f} s after the start, the horizon is {horizon:g} s"
+    widest = float(np.diff(plan.time_ns).max()) * NANOSECOND
+    return f"plan: points are up to {widest:.2f} s apart (limit {MAX_SPACING:g} s)" if widest > MAX_SPACING else ""
+
+
+def _infeasible(plan: PlannedInputs, state: VehicleState, vehicle: VehicleParameters) -> str:
+    angle, seconds = plan.road_wheel_angle, np.diff(plan.time_ns) * NANOSECOND
+    if (largest := float(np.abs(angle).max())) > MAX_ROAD_WHEEL_ANGLE:
+        return f"plan: road wheel angle of {largest:.2f} rad (limit {MAX_ROAD_WHEEL_ANGLE:g})"
+    if (rate := float(np.abs(np.diff(angle) / seconds).max())) > MAX_STEERING_RATE:
+        return f"plan: steering rate of {rate:.2f} rad/s at the road wheel (limit {MAX_STEERING_RATE:g})"
+    speed = plan.speed
+    if speed is None:
+        gained = np.diff(plan.velocity_x_dot) * 0.5 + plan.velocity_x_dot[:-1]
+        speed = state.velocity_x + np.concatenate([[0.0], np.cumsum(gained * seconds)])
+    across = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)
+    demand = float(np.hypot(plan.velocity_x_dot, across).max())
+    return f"plan: acceleration of {demand:.1f} m/s^2 (limit {MAX_ACCELERATION:g})" if demand > MAX_ACCELERATION else ""
+
+
+def _contradiction(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput) -> str:
+    here = np.array([start_ns])
+    for name, measured, tolerance, unit in (
+            ("road_wheel_angle", inputs.road_wheel_angle, ANGLE_TOLERANCE, "rad"),
+            ("velocity_x_dot", inputs.velocity_x_dot, ACCELERATION_TOLERANCE, "m/s^2"),
+            ("speed", state.velocity_x, SPEED_TOLERANCE, "m/s")):
+        values = getattr(plan, name)
+        planned = math.nan if values is None else float(plan._at(values, here)[0])
+        if abs(planned - measured) > tolerance:
+            return (f"plan: {name} {planned:.3g} {unit} at the start, measured {measured:.3g} "
+                    f"(tolerance {tolerance:g}); wrong sign, frame or unit?")
+    return ""
+
+
+def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: float, steering_time_ns: np.ndarray,
+                   road_wheel_angle: np.ndarray, maximum_gap: float) -> InputSequence:
+    """Planned inputs as the wheels of a model follow them: with delay, play and lag, of what was recorded before too.
+
+    planned: on the half-step grid from start_ns. steering_time_ns, road_wheel_angle: recorded; later samples are not
+    used. Unchanged for a model without a memory of the steering. maximum_gap [s].
+    """
+    if not has_memory(model):
+        return planned
+    grid = start_ns + np.round(np.arange(len(planned.road_wheel_angle)) * (0.5 * step / NANOSECOND)).astype(np.int64)
+    before = slice(*np.searchsorted(steering_time_ns, (start_ns - MEMORY_NS, start_ns)).tolist())
+    # Held beyond the end of the horizon, as far as a model with late stamps looks ahead.
+    beyond = grid[-1] + np.arange(1, 2 + ahead_ns(model) // round(0.5 * step / NANOSECOND)) * round(
+        0.5 * step / NANOSECOND)
+    time_ns = np.concatenate([steering_time_ns[before], grid, beyond])
+    angle = np.concatenate([road_wheel_angle[before], planned.road_wheel_angle,
+                            np.full(len(beyond), planned.road_wheel_angle[-1])])
+    gap = max(maximum_gap, step)
+    wheels = interpolate(*corrected_steering(model, time_ns, angle, gap), grid, round(gap / NANOSECOND))
+    return InputSequence(wheels, planned.velocity_x_dot, planned.signals)

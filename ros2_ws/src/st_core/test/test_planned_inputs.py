@@ -1,0 +1,98 @@
+"""Plans: true inputs as a plan give hindsight; bad plans are refused with a reason; live and offline agree."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import T0, wavy_drive
+from st_core.evaluation import Evaluator
+from st_core.log_evaluation import EvaluationSettings, evaluate_log
+from st_core.planned_inputs import PlannedInputs, plan_problem, recorded_plan, steady_state_steering
+from st_core.prediction import PredictionSettings, Predictor, Start, predict
+from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
+
+MODELS = ("kinematic", "linear", "nonlinear")
+SHORT = PredictionSettings(horizon=1.0)
+STATE, HELD = VehicleState(0.0, 0.0, 10.0, 0.0, 0.0, 0.1), ControlInput(0.02, 0.5)
+START = T0 + 10**9
+
+
+def plan(seconds=6.0, points=61, **changes) -> PlannedInputs:
+    time = START + np.round(np.linspace(0.0, seconds, points) * 1e9).astype(np.int64)
+    return replace(PlannedInputs(START, time, np.full(points, 0.02), np.full(points, 0.5)), **changes)
+
+
+def test_true_inputs_as_a_plan_give_hindsight_to_a_millimetre(leaf):
+    settings = EvaluationSettings(SHORT)
+    signals = settings.signals(wavy_drive())
+    log = signals.log
+    times = np.union1d(log.ins_time_ns, log.steering_time_ns)
+    planned = recorded_plan(times, signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0],
+                            SHORT.steps, SHORT.step, 0.1)
+    result = evaluate_log(MODELS, leaf, signals, settings, ahead={"plan": planned})
+    for model in MODELS:
+        hindsight, plan_errors, held = (result.errors[model, mode] for mode in ("hindsight", "plan", "forecast"))
+        both = hindsight.complete & plan_errors.complete
+        assert both.sum() > 90
+        assert np.abs(hindsight.at_seconds - plan_errors.at_seconds)[both].max() < 1e-3
+        assert np.abs(held.at_seconds - plan_errors.at_seconds)[both].max() > 0.1
+
+
+def test_live_scores_of_a_plan_are_those_of_its_trajectory(leaf):
+    """A plan of another speed profile and curvature: the predictor's path and the evaluator's score of mode `plan`."""
+    log = wavy_drive()
+    predictor, evaluator = Predictor(leaf, MODELS, SHORT), Evaluator(leaf, SHORT)
+    for core in (predictor, evaluator):
+        ins = [log.ins_time_ns, *(getattr(log, name) for name in InsSample._fields[1:])]
+        for row in zip(*(column.tolist() for column in ins), strict=True):
+            if row[0] < START or core is evaluator:
+                core.add_ins(InsSample(*row))
+        for time_ns, angle in zip(log.steering_time_ns.tolist(), log.road_wheel_angle.tolist(), strict=True):
+            if time_ns < START or core is evaluator:
+                core.add_steering(time_ns, angle)
+    start = predictor.start(START)
+    assert isinstance(start, Start)
+    path = PlannedInputs.from_path(START, START - 10**8 + np.arange(0, 20) * 10**8, np.full(20, start.state.velocity_x),
+                                   np.full(20, start.state.yaw_rate / start.state.velocity_x), leaf)
+    ahead = predictor.planned(path, start)
+    assert isinstance(ahead, InputSequence)
+    issued = predictor.run(start, "linear", ahead)
+    expected = predict("linear", leaf, start.state, ahead, SHORT.horizon, SHORT.step)
+    np.testing.assert_array_equal(issued.states, expected.states)
+    evaluator.add_prediction("linear", start.time_ns, start.state, start.inputs, predictor.run(start, "linear"),
+                             {"plan": issued})
+    modes = {score.mode: score for score in evaluator.flush()}
+    assert set(modes) == {"forecast", "plan", "hindsight"} and all(score.complete for score in modes.values())
+    assert not np.array_equal(modes["plan"].lateral, modes["forecast"].lateral)
+
+
+def test_a_steady_turn_follows_the_planned_curvature(leaf):
+    speed, curvature = 12.0, 0.02
+    angle = float(steady_state_steering(np.array(speed), np.array(curvature), leaf))
+    end = predict("linear", leaf, VehicleState(0, 0, speed, 0, 0, 0), ControlInput(angle, 0.0)).states[-1]
+    assert end[5] / speed == pytest.approx(curvature, rel=0.02)
+
+
+@pytest.mark.parametrize(("changes", "reason"), [
+    ({}, ""),
+    ({"time_ns": np.zeros(0, int), "road_wheel_angle": np.zeros(0), "velocity_x_dot": np.zeros(0)}, "0 points"),
+    ({"road_wheel_angle": np.where(np.arange(61) == 7, np.nan, 0.02)}, "road_wheel_angle is not finite at point 7"),
+    ({"velocity_x_dot": np.full(61, np.inf)}, "velocity_x_dot is not finite at point 0"),
+    ({"time_ns": np.full(61, START)}, "time does not rise"),
+    ({"issued_ns": START - 10**9}, "issued 1.00 s before the start"),
+    ({"issued_ns": START + 10**9}, "clocks disagree"),
+    ({"time_ns": START - 10**10 + np.arange(61) * 10**8}, "ended 4.00 s before"),
+    ({"time_ns": START + 10**9 + np.arange(61) * 10**8}, "begins 1.00 s after"),
+    ({"time_ns": START + np.arange(61) * 5 * 10**7}, "ends 3.00 s after the start, the horizon is 5 s"),
+    ({"time_ns": START + np.arange(61) * 6 * 10**8}, "up to 0.60 s apart"),
+    ({"road_wheel_angle": np.full(61, 0.9)}, "0.90 rad"),
+    ({"road_wheel_angle": 0.02 + 0.2 * (np.arange(61) % 2)}, "steering rate"),
+    ({"velocity_x_dot": np.linspace(0.5, 20.0, 61)}, "limit 12"),
+    ({"road_wheel_angle": np.linspace(0.02, 0.5, 61)}, "limit 12"),
+    ({"road_wheel_angle": np.full(61, -0.06)}, "wrong sign, frame or unit"),
+    ({"velocity_x_dot": np.full(61, -4.0)}, "velocity_x_dot -4 m/s^2 at the start, measured 0.5"),
+    ({"speed": np.full(61, 15.0)}, "speed 15 m/s at the start, measured 10"),
+])
+def test_bad_plans_are_refused_with_the_reason(leaf, changes, reason):
+    found = plan_problem(plan(**changes), START, STATE, HELD, 5.0, leaf)
+    assert reason in found and bool(found) == bool(reason)
