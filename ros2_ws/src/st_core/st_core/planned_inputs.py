@@ -65,7 +65,7 @@ class PlannedInputs:
                   vehicle: VehicleParameters) -> "PlannedInputs":
         """A plan of speed v [m/s] and path curvature k [1/m], left +, of the CG.
 
-            delta = (L + K v^2) k,    velocity_x_dot = dv/dt
+            delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
         K: `handling.understeer_coefficient`, the linear car in a steady turn; the steering of a fast change of
         curvature lags behind by the car's own response, about 0.1 s.
@@ -88,9 +88,9 @@ class PlannedInputs:
 def steady_state_steering(speed: np.ndarray, curvature: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
     """Road wheel angle [rad] of the linear car in a steady turn of curvature [1/m], left +, at speed [m/s].
 
-        delta = (L + K v^2) k            Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
+        delta = L (1 + K v^2) k            Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
     """
-    return (vehicle.wheelbase + understeer_coefficient(vehicle) * speed * speed) * curvature
+    return vehicle.wheelbase * (1.0 + understeer_coefficient(vehicle) * speed * speed) * curvature
 
 
 def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
