@@ -1,5 +1,9 @@
-"""Cars that share no code and no tyre model with the project, through `st check` and `st discover`."""
+"""Cars that share no equation with the project, through `st discover`: what is stated against what is in the car."""
 
-from .command import main
+from collections.abc import Sequence
 
-__all__ = ["main"]
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; see `command`."""
+    from .command import main as command
+    return command(arguments)

@@ -1,128 +1,132 @@
-"""What is hidden in the recordings, what a right answer may say, and the files a user would have."""
+"""The cases: car, what is hidden, what the owner guesses, which drives; drawn from one seed for each half."""
 
 import math
+import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from functools import cache
 
 import numpy as np
-from st_core.tyres import magic_formula_peak
-from st_recordings.car import car_named, read_vehicle
-from st_recordings.car_skeleton import write_skeleton
 
-from .cars import CARS, GRAVITY, Stranger, drives, sensed, side_force
+from . import multibody
+from .roads import ROADS
+from .vehicles import CARS, DEVELOPMENT, MULTI_BODY, SEALED, Stranger
 
-LEAF = read_vehicle(car_named("leaf").vehicle)
-LOAD_AHEAD = 0.3  # m of the rear axle, where the load lies
-FORMATS = {"t": "%.4f", "x": "%.4f", "y": "%.4f", "yaw": "%.5f", "velocity_x": "%.4f", "velocity_y": "%.4f",
-           "yaw_rate": "%.5f", "acceleration_x": "%.4f", "acceleration_y": "%.4f", "steering_wheel_angle": "%.5f"}
+HALVES = {"development": (DEVELOPMENT, 20261125), "sealed": (SEALED, 31415926)}
+LOAD_AHEAD = 0.3  # m of the rear axle
+SINGLE = {"ratio": 6, "offset": 4, "load": 4, "lever": 4, "worn_front": 4, "worn_rear": 4, "compliance": 3, "delay": 3,
+          "gyro_scale": 2, "gyro_bias": 1, "heading": 1}
+PAIRS = (("ratio", "offset"), ("lever", "delay"), ("heading", "offset"), ("ratio", "worn_rear"))
+HEALTHY = 20
+DRAWN = {  # smallest and largest size; +- where the sign is drawn too
+    "ratio": (0.04, 0.09), "offset": (math.radians(1.0), math.radians(2.5)), "load": (170.0, 320.0),
+    "lever": (0.25, 0.5), "worn_front": (0.74, 0.87), "worn_rear": (0.74, 0.87), "compliance": (1.5e-6, 3.0e-6),
+    "delay": (0.06, 0.15), "gyro_scale": (0.015, 0.03), "gyro_bias": (math.radians(0.15), math.radians(0.4)),
+    "heading": (math.radians(0.5), math.radians(1.0))}
+SIGNED = ("ratio", "offset", "lever", "gyro_scale", "gyro_bias", "heading")
 
 
 @dataclass(frozen=True)
 class Case:
-    """car: of CARS. words: what is hidden.
+    """hidden: size of each error, SI; ratio: file over true ratio minus 1, lever [m] true minus file, load [kg] at the
+    rear, worn_*: factor on the stiffness, compliance [rad/N] in addition. guess: values of the vehicle file that are
+    not measured. uncertainty: standard deviations the file states. drives: (road, comfort [m/s^2], seconds)."""
 
-    hidden: SI. ratio: of the file over the true one; worn: what is left of the front stiffness; load: kg at the rear;
-    the others are errors of sensors as `sensed` makes them.
-    """
-
+    name: str
     car: str
-    words: str
-    hidden: dict = field(default_factory=dict)
+    hidden: Mapping[str, float]
+    guess: Mapping[str, float]
+    uncertainty: Mapping[str, float]
+    drives: tuple[tuple[str, float, float], ...]
+    seed: int = 0
+    sensors: Mapping[str, float] = field(default_factory=dict)
 
 
-def _degrees(**hidden: float) -> dict:
-    return {name: math.radians(value) for name, value in hidden.items()}
+def possible(car: Stranger, faults: tuple[str, ...]) -> bool:
+    elastic = car.numbers.compliance > 0 or car.numbers.column > 0
+    return "compliance" not in faults or not (elastic or car.description == MULTI_BODY)
 
 
-CASES = {
-    "saloon_healthy": Case("saloon", "nothing"),
-    "saloon_ratio": Case("saloon", "steering ratio of the file 8 % too large", {"ratio": 1.08}),
-    "saloon_worn": Case("saloon", "front tyres 15 % softer", {"worn": 0.85}),
-    "saloon_heading": Case("saloon", "heading 0.7° to the left", _degrees(heading=0.7)),
-    "light_ev_healthy": Case("light_ev", "nothing"),
-    "light_ev_offset": Case("light_ev", "steering wheel reads 1.5° too far left", _degrees(offset=1.5)),
-    "light_ev_lever_delay": Case(
-        "light_ev", "INS 0.4 m further back, steering 0.1 s late", {"lever": -0.4, "delay": 0.1}),
-    "light_ev_gyro": Case("light_ev", "yaw rate 2 % too large", {"yaw_rate_scale": 1.02}),
-    "van_healthy": Case("van", "nothing"),
-    "van_load": Case("van", "250 kg at the rear", {"load": 250.0}),
-    "van_heading_offset": Case(
-        "van", "heading 0.7°, steering wheel 1.5° to the left", _degrees(heading=0.7, offset=1.5)),
-}
+@cache
+def cases(half: str) -> dict[str, Case]:
+    """The 60 cases of a half by name: 20 with nothing wrong but guesses, 36 with one error, 4 with two."""
+    cars, seed = HALVES[half]
+    rng = np.random.default_rng(seed)
+    faults = [(), *[()] * (HEALTHY - 1), *[(name,) for name, count in SINGLE.items() for _ in range(count)], *PAIRS]
+    faults = [faults[i] for i in rng.permutation(len(faults))]
+    found: dict[str, Case] = {}
+    for number in range(len(faults)):
+        car = cars[number % len(cars)]
+        fitting = [f for f in faults if possible(car, f)]
+        new = [f for f in fitting if f"{car.name}_{'_and_'.join(f) or 'healthy'}" not in found]
+        chosen = next(iter(new or fitting), None)
+        if chosen is None:  # only errors are left that this car cannot have
+            car = next(one for one in cars if possible(one, faults[0]))
+            chosen = faults[0]
+        faults.remove(chosen)
+        base = f"{car.name}_{'_and_'.join(chosen) or 'healthy'}"
+        name = next(n for n in (base, *(f"{base}_{k}" for k in range(2, 60))) if n not in found)
+        found[name] = _drawn(name, car, chosen, number, zlib.crc32(f"{half} {name}".encode()))
+    return found
+
+
+def _drawn(name: str, car: Stranger, faults: tuple[str, ...], number: int, seed: int) -> Case:
+    rng = np.random.default_rng(seed)
+    hidden = {fault: float(rng.uniform(*DRAWN[fault])) * (rng.choice((-1, 1)) if fault in SIGNED else 1)
+              for fault in faults}
+    n = multibody.numbers(car) if car.description == MULTI_BODY else car.numbers
+    soft = 1 + n.stiffness_front * (n.compliance + n.column * n.trail)
+    off = np.exp(rng.normal(0.0, 0.16, 2))
+    # Worn tyres are known as they were when new.
+    off = [1.0 if f"worn_{axle}" in faults else value for axle, value in zip(("front", "rear"), off, strict=True)]
+    rule = n.mass * n.front * (n.wheelbase - n.front) * rng.choice((1.0, 0.92, 1.08))
+    guess = {"yaw_inertia": float(round(rule, -1)),
+             "cornering_stiffness_front": float(round(n.stiffness_front / soft * off[0], -3)),
+             "cornering_stiffness_rear": float(round(n.stiffness_rear * off[1], -3)),
+             "cg_height": float(rng.choice((0.5, 0.55, 0.6)) + (0.1 if n.height > 0.65 else 0.0))}
+    stated = {}
+    if number % 3 == 1:
+        stated = {"mass": 0.02 * n.mass if "load" in faults else 0.01 * n.mass, "cg_to_front_axle": 0.02,
+                  "cg_height": 0.06, "yaw_inertia": 0.15 * guess["yaw_inertia"], "wheelbase": 0.005,
+                  "cornering_stiffness_front": 0.25 * guess["cornering_stiffness_front"],
+                  "cornering_stiffness_rear": 0.25 * guess["cornering_stiffness_rear"],
+                  "steering_ratio": 0.03 * car.ratio}
+    count = int(rng.integers(4, 7))
+    names = [ROADS[i] for i in rng.permutation(len(ROADS))[:count]]
+    base = rng.uniform(2.2, 4.2)  # mild to brisk
+    drives = tuple((one, float(base * rng.uniform(0.85, 1.5)), float(rng.integers(60, 91))) for one in names)
+    return Case(name, car.name, hidden, guess, stated, drives, seed, _sensor_errors(hidden))
+
+
+def _sensor_errors(hidden: Mapping[str, float]) -> dict[str, float]:
+    kept = {name: hidden[name] for name in ("heading", "lever", "delay", "offset") if name in hidden}
+    if "gyro_scale" in hidden:
+        kept["yaw_rate_scale"] = 1.0 + hidden["gyro_scale"]
+    if "gyro_bias" in hidden:
+        kept["yaw_rate_bias"] = hidden["gyro_bias"]
+    return kept
+
+
+def file_car(case: Case) -> Stranger:
+    """The car as its owner measured it: before the load was put in and the tyres wore."""
+    car = CARS[case.car]
+    return replace(car, numbers=multibody.numbers(car)) if car.description == MULTI_BODY else car
 
 
 def true_car(case: Case) -> Stranger:
-    """The car that drives; the file describes CARS[case.car]."""
-    car, load = CARS[case.car], case.hidden.get("load", 0.0)
-    arm = car.wheelbase - LOAD_AHEAD - car.front  # of the load, behind the empty car's CG
-    back = load * arm / (car.mass + load)
-    return replace(car, stiffness_front=car.stiffness_front * case.hidden.get("worn", 1.0), mass=car.mass + load,
-                   front=car.front + back, ins=car.ins + back,
-                   inertia=car.inertia + car.mass * back**2 + load * (arm - back) ** 2)
-
-
-def truths(case: Case, compliance: bool) -> dict[str, float]:
-    """Value of each effect that is in this car beside its file. compliance: whether the answer has it as well."""
-    hidden, car, file = case.hidden, true_car(case), CARS[case.car]
-    softened = 1.0 if compliance else 1.0 + car.stiffness_front * car.compliance
-    found = {
-        "front_stiffness": car.stiffness_front / softened / file.guess["cornering_stiffness_front"],
-        "rear_stiffness": car.stiffness_rear / file.guess["cornering_stiffness_rear"],
-        "yaw_inertia": car.inertia / file.guess["yaw_inertia"], "steering_compliance": car.compliance,
-        "tyre_relaxation": car.relaxation, "steering_lag": car.steer_lag,
-        "steering_ratio": 1.0 / hidden.get("ratio", 1.0), "heading_misalignment": hidden.get("heading", 0.0),
-        "steering_offset": -hidden.get("offset", 0.0) / car.ratio, "sensor_lever_arm": hidden.get("lever", 0.0),
-        "steering_delay": -hidden.get("delay", 0.0), "yaw_rate_scale": hidden.get("yaw_rate_scale", 1.0),
-        "mass": car.mass / file.mass, "cg_position": file.front - car.front,
-        # The skeleton of a vehicle file has the tyres and the height of the Leaf.
-        "friction": _friction(car), "longitudinal_load_transfer": car.height - LEAF.cg_height}
-    return {name: value for name, value in found.items() if value not in (0.0, 1.0)}
-
-
-def _friction(car: Stranger) -> float:
-    """Largest side force of the tyres over that of the file's, mean of the axles."""
-    found = []
-    for stiffness, lever, tyre in ((car.stiffness_front, car.wheelbase - car.front, LEAF.tyre_front),
-                                   (car.stiffness_rear, car.front, LEAF.tyre_rear)):
-        load = 0.5 * car.mass * GRAVITY * lever / car.wheelbase
-        slips = np.linspace(0.01, 0.5, 100)
-        most = max(abs(side_force(car.tyre, slip, 0.5 * stiffness, load, 0.0, car.grip)) for slip in slips)
-        found.append(most / magic_formula_peak(load, tyre))
-    return float(np.mean(found))
-
-
-def write(name: str, seconds: float, folder: Path, seed: int = 1) -> tuple[Path, Path]:
-    """The recordings, CSV, and the folder of the car."""
-    case = CASES[name]
-    runs, home = folder / "drives", folder / "car"
-    write_skeleton(home)
-    for unused in ("can.dbc", "signals.yaml", "rt.dbc"):  # all recordings are CSV
-        (home / unused).unlink()
-    file, text = home / "vehicle.yaml", (home / "vehicle.yaml").read_text()
-    file.write_text("\n".join(_filled(line, case) for line in text.splitlines()) + "\n")
-    runs.mkdir()
-    car = true_car(case)
-    for number, (road, truth) in enumerate(drives(car, seconds, seed).items()):
-        _csv(runs / f"{road}.csv", sensed(car, truth, case.hidden, 100 * seed + number))
-    return runs, home
-
-
-def _filled(line: str, case: Case) -> str:
-    """Measured with tape, scales and turntables, or guessed; the slip speed as `st car check` asks."""
-    car, key = CARS[case.car], line.partition(":")[0]
-    known = {"mass": car.mass, "wheelbase": car.wheelbase, "cg_to_front_axle": car.front, "cg_to_ins_x": car.ins,
-             "steering_ratio": car.ratio * case.hidden.get("ratio", 1.0), "drive_front": car.drive_front, **car.guess}
-    if key == "name":
-        return f"name: {car.name}"
-    if key == "minimum_slip_speed":
-        return line.replace("3.0", "3.6")
-    source = '"guess"' if key in car.guess else '"measured"'
-    return line.replace("value: FILL_IN", f"value: {known.get(key)}").replace("source: FILL_IN", f"source: {source}")
-
-
-def _csv(path: Path, channels: dict[str, np.ndarray]) -> None:
-    rows = [",".join(channels)]
-    columns = [[form % value if np.isfinite(value) else "" for value in channels[name]]
-               for name, form in FORMATS.items()]
-    rows += [",".join(row) for row in zip(*columns, strict=True)]
-    path.write_text("\n".join(rows) + "\n")
+    """The car that drives."""
+    car, n = file_car(case), file_car(case).numbers
+    load = case.hidden.get("load", 0.0)
+    arm = n.wheelbase - LOAD_AHEAD - n.front  # of the load, behind the CG of the empty car
+    back = load * arm / (n.mass + load)
+    inertia = n.inertia + n.mass * back**2 + load * (arm - back) ** 2
+    front, rear = case.hidden.get("worn_front", 1.0), case.hidden.get("worn_rear", 1.0)
+    if car.description == MULTI_BODY:
+        if load:
+            car = multibody.laden(car, (n.mass + load) / n.mass, back, inertia / n.inertia)
+        for axle, factor in (("front", front), ("rear", rear)):
+            car = multibody.worn(car, axle, factor) if factor != 1.0 else car
+        return replace(car, numbers=multibody.numbers(car), ins=car.ins + back)
+    return replace(car, ins=car.ins + back, numbers=n._replace(
+        mass=n.mass + load, front=n.front + back, inertia=inertia, stiffness_front=n.stiffness_front * front,
+        stiffness_rear=n.stiffness_rear * rear, compliance=n.compliance + case.hidden.get("compliance", 0.0)))

@@ -1,105 +1,144 @@
-"""Options, the run of one case through the commands themselves, and the table."""
+"""Options, the run of a case through the commands themselves, and the tables."""
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 from st_recordings.paths import project_root, source_version
 
 from .._markers import renew, table
-from .cases import CASES, truths, write
+from . import judge, score
+from .cases import HALVES, Case, cases
+from .recordings import write
+from .vehicles import CARS, DESCRIPTIONS
 
-RESULTS = Path(__file__).with_name("results.json")
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
-OTHERWISE = ("combined_slip", "lateral_load_transfer", "steered_drive_force")
-"""Physics of these cars, in other equations than the library's: present, without a value to compare."""
-SECONDS = 90.0  # of each of the four drives
+KEPT = ("outcome", "effects", "minor", "effective", "combinations", "bound", "signature", "gap", "axle_curves",
+        "axle_forces", "axles", "not_named", "refuted", "contradicted", "mended")
+"""Parts of discovery.json that the score or a reader of misses uses."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit status 0, or 1 if a case could not be answered."""
     parser = argparse.ArgumentParser(prog="st bench strangers", description=(
-        "Three cars of other tyre models, driven, recorded as CSV with a fault or none, checked and discovered."))
-    parser.add_argument("case", nargs="*", metavar="CASE", help=", ".join(CASES) + "; without one: all")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="of each of the four drives; the page is made "
-                        "anew only where it is not given")
-    parser.add_argument("--keep", type=Path, help="folder for recordings and answers")
+        "Cars that share no equation with the project, driven and recorded as CSV with the file of a usual owner; "
+        "answered by st discover and scored."))
+    parser.add_argument("--cases", choices=sorted(HALVES), default="development")
+    parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name contains one of these")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the chosen cases")
+    parser.add_argument("--output", type=Path, help="folder of the answers, one JSON a case; default "
+                        ".st/strangers/<half>. A case answered there by this version is not run again")
+    parser.add_argument("--fresh", action="store_true", help="run all chosen cases again")
+    parser.add_argument("--keep", type=Path, help="folder for recordings and all files of the answers")
+    parser.add_argument("--list", action="store_true", help="list the cases and what is hidden")
+    parser.add_argument("--score", action="store_true", help="score the answers that are there, of any version")
+    parser.add_argument("--page", action="store_true", help="also write the tables of docs/measurements/strangers.md")
     chosen = parser.parse_args(arguments)
-    known = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    for name in chosen.case or CASES:
-        with tempfile.TemporaryDirectory(prefix="st-strangers-") as folder:
-            home = (chosen.keep or Path(folder)) / name
-            if home.exists():
-                parser.error(f"--keep {home}: is there already, and nothing is overwritten")
-            home.mkdir(parents=True)
-            known[name] = answered(name, chosen.seconds, home)
-        print(json.dumps({name: known[name]}, indent=1), flush=True)
-        if chosen.seconds == SECONDS:
-            RESULTS.write_text(json.dumps(known, indent=1) + "\n")
-    if chosen.seconds == SECONDS:
-        renew_page(known)
-    return 0
+    some = [case for case in cases(chosen.cases).values()
+            if not chosen.only or any(text in case.name for text in chosen.only)][::chosen.every]
+    if chosen.list:
+        print("\n".join(f"{case.name}: {_hidden(case)}" for case in some))
+        return 0
+    folder = chosen.output or project_root() / ".st" / "strangers" / chosen.cases
+    folder.mkdir(parents=True, exist_ok=True)
+    results = []
+    for case in some:
+        file = folder / f"{case.name}.json"
+        known = json.loads(file.read_text()) if file.exists() else None
+        if known and (chosen.score or (not chosen.fresh and known["version"] == source_version())):
+            results.append(known)
+        elif not chosen.score:
+            results.append(answered(case, chosen.keep))
+            file.write_text(json.dumps(results[-1], indent=1) + "\n")
+            print("\n".join(case_lines(results[-1])), flush=True)
+    figures = score.totals(results)
+    print(json.dumps(figures, indent=1))
+    if chosen.page:
+        renew(PAGE, f"strangers_{chosen.cases}", "\n".join(page_table(results, figures)) + "\n")
+    return int(any("answer" not in one for one in results))
 
 
-def renew_page(known: dict) -> None:
-    renew(PAGE, "strangers", "\n".join(table([_row(name, known[name]) for name in CASES if name in known])) + "\n")
+def answered(case: Case, keep: Path | None = None) -> dict[str, Any]:
+    """Recordings, `st discover`, held-out errors and implied forces of a case."""
+    result: dict[str, Any] = {"case": case.name, "version": source_version(), "date": str(date.today())}
+    with tempfile.TemporaryDirectory(prefix="st-strangers-") as temporary:
+        folder = (keep or Path(temporary)) / case.name
+        folder.mkdir(parents=True)
+        result["truth"] = write(case, folder)
+        found, began, used = folder / "found", time.monotonic(), _processor_time()
+        done = subprocess.run(
+            [sys.executable, "-m", "st_cli.cli", "discover", str(folder / "drives"), "--car", str(folder / "car"),
+             "--output", str(found), "--no-propose", "--no-report", "--jobs", "1", "--fresh"],
+            cwd=project_root(), check=False, capture_output=True, text=True)
+        result |= {"seconds": round(_processor_time() - used, 1), "elapsed": round(time.monotonic() - began, 1)}
+        if done.returncode > 1 or not (found / "discovery.json").exists():
+            return result | {"failed": done.stderr[-2000:]}
+        answer = json.loads((found / "discovery.json").read_text())
+        result["answer"] = {key: answer[key] for key in KEPT if key in answer}
+        result["held_out"] = judge.held_out(folder, found)
+        result["forces"] = judge.implied_forces(result["truth"], folder, found, tuple(score.effective(answer)))
+    return result
 
 
-def answered(name: str, seconds: float, folder: Path) -> dict:
-    """What `st check` and `st discover` say of a case."""
-    runs, car = write(name, seconds, folder)
-    _st("check", runs, "--car", car, "--output", folder / "check")
-    checks = json.loads((folder / "check" / "check.json").read_text())
-    began = time.monotonic()
-    _st("discover", runs, "--car", car, "--output", folder / "found", "--no-propose", "--no-report", "--jobs", "1",
-        "--fresh")
-    found = json.loads((folder / "found" / "discovery.json").read_text())
-    gap = found["gap"]["position_5s"]
-    return {
-        "date": str(date.today()), "version": source_version(), "seconds": round(time.monotonic() - began),
-        "drives": seconds, "outcome": found["outcome"],
-        "checks": sorted({f"{one['name']} ({one['severity']})" for run in checks["runs"].values()
-                          for one in run["findings"]}),
-        "effects": {one["name"]: [_values(one), one["alternatives"]] for one in found["effects"]},
-        "minor": {one["name"]: _values(one) for one in found["minor"]},
-        "bound": [one["resembles"] for one in found["bound"]], "left": found["signature"],
-        "before": gap["base"], "after": gap["augmented"], "floor": gap["floor"]}
+def _processor_time() -> float:
+    """Of ended child processes [s]."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
-def _values(effect: dict) -> dict[str, list[float]]:
-    return {key: [one["value"], *one["interval"]] for key, one in effect["parameters"].items()}
+def case_lines(result: Mapping[str, Any]) -> list[str]:
+    """What was hidden, stated and missed, for a terminal."""
+    if "answer" not in result:
+        return [f"{result['case']}: FAILED: {result['failed'].strip().splitlines()[-1:]}"]
+    gap, held = result["answer"]["gap"]["position_5s"], result["held_out"]
+    lines = [f"{result['case']} ({result['seconds']} s): "
+             + ", ".join(f"{name} {'named' if ok else 'MISSED'}" for name, ok in score.hidden(result).items())]
+    lines += [f"   {statement(line)}" for line in score.statements(result)]
+    ratios = ", ".join(f"{axle} {value:.2f}" for axle, value in score.forces(result).items() if "_" not in axle)
+    inside, count = score.band(result)
+    lines.append(f"   5 s error {gap['base']:.2f} -> {gap['augmented']:.3f} m, noise {gap['floor']:.3f} m; held-out "
+                 + ", ".join(f"{key} {value:.2f}" for key, value in held.items() if value is not None)
+                 + f" m; implied force over the file's error: {ratios}; band {inside}/{count}")
+    return lines
 
 
-def _st(*words: object) -> None:
-    done = subprocess.run([sys.executable, "-m", "st_cli.cli", *map(str, words)], cwd=project_root(), check=False,
-                          capture_output=True, text=True)
-    if done.returncode > 1:
-        raise RuntimeError(f"st {words[0]}: {done.stderr[-2000:]}")
+def statement(line: Mapping[str, Any]) -> str:
+    """One statement against what is in the car."""
+    if line.get("value") is None:
+        return f"{line['effect']}: {'in the car' if line['in_car'] else 'NOT IN THE CAR'}"
+    low, high = line["interval"] or (None, None)
+    interval = "" if low is None or high is None else f" ({low:.4g} to {high:.4g})"
+    text = f"{line['effect']} {line['value']:.4g}{interval}"
+    if not line["in_car"]:
+        return f"{text}: NOT IN THE CAR"
+    if line["inside"] is None:
+        return f"{text}: in the car"
+    first, last = line["true"]
+    true = f"{first:.4g}" if first == last else f"{first:.4g} to {last:.4g}"
+    return f"{text}: true {true}, {'inside' if line['inside'] else 'OUTSIDE'}"
 
 
-def _row(name: str, said: dict) -> dict[str, str]:
-    compliance = "steering_compliance" in {**said["effects"], **said["minor"]}
-    there = truths(CASES[name], compliance)
-    stated = [_judged(effect, values, there.get(effect)) for effect, (values, _) in said["effects"].items()]
-    return {"case": name, "hidden": CASES[name].words, "checks": ", ".join(said["checks"]) or "-",
-            "outcome": said["outcome"], "stated: value (95 %)": "<br>".join(stated) or "-",
-            "minor": ", ".join(said["minor"]) or "-", "bound": ", ".join(said["bound"]) or "-",
-            "5 s position before → after, m": f"{said['before']:.2f} → {said['after']:.2f}",
-            "over the noise": f"{said['after'] / said['floor']:.1f}",
-            "s": f"{said['seconds']}"}
+def _hidden(case: Case) -> str:
+    text = ", ".join(f"{name} {size:.4g}" for name, size in case.hidden.items()) or "only the usual guesses"
+    return f"{text}; {DESCRIPTIONS[CARS[case.car].description]}"
 
 
-def _judged(effect: str, values: dict[str, list[float]], truth: float | None) -> str:
-    """The first parameter of an effect against what is in the car."""
-    value, low, high = next(iter(values.values()))
-    words = f"{effect} {value:.3g} ({low:.3g} to {high:.3g})"
-    if effect in OTHERWISE:
-        return f"{words}: in this car"
-    if truth is None:
-        return f"{words}: **not in this car**"
-    return f"{words}: true {truth:.3g}, {'inside' if low <= truth <= high else '**outside**'}"
+def page_table(results: Sequence[Mapping[str, Any]], figures: Mapping[str, Any]) -> list[str]:
+    """The score and a row for each case."""
+    number = "{:.2f}".format
+    rows = [{"score": key, "value": number(value) if isinstance(value, float) else str(value)}
+            for key, value in figures.items() if key != "false" and value is not None]
+    each = [{"case": one["case"], "hidden": ", ".join(one["truth"]["hidden"]) or "-",
+             "stated": "<br>".join(statement(line) for line in score.statements(one)) or "-",
+             "5 s error, m": f"{one['answer']['gap']['position_5s']['base']:.2f} → "
+                             f"{one['answer']['gap']['position_5s']['augmented']:.2f}",
+             "s": f"{one['seconds']:.0f}"} for one in results if "answer" in one]
+    return [*table(rows), "", *(table(each) if each else [])]

@@ -1,0 +1,7 @@
+"""`./st bench strangers`."""
+
+import sys
+
+from .command import main
+
+sys.exit(main())

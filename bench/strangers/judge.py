@@ -1,0 +1,94 @@
+"""An answer of `st discover` on driving and forces it did not see: held-out drives, implied axle forces."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from st_core.augmented import AugmentedModel, augment
+from st_core.log_evaluation import EvaluationSettings, evaluate_log
+from st_core.model_file import ModelFile
+from st_core.vehicle import VehicleParameters
+from st_recordings.car import read_vehicle
+from st_recordings.runs import find_runs, read
+
+SPEED = 20.0  # m/s, at which the axle forces are computed; they are those of steady cornering at any speed
+AT = 4  # index of 5 s in ModelErrors.at_seconds
+INTERVAL = 0.25  # s between predictions
+
+
+def held_out(folder: Path, found: Path) -> dict[str, float | None]:
+    """Mean position error after 5 s [m] on the held-out drives with the owner's file, with the vehicle.yaml found
+    alone, and with model.yaml; None where that file was not written."""
+    original = read_vehicle(folder / "car" / "vehicle.yaml")
+    new = read_vehicle(found / "vehicle.yaml") if (found / "vehicle.yaml").exists() else None
+    model = _model(found)
+    errors: dict[str, float | None] = {"original": _error(folder, "nonlinear", original)}
+    errors["vehicle"] = _error(folder, "nonlinear", new) if new else None
+    errors["model"] = _error(folder, model.model(), model.vehicle or original) if model else errors["vehicle"]
+    return errors
+
+
+def _model(found: Path) -> ModelFile | None:
+    file = found / "model.yaml"
+    return ModelFile.from_yaml(file.read_text(), str(file)) if file.exists() else None
+
+
+def _error(folder: Path, model: Any, vehicle: VehicleParameters) -> float:
+    settings, collected = EvaluationSettings(interval=INTERVAL), []
+    for source in find_runs([folder / "held_out"]):
+        log = read(source, vehicle).log
+        errors = next(value for (_, mode), value in evaluate_log([model], vehicle, log, settings).errors.items()
+                      if mode == "hindsight")
+        collected.append(errors.at_seconds[errors.complete, AT, :2])
+    return float(np.mean(np.hypot(*np.concatenate(collected).T)))
+
+
+def implied_forces(truth: Mapping[str, Any], folder: Path, found: Path,
+                   left_out: tuple[str, ...] = ()) -> dict[str, dict[str, list[float]]]:
+    """By axle: slip [rad], force of the car, of the owner's file, and of the answer [N, opposing the slip], in steady
+    cornering over the driven slip. left_out: effects of model.yaml that are not taken (effective corrections)."""
+    original = read_vehicle(folder / "car" / "vehicle.yaml")
+    vehicle = read_vehicle(found / "vehicle.yaml") if (found / "vehicle.yaml").exists() else original
+    file = _model(found)
+    model = file.model() if file else augment("nonlinear", {})
+    answered = _forces(model.only([e for e in model.effects if _is_of_the_car(e) and e.name not in left_out]),
+                       (file.vehicle if file and file.vehicle else vehicle), truth)
+    base = _forces(augment("nonlinear", {}), original, truth)
+    return {axle: {"slip": grid.tolist(), "true": true.tolist(), "file": base[axle].tolist(),
+                   "answer": answered[axle].tolist()}
+            for axle, (grid, true) in _grids(truth).items()}
+
+
+def _is_of_the_car(effect: type) -> bool:
+    return effect.kind in ("vehicle parameters", "physics") and effect.slot != "steering"
+
+
+def _grids(truth: Mapping[str, Any]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Ten slips of each axle, of the same steady states at both, and the true forces there."""
+    grids = {}
+    for axle, curve in truth["axles"].items():
+        slip = np.linspace(curve["slip"][0], curve["slip"][-1], 10)
+        grids[axle] = slip, np.interp(slip, curve["slip"], curve["force"])
+    return grids
+
+
+def _forces(model: AugmentedModel, vehicle: VehicleParameters, truth: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """By axle the force [N] of a model at those slips, from its accelerations and its own mass, inertia and lengths.
+
+        F_f = (m a_y l_r + I r_dot) / L,  F_r = (m a_y l_f - I r_dot) / L,  a_y = v_y_dot + v_x r
+    """
+    grids, p, car = _grids(truth), model.parameters(vehicle), model.effective_vehicle(vehicle)
+    (slip_f, force_f), (slip_r, force_r) = grids["front"], grids["rear"]
+    found: dict[str, list[float]] = {"front": [], "rear": []}
+    for a, b, total in zip(slip_f, slip_r, force_f + force_r, strict=True):
+        r = total / truth["body"]["mass"] / SPEED  # a left turn: the wheels slide to their right
+        vy = car.cg_to_rear_axle * r - SPEED * np.tan(b)
+        angle = float(np.arctan((vy + car.cg_to_front_axle * r) / SPEED) + a)
+        w = model.inputs(angle, 0.0, p)
+        state = model.start_state((0.0, 0.0, SPEED, float(vy), 0.0, float(r)), w, p)
+        rates = model.rhs(state, w, p)
+        ay = rates[3] + SPEED * r
+        found["front"].append((car.mass * ay * car.cg_to_rear_axle + car.yaw_inertia * rates[5]) / car.wheelbase)
+        found["rear"].append((car.mass * ay * car.cg_to_front_axle - car.yaw_inertia * rates[5]) / car.wheelbase)
+    return {axle: np.array(values, float) for axle, values in found.items()}

@@ -1,0 +1,59 @@
+"""The multi-body car of `bench.discovery` on the strangers' roads, as rows of `plants.drive`."""
+
+from dataclasses import replace
+
+import numpy as np
+from st_sim.dynamics import STATES, VX, VY, YAW, YAW_RATE, X, Y
+
+from ..discovery.compiled import Programme
+from ..discovery.multibody import drive_multibody
+from ..discovery.multibody_car import nominal_car, vehicle_of
+from . import plants
+from .vehicles import DUGOFF, ROLLING, Numbers, Stranger
+
+PERIOD = 0.01
+HEADING_GAIN = 0.3
+PROXY = Numbers(0.0, 0.0, 0.0, 0.0, 0.55, 1.5, 0.0, 0.0, 1.0, DUGOFF, 1.0)
+
+
+def numbers(car: Stranger) -> Numbers:
+    """Mass, inertia, lengths and stiffness of the package's car with the settings of the stranger."""
+    v = vehicle_of(car.package, dict(car.settings))
+    return car.numbers._replace(
+        mass=v.mass, inertia=v.yaw_inertia, wheelbase=v.wheelbase, front=v.cg_to_front_axle, height=v.cg_height,
+        stiffness_front=v.cornering_stiffness_front, stiffness_rear=v.cornering_stiffness_rear,
+        grip=dict(car.settings).get("friction_factor", 1.0))
+
+
+def drive(car: Stranger, road: np.ndarray, seconds: float, wander: np.ndarray, seed: int) -> np.ndarray:
+    """Rows as of `plants.drive`. A rolling single-track car drives the road first; its hand, heading and speed are the
+    programme of the multi-body car, whose driver holds the heading."""
+    v = nominal_car(car.package)
+    proxy = PROXY._replace(
+        mass=v.mass, inertia=v.yaw_inertia, wheelbase=v.wheelbase, front=v.cg_to_front_axle,
+        stiffness_front=v.cornering_stiffness_front, stiffness_rear=v.cornering_stiffness_rear,
+        drive_front=car.numbers.drive_front)
+    led = plants.drive(ROLLING, road, proxy, seconds, wander)[400::2]
+    programme = Programme(led[:, plants.WHEEL] * v.steering_ratio, led[:, 2], np.full(len(led), HEADING_GAIN),
+                          led[:, 3], led[:, plants.AX])
+    recording = drive_multibody(car.package, dict(car.settings), programme, seed)
+    r, out = recording.rows, np.zeros((len(led), plants.ROW))
+    out[:, :6] = r[:, [X, Y, YAW, VX, VY, YAW_RATE]]
+    out[:, plants.AX:plants.TURN + 1] = r[:, STATES:STATES + 3]
+    out[:, plants.WHEEL] = recording.hand / v.steering_ratio
+    fine = np.arange(2 * len(out) - 1) / 2
+    return np.column_stack([np.interp(fine, np.arange(len(out)), column) for column in out.T])
+
+
+def laden(car: Stranger, mass: float, shift: float, inertia: float) -> Stranger:
+    """The car with factors of mass and yaw inertia, CG moved back by shift [m]."""
+    known = dict(car.settings)
+    known["mass_factor"] = known.get("mass_factor", 1.0) * mass
+    known["yaw_inertia_factor"] = known.get("yaw_inertia_factor", 1.0) * inertia
+    known["cg_shift"] = known.get("cg_shift", 0.0) - shift
+    return replace(car, settings=tuple(known.items()))
+
+
+def worn(car: Stranger, axle: str, factor: float) -> Stranger:
+    known, key = dict(car.settings), f"{axle}_stiffness_factor"
+    return replace(car, settings=tuple({**known, key: known.get(key, 1.0) * factor}.items()))

@@ -1,0 +1,106 @@
+"""The files of a case: drives as CSV, the owner's car folder, a drive held back, and the truth beside them."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from st_core.prediction import PredictionSettings
+from st_core.stability import slip_speed_needed
+from st_recordings.car import read_vehicle
+from st_recordings.car_skeleton import SPEEDS, write_skeleton
+
+from . import multibody, plants
+from .cases import Case, file_car, true_car
+from .roads import road
+from .sensors import NOISE, sensed
+from .truth import truth_of
+from .vehicles import MULTI_BODY
+
+FORMATS = {"t": "%.4f", "x": "%.4f", "y": "%.4f", "yaw": "%.5f", "velocity_x": "%.4f", "velocity_y": "%.4f",
+           "yaw_rate": "%.5f", "acceleration_x": "%.4f", "acceleration_y": "%.4f", "steering_wheel_angle": "%.5f"}
+HELD_OUT = ("hills", "country")
+"""Roads of the drives that `st discover` does not get."""
+TREMOR = 0.002  # rad of the road wheels
+
+
+def write(case: Case, folder: Path, shorten: float = 1.0) -> dict:
+    """`drives/`, `held_out/`, `car/` and truth.json in a new folder; the truth is returned. shorten: factor on the
+    duration of the drives."""
+    home = folder / "car"
+    _write_car(case, home)
+    vehicle = read_vehicle(home / "vehicle.yaml")
+    rows = dict(_driven(case, shorten))
+    for name, one in rows.items():
+        path = folder / ("held_out" if name.startswith("held_out") else "drives") / f"{name}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        rng = np.random.default_rng([case.seed, 2, len(list(path.parent.iterdir())), path.parent.name == "drives"])
+        _csv(path, sensed(true_car(case), one, case.sensors, rng))
+    truth = truth_of(case, [one for name, one in rows.items() if not name.startswith("held_out")], vehicle)
+    truth = {"case": case.name, **truth, "noise": {key: list(value) for key, value in NOISE.items()}}
+    (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
+    return truth
+
+
+def _driven(case: Case, shorten: float) -> Iterator[tuple[str, np.ndarray]]:
+    """Name and rows of every drive of the true car."""
+    car = true_car(case)
+    comfort = float(np.mean([one[1] for one in case.drives]))
+    planned = [(name, name, c, s) for name, c, s in case.drives]
+    planned += [(f"held_out_{name}", name, comfort, 70.0) for name in HELD_OUT]
+    for number, (name, kind, accepted, seconds) in enumerate(planned):
+        rng = np.random.default_rng([case.seed, 1, number])
+        # The multi-body car knows no standstill.
+        line = road(kind, rng, accepted, stops=car.description != MULTI_BODY)
+        count = int(seconds * shorten / plants.STEP)
+        wander = np.convolve(rng.standard_normal(count), np.full(160, 1 / 12.6), "same") * TREMOR
+        if car.description == MULTI_BODY:
+            yield name, multibody.drive(car, line, seconds * shorten, wander, case.seed + number)
+        else:
+            yield name, plants.drive(car.description, line, car.numbers, seconds * shorten, wander)
+
+
+def _write_car(case: Case, home: Path) -> None:
+    write_skeleton(home)
+    for unused in ("can.dbc", "signals.yaml", "rt.dbc"):  # all recordings are CSV
+        (home / unused).unlink()
+    file = home / "vehicle.yaml"
+    lines = [_filled(line, case) for line in file.read_text().splitlines()]
+    file.write_text("\n".join(lines) + "\n")
+    vehicle = read_vehicle(file)
+    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, SPEEDS, PredictionSettings().step)
+    if needed and needed > vehicle.minimum_slip_speed:
+        raised = np.ceil(10 * needed) / 10
+        file.write_text("\n".join(_with(line, value=raised) if line.startswith("minimum_slip_speed:") else line
+                                  for line in lines) + "\n")
+
+
+def _filled(line: str, case: Case) -> str:
+    """Measured with tape, scales and turntables, or guessed."""
+    car, key = file_car(case), line.partition(":")[0]
+    n = car.numbers
+    known = {"mass": round(n.mass), "wheelbase": round(n.wheelbase, 3), "cg_to_front_axle": round(n.front, 3),
+             "cg_to_ins_x": car.ins, "steering_ratio": round(car.ratio * (1 + case.hidden.get("ratio", 0.0)), 3),
+             "drive_front": n.drive_front, **case.guess}
+    if key == "name":
+        return f"name: {car.name}"
+    if key not in known:
+        return line
+    return _with(line, value=float(known[key]), source='"guess"' if key in case.guess else '"measured"',
+                 uncertainty=case.uncertainty.get(key))
+
+
+def _with(line: str, value: float, source: str | None = None, uncertainty: float | None = None) -> str:
+    """A row of a vehicle file with another value, source and uncertainty."""
+    line = re.sub(r"value: [^,]+,", f"value: {value!r},".replace("np.float64(", "").replace(")", ""), line, count=1)
+    line = re.sub(r", uncertainty: [^,}]+", "", line)
+    if source is not None:
+        line = re.sub(r'source: (FILL_IN|"[^"]*")', f"source: {source}", line)
+    return line if uncertainty is None else re.sub(r"\}\s*$", f", uncertainty: {float(uncertainty):.6g}}}", line)
+
+
+def _csv(path: Path, channels: dict[str, np.ndarray]) -> None:
+    columns = [[form % value if np.isfinite(value) else "" for value in channels[name].tolist()]
+               for name, form in FORMATS.items()]
+    path.write_text("\n".join([",".join(FORMATS), *(",".join(row) for row in zip(*columns, strict=True))]) + "\n")

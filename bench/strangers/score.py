@@ -1,0 +1,155 @@
+"""The score of answers: statements, hidden errors, values, prediction, axle forces, vehicle file, time."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+WORSE = 1.02
+"""A held-out error counts as worse above this factor: two short drives differ by so much."""
+MEMBERS = {"tyre_stiffness": ("front_stiffness", "rear_stiffness")}
+
+
+def statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Each named effect: in_car, value, interval, true range, inside (None where there is no value to compare).
+
+    Effective corrections and minor effects are no statements.
+    """
+    truth, found = result["truth"], []
+    for one in named(result["answer"]):
+        name, present = one["name"], truth["effects"]
+        there = name in present or any(name in group and set(group) & set(present) for group in truth["twins"])
+        there = there or any(member in present for member in MEMBERS.get(name, ()))
+        line = {"effect": name, "in_car": there, "set": sorted(alternatives(one)), "inside": None}
+        if one.get("parameters"):
+            key, value = next(iter(one["parameters"].items()))
+            line |= {"parameter": key, "value": value.get("value"), "interval": value.get("interval")}
+            line["true"] = true_range(name, result)
+            if line["true"] and line["interval"] and None not in line["interval"]:
+                low, high = line["interval"]
+                line["inside"] = bool(low <= line["true"][1] and high >= line["true"][0])
+        found.append(line)
+    return found
+
+
+def named(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Effects that are stated as properties of car or sensors."""
+    return [one for one in answer.get("effects", ()) if not one.get("effective")]
+
+
+def effective(answer: Mapping[str, Any]) -> list[str]:
+    """Names of corrections that help to predict and are no property."""
+    listed = answer.get("effective") or ()
+    listed = list(listed.values()) if isinstance(listed, Mapping) else list(listed)
+    names = [one["name"] if isinstance(one, Mapping) else one for one in listed]
+    return names + [one["name"] for one in answer.get("effects", ()) if one.get("effective")]
+
+
+def alternatives(effect: Mapping[str, Any]) -> set[str]:
+    """Effects in the same set: alternatives and joint names."""
+    found = set()
+    for key in ("alternatives", "joint", "set", "with", "joint_with"):
+        listed = effect.get(key) or ()
+        for one in listed if isinstance(listed, list | tuple) else [listed]:
+            found.add(one.get("name") if isinstance(one, Mapping) else str(one))
+    return found - {None}
+
+
+def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
+    """Range of the first parameter; the front stiffness reaches to that of the tyres where elasticity is named too."""
+    truth = result["truth"]
+    value = truth["effects"].get(name)
+    if name == "front_stiffness" and value:
+        stated = {one["name"] for one in (*result["answer"].get("effects", ()), *result["answer"].get("minor", ()))}
+        if stated & {"steering_compliance", "roll_steer"}:
+            tyres = truth["tyre_stiffness_front"]
+            return [min(value[0], tyres), max(value[1], tyres)]
+    return value
+
+
+def hidden(result: Mapping[str, Any]) -> dict[str, bool]:
+    """By hidden error: named, alone or in a set that holds it."""
+    stated = set()
+    for one in named(result["answer"]):
+        stated |= {one["name"], *alternatives(one)}
+    for one in result["answer"].get("combinations", ()) or ():
+        stated |= {str(part) for part in (one.get("effects") or ()) if isinstance(one, Mapping)}
+    stated |= {part for name in list(stated) for part in MEMBERS.get(name, ())}
+    return {name: bool(stated & set(about["accepted"])) for name, about in result["truth"]["hidden"].items()}
+
+
+def forces(result: Mapping[str, Any]) -> dict[str, float]:
+    """By axle: error of the answer's implied force over that of the file (rms over the driven slip), [1]; and
+    `axle_file`, `axle_answer`: the errors over the largest true force [1]."""
+    found = {}
+    for axle, curve in (result.get("forces") or {}).items():
+        true, peak = np.array(curve["true"]), max(np.abs(curve["true"]))
+        file, answer = (float(np.sqrt(np.mean((np.array(curve[key]) - true) ** 2)) / peak)
+                        for key in ("file", "answer"))
+        found |= {axle: answer / max(file, 1e-6), f"{axle}_file": file, f"{axle}_answer": answer}
+    return found
+
+
+def band(result: Mapping[str, Any]) -> tuple[int, int]:
+    """Points of the true axle curves inside the 90 % band of the answer, and points compared."""
+    inside = count = 0
+    for axle, curve in axle_bands(result["answer"]).items():
+        true = result["truth"]["axles"].get(axle)
+        if not true or not curve.get("slip"):
+            continue
+        slip = np.abs(np.array(curve["slip"], float))
+        order = np.argsort(slip)
+        edges = np.sort(np.abs(np.array([curve["low"], curve["high"]], float)), axis=0)[:, order]
+        for point, force in zip(true["slip"], true["force"], strict=True):
+            if slip.min() <= point <= slip.max():
+                low, high = (np.interp(point, slip[order], edge) for edge in edges)
+                inside, count = inside + int(low <= force <= high), count + 1
+    return inside, count
+
+
+def axle_bands(answer: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """By axle slip, low, high of the stated force curves; empty where the answer has none."""
+    curves = next((answer[key] for key in ("axle_curves", "axle_forces", "axles") if answer.get(key)), {})
+    found = {}
+    for axle in ("front", "rear"):
+        one = curves.get(axle) if isinstance(curves, Mapping) else next(
+            (c for c in curves if isinstance(c, Mapping) and c.get("axle") == axle), None)
+        if not one:
+            continue
+        low, high = one.get("low"), one.get("high")
+        if low is None and one.get("band"):
+            pairs = np.array(one["band"], float)
+            low, high = (pairs[:, 0], pairs[:, 1]) if pairs.shape[1] == 2 else pairs
+        if low is not None:
+            found[axle] = {"slip": one.get("slip") or one.get("slips"), "low": list(low), "high": list(high)}
+    return found
+
+
+def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The rows of the table, over all answered cases."""
+    results = [one for one in results if "answer" in one]
+    stated = [line for one in results for line in statements(one)]
+    compared = [line for line in stated if line["inside"] is not None]
+    named_errors = [value for one in results for value in hidden(one).values()]
+    over = [one["answer"]["gap"]["position_5s"] for one in results if one["answer"].get("gap")]
+    noise = [gap["augmented"] / gap["floor"] for gap in over if gap.get("floor")]
+    inside = [band(one) for one in results]
+    ratios = [forces(one)[axle] for one in results for axle in ("front", "rear") if axle in forces(one)]
+    files = [one["held_out"] for one in results if one.get("held_out")]
+    return {
+        "cases": len(results), "statements": len(stated), "not in the car": sum(not one["in_car"] for one in stated),
+        "false": [f"{one['case']}: {line['effect']}" for one in results for line in statements(one)
+                  if not line["in_car"]],
+        "hidden errors": len(named_errors), "named": sum(named_errors),
+        "values compared": len(compared), "inside": sum(line["inside"] for line in compared),
+        "over the noise, mean": float(np.mean(noise)) if noise else None,
+        "over the noise, largest": max(noise, default=None),
+        "band points": sum(b for _, b in inside), "inside the band": sum(a for a, _ in inside),
+        "implied force over the file's, median": float(np.median(ratios)) if ratios else None,
+        "implied force worse than the file's": sum(r > 1.0 for r in ratios), "axles": len(ratios),
+        "vehicle.yaml written": sum(f["vehicle"] is not None for f in files),
+        "vehicle.yaml worse than the original": sum(
+            f["vehicle"] is not None and f["vehicle"] > WORSE * f["original"] for f in files),
+        "held-out error, original": float(np.mean([f["original"] for f in files])) if files else None,
+        "held-out error, model.yaml": float(np.mean([f["model"] or f["original"] for f in files])) if files else None,
+        "processor seconds per case": float(np.mean([one["seconds"] for one in results])) if results else None}

@@ -1,0 +1,54 @@
+"""INS and steering sensor of a stranger: noise, rates, resolution and hidden errors."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import lfilter
+
+from .plants import AX, AY, STEP, WHEEL
+from .vehicles import Stranger
+
+NOISE = {"position": (0.003, 0.008), "yaw": (2e-4, 1e-3), "velocity": (0.01, 0.01), "yaw_rate": (5e-4, 5e-5),
+         "acceleration": (0.05, 0.01), "steering": (5e-4, 0.0)}
+"""White and slow part (time constant 40 s), standard deviations: m, rad, m/s, rad/s, m/s^2, rad of the hand wheel."""
+SLOW = 40.0  # s
+
+
+def sensed(car: Stranger, rows: np.ndarray, hidden: Mapping[str, float],
+           rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Channels at the rate of the INS, SI; the hand-wheel angle is NaN in rows without a steering sample.
+
+    hidden: heading [rad], lever [m], delay [s] of the steering, offset [rad] of the hand wheel, yaw_rate_scale [1],
+    yaw_rate_bias [rad/s].
+    """
+    every = round(1 / STEP / car.ins_rate)
+    q = rows[::every]
+    n, rate = len(q), car.ins_rate
+    t = np.arange(n) / rate
+    skew, arm = hidden.get("heading", 0.0), car.ins + hidden.get("lever", 0.0)
+    vx, vy, yaw, r = q[:, 3], q[:, 4] + arm * q[:, 5], q[:, 2], q[:, 5]
+    ax, ay = q[:, AX] - r * q[:, 4] - arm * r * r, q[:, AY] + r * vx + arm * np.gradient(r, t)
+
+    def noise(kind: str) -> np.ndarray:
+        white, slow = NOISE[kind]
+        keep = math.exp(-1 / (rate * SLOW))
+        kicks = slow * math.sqrt(1 - keep * keep) * rng.standard_normal(n)
+        drift = lfilter([1.0], [1.0, -keep], kicks, zi=[keep * slow * rng.standard_normal()])[0]
+        return white * rng.standard_normal(n) + drift
+
+    c, s = math.cos(skew), math.sin(skew)
+    steering = rows[:, WHEEL] * car.ratio
+    late = round(hidden.get("delay", 0.0) / STEP)
+    steering = np.concatenate([np.full(late, steering[0]), steering[:len(steering) - late]])[::every]
+    steering = steering + noise("steering") + hidden.get("offset", 0.0)
+    resolution = math.radians(car.steering_step)
+    steering = np.round(steering / resolution) * resolution
+    steering[np.arange(n) % max(1, rate // car.steering_rate) != 0] = np.nan
+    return {
+        "t": t, "x": q[:, 0] + arm * np.cos(yaw) + noise("position"),
+        "y": q[:, 1] + arm * np.sin(yaw) + noise("position"), "yaw": yaw + skew + noise("yaw"),
+        "velocity_x": c * vx + s * vy + noise("velocity"), "velocity_y": c * vy - s * vx + noise("velocity"),
+        "yaw_rate": r * hidden.get("yaw_rate_scale", 1.0) + hidden.get("yaw_rate_bias", 0.0) + noise("yaw_rate"),
+        "acceleration_x": c * ax + s * ay + noise("acceleration"),
+        "acceleration_y": c * ay - s * ax + noise("acceleration"), "steering_wheel_angle": steering}

@@ -1,0 +1,165 @@
+"""What is true of a case: effects of the library that are in the car, their values, twins, axle force curves."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from st_core.tyres import magic_formula_coefficients, magic_formula_force, magic_formula_peak
+from st_core.vehicle import VehicleParameters
+
+from . import plants
+from .cases import Case, file_car, true_car
+from .tyres import side_force
+from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, MULTI_BODY, ROLLING, SPRUNG, Numbers
+
+REAL = 0.03
+"""Relative deviation from the file below which an effect does not count as being in the car."""
+REAL_HEIGHT = 0.03  # m
+PACKAGE_FRICTION = 1.049  # p_dy1 of commonroad-vehicle-models
+STEADY_TURN, STEADY_STEER, SLOWEST = 0.15, 0.12, 6.0
+"""rad/s^2, rad/s of the road wheels, m/s: rows of the axle force curve."""
+POINTS, EDGE = 12, 0.005
+"""Points of a curve; share of the rows left out at the largest slip."""
+SHAPES = ("front_tyre_curve", "rear_tyre_curve", "tyre_load_sensitivity", "front_saturation", "rear_saturation",
+          "tyre_saturation", "combined_slip", "steered_drive_force")
+"""Physics that is in all these cars, in other equations than the library's: without a value to compare."""
+ACCEPTED = {
+    "ratio": ("steering_ratio",), "offset": ("steering_offset",), "load": ("mass", "cg_position"),
+    "lever": ("sensor_lever_arm",), "worn_front": ("front_stiffness", "steering_compliance", "roll_steer"),
+    "worn_rear": ("rear_stiffness",), "compliance": ("steering_compliance", "front_stiffness", "roll_steer"),
+    "delay": ("steering_delay", "steering_lag"), "gyro_scale": ("yaw_rate_scale",), "gyro_bias": ("yaw_rate_bias",),
+    "heading": ("heading_misalignment",)}
+"""Names under which a hidden error counts as named: its own and those of effects that act identically."""
+TWINS = (("front_stiffness", "steering_compliance", "roll_steer"), ("steering_delay", "steering_lag"))
+"""Effects that act identically at the accelerations driven; `tyre_stiffness` is the sum of both axles' stiffness."""
+
+
+def truth_of(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, Any]:
+    """JSON-ready. vehicle: the file the owner has.
+
+    effects: by name the range [low, high] of the first parameter, null for physics without a value to compare.
+    hidden: by error its size and accepted names. axles: by axle slip [rad, >= 0], force [N, opposing it] of the car,
+    and that of the file at the same slip. tyre_stiffness_front: factor of the front tyres without elasticity, which the
+    front stiffness may also take where the elasticity is named.
+    """
+    car, file = true_car(case), file_car(case)
+    curves = axle_curves(car.numbers, drives, vehicle)
+    effects = {name: value and [float(edge) for edge in value]
+               for name, value in _values(case, car, file, vehicle, curves).items()}
+    return {
+        "car": car.name, "description": car.description, "origin": car.origin,
+        "hidden": {name: {"size": size, "accepted": list(ACCEPTED[name])} for name, size in case.hidden.items()},
+        "effects": effects, "twins": [list(group) for group in TWINS], "axles": curves,
+        "tyre_stiffness_front": car.numbers.stiffness_front / vehicle.cornering_stiffness_front,
+        "body": {"mass": car.numbers.mass, "inertia": car.numbers.inertia, "wheelbase": car.numbers.wheelbase,
+                 "front": car.numbers.front},
+        "uncertainty": dict(case.uncertainty), "drives": [list(one) for one in case.drives]}
+
+
+def _values(case: Case, car, file, vehicle: VehicleParameters, curves: dict) -> dict[str, list[float] | None]:
+    n, hidden, found = car.numbers, case.hidden, dict.fromkeys(SHAPES)
+    front, rear = _stiffness(curves["front"]), _stiffness(curves["rear"])
+    both = [min(front[0], rear[0]), max(front[1], rear[1])]
+    inertia = n.inertia / vehicle.yaw_inertia
+    friction = _friction(car.description, n, vehicle)
+    for name, value in (("front_stiffness", front), ("rear_stiffness", rear), ("friction", friction),
+                        ("yaw_inertia", [inertia, inertia]), ("mass", [n.mass / vehicle.mass] * 2)):
+        if value[0] < 1 - REAL or value[1] > 1 + REAL:
+            found[name] = value
+    if "front_stiffness" in found and "rear_stiffness" in found:
+        found["tyre_stiffness"] = both
+    shift = file.numbers.front - n.front
+    higher = n.height - vehicle.cg_height
+    if abs(shift) > 1e-3:
+        found["cg_position"] = [shift, shift]
+    if abs(higher) > REAL_HEIGHT:
+        found["longitudinal_load_transfer"] = [higher, higher]
+    if car.description != BRISTLE:
+        found["lateral_load_transfer"] = None
+    if car.description == FOUR_WHEELS:
+        found["steering_map"] = None  # the mean wheel of an Ackermann linkage
+    found.update(_dynamics(car))
+    for name, effect, value in (
+            ("ratio", "steering_ratio", lambda s: 1 / (1 + s)), ("heading", "heading_misalignment", lambda s: s),
+            ("offset", "steering_offset", lambda s: -s / car.ratio), ("lever", "sensor_lever_arm", lambda s: s),
+            ("delay", "steering_delay", lambda s: -s), ("gyro_scale", "yaw_rate_scale", lambda s: 1 + s),
+            ("gyro_bias", "yaw_rate_bias", lambda s: s)):
+        if name in hidden:
+            found[effect] = [value(hidden[name])] * 2
+    return found
+
+
+def _dynamics(car) -> dict[str, list[float] | None]:
+    """Lags and elasticity; a range of 20 % where the equations are not those of the library."""
+    n, found = car.numbers, {}
+    loose = 0.0 if car.description == ROLLING else 0.2
+    if n.relaxation > 0:
+        found["tyre_relaxation"] = [n.relaxation * (1 - loose), n.relaxation * (1 + loose)]
+    lag = n.steer_lag
+    if car.description in (FOUR_WHEELS, ELASTIC, SPRUNG):
+        lag = max(lag, 0.012 if car.description != SPRUNG else 0.015)
+    if lag > 0:
+        found["steering_lag"] = [lag * (1 - loose), lag * (1 + loose)]
+    soft = n.compliance + n.column * n.trail
+    if soft > 0:
+        # The trail shrinks with slip.
+        found["steering_compliance"] = [n.compliance + 0.5 * n.column * n.trail, soft]
+        found["roll_steer"] = None
+    if n.roll_steer > 0:
+        found["roll_steer"] = None
+    return found
+
+
+def _stiffness(curve: dict) -> list[float]:
+    """Range of the stiffness factor of an axle, elasticity included: from the slope over the smallest third of the
+    driven slip to the factor on the file's curve that fits best over all of it."""
+    force, file = np.array(curve["force"]), np.array(curve["file"])
+    small = slice(0, max(2, len(force) // 3))
+    slope, fitted = (float(force[part] @ file[part] / (file[part] @ file[part])) for part in (small, slice(None)))
+    return [min(slope, fitted), max(slope, fitted)]
+
+
+def _friction(description: int, n: Numbers, vehicle: VehicleParameters) -> list[float]:
+    """Range over the axles of the largest side force over that of the file's tyre."""
+    found = []
+    for stiffness, lever, tyre in ((n.stiffness_front, n.wheelbase - n.front, vehicle.tyre_front),
+                                   (n.stiffness_rear, n.front, vehicle.tyre_rear)):
+        load = 0.5 * n.mass * GRAVITY * lever / n.wheelbase
+        if description in (BRISTLE, MULTI_BODY):
+            most = load * n.grip * (1.0 if description == BRISTLE else PACKAGE_FRICTION)
+        else:
+            most = max(abs(side_force(n.tyre, slip, 0.5 * stiffness, load, 0.0, n.grip, n.sliding, 1.0))
+                       for slip in np.linspace(0.01, 0.5, 100))
+        found.append(most / magic_formula_peak(load, tyre))
+    return [min(found), max(found)]
+
+
+def axle_curves(n: Numbers, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, dict]:
+    """By axle slip, force and file's force over the driven slip: medians of the rows of nearly steady driving, left and
+    right turns folded together; rows: how many each point rests on."""
+    columns: list[list[np.ndarray]] = [[], [], [], []]
+    for rows in drives:
+        steady = (np.abs(rows[:, plants.TURN]) < STEADY_TURN) & (rows[:, 3] > SLOWEST) & (
+            np.abs(np.gradient(rows[:, plants.WHEEL], plants.STEP)) < STEADY_STEER)
+        for into, values in zip(columns, plants.axle_forces(rows[steady], n), strict=True):
+            into.append(values)
+    slip_f, force_f, slip_r, force_r = (np.concatenate(one) for one in columns)
+    return {"front": _curve(slip_f, force_f, n.wheelbase - n.front, vehicle, vehicle.tyre_front),
+            "rear": _curve(slip_r, force_r, n.front, vehicle, vehicle.tyre_rear)}
+
+
+def _curve(slip: np.ndarray, force: np.ndarray, lever: float, vehicle: VehicleParameters, tyre) -> dict:
+    side, size = -np.sign(slip), np.abs(slip)
+    edges = np.linspace(0.0, float(np.quantile(size, 1 - EDGE)), POINTS + 1)[1:]
+    width = edges[1] - edges[0]
+    points, forces, counts = [], [], []
+    for middle in edges[:-1]:
+        near = np.abs(size - middle) < width / 2
+        if near.sum() >= 20:
+            points.append(float(np.median(size[near])))
+            forces.append(float(np.median((side * force)[near])))
+            counts.append(int(near.sum()))
+    load = 0.5 * vehicle.mass * GRAVITY * (
+        vehicle.cg_to_rear_axle if tyre is vehicle.tyre_front else vehicle.cg_to_front_axle) / vehicle.wheelbase
+    file = -2 * magic_formula_force(np.array(points), *magic_formula_coefficients(load, tyre), tyre)
+    return {"slip": points, "force": forces, "file": file.tolist(), "rows": counts}

@@ -1,0 +1,158 @@
+"""Cars of the strangers benchmark: parameters in SI units with their origin, and what the owner guesses."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+ROLLING, FOUR_WHEELS, ELASTIC, MULTI_BODY, BRISTLE, SPRUNG = range(6)
+DESCRIPTIONS = {
+    ROLLING: "axles with a rolling body: Dugoff, Burckhardt or Fiala tyres, load transfer, compliance, relaxation",
+    FOUR_WHEELS: "four wheels, each with its own slip and load, Ackermann linkage: TMeasy or two-friction brush tyres",
+    ELASTIC: "elastic steering and axles: the pneumatic trail of brush tyres twists the column; relaxation",
+    MULTI_BODY: "multi-body car of 29 states, package commonroad-vehicle-models",
+    BRISTLE: "LuGre tyres with bristle states, steering gear of second order",
+    SPRUNG: "body on four springs (heave, roll, pitch), tabulated tyres interpolated in slip and load",
+}
+DUGOFF, BURCKHARDT, FIALA, TMEASY, BRUSH, TABLE = range(6)
+GRAVITY = 9.81
+
+
+class Numbers(NamedTuple):
+    """Parameters of a car and its tyres, all float.
+
+    stiffness_front, stiffness_rear: cornering stiffness of an axle at static load [N/rad]. grip: peak friction [1].
+    sliding: friction of full sliding over grip [1]. load_loss: relative loss of stiffness per relative load increase.
+    drive_front: share of the drive force on the front axle. steer_lag [s]. compliance, compliance_rear: steer angle per
+    lateral force of the axle [rad/N], to the outside. column: steer angle per aligning torque [rad/(N m)]; trail:
+    pneumatic trail at small slip [m]. roll_steer: rear axle, steer angle per roll angle, understeer + [1].
+    roll_stiffness [N m/rad], roll_damping [N m s/rad], roll_inertia [kg m^2], relaxation [m], roll_front: share of the
+    lateral load transfer on the front axle. ackermann: 0 parallel, 1 full geometry.
+    """
+
+    mass: float
+    inertia: float
+    wheelbase: float
+    front: float
+    height: float
+    track: float
+    stiffness_front: float
+    stiffness_rear: float
+    grip: float
+    tyre: float
+    drive_front: float
+    sliding: float = 0.8
+    load_loss: float = 0.25
+    steer_lag: float = 0.0
+    compliance: float = 0.0
+    compliance_rear: float = 0.0
+    column: float = 0.0
+    trail: float = 0.0
+    roll_steer: float = 0.0
+    roll_stiffness: float = 1e6
+    roll_damping: float = 2e4
+    roll_inertia: float = 500.0
+    roll_front: float = 0.55
+    relaxation: float = 0.0
+    ackermann: float = 0.0
+
+
+@dataclass(frozen=True)
+class Stranger:
+    """A car. origin: of its parameters. ratio: hand wheel over road wheel. ins: ahead of the CG [m].
+
+    ins_rate, steering_rate [Hz]; steering_step: resolution of the steering sensor [deg]. package: name of the car of
+    the multi-body description, settings: its changed values.
+    """
+
+    name: str
+    description: int
+    origin: str
+    numbers: Numbers
+    ratio: float
+    ins: float
+    ins_rate: int = 100
+    steering_rate: int = 100
+    steering_step: float = 0.1
+    package: str = ""
+    settings: tuple[tuple[str, float], ...] = ()
+
+    def changed(self, **numbers: float) -> "Stranger":
+        return replace(self, numbers=self.numbers._replace(**numbers))
+
+
+TEXTBOOK = "values of the order found in textbooks"
+DEVELOPMENT = (
+    Stranger("saloon", ROLLING, TEXTBOOK, Numbers(
+        1580.0, 2650.0, 2.71, 1.19, 0.55, 1.56, 118e3, 142e3, 0.95, DUGOFF, 1.0, compliance=2.7e-6,
+        roll_stiffness=62e3, roll_damping=4200.0, roll_inertia=620.0, relaxation=0.45), 15.1, -0.35),
+    Stranger("light_ev", ROLLING, TEXTBOOK, Numbers(
+        1010.0, 1080.0, 2.49, 1.37, 0.46, 1.38, 62e3, 88e3, 0.9, BURCKHARDT, 0.0), 17.2, 0.22, 200, 50, 0.5),
+    Stranger("van", ROLLING, TEXTBOOK, Numbers(
+        2800.0, 7900.0, 3.66, 1.72, 0.82, 1.73, 145e3, 205e3, 0.85, FIALA, 1.0, steer_lag=0.06, roll_stiffness=110e3,
+        roll_damping=8000.0, roll_inertia=1500.0, relaxation=0.6), 19.0, -1.05, 50, 25, 1.5),
+    Stranger("hatchback", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, Honda Civic; inertia: openpilot;"
+             " tyres: two-friction brush, Hindiyeh and Gerdes", Numbers(
+                 1462.0, 2500.0, 2.70, 1.08, 0.52, 1.54, 112e3, 128e3, 0.98, BRUSH, 1.0, sliding=0.85, ackermann=0.6),
+             15.38, -0.40),
+    Stranger("suv", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, GWM Haval H6; tyres: TMeasy, form of "
+             "Rill", Numbers(
+                 2040.0, 3300.0, 2.73, 1.20, 0.66, 1.63, 126e3, 150e3, 0.9, TMEASY, 0.5, load_loss=0.3, ackermann=0.4),
+             16.0, -0.70, 100, 50, 0.5),
+    Stranger("estate", ELASTIC, "mass, lengths, inertia, stiffness: BMW 5 of IPG CarMaker as published; brush tyres",
+             Numbers(
+        1564.0, 2230.0, 2.888, 1.268, 0.56, 1.56, 150e3, 165e3, 0.93, BRUSH, 0.0, sliding=0.8, steer_lag=0.03,
+        column=2.0e-5, trail=0.035, compliance_rear=4e-7, relaxation=0.35), 15.8, -0.55),
+    Stranger("city_car", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Opel Corsa F; brush tyres", Numbers(
+        1530.0, 1950.0, 2.54, 1.12, 0.54, 1.49, 105e3, 118e3, 0.9, BRUSH, 1.0, sliding=0.75, column=2.5e-5,
+        trail=0.03, relaxation=0.3), 17.6, -0.15, 100, 100, 0.1),
+    *(Stranger(name, MULTI_BODY, "commonroad-vehicle-models, parameter set of the package", Numbers(
+        mass, inertia, wheelbase, front, height, 1.4, 0.0, 0.0, 1.0, 0.0, drive), ratio, ins, 100, 100, 0.1, name)
+      for name, mass, inertia, wheelbase, front, height, drive, ratio, ins in (
+          ("escort", 1225.9, 1538.9, 2.391, 0.884, 0.557, 1.0, 18.5, -0.45),
+          ("bmw_320i", 1093.3, 1791.6, 2.579, 1.156, 0.574, 0.0, 15.5, -0.25),
+          ("vanagon", 1478.9, 2473.1, 2.465, 1.169, 0.670, 0.0, 20.5, 0.30))),
+)
+SEALED = (
+    Stranger("coupe", ROLLING,
+             "mass, lengths, inertia, stiffness: Rajamani, Vehicle Dynamics and Control; Dugoff tyres",
+             Numbers(1573.0, 2873.0, 2.68, 1.10, 0.50, 1.55, 160e3, 160e3, 1.0, DUGOFF, 0.0, compliance=1.2e-6,
+                     roll_stiffness=80e3, roll_damping=5000.0, roll_inertia=550.0, relaxation=0.3), 14.2, -0.30),
+    Stranger("minivan", ROLLING, "mass, wheelbase, ratio: opendbc, Chrysler Pacifica; Fiala tyres", Numbers(
+        2242.0, 4300.0, 3.089, 1.36, 0.68, 1.73, 135e3, 165e3, 0.88, FIALA, 1.0, steer_lag=0.04, roll_stiffness=90e3,
+        roll_damping=6000.0, roll_inertia=1000.0, relaxation=0.5), 16.2, -0.80, 100, 50, 0.5),
+    Stranger("crossover", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, Toyota Yaris Cross; TMeasy",
+             Numbers(
+        1386.0, 2050.0, 2.62, 1.15, 0.60, 1.52, 92e3, 104e3, 0.92, TMEASY, 1.0, load_loss=0.2, ackermann=0.5),
+        17.0, -0.35, 50, 50, 0.5),
+    Stranger("luxury_ev", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, BYD Han; brush tyres", Numbers(
+        2150.0, 3950.0, 2.92, 1.285, 0.53, 1.64, 165e3, 190e3, 1.0, BRUSH, 0.4, sliding=0.9, ackermann=0.7),
+        14.8, -0.60, 100, 100, 0.1),
+    Stranger("leaf_2018", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Nissan Leaf 2018; brush tyres",
+             Numbers(
+        1594.0, 2450.0, 2.70, 1.377, 0.53, 1.54, 110e3, 160e3, 0.92, BRUSH, 1.0, sliding=0.8, steer_lag=0.02,
+        column=1.8e-5, trail=0.032, compliance_rear=3e-7, relaxation=0.4), 17.68, -0.20),
+    Stranger("roadster", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Porsche 911 (997); brush tyres",
+             Numbers(
+        1455.0, 1850.0, 2.35, 1.457, 0.47, 1.50, 105e3, 190e3, 1.05, BRUSH, 0.0, sliding=0.85, column=1.2e-5,
+        trail=0.028, relaxation=0.25), 13.7, 0.10, 200, 100, 0.1),
+    *(Stranger(f"{name}_other", MULTI_BODY, "commonroad-vehicle-models, other tyres and mass", Numbers(
+        mass, inertia, wheelbase, front, height, 1.4, 0.0, 0.0, 1.0, 0.0, drive), ratio, ins, 100, 50, 0.2, name,
+               settings)
+      for name, mass, inertia, wheelbase, front, height, drive, ratio, ins, settings in (
+          ("escort", 1225.9, 1538.9, 2.391, 0.884, 0.557, 1.0, 18.5, -0.45,
+           (("front_stiffness_factor", 0.85), ("rear_stiffness_factor", 1.15))),
+          ("bmw_320i", 1093.3, 1791.6, 2.579, 1.156, 0.574, 0.0, 15.5, -0.25,
+           (("mass_factor", 1.2), ("yaw_inertia_factor", 1.1), ("friction_factor", 0.85))))),
+    Stranger("sports_saloon", BRISTLE, TEXTBOOK + "; LuGre tyres, form of Canudas de Wit and Velenis", Numbers(
+        1740.0, 3050.0, 2.81, 1.36, 0.51, 1.58, 140e3, 175e3, 1.0, 0.0, 0.0, sliding=0.78, steer_lag=0.03,
+        relaxation=0.22), 14.6, -0.45),
+    Stranger("family_car", BRISTLE, TEXTBOOK + "; LuGre tyres", Numbers(
+        1380.0, 2150.0, 2.64, 1.06, 0.54, 1.52, 95e3, 108e3, 0.9, 0.0, 1.0, sliding=0.8, steer_lag=0.045,
+        relaxation=0.28), 16.4, -0.25, 100, 50, 0.5),
+    Stranger("pickup", SPRUNG, TEXTBOOK + "; tabulated tyres", Numbers(
+        2260.0, 5400.0, 3.27, 1.42, 0.71, 1.68, 120e3, 145e3, 0.85, TABLE, 0.0, roll_stiffness=85e3,
+        roll_damping=7000.0, roll_inertia=950.0, relaxation=0.55, roll_steer=0.03), 17.8, -0.90, 100, 50, 0.5),
+    Stranger("hot_hatch", SPRUNG, TEXTBOOK + "; tabulated tyres", Numbers(
+        1430.0, 2200.0, 2.63, 1.03, 0.52, 1.55, 128e3, 132e3, 1.02, TABLE, 1.0, roll_stiffness=75e3,
+        roll_damping=4500.0, roll_inertia=480.0, relaxation=0.35, roll_steer=0.02), 14.0, -0.30, 200, 100, 0.1),
+)
+CARS = {car.name: car for car in (*DEVELOPMENT, *SEALED)}
