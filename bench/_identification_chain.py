@@ -6,8 +6,8 @@ import numpy as np
 from _identification import LEAF_FILE, leaf
 from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.driving_fit import identified_vehicle, with_stiffness
 from st_core.identification.driving_prediction import predict_stiffness
-from st_core.identification.free_parameters import identified_vehicle, with_stiffness
 from st_core.identification.result import Identification
 from st_core.identification.steering_offset import identify_steering_offset
 from st_core.log import DriveLog

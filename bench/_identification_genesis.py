@@ -9,8 +9,8 @@ from st_core.augmented import augment
 from st_core.batch import LogBatch
 from st_core.identification.blocks import blocks
 from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.driving_fit import MISALIGNMENT, identified_vehicle
 from st_core.identification.driving_prediction import identify_yaw_inertia, predict_stiffness
-from st_core.identification.free_parameters import MISALIGNMENT, identified_vehicle
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification, IdentificationError
 from st_core.identification.steering_offset import identify_steering_offset

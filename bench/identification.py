@@ -10,16 +10,14 @@ from _identification_chain import chain
 from _identification_genesis import genesis
 from st_core.augmented import augment
 from st_core.identification.cornering_stiffness import AXLES, StiffnessSettings, identify_stiffness
+from st_core.identification.driving_fit import with_stiffness
 from st_core.identification.driving_prediction import (
-    NUISANCE,
     STIFFNESSES,
     identify_steering,
     identify_yaw_inertia,
     predict_stiffness,
 )
-from st_core.identification.free_parameters import with_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
-from st_core.identification.prediction_error import PredictionError
 from st_core.identification.result import Identification
 from st_core.identification.steering_offset import identify_steering_offset
 from st_core.models import nonlinear_tyre
@@ -152,37 +150,18 @@ def _row(estimate) -> str:
 
 
 def speed() -> dict:
-    """CPU seconds, warm: stiffness from 10 runs of 60 s, and 200 complete fits to resampled runs."""
+    """CPU seconds, warm: stiffness from 10 runs of 60 s."""
     car = leaf()
     logs = record_all("ideal", 1)["bends"]
     start = replace(wrong(car), steering_wheel_offset=car.steering_wheel_offset, cg_to_ins_x=car.cg_to_ins_x)
     result = {}
-    for name, call in (("regression (paper), with bootstrap of 200", lambda: identify_stiffness(logs, start)),
-                       ("prediction, with bootstrap of 200", lambda: predict_stiffness(logs, start)),
-                       ("bootstrap of 200 by complete fits", lambda: complete_fits(logs, start, 200))):
-        if not name.startswith("bootstrap"):
-            call()
+    for name, call in (("regression (paper)", lambda: identify_stiffness(logs, start)),
+                       ("prediction", lambda: predict_stiffness(logs, start))):
+        call()
         cpu, wall = time.process_time(), time.perf_counter()
         call()
         result[name] = {"cpu_s": time.process_time() - cpu, "wall_s": time.perf_counter() - wall}
-    problem = PredictionError(logs, start, (*STIFFNESSES, *NUISANCE))
-    one_step = problem.fit().bootstrap(200, 0).values.std(axis=0)
-    complete = complete_fits(logs, start, 200).std(axis=0)
-    result["one step over complete, spread of C_f"] = float(one_step[0] / complete[0])
-    result["one step over complete, spread of C_r"] = float(one_step[1] / complete[1])
     return result
-
-
-def complete_fits(logs: list, start: VehicleParameters, count: int) -> np.ndarray:
-    """(count, 4): stiffnesses, offset and misalignment, each fitted from scratch to as many runs drawn at random."""
-    problem = PredictionError(logs, start, (*STIFFNESSES, *NUISANCE))
-    first = problem.fit()
-    generator = np.random.default_rng(0)
-    rows = []
-    for _ in range(count):
-        drawn = np.bincount(generator.integers(len(logs), size=len(logs)), minlength=len(logs))
-        rows.append(problem.fit(first.values, first.noise, weights=drawn).values)
-    return np.array(rows)
 
 
 if __name__ == "__main__":

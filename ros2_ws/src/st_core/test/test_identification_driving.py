@@ -7,13 +7,13 @@ import pytest
 from driven import SILENT, Sensors, drive, steps, straight, weave
 from st_core.augmented import augment
 from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.driving_fit import MISALIGNMENT, with_stiffness
 from st_core.identification.driving_prediction import (
     STIFFNESSES,
     identify_steering,
     identify_yaw_inertia,
     predict_stiffness,
 )
-from st_core.identification.free_parameters import MISALIGNMENT, with_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.steering_offset import DIRECT, PAPER, identify_steering_offset
 

@@ -1,7 +1,7 @@
 """The numbers a discovery may change: all parameters of all effects of the library, and how much a roll of the body
 adds to the accelerometer. One vector; one set of compiled functions for all its values."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,13 +32,15 @@ class Free:
 
 class Space:
     """base: the model discoveries are changes of. more: effects that are in the model and are no hypotheses.
+    library: names of the effects to choose from, all that apply if not given.
     hypotheses: names of the effects that take part. null: (p,) the vector of the base; scale, low, high: (p,) usual
     sizes and bounds."""
 
-    def __init__(self, base: str | Model, settings: DiscoverySettings, more: Sequence[str] = ()):
+    def __init__(self, base: str | Model, settings: DiscoverySettings, more: Sequence[str] = (),
+                 library: Collection[str] | None = None):
         base = get_model(base)
         kind = base.base if isinstance(base, AugmentedModel) else base
-        known = applicable(kind.name)
+        known = tuple(n for n in applicable(kind.name) if library is None or n in library)
         self.without_signal = tuple(n for n in known if get_effect(n).signals)
         takes_part = [n for n in known if n not in self.without_signal]
         self.hypotheses = _chosen(takes_part, settings, known)

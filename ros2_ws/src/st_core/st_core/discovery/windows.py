@@ -36,7 +36,6 @@ SLOWEST = 1.5  # m/s. Slower windows say nothing of lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
 REMEMBERED = 4  # recordings, as sensors and steering of the last models change them, and what follows from them
 ASKED = 8  # sets of instants remembered, with where they lie between the samples
-CLOSEST = 1.0  # s between the starts of two windows, at the least: closer ones bring next to nothing new
 SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 
 
@@ -281,7 +280,7 @@ def _starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
     """Instants, run and seconds into the run of all windows driven faster than SLOWEST."""
     length = round(horizon / NANOSECOND)
     usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
-    interval = max(CLOSEST, usable / settings.windows)
+    interval = max(settings.interval, usable / settings.windows)
     spacing = round(round(interval / (STEP / 2)) * (STEP / 2) / NANOSECOND)
     starts, number, seconds = [], [], []
     for i, (run, offset) in enumerate(zip(runs, offsets, strict=True)):

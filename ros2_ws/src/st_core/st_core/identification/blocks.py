@@ -103,8 +103,12 @@ class Blocks:
 
     def influence(self, jacobian: np.ndarray, residuals: np.ndarray) -> np.ndarray:
         """psi (k, p) of each block on the least squares estimate with this jacobian (n, p) and these residuals (n,)."""
-        squares = self.sums(jacobian[:, :, None] * jacobian[:, None, :])
-        gradient, whole = self.sums(jacobian * residuals[:, None]), squares.sum(axis=0)
+        return self.leave_out(self.sums(jacobian[:, :, None] * jacobian[:, None, :]),
+                              self.sums(jacobian * residuals[:, None]))
+
+    def leave_out(self, squares: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+        """The same from A_c (k, p, p) and g_c (k, p) of each block."""
+        whole = squares.sum(axis=0)
         # Without a block that alone shows a parameter nothing would fix it; a millionth of the whole keeps it solvable.
         others = (1.0 + 1e-6) * whole - squares
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)

@@ -30,8 +30,7 @@ from ..handling import objections
 from ..log import DriveLog
 from ..models import Model, get_model
 from ..vehicle import VehicleParameters
-from .free_parameters import DELAY, FREE, MISALIGNMENT, RELAXATION
-from .prediction_error import Fit, PredictionError, PredictionErrorSettings
+from .driving_fit import DELAY, FREE, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
 from .result import (
     ACCELERATION_EDGES,
     SPEED_EDGES,
@@ -55,32 +54,32 @@ LARGEST_RELATIVE = 0.1
 """Standard uncertainty over value from which on a stiffness, ratio or inertia is doubtful; five times that: none."""
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
-TRANSIENTS = PredictionErrorSettings(points=(0.1, 0.2, 0.3, 0.4, 0.6, 0.8), interval=0.3)
+TRANSIENTS = DrivingFitSettings(interval=0.3)
 
 
 def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                      settings: PredictionErrorSettings | None = None, *, also: Sequence[str] = ()) -> Identification:
+                      settings: DrivingFitSettings | None = None, *, also: Sequence[str] = ()) -> Identification:
     """Both stiffnesses with their uncertainty over runs.
 
     vehicle: everything else, and where the fit starts. base: linear, nonlinear, or either with effects that are known
     (`augment`: drive force on steered wheels, say). also: further parameters to fit and report, of
-    `free_parameters.FREE` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). Raises
+    `driving_fit.FREE` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). Raises
     IdentificationError for too thin driving.
     """
-    settings = settings or PredictionErrorSettings()
+    settings = settings or DrivingFitSettings()
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *NUISANCE)))
     logs, noticed = prepared(logs, vehicle)
     needs = NEEDS | ({"speed": (5.0, 2)} if RATIO in names else {})
     covered = driving_coverage(logs, needs, settings.minimum_speed)
     require(covered, "Drive bends to both sides, at two speeds or more, with 1 to 4 m/s^2 across.")
-    problem = PredictionError(logs, vehicle, names, base, settings)
+    fit = fit_driving(logs, vehicle, names, base, settings)
     method = f"multi-step prediction, {described(base)}"
-    result = estimates_of("stiffness", problem, problem.fit(), method, (*STIFFNESSES, *also), covered)
+    result = estimates_of("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), covered)
     return replace(result, warnings=(*noticed, *result.warnings))
 
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                      settings: PredictionErrorSettings | None = None) -> Identification:
+                      settings: DrivingFitSettings | None = None) -> Identification:
     """Ratio and offset with their uncertainty, and the stiffnesses that go with them.
 
     Raises IdentificationError for too thin driving: two bins of speed at least.
@@ -94,7 +93,7 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
 
 
 def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                         settings: PredictionErrorSettings = TRANSIENTS) -> Identification:
+                         settings: DrivingFitSettings = TRANSIENTS) -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
 
     Raises IdentificationError without transients: half a second of r_dot above 0.3 rad/s^2 to either side.
@@ -106,10 +105,9 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
     covered = (*driving_coverage(logs, {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)}, settings.minimum_speed),
                coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast, interval, 0.5, 5))
     require(covered, "Steady bends do not show the yaw inertia: drive steps, lane changes or a sine sweep.")
-    problem = PredictionError(logs, vehicle, INERTIA_NAMES, base, settings)
-    fit = problem.fit()
-    result = estimates_of("yaw-inertia", problem, fit, f"multi-step prediction of transients, {described(base)}",
-                          INERTIA_NAMES[:4], covered, _timing_uncertainty(fit, logs, problem.starts))
+    fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
+    result = estimates_of("yaw-inertia", vehicle, fit, f"multi-step prediction of transients, {described(base)}",
+                          INERTIA_NAMES[:4], covered, _timing_uncertainty(fit, logs))
     inertia = result["yaw_inertia"]
     warnings = [*noticed, *result.warnings]
     implausible = [text for text in objections(replace(vehicle, yaw_inertia=max(inertia.value, 10.0)))
@@ -123,60 +121,54 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters, b
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
 
-def _timing_uncertainty(fit: Fit, logs: Sequence[DriveLog], starts: Mapping[str, int]) -> dict[str, float]:
+def _timing_uncertainty(fit: DrivingFit, logs: Sequence[DriveLog]) -> dict[str, float]:
     """Standard uncertainty of the dead time [s] and, through it, of the inertia; see the module."""
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
-    time = interval / np.sqrt(12.0 * sum(count > 0 for count in starts.values()))
-    squares = fit.jacobian.T @ fit.jacobian
-    delay = fit.names.index(DELAY)
-    others = [i for i in range(len(fit.names)) if i != delay]
-    change = dict(zip([fit.names[i] for i in others],
-                      np.linalg.solve(squares[np.ix_(others, others)], squares[others, delay]), strict=True))
-    return {DELAY: time, "yaw_inertia": abs(change["yaw_inertia"]) * time}
+    time = interval / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
+    return {DELAY: time, "yaw_inertia": abs(fit.change_with(DELAY)["yaw_inertia"]) * time}
 
 
-def estimates_of(what: str, problem: PredictionError, fit: Fit, method: str, reported: Sequence[str],
+def estimates_of(what: str, vehicle: VehicleParameters, fit: DrivingFit, method: str, reported: Sequence[str],
                  covered: Sequence[Coverage], systematic: Mapping[str, float] | None = None) -> Identification:
     """Result of a fit. reported: parameters to give as estimates; correlation over them. systematic: standard
     uncertainties the drives cannot show, added to theirs."""
-    spread = fit.spread()
-    share = single_track_share(problem)
+    spread = fit.spread
+    share = single_track_share(vehicle, fit)
     extra = {n: share * v for n, v in zip(fit.names, fit.values, strict=True)
              if n.startswith("cornering_stiffness")} | dict(systematic or {})
     # Independent of the drives, so added to the variances alone.
     covariance = spread.covariance + np.diag([extra.get(name, 0.0) ** 2 for name in fit.names])
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
-    runs = tuple(name for name, starts in problem.starts.items() if starts)
+    runs = tuple(name for name, (used, _) in fit.windows.items() if used)
     estimates = tuple(
         Estimate(fit.names[i], float(fit.values[i]), FREE[fit.names[i]].unit, float(uncertainty[i]),
                  spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
-                 _verdict(fit, i, uncertainty[i], f"{len(fit.residuals) // 2} residuals in {spread.basis[i]}"),
+                 _verdict(fit, i, uncertainty[i], f"{fit.number} predictions in {spread.basis[i]}"),
                  _status(fit, i, uncertainty[i])) for i in chosen)
-    rejected = [(name, f"{problem.considered[name] - used} of {problem.considered[name]} starts slower than "
-                 f"{problem.settings.minimum_speed:g} m/s, beyond {problem.settings.maximum_acceleration:g} m/s^2 or "
-                 "with gaps") for name, used in problem.starts.items() if used < problem.considered[name]]
+    rejected = [(name, f"{every - used} of {every} predictions are too slow, beyond the limit of lateral acceleration "
+                 "or with gaps") for name, (used, every) in fit.windows.items() if used < every]
     others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE[n].unit} was fitted too."
               for i, n in enumerate(fit.names) if n not in reported]
     warnings = (*strong_correlations(fit.names, correlation_of(covariance)), *others)
-    figure = {"residuals": fit.residuals.reshape(-1, 2) * fit.noise, "residual_run": fit.run_of[::2],
-              "residual_time": fit.time[::2], "names": fit.names, "covariance": covariance, "noise": fit.noise}
+    figure = {"residuals": fit.residuals, "residual_run": fit.run_of, "residual_time": fit.time, "names": fit.names,
+              "covariance": covariance}
     return Identification(what, estimates, runs, tuple(rejected), correlation_of(covariance[np.ix_(chosen, chosen)]),
                           tuple(covered), warnings, figure)
 
 
-def _status(fit: Fit, index: int, uncertainty: float) -> Status:
+def _status(fit: DrivingFit, index: int, uncertainty: float) -> Status:
     name, value = fit.names[index], abs(fit.values[index])
     if name in fit.at_bound:
         return "unidentifiable"
     if not FREE[name].relative:
-        return "identified" if uncertainty < FREE[name].scale else "doubtful"
+        return "identified" if uncertainty < FREE[name].usual else "doubtful"
     if uncertainty > 5.0 * LARGEST_RELATIVE * value:
         return "unidentifiable"
     return "doubtful" if uncertainty > LARGEST_RELATIVE * value else "identified"
 
 
-def _verdict(fit: Fit, index: int, uncertainty: float, basis: str) -> str:
+def _verdict(fit: DrivingFit, index: int, uncertainty: float, basis: str) -> str:
     """How well the data fix the value, and what it rests on."""
     name, value = fit.names[index], fit.values[index]
     if name in fit.at_bound:
@@ -189,14 +181,14 @@ def _verdict(fit: Fit, index: int, uncertainty: float, basis: str) -> str:
     return f"{value:.4g} +/- {uncertainty:.2g} {FREE[name].unit}, from {basis}."
 
 
-def single_track_share(problem: PredictionError) -> float:
+def single_track_share(vehicle: VehicleParameters, fit: DrivingFit) -> float:
     """Standard uncertainty of a stiffness for what one track leaves out, as a share of it: (0.8 L)^2 mean(curvature^2).
 
     Two wheels with Ackermann angles turn an axle's force into a yaw moment that one wheel does not have, by terms of
     (L / R)^2. On the virtual Leaf without noise: rear stiffness 4.6 m^2 / R^2 too small, 1.1 % at 20 m, 0.1 % at 60 m.
     All of it counts, as a car with full Ackermann angles has all of it.
     """
-    return (0.8 * problem.vehicle.wheelbase) ** 2 * problem.curvature_square
+    return (0.8 * vehicle.wheelbase) ** 2 * fit.curvature_square
 
 
 def described(base: str | Model) -> str:

@@ -22,7 +22,7 @@ import numpy as np
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from .blocks import Blocks, Spread, blocks
-from .free_parameters import MISALIGNMENT
+from .driving_fit import MISALIGNMENT
 from .result import (
     SPEED_EDGES,
     Coverage,

@@ -19,12 +19,12 @@ from ..handling import understeer_coefficient
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from .blocks import Spread, blocks
-from .prediction_error import PredictionError, PredictionErrorSettings
+from .driving_fit import DrivingFitSettings, fit_driving
 from .result import Estimate, Identification, IdentificationError, contradiction
 from .run_samples import RunSamples, prepared, run_samples
 
 PAPER, DIRECT = "steering_wheel_offset", "steering_wheel_offset_direct"
-SETTINGS = PredictionErrorSettings(points=(0.5, 1.0, 1.5, 2.0), maximum_acceleration=0.5, fewest_starts=40)
+SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, fewest_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s
 STRAIGHT = 500.0  # m, radius
 STEADY = np.deg2rad(3.0)  # at the hand wheel, standard deviation in a window
@@ -33,7 +33,7 @@ SMOOTHING = 1.0  # Hz, of the measured yaw rate
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters,
-                             settings: PredictionErrorSettings = SETTINGS) -> Identification:
+                             settings: DrivingFitSettings = SETTINGS) -> Identification:
     """Offset by both ways [rad at the hand wheel, left +]; parameters PAPER and DIRECT.
 
     vehicle: ratio and all else; its offset is where the search starts. Raises IdentificationError for too little
@@ -47,11 +47,10 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
         raise IdentificationError(
             f"too few samples: {len(values)} windows of {WINDOW:g} s are straighter than R = {STRAIGHT:g} m, with a "
             f"steady hand and faster than {settings.minimum_speed:g} m/s; {FEWEST_WINDOWS} are needed")
-    problem = PredictionError([_smoothed(log) for log in logs], vehicle, (PAPER,), "linear", settings)
-    fit = problem.fit(noise=np.array([1.0e-3, np.inf]))  # yaw rate alone, in its own unit of a thousandth
-    paper = _estimate(PAPER, fit.values[0], fit.spread(),
-                      "simulated against measured yaw rate (paper)", problem.starts,
-                      f"{sum(problem.starts.values())} predictions on straights")
+    fit = fit_driving([_smoothed(log) for log in logs], vehicle, (PAPER,), "linear", settings)
+    predicted = {name: count for name, (count, _) in fit.windows.items()}
+    paper = _estimate(PAPER, fit.values[0], fit.spread, "simulated against measured yaw rate (paper)", predicted,
+                      f"{fit.number} predictions on straights")
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
@@ -59,15 +58,14 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
     direct = _estimate(DIRECT, float(values.mean()), spread, "mean reading on steady straights", used,
                        f"{len(values)} windows of {WINDOW:g} s")
-    said = contradiction(paper, direct.value, direct.standard_uncertainty, "the mean reading on steady straights")
-    if said:
-        paper = replace(paper, status="doubtful", verdict=f"{paper.verdict} {said}")
-    rejected = tuple((name, "no straight piece in it") for name, n in problem.starts.items()
-                     if not n and not used[name])
-    figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[::2] * 1.0e-3,
-              "residual_run": fit.run_of[::2], "residual_time": fit.time[::2], "names": tuple(r.name for r in runs)}
-    return Identification("steering-offset", (paper, direct), tuple(n for n in used if used[n] or problem.starts[n]),
-                          rejected, None, (), (*noticed, *([said] if said else [])), figure)
+    conflict = contradiction(paper, direct.value, direct.standard_uncertainty, "the mean reading on steady straights")
+    if conflict:
+        paper = replace(paper, status="doubtful", verdict=f"{paper.verdict} {conflict}")
+    rejected = tuple((name, "no straight piece in it") for name, n in predicted.items() if not n and not used[name])
+    figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[:, 0],
+              "residual_run": fit.run_of, "residual_time": fit.time, "names": tuple(r.name for r in runs)}
+    return Identification("steering-offset", (paper, direct), tuple(n for n in used if used[n] or predicted[n]),
+                          rejected, None, (), (*noticed, *([conflict] if conflict else [])), figure)
 
 
 def _smoothed(log: DriveLog) -> DriveLog:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import chi2
-from st_core.identification.free_parameters import FREE
+from st_core.identification.driving_fit import FREE
 from st_core.identification.result import Estimate, Identification
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 

@@ -1,0 +1,277 @@
+"""Parameters of the vehicle file and of the recording fitted to predictions of several drives at once.
+
+The problem, loss and fit are those of `discovery`: windows all over the drives are predicted with the measured inputs,
+errors of yaw rate and lateral velocity at the INS are scored under Student's distribution, and the effects that stand
+for the parameters are fitted together. Here nothing else is free and no prior of the file holds them: the drives alone
+decide. Steering, tyres and INS noise enter where they act, so the estimate is not drawn towards zero by noisy slip
+angles as a regression of force on slip is. Checked by: test_driving_fit.py.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..augmented import AugmentedModel
+from ..discovery.fit import Problem, Slopes
+from ..discovery.loss import Errors, Loss
+from ..discovery.settings import DiscoverySettings
+from ..discovery.space import Space
+from ..discovery.windows import STEP, Windows
+from ..effects.front_stiffness import FrontStiffness
+from ..effects.heading_misalignment import HeadingMisalignment
+from ..effects.rear_stiffness import RearStiffness
+from ..effects.sensor_lever_arm import SensorLeverArm
+from ..effects.steering_delay import SteeringDelay
+from ..effects.steering_offset import SteeringOffset
+from ..effects.steering_ratio import SteeringRatio
+from ..effects.tyre_relaxation import TyreRelaxation
+from ..effects.yaw_inertia import YawInertia
+from ..errors import StCoreError
+from ..filtering import NANOSECOND
+from ..log import DriveLog
+from ..models import Model, get_model
+from ..tyres import stiffness_scale
+from ..vehicle import VehicleParameters
+from .blocks import Spread, blocks
+from .result import IdentificationError
+
+MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
+ROUNDS, SETTLED = 6, 0.02
+"""Fits with the scale of the errors left by the one before, and the relative change of it at which they end."""
+NEAR_BOUND = 1e-3
+"""Share of the allowed range within which a value is at its bound."""
+ILL_CONDITIONED = 1e12
+LEAST_BEND = 0.2
+"""Second derivative of the loss over its weighted squares; 0.7 for errors distributed as the loss takes them."""
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A quantity [unit, SI] that driving shows, and the effect that stands for it in the fit.
+
+    of: value of the quantity from the vehicle and the values of the effects by "effect.parameter". relative: judged by
+    its relative uncertainty; else `usual` is the uncertainty up to which it counts as identified [SI].
+    """
+
+    effect: str
+    unit: str
+    of: Callable[[VehicleParameters, Values], float]
+    relative: bool = False
+    usual: float = 0.0
+
+
+def _share(effect: str, key: str) -> Callable[[VehicleParameters, Values], float]:
+    return lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key))
+
+
+def _offset(car: VehicleParameters, values: Values) -> float:
+    """delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file."""
+    factor = values.get(f"{SteeringRatio.name}.factor", 1.0)
+    return car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * factor * car.steering_ratio
+
+
+FREE: Mapping[str, FreeParameter] = {
+    "cornering_stiffness_front": FreeParameter(
+        FrontStiffness.name, "N/rad", _share(FrontStiffness.name, "cornering_stiffness_front"), relative=True),
+    "cornering_stiffness_rear": FreeParameter(
+        RearStiffness.name, "N/rad", _share(RearStiffness.name, "cornering_stiffness_rear"), relative=True),
+    "yaw_inertia": FreeParameter(YawInertia.name, "kg m^2", _share(YawInertia.name, "yaw_inertia"), relative=True),
+    "steering_ratio": FreeParameter(SteeringRatio.name, "1", _share(SteeringRatio.name, "steering_ratio"),
+                                    relative=True),
+    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", _offset, usual=0.02),
+    "cg_to_ins_x": FreeParameter(
+        SensorLeverArm.name, "m", lambda car, values: car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"], usual=0.1),
+    # Heading the unit reports too far to the left.
+    MISALIGNMENT: FreeParameter(HeadingMisalignment.name, "rad",
+                                lambda car, values: values[f"{HeadingMisalignment.name}.angle"], usual=0.005),
+    # The wheels after the measured angle.
+    DELAY: FreeParameter(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], usual=0.02),
+    # Way rolled until 63 % of a slip step is force.
+    RELAXATION: FreeParameter(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], usual=0.1),
+}
+
+
+@dataclass(frozen=True)
+class DrivingFitSettings:
+    """horizon [s] of the predictions, 1 or more; interval [s] between their starts. Windows are used when over the
+    whole horizon the speed is at least minimum_speed [m/s] and |v_x r| at most maximum_acceleration [m/s^2]; fewer
+    than fewest_windows are refused. channels: what predictions are compared with; without velocity_y a prediction
+    starts from steady sideslip.
+    """
+
+    horizon: float = 1.5
+    interval: float = 0.5
+    minimum_speed: float = 5.0
+    maximum_acceleration: float = 4.0
+    fewest_windows: int = 60
+    channels: tuple[str, ...] = ("yaw_rate", "velocity_y")
+
+
+class _GatedWindows(Windows):
+    """Windows of which only those within the settings' speed and acceleration count. used: (n,) which."""
+
+    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings):
+        super().__init__(runs, vehicle, DiscoverySettings(
+            channels=settings.channels, horizon=settings.horizon, windows=20_000, interval=settings.interval))
+        self._batch._substeps = 2  # slow and stiff: 50 ms are too long for some cars at 5 m/s
+        grid = np.round(np.arange(0.0, self.time[-1] + 0.5 * STEP, STEP) / NANOSECOND).astype(np.int64)
+        speed, rate = self.measured_at(self.starts_ns[:, None] + grid, "velocity_x", "yaw_rate")
+        with np.errstate(invalid="ignore"):
+            self.used = ((speed >= settings.minimum_speed)
+                         & (np.abs(speed * rate) <= settings.maximum_acceleration)).all(axis=1)
+            weight = np.square(speed * rate)[self.used]
+            curvature = np.square(rate / speed)[self.used]
+        self.curvature_square = float(np.average(curvature, weights=weight)) if weight.sum() > 0.0 else 0.0
+
+    @cached_property
+    def known(self) -> np.ndarray:
+        return Windows.known.func(self) & self.used[:, None]  # type: ignore[attr-defined]  # of cached_property
+
+
+@dataclass(frozen=True, eq=False)
+class DrivingFit:
+    """names and their values (p,) [SI]; spread: their covariance over blocks of driving. at_bound: names that stopped
+    there. slopes: (p, q) change of each value [SI] with each number of the fit; hessian: (q, q) half the second
+    derivative of the loss in these numbers.
+
+    residuals: (n, c) predicted minus measured, columns as `columns` [SI], with run_of (n,) and time (n,) [s].
+    windows: by run, (used, all). curvature_square: mean of curvature^2 [1/m^2], weighted by lateral acceleration^2.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    spread: Spread
+    at_bound: tuple[str, ...]
+    slopes: np.ndarray
+    hessian: np.ndarray
+    residuals: np.ndarray
+    columns: tuple[str, ...]
+    run_of: np.ndarray
+    time: np.ndarray
+    windows: Mapping[str, tuple[int, int]]
+    curvature_square: float
+
+    @property
+    def number(self) -> int:
+        """Predictions used."""
+        return sum(used for used, _ in self.windows.values())
+
+    def change_with(self, name: str) -> dict[str, float]:
+        """Change of each other value [SI] per unit of `name`, when that is held elsewhere and the rest fitted again."""
+        inverse = np.linalg.inv(self.hessian)
+        covariance = self.slopes @ inverse @ self.slopes.T
+        k = self.names.index(name)
+        return {n: float(covariance[i, k] / covariance[k, k]) for i, n in enumerate(self.names) if i != k}
+
+
+def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
+                base: str | Model = "nonlinear", settings: DrivingFitSettings | None = None) -> DrivingFit:
+    """The values of `names` (of FREE) that predict the drives best; all others stay as in the vehicle file.
+
+    logs: as `run_samples.prepared` returns them. base: linear, nonlinear, or either with effects that are known.
+    Raises IdentificationError for an unknown name, for too few windows, and where the drives do not fix the values.
+    """
+    settings = settings or DrivingFitSettings()
+    check_names(names)
+    effects = tuple(dict.fromkeys(FREE[name].effect for name in names))
+    model = get_model(base)
+    library = {*effects, *(model.values if isinstance(model, AugmentedModel) else ())}
+    try:
+        windows = _GatedWindows(logs, vehicle, settings)
+    except StCoreError as error:
+        raise IdentificationError(str(error)) from None
+    counts = {name: (int(windows.used[windows.run == k].sum()), int((windows.run == k).sum()))
+              for k, name in enumerate(windows.names)}
+    total = sum(used for used, _ in counts.values())
+    if total < settings.fewest_windows:
+        raise IdentificationError(
+            f"too few samples: {total} of {len(windows)} predictions are faster than {settings.minimum_speed:g} m/s "
+            f"and below {settings.maximum_acceleration:g} m/s^2 over {settings.horizon:g} s; "
+            f"{settings.fewest_windows} are needed")
+    space = Space(model, windows.settings, library=library)
+    loss = Loss(Errors(windows, space), space.null)
+    problem = Problem(loss, space.null, windows.block)
+    vector = _fitted(problem, effects)
+    return _result(problem, windows, vector, effects, names, counts)
+
+
+def _fitted(problem: Problem, effects: tuple[str, ...]) -> np.ndarray:
+    """The vector at which scale and values no longer change."""
+    vector, which, loss = problem.start.copy(), problem.which(effects), problem.loss
+    for _ in range(ROUNDS):
+        before = loss.scale.copy()
+        slopes = Slopes(vector, which, loss.slopes(vector, which))
+        vector = problem.fit(effects, slopes, vector=vector, fresh=effects, iterations=12).vector
+        loss.rescale(vector)
+        if np.abs(loss.scale / before - 1.0).max() < SETTLED:
+            break
+    return vector
+
+
+def _result(problem: Problem, windows: _GatedWindows, vector: np.ndarray, effects: tuple[str, ...],
+            names: Sequence[str], counts: Mapping[str, tuple[int, int]]) -> DrivingFit:
+    space, which = problem.space, problem.which(effects)
+    rows = problem.errors.at(vector)
+    slopes = problem.loss.slopes(vector, which)
+    quadratic = problem.loss.quadratic(rows, slopes)
+    used = np.flatnonzero(windows.used)
+    group = blocks(windows.run[used], windows.seconds[used])
+    hessian, gradient = group.sums(quadratic.hessian[used]), group.sums(quadratic.gradient[used])
+    whole = hessian.sum(axis=0)
+    size = np.sqrt(np.diag(whole).clip(1e-300))
+    if np.linalg.cond(whole / np.outer(size, size)) > ILL_CONDITIONED:
+        raise IdentificationError(f"{', '.join(names)}: not fixed by the data; drive with more variety of speed and "
+                                  "bends, or free fewer parameters")
+    # The loss bends less than its weighted squares: what a block moves is that much more.
+    bend = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(whole)).mean(), LEAST_BEND, 1.0)
+    own = group.leave_out(bend * hessian, gradient)
+
+    def quantities(there: np.ndarray) -> np.ndarray:
+        known = {f"{e}.{p}": value for e in effects for p, value in space.values(e, there).items()}
+        return np.array([FREE[name].of(windows.vehicle, known) for name in names])
+
+    values = quantities(vector)
+    step = 1e-4
+    change = np.stack([(quantities(vector + step * space.scale * unit) - values) / step
+                       for unit in np.eye(len(space))[which]], axis=1)
+    margin = NEAR_BOUND * (space.high - space.low)
+    stopped = {space.free[i].effect for i in which
+               if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
+    points, columns = len(windows.time), len(windows.columns)
+    residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
+    return DrivingFit(
+        tuple(names), values, group.spread(own @ change.T), tuple(n for n in names if FREE[n].effect in stopped),
+        change, whole, residuals, windows.columns, np.repeat(windows.run[used], points),
+        np.repeat(windows.seconds[used], points), counts, windows.curvature_square)
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raises IdentificationError for a parameter that driving cannot show, or one named twice."""
+    for name in names:
+        if name not in FREE:
+            raise IdentificationError(f"{name}: not found from driving; there are {', '.join(FREE)}")
+    if len(set(names)) != len(names):
+        raise IdentificationError(f"{', '.join(names)}: a parameter is named twice")
+
+
+def with_stiffness(vehicle: VehicleParameters, front: float, rear: float) -> VehicleParameters:
+    """The car with other axle cornering stiffnesses [N/rad]; lambda_ky of both tyres follows at static load."""
+    return replace(
+        vehicle, cornering_stiffness_front=front, cornering_stiffness_rear=rear,
+        tyre_front=vehicle.tyre_front._replace(
+            lambda_ky=stiffness_scale(front, vehicle.static_tyre_load_front, vehicle.tyre_front)),
+        tyre_rear=vehicle.tyre_rear._replace(
+            lambda_ky=stiffness_scale(rear, vehicle.static_tyre_load_rear, vehicle.tyre_rear)))
+
+
+def identified_vehicle(vehicle: VehicleParameters, values: Mapping[str, float]) -> VehicleParameters:
+    """The vehicle file's car with new values (SI) of any of its parameters; lambda_ky follows the stiffnesses."""
+    own: dict[str, Any] = {name: value for name, value in values.items() if hasattr(vehicle, name)}
+    car = replace(vehicle, **{n: v for n, v in own.items() if not n.startswith("cornering_stiffness")})
+    return with_stiffness(car, own.get("cornering_stiffness_front", vehicle.cornering_stiffness_front),
+                          own.get("cornering_stiffness_rear", vehicle.cornering_stiffness_rear))
