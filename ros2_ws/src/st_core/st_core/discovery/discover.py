@@ -26,7 +26,7 @@ from .decision import (
     worth_a_name,
     worth_it,
 )
-from .evidence import Evidence, chance, share_of
+from .evidence import Evidence, Joint, chance, joint, share_of
 from .fit import Fit, Problem
 from .following import Catalogue, catalogue, following, separability, shows
 from .known import known_quantities
@@ -124,40 +124,59 @@ class _Work:
         parts = levels(self.windows)
         search = Search(problem, limits, parts, self.sensors, settings.seed, self._tick("searching"))
         found = search.run()
+        whole, fit = self._corrected(found, parts)
         self._tick("explaining")()
-        ends = waterfall.Ends(problem, settings.seed)
+        ends = waterfall.Ends(whole, settings.seed)
         bound = self._bound(found, parts)
-        everything = [self._effect(n, found, parts) for n in found.order]
+        all_free = joint(problem, found.fit) if problem.prior is None else None
+        everything = [self._effect(n, found, parts, all_free) for n in found.order]
         # A reference is asked by its own drives instead: what it does not know of the car is in the intervals.
         named = {e.name: worth_a_name(found.evidence[e.name], limits, bool(self.reference) or surely(e))
                  for e in everything}
         effects, minor = ([e for e in everything if named[e.name].rule == rule] for rule in (STATED, MINOR))
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
         floor = self._floor(by_column)
-        gap = waterfall.gaps(ends, base, found.fit, floor)
-        lines = waterfall.budget(problem, base, found.fit, next((fit for _, fit in bound), None), ends)
+        gap, gap_named = (waterfall.gaps(ends, base, each, floor) for each in (fit, found.fit))
+        lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in bound), None), ends)
         told = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
                 if settings.certify else certificate.predicted(problem, found.fit, found.scores, limits))
         stated = {*(name for e in effects for name in (e.name, *e.alternatives)), *(e.name for e in minor)}
         driven = self._catalogue(found, effects)
         untestable = self._untestable(told, stated, driven)
         seen = 1.0 - sum(n.name in space.hypotheses for n in untestable) / len(space.hypotheses)
-        left = gap["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9) if "position_5s" in gap else 1.0
+        left = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
+                if "position_5s" in gap_named else 1.0)
         answer = Answer([found.evidence[e.name] for e in effects], found.rivals,
                         [e for e, *_ in found.refused.values()], left, seen, len(bound))
         outcome, why = decide(answer, limits)
         statements = self._where(base, floor) if settings.where else ()
         return Discovery(
-            outcome=outcome, effects=tuple(effects), minor=tuple(minor), bound=tuple(b for b, _ in bound),
-            steps=tuple(steps), gap=gap, budget=tuple(lines),
+            outcome=outcome, effects=tuple(effects), minor=tuple(minor), effective=self._effective(whole, fit, found),
+            bound=tuple(b for b, _ in bound), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
             reasons=(why, *self._reasons(found, named)), candidates=self._candidates(found, named),
             where=statements, not_testable=untestable,
             next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
             separability=separability(problem, found.fit, effects, found.scores.design), certificate=told,
             signature=self._left(left, statements),
             runs=self._who(), start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
-            model=space.at(found.fit.vector) if found.fit.names else None, warnings=tuple(self.warnings),
-            acceleration_gain=float(found.fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
+            model=space.at(fit.vector) if fit.names else None,
+            named=space.at(found.fit.vector) if found.fit.names else None, warnings=tuple(self.warnings),
+            left_out=waterfall.left_out(problem, found.fit),
+            acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
+
+    def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
+        """What predicts best with the answer in it, whatever the vehicle file says, and the problem it is of; the
+        answer itself where that is not worth it. With a reference all that its drives show is free already."""
+        problem, scale = self.problem, self.problem.loss.scale
+        if problem.prior is not None:
+            return problem, found.fit
+        free = problem.without_file()
+        fit = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._tick("correcting")).corrections(
+            found.fit)
+        problem.loss.scale = scale
+        fit = free.about(fit.names, fit.vector, fit.which, fit.slopes)
+        gain = float((free.held_out_apart(found.fit) - free.held_out_apart(fit)).sum()) / problem.number
+        return (free, fit) if gain > self.limits.worth else (problem, found.fit)
 
     # What goes in
 
@@ -217,15 +236,21 @@ class _Work:
 
     # What comes out
 
-    def _effect(self, name: str, found: Found, parts: Mapping[str, Level]) -> FoundEffect:
+    def _effect(self, name: str, found: Found, parts: Mapping[str, Level], everything: Joint | None) -> FoundEffect:
         evidence = found.evidence[name]
         others = sorted((r for r in found.rivals.get(name, ()) if alternative(r, self.limits).rule == "alternative"),
                         key=lambda r: -r.share)
-        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near)
+        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, everything)
         known = {} if self.reference else self.sensors
         return FoundEffect(
             name, get_effect(name).kind, {n: by_sensors(p, known.get(f"{name}.{n}")) for n, p in values.items()},
             tuple(r.name for r in others), evidence.position, _values(evidence))
+
+    def _effective(self, whole: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
+        ends = waterfall.Ends(whole, self.settings.seed)
+        return tuple(FoundEffect(n, get_effect(n).kind, waterfall.parameters(whole, fit, n, {}), (),
+                                 ends.position_without(fit, n), {})
+                     for n in fit.names if n not in found.fit.names)
 
     def _bound(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
         """What is sure but not the same everywhere: effects that were refused for that, or else the one that comes and

@@ -8,7 +8,7 @@ from scipy import stats
 
 from ..effects import get_effect
 from ..random_effects import random_effects
-from .fit import Fit, Problem, Slopes
+from .fit import Fit, Problem, Slopes, bounded
 from .levels import Level
 from .loss import Quadratic
 from .space import Space
@@ -17,6 +17,7 @@ FLIPS = 400  # of the signs of blocks: enough to tell a chance of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
 FLATTEST = 0.3  # of the curvature of the reweighted squares: errors far out may bend the loss down by no more
 HELD = 0.05  # of the whole curvature: a part of the driving need not show everything else by itself
+UNNAMED = 0.5  # usual sizes: standard deviation of an effect that is not in the set, for intervals of those that are
 LEAST_OF_A_PART = 0.02  # of the information; a part with less has no say
 
 
@@ -306,6 +307,45 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     if problem.prior is None:  # what the file says is known to its deviation: (curvature deviation)^2 of the pull
         scatter = scatter + np.diag(0.5 * problem.design * problem.known[fit.which])
     return h @ scatter @ h
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A fit with everything else of the library free as well. which: (a,) numbers that move; covariance: (a, a) of
+    them, in usual sizes; shift: (a,) by which their best values differ from the fit's."""
+
+    which: np.ndarray
+    covariance: np.ndarray
+    shift: np.ndarray
+
+    def of(self, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(standard deviations, shifts) in usual sizes of some of the numbers."""
+        place = np.searchsorted(self.which, indices)
+        return np.sqrt(np.maximum(np.diag(self.covariance)[place], 0.0)), self.shift[place]
+
+
+def joint(problem: Problem, fit: Fit) -> Joint:
+    """What a fit leaves open when the quantities of the vehicle file are as uncertain as it says, and every effect that
+    was not chosen may be there with a standard deviation of UNNAMED.
+
+        covariance = (D / 2) (H + K)^-1,   K: curvature of the priors,   D: the design effect
+
+    That an effect was not chosen does not mean that it is not there; what it could take from a value is in this.
+    Source: Laplace approximation of the posterior; Pauli and others, composite likelihoods with a curvature adjusted by
+    the design effect, Statistica Sinica 21 (2011).
+    """
+    space, names = problem.space, fit.names
+    others = [n for n in space.hypotheses if not space.overlaps(n, names) and not get_effect(n).members]
+    which = np.union1d(fit.which, space.indices(*others))
+    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).of(which))
+    known = problem.known[which]
+    free = (known == 0.0) & ~np.isin(which, fit.which)
+    known[free] = 0.5 * problem.design / UNNAMED**2
+    h = q.hessian.sum(axis=0) + np.diag(known)
+    h = h + (1e-9 * np.trace(h) / len(h)) * np.eye(len(h))
+    away = ((fit.vector - problem.start) / space.scale)[which]
+    shift = bounded(h, q.gradient.sum(axis=0) - known * away, *problem.room(fit.vector, which))
+    return Joint(which, 0.5 * problem.design * np.linalg.inv(h), shift)
 
 
 def _no_flatter(bent: np.ndarray, whole: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Sets of effects fitted jointly through the simulator, and what they lose on driving they were not fitted to."""
 
 from collections.abc import Callable, Iterable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -115,12 +116,16 @@ class Problem:
                  noise: np.ndarray | None = None, healthy: float = 0.0, quantities: Quantities | None = None):
         self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
         self.errors, self.healthy, self.design = loss.errors, healthy, 1.0
-        self.quantities = (None,) * len(self.space) if quantities is None else quantities
-        self._deviation = prior_deviations(self.quantities, self.space.scale)
+        self.set_quantities((None,) * len(self.space) if quantities is None else quantities)
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1
         self.fold = np.arange(self.blocks) % min(FOLDS, self.blocks)
         self._whole: list[Slopes] = []
+
+    def set_quantities(self, quantities: Quantities) -> None:
+        """What of the vehicle file each number changes."""
+        self.quantities = quantities
+        self._deviation = prior_deviations(quantities, self.space.scale)
 
     @cached_property
     def size_of_start(self) -> np.ndarray:
@@ -146,6 +151,12 @@ class Problem:
         of_block = np.zeros(self.blocks, int)
         of_block[self.block] = run
         return of_block if len(np.unique(run)) > 3 else self.fold
+
+    def without_file(self) -> "Problem":
+        """The same problem where the vehicle file holds nothing: what predicts best, whatever it means."""
+        other = copy(self)
+        other.set_quantities((None,) * len(self.space))
+        return other
 
     @property
     def number(self) -> int:

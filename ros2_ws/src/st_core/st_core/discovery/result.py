@@ -11,9 +11,12 @@ from ..effects import EFFECT_KINDS
 
 Outcome = Literal["none", "named", "ambiguous", "several", "bound", "unknown", "not_testable"]
 OUTCOMES: tuple[Outcome, ...] = ("none", "named", "ambiguous", "several", "bound", "unknown", "not_testable")
-PARTS = (*EFFECT_KINDS, "place or time", "unexplained")
+EFFECTIVE = "effective corrections"
+PARTS = (*EFFECT_KINDS, EFFECTIVE, "place or time", "unexplained")
 """Of the gap budget."""
 Interval = tuple[float, float]
+MODELS = ("base", "model", "named")
+"""Fields of an answer that are models, and no part of discovery.json."""
 
 
 @dataclass(frozen=True)
@@ -235,18 +238,24 @@ class Discovery:
     several names; several = more than one effect; bound = sure, but tied to run, place, time or condition; unknown = a
     gap for sure that no effect of the library explains; not_testable = the drives show too little. start: what the
     search began from, "vehicle file" or "reference". minor: sure, but too small to be named; part of the model, so that
-    they do not bend the values of what is. base: the model of the start; model: with the effects found, None
-    without any. steps: from base to model. gap: by channel, and position_5s. budget: PARTS. reasons: every rule that
-    decided. acceleration_gain: what the accelerometer shows more than the motion, as the body rolls [1]. noise: by
-    channel, at the end of the horizon [SI]. signature: of what is unexplained, in words.
+    they do not bend the values of what is. effective: corrections that help to predict and are no property of the car,
+    whatever their names; part of the model, never of a vehicle file. base: the model of the start; model: what
+    predicts best, with all effects, None without any; named: with what is named or minor alone, at the values stated.
+    steps: from base to what is named. gap: by channel, and position_5s; gap_named:
+    without the effective corrections. budget: PARTS. reasons: every rule that decided. left_out: values of what is
+    named or minor, by run, as fitted without that run. acceleration_gain: what the accelerometer shows more than the
+    motion, as the body rolls [1]. noise: by channel, at the end of the horizon [SI]. signature: of what is unexplained,
+    in words.
     """
 
     outcome: Outcome
     effects: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
+    effective: tuple[FoundEffect, ...]
     bound: tuple[BoundEffect, ...]
     steps: tuple[Step, ...]
     gap: Mapping[str, Gap]
+    gap_named: Mapping[str, Gap]
     budget: tuple[BudgetLine, ...]
     reasons: tuple[Reason, ...]
     candidates: tuple[Candidate, ...]
@@ -260,13 +269,15 @@ class Discovery:
     start: Literal["vehicle file", "reference"]
     base: AugmentedModel
     model: AugmentedModel | None
+    named: AugmentedModel | None = None
     warnings: tuple[str, ...] = ()
+    left_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     acceleration_gain: float = 0.0
     noise: Mapping[str, float] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """The body of discovery.json: dicts, lists, texts and numbers only."""
-        return {name: plain(getattr(self, name)) for name in self.__dataclass_fields__ if name not in ("base", "model")}
+        return {name: plain(getattr(self, name)) for name in self.__dataclass_fields__ if name not in MODELS}
 
 
 def plain(value: Any) -> Any:

@@ -54,6 +54,7 @@ class Search:
         self.problem, self.limits, self.levels, self.sensors, self.tick = problem, limits, levels, sensors, tick
         self.seed = seed
         self._seen: set[frozenset[str]] = set()
+        self._fixed: frozenset[str] = frozenset()  # of every set
         self._tried: list[tuple[np.ndarray, Near, float]] = []
 
     def run(self) -> Found:
@@ -71,6 +72,15 @@ class Search:
         found.order = sorted(found.fit.names, key=lambda n: -found.evidence[n].gain)
         found.near = self._near(found)
         return found
+
+    def corrections(self, answer: Fit) -> Fit:
+        """What predicts better than an answer of another problem, with all effects of that and more; the answer as it
+        is here where nothing is better."""
+        self._fixed = frozenset(answer.names)
+        p = self.problem
+        found = self._from(p.fit(answer.names, p.everything(answer.vector), answer.vector))
+        assert found is not None  # there has been no other start
+        return self._held(found).fit
 
     def _near(self, found: Found) -> list[Near]:
         """Sets tried that are worse by less than `limits.beside` of what is left; none where that is noise."""
@@ -221,8 +231,8 @@ class Search:
     def _backward(self, fit: Fit, scores: Scores) -> Fit:
         """Without what is no longer needed beside the rest."""
         p = self.problem
-        while len(fit.names) > 1:
-            promised = {n: self._promised(fit, n) for n in fit.names}
+        while len(fit.names) > max(len(self._fixed), 1):
+            promised = {n: self._promised(fit, n) for n in fit.names if n not in self._fixed}
             weakest = min(promised, key=promised.__getitem__)
             if promised[weakest] > 3.0 * self.limits.worth * p.number:
                 return fit
@@ -301,7 +311,7 @@ class Search:
         p = self.problem
         found.known = found.known or self._scores(found.fit)
         found.evidence, found.without = {}, {}
-        for name in found.fit.names:
+        for name in (n for n in found.fit.names if n not in self._fixed):
             promised = self._promised(found.fit, name) / p.number
             if promised > 3.0 * sure:
                 without = found.without[name] = found.fit

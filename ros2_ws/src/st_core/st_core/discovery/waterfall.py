@@ -6,9 +6,9 @@ import numpy as np
 from scipy import stats
 
 from ..channels import OF_COLUMN, UNITS
-from ..effects import get_effect
+from ..effects import EFFECT_KINDS, get_effect
 from ..random_effects import random_effects
-from .evidence import TWO_SIDED, agreement, covariance, inverse
+from .evidence import TWO_SIDED, Joint, agreement, covariance, inverse
 from .fit import Fit, Problem
 from .levels import Level
 from .result import PARTS, BudgetLine, Change, FittedParameter, Gap, Step
@@ -41,6 +41,13 @@ class Ends:
             result["position_5s"] = np.sqrt(result["position"])
         return result
 
+    def position_without(self, fit: Fit, name: str) -> float:
+        """How much the mean held-out error after 5 s grows when an effect of a fit is left out, all else unchanged [m].
+        """
+        p = self.problem
+        there = p.put_back(fit, name)
+        return float(np.nanmean(p.position(p.errors.at(there))) - np.nanmean(p.position(p.errors.at(fit.vector))))
+
     def change(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
         """With a 95 % interval of the fall from whole blocks drawn again."""
         turn = (lambda v: v) if channel == "position_5s" else np.sqrt
@@ -61,17 +68,22 @@ class Ends:
 
 
 def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Level],
-               near: Sequence[tuple[Sequence[str], np.ndarray]] = ()) -> dict[str, FittedParameter]:
-    """Values with 95 % intervals: the widest of blocks taken as independent and of what the parts of any level differ
-    by, and from there to the values in `near`, sets of effects that are nearly as good: so that what the equations of
-    the model are not those of the car is in it too."""
+               near: Sequence[tuple[Sequence[str], np.ndarray]] = (),
+               everything: Joint | None = None) -> dict[str, FittedParameter]:
+    """Values with 95 % intervals: the widest of blocks taken as independent, of what the parts of any level differ by,
+    and of a fit with `everything` else free; and from there to the values in `near`, sets of effects that are nearly as
+    good: so that what the equations of the model are not those of the car is in it too."""
     space, result = problem.space, {}
     own = space.indices(effect)
     place = np.searchsorted(fit.which, own)
     spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[place], 0.0)) * space.scale[own]
     if problem.prior is not None:  # the reference does not know the healthy car exactly either
         spread = np.hypot(spread, np.sqrt(0.5 * np.diag(inverse(problem.prior))[own]) * space.scale[own])
-    reach = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.which), 2))) * spread
+    quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.which), 2)))
+    reach = quantile * spread
+    if everything is not None:
+        wide, shift = everything.of(own)
+        reach = np.maximum(reach, np.hypot(quantile * wide, shift) * space.scale[own])
     change = np.abs(fit.vector - space.null)[own]
     for name, level in levels.items():
         if name != "place":
@@ -142,9 +154,23 @@ def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[
     return result
 
 
-def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: Ends) -> list[BudgetLine]:
+def left_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]]]:
+    """Values by run, effect and parameter, fitted without that run; nothing of a single run."""
+    windows = problem.errors.windows
+    if len(np.unique(windows.run)) < 2:
+        return {}
+    of_block = np.zeros(problem.blocks, int)
+    of_block[problem.block] = windows.run
+    q = fit.quadratic.summed(problem.block, problem.blocks)
+    steps = problem.leave_out(q, fit.names, fit.vector, fit.which, of_block, True)[0]
+    return {windows.names[k]: {n: problem.space.values(n, problem.moved(fit.vector, fit.which, step))
+                               for n in fit.names} for k, step in steps.items()}
+
+
+def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | None, ends: Ends) -> list[BudgetLine]:
     """Every part added last and added first: of the mean position error after 5 s, and of the loss at the scale of the
-    answer. bound: a fit with what is bound to place, time or condition besides."""
+    answer. whole: with effective corrections as well. bound: a fit with what is bound to place, time or condition
+    besides."""
     def size(fit: Fit) -> tuple[float, float]:
         end = ends.of(fit)
         values = end.get("position_5s", np.zeros(1))
@@ -159,7 +185,7 @@ def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: End
     base = problem.about(base.names, base.vector, base.which, base.slopes)
     start, end = size(base), size(final)
     lines = []
-    for part in PARTS[:4]:
+    for part in EFFECT_KINDS:
         mine = tuple(n for n in final.names if get_effect(n).kind == part)
         if not mine:
             continue
@@ -167,8 +193,10 @@ def budget(problem: Problem, base: Fit, final: Fit, bound: Fit | None, ends: End
         without = size(fitted(rest)) if rest else start
         alone = size(fitted(mine)) if rest else end
         lines.append(line(part, tuple(np.subtract(without, end)), tuple(np.subtract(start, alone))))
-    if bound is not None:
-        more = size(bound)
-        lines.append(line(PARTS[4], tuple(np.subtract(end, more)), tuple(np.subtract(end, more))))
-        end = more
-    return [*lines, line(PARTS[5], end, end)]
+    for part, fit in zip(PARTS[len(EFFECT_KINDS):], (whole if whole is not final else None, bound), strict=False):
+        if fit is not None:
+            more = size(fit)
+            less = end[0] - min(more[0], end[0]), end[1] - min(more[1], end[1])
+            lines.append(line(part, less, less))
+            end = end[0] - less[0], end[1] - less[1]
+    return [*lines, line(PARTS[-1], end, end)]

@@ -13,6 +13,7 @@ import numpy as np
 import st_core
 from st_core.augmented import AugmentedModel, augment
 from st_core.discovery import Discovery, DiscoverySettings
+from st_core.discovery.result import MODELS
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model
@@ -20,7 +21,7 @@ from st_core.vehicle import VehicleParameters
 
 from .drives import code_of, name_of, put
 
-FORMAT = 1  # of what is kept; another number makes older files useless
+FORMAT = 2  # of what is kept; another number makes older files useless
 
 
 def key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
@@ -36,7 +37,8 @@ def key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: Vehicl
 
 def keep(file: Path, found: Discovery) -> None:
     """Into the file that `kept` reads; nothing where it cannot be written."""
-    content = {**found.document(), "base": _model(found.base), "model": found.model and _model(found.model)}
+    models = {name: getattr(found, name) for name in MODELS}
+    content = found.document() | {name: model and _model(model) for name, model in models.items()}
     put(file, lambda beside: beside.write_text(json.dumps(content), encoding="utf-8"))
 
 
@@ -45,8 +47,8 @@ def kept(file: Path) -> Discovery | None:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         hints = get_type_hints(Discovery)
-        parts = {name: restored(kind, content[name]) for name, kind in hints.items() if name not in ("base", "model")}
-        parts |= {name: content[name] and augment(*content[name]) for name in ("base", "model")}
+        parts = {name: restored(kind, content[name]) for name, kind in hints.items() if name not in MODELS}
+        parts |= {name: content[name] and augment(*content[name]) for name in MODELS}
         return Discovery(**parts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
         return None
