@@ -14,8 +14,8 @@ from st_core.vehicle import VehicleParameters
 from st_offline.bands.error_shares import intervals_of
 from st_offline.discovery.document import model_file
 from st_offline.discovery.drives import Drive
-from st_offline.discovery.mending import mend
-from st_offline.discovery.question import Question
+from st_offline.discovery.request import Request
+from st_offline.discovery.vehicle_update import update_vehicle
 
 
 def mended(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
@@ -25,13 +25,13 @@ def mended(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[Vehicl
                       for log in logs])
     settings = DiscoverySettings()
     found = discover(logs, vehicle, "nonlinear", (), settings, identities=sensors)
-    question = Question([Drive(log.name, log, {"files": {}}) for log in logs], (), "nonlinear", vehicle, "the file",
-                        vehicle.to_yaml(), settings, {})
-    files = mend(found, question)
+    request = Request("nonlinear", vehicle, "the file", vehicle.to_yaml(), settings,
+                      drives=[Drive(log.name, log, {"files": {}}) for log in logs])
+    files = update_vehicle(found, request)
     if files is None:
         raise RuntimeError(f"st discover found no model: {found.outcome}")
     car = VehicleParameters.from_yaml(files.text) if files.text else vehicle
-    model = model_file(found, question, files)
+    model = model_file(found, request, files)
     if model is None:
         return car, get_model("nonlinear"), {}
     file = ModelFile.from_yaml(model.to_yaml())

@@ -18,10 +18,10 @@ from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery.command import measured, write_results
+from st_offline.discovery.discover_command import measured, write_results
 from st_offline.discovery.drives import Drive, read_drives
-from st_offline.discovery.mending import mend
-from st_offline.discovery.question import Question
+from st_offline.discovery.request import Request
+from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.runs import ReadSettings, find_runs
 from typer.testing import CliRunner
 
@@ -71,8 +71,8 @@ def answer(folder: Path, effects: Mapping[str, float], seed: int, reference: Seq
     found = discover(logs(read), CAR, "nonlinear", logs(reference), settings, identities=measured(read))
     out = folder / "out"
     out.mkdir()
-    question = Question(read, reference, "nonlinear", CAR, str(LEAF), LEAF.read_text(), settings, {})
-    write_results(found, question, mend(found, question), out, None, {})
+    question = Request("nonlinear", CAR, str(LEAF), LEAF.read_text(), settings, drives=read, healthy=reference)
+    write_results(found, question, update_vehicle(found, question), out, None, {})
     return json.loads((out / "discovery.json").read_text())
 
 
@@ -97,7 +97,8 @@ def test_without_a_reference_it_is_found_beside_what_the_file_lacks(tmp_path, ef
         assert found["parameters"][parameter]["value"] == pytest.approx(value, rel=0.1)
     gap = content["gap"]["position_5s"]
     assert gap["augmented"] < 0.5 * gap["base"] and gap["interval"][0] > 0.0
-    assert content["steps"][-1]["position_5s"]["augmented"] == pytest.approx(gap["augmented"])
+    assert content["steps"][-1]["position_5s"]["augmented"] == pytest.approx(
+        content["gap_named"]["position_5s"]["augmented"])
     # Every rule that decided is told, and every effect that was tried has its sentence.
     assert {e["name"] for e in content["effects"]} <= {reason["subject"] for reason in content["reasons"]}
     assert all(c["why"] for c in content["candidates"])

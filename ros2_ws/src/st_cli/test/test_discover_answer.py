@@ -15,19 +15,18 @@ from st_core.discovery import DiscoverySettings
 from st_core.discovery.result import BoundEffect, Candidate, Change, NotTestable, Step, Value
 from st_core.discovery.where import survey
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery import answers, quantities, words
+from st_offline.discovery import answers, quantities, report_text
 from st_offline.discovery.agreement_figures import agreement, bound
 from st_offline.discovery.answer_figures import budget, certificate, runs, waterfall
-from st_offline.discovery.document import document
+from st_offline.discovery.document import document, write_page
 from st_offline.discovery.drive_figures import maps, over_time, paths
 from st_offline.discovery.drives import read_drive
 from st_offline.discovery.figures import Scene, candidates, conditions, gap
 from st_offline.discovery.law_tables import Table
 from st_offline.discovery.law_told import Told
-from st_offline.discovery.mending import Mended, mend
-from st_offline.discovery.page import write_page
-from st_offline.discovery.question import Question
-from st_offline.discovery.shown import show
+from st_offline.discovery.request import Request
+from st_offline.discovery.terminal_report import show
+from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
 from st_offline.evaluation.drawing import Place
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
@@ -55,7 +54,7 @@ def tied(logs, to="run"):
 
 
 def test_the_first_line_says_what_takes_how_much(logs):
-    assert words.title(discovery(logs, STEPS, 1.72)) == (
+    assert report_text.title(discovery(logs, STEPS, 1.72)) == (
         "5 s position error 1.72 m → 0.55 m (held-out): steering ratio × 0.894 (1.00 m), heading misalignment 0.56° "
         "(0.17 m), lateral acceleration bias -0.60 m/s² (lateral acceleration error −50 %)")
 
@@ -64,30 +63,30 @@ def test_names_not_told_apart_stand_together(logs):
     found = discovery(logs, STEPS[:1], 1.72, alternatives={"steering_ratio": ("front_stiffness",)}, outcome="ambiguous")
     stiff = Candidate("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
     found = replace(found, candidates=(*found.candidates, stiff))
-    assert "steering ratio × 0.894 or front stiffness × 1.31 (1.00 m)" in words.title(found)
-    assert any("do the next drive" in text for text in words.to_do(found, None))
+    assert "steering ratio × 0.894 or front stiffness × 1.31 (1.00 m)" in report_text.title(found)
+    assert any("do the next drive" in text for text in report_text.to_do(found, None))
 
 
 def test_what_cannot_be_seen_is_told_with_its_size_parameters_of_the_car_first(logs):
     blind = tuple(NotTestable(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
-    (text,) = [t for t in words.blind(replace(discovery(logs, (), 1.0), not_testable=blind)) if "cannot" in t]
+    (text,) = [t for t in report_text.blind(replace(discovery(logs, (), 1.0), not_testable=blind)) if "cannot" in t]
     assert text == "cannot be seen: friction of 40 %, steering ratio of 6 %, heading misalignment of 0.458°, drag"
 
 
 def test_what_makes_the_position_worse_is_told_by_what_it_is_for(logs):
     found = discovery(logs, (*STEPS[:1], ("yaw_inertia", {"factor": 0.86}, 0.92)), 1.72)
-    assert "yaw inertia × 0.860 (lateral acceleration error −2 %)" in words.title(found)
+    assert "yaw inertia × 0.860 (lateral acceleration error −2 %)" in report_text.title(found)
 
 
 def test_a_file_that_holds_one_of_two_names_says_so(logs):
     found = discovery(logs, (("yaw_inertia", {"factor": 0.86}, 0.5),), 1.7, alternatives={"yaw_inertia": ("mass",)})
-    mended = Mended(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
-    told = words.to_do(found, mended)
+    mended = VehicleUpdate(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
+    told = report_text.to_do(found, mended)
     assert any("holds the first of yaw inertia × 0.860 or mass × 1.02; these drives do not tell" in t for t in told)
 
 
 def test_changes_of_the_vehicle_file_have_their_unit():
-    assert words.keys({"steering_wheel_offset": (0.0, 0.0208), "steering_ratio": (16.3, 15.05)}) == \
+    assert report_text.keys({"steering_wheel_offset": (0.0, 0.0208), "steering_ratio": (16.3, 15.05)}) == \
         "steering_wheel_offset 0 → 0.0208 rad, steering_ratio 16.3 → 15.05"
 
 
@@ -95,39 +94,40 @@ def test_what_is_kept_is_told_by_all_its_names(logs):
     found = discovery(logs, (("tyre_stiffness", {"factor": 1.2}, 0.5),), 1.7,
                       alternatives={"tyre_stiffness": ("mass",)})
     found = replace(discovery(logs, STEPS, 1.72), minor=found.effects)
-    assert any("also contains tyre stiffness × 1.200 or mass × 1.02" in text for text in words.to_do(found, None))
+    assert any("also contains tyre stiffness × 1.200 or mass × 1.02" in text for text in report_text.to_do(found, None))
 
 
 @pytest.mark.parametrize(("outcome", "said"), [
     ("none", "nothing is missing with certainty"), ("not_testable", "show too little"),
     ("unknown", "something is missing that no known effect explains")])
 def test_without_a_name(logs, outcome, said):
-    assert said in words.title(discovery(logs, (), 1.72, outcome=outcome))
+    assert said in report_text.title(discovery(logs, (), 1.72, outcome=outcome))
 
 
 def test_what_remains_unexplained_is_told_beside_the_names(logs):
     named = discovery(logs, STEPS, 1.72)
     much = replace(named, signature=("errors are 3.1 times the noise",))
     said = "; more is missing that no known effect explains: errors are 3.1 times the noise"
-    assert words.title(much) == words.title(named) + said
-    assert "something that is not in the library; errors are 3.1 times the noise" in words.what(much)
-    assert any("a name may stand for a part of it" in text for text in words.to_do(much, None))
-    assert not any("more is missing" in text for text in words.to_do(named, None))
+    assert report_text.title(much) == report_text.title(named) + said
+    assert "something that is not in the library; errors are 3.1 times the noise" in report_text.what(much)
+    assert any("a name may stand for a part of it" in text for text in report_text.to_do(much, None))
+    assert not any("more is missing" in text for text in report_text.to_do(named, None))
 
 
 def test_what_is_bound_is_told_and_not_named(logs):
     found = discovery(logs, (), 1.72, bound=(tied(logs),), outcome="bound")
-    assert words.title(found).endswith("something like crosswind (0.090 m), tied to run; nothing is named")
-    (text,) = dict(words.verdict(found, None))["not named"]
+    assert report_text.title(found).endswith("something like crosswind (0.090 m), tied to run; nothing is named")
+    (text,) = dict(report_text.verdict(found, None))["not named"]
     assert "no property of the car" in text and "other: -1.00 ± 0.39" in text
 
 
 def test_first_lines_name_runs_and_references_with_seconds(logs):
-    lines = words.verdict(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
+    lines = report_text.verdict(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
     assert [question for question, _ in lines[:2]] == ["suspect", "reference"]
     assert lines[0][1] == ["2 runs, 40 s at 2 sites (overlapping tracks are one site): <b>weave 20 s, other 20 s"]
     assert lines[1][1] == ["1 run, 20 s: healthy 20 s"]
-    assert "starts from the vehicle file" in dict(words.verdict(discovery(logs, STEPS, 1.72), None))["reference"][0]
+    answers_by_question = dict(report_text.verdict(discovery(logs, STEPS, 1.72), None))
+    assert "starts from the vehicle file" in answers_by_question["reference"][0]
 
 
 def test_what_replaces_another_inherits_its_metres():
@@ -135,9 +135,9 @@ def test_what_replaces_another_inherits_its_metres():
         return Step(effect, action, "physics", {}, Change(before, after, (0.0, 1.0), "m"), {}, {}, instead)
     steps = [step("mass", 2.0, 1.5), step("friction", 1.5, 1.0), step("yaw_inertia", 1.0, 0.8, "exchanged", "mass"),
              step("friction", 0.8, 0.9, "removed")]
-    found = words.taken(steps)
+    found = report_text.taken(steps)
     assert found == pytest.approx({"yaw_inertia": 0.7, "": 0.4}) and sum(found.values()) == pytest.approx(2.0 - 0.9)
-    assert [words.step_name(s) for s in steps[2:]] == ["yaw inertia instead of mass", "− friction"]
+    assert [report_text.step_name(s) for s in steps[2:]] == ["yaw inertia instead of mass", "− friction"]
 
 
 def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):
@@ -182,15 +182,15 @@ def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, 
     from rich.console import Console
 
     found = discovery(logs, STEPS, 1.72, bound=(tied(logs),))
-    question = Question([drive], [], "nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), {})
-    mended = mend(found, question)
+    question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
+    mended = update_vehicle(found, question)
     content = document(found, question, mended, {})
     assert content["schema"] == 2 and content["mended"]["vehicle.yaml"]["kept"]["steering_ratio"]
     json.dumps(content, allow_nan=False)
     page = tmp_path / "report.html"
     write_page(page, found, mended, content, [waterfall(scene(found, logs))])
     text = page.read_text()
-    assert words.title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
+    assert report_text.title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
     assert "2.5 % are asked for" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
     show(found, mended, [], {"report.html": page}, True, Console(width=300))
     said = capsys.readouterr().out
@@ -203,7 +203,7 @@ def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, ca
     from rich.console import Console
 
     found = discovery(logs, STEPS, 1.72)
-    question = Question([drive], [], "nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), {})
+    question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
     command = "./st evaluate " + " ".join(f"'a drive {k}/bag'" for k in range(9))
     told = Told([("proposal", ["a law, <b>bold"])], [Table("By run", "Note.", ("run", "m"), [("[weave]", "0.1")])],
                 [("predict", command)], "PROPOSAL: a law")

@@ -14,7 +14,7 @@ from st_core.model_file import ModelFile, Provenance
 from st_core.vehicle import VehicleParameters
 from st_live.fourth_model import fourth_model
 from st_live.suite import SuiteError
-from st_offline.discovery.command import _refuse_twice, measured
+from st_offline.discovery.discover_command import _refuse_twice, measured
 from st_offline.discovery.drives import _key, read_drive, read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from st_recordings.runs.load import hashes

@@ -8,6 +8,7 @@ from drives import weave, write_drive
 from effect_values import values_of
 from experiment_tables import write_tables
 from st_cli.cli import app
+from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.effects import EFFECTS
 from st_core.identification.apply import value_of
@@ -15,8 +16,8 @@ from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery.document import model_file
 from st_offline.discovery.drives import Drive, read_drive
-from st_offline.discovery.mending import KEYS, edited, mend
-from st_offline.discovery.question import Question
+from st_offline.discovery.request import Request
+from st_offline.discovery.vehicle_update import KEYS, edited, folded_update, update_vehicle
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
 from typer.testing import CliRunner
@@ -36,14 +37,37 @@ def driven(tmp_path_factory) -> Drive:
     return replace(drive, log=replace(drive.log, steering_wheel_angle=wheel))
 
 
-def question(drive: Drive, text: str = TEXT) -> Question:
-    return Question([drive], [], "nonlinear", VehicleParameters.from_yaml(text), "leaf.yaml", text, DiscoverySettings(),
-                    {})
+def request(drive: Drive, text: str = TEXT) -> Request:
+    return Request("nonlinear", VehicleParameters.from_yaml(text), "leaf.yaml", text, DiscoverySettings(),
+                   drives=[drive])
 
 
 def mended(drive: Drive, *effects: tuple[str, dict], text: str = TEXT):
     found = discovery([drive.log], [(name, values, 0.5) for name, values in effects], 1.0)
-    return found, mend(found, question(drive, text))
+    return found, folded_update(found, request(drive, text))
+
+
+def test_file_that_predicts_worse_by_itself_is_not_written(driven):
+    """The drive is of the car as its file describes it; half the mass is not that."""
+    found, folded = mended(driven, ("mass", {"factor": 1.5}))
+    assert folded.text and folded.error[1] > folded.error[0]
+    written = update_vehicle(found, request(driven))
+    assert not written.text and written.vehicle == CAR and written.model.values["mass"]["factor"] == 1.5
+    assert written.error == folded.error
+
+
+def test_effective_corrections_stay_in_the_model_and_are_marked(driven):
+    """What predicts best on the original car predicts the same on the updated one; its file says what has a meaning."""
+    found = discovery([driven.log], [("mass", {"factor": 1.1}, 0.5)], 1.0)
+    named, best = (augment("nonlinear", {"mass": {"factor": mass}, "friction": {"factor": friction}})
+                   for mass, friction in ((1.1, 1.0), (1.2, 0.9)))
+    found = replace(found, model=best, named=named, effective=found.effects)
+    one = folded_update(found, request(driven))
+    assert one.vehicle.mass == pytest.approx(1.1 * CAR.mass) and one.model.values["friction"]["factor"] == 0.9
+    assert one.model.values["mass"]["factor"] == pytest.approx(1.2 / 1.1)
+    text = model_file(found, request(driven), one).to_yaml()
+    assert text.count("effective: true") == 2
+    assert ModelFile.from_yaml(text).effects["friction"]["factor"].effective
 
 
 @pytest.mark.parametrize("name", FOLDED)
@@ -56,7 +80,7 @@ def test_the_file_holds_what_its_effect_would_do(driven, name):
         assert value_of(one.vehicle, key) == pytest.approx(value_of(expected, key), rel=1e-5, abs=1e-9), key
     for low, high in ((change[2], change[3]) for change in one.changes.values()):
         assert low <= high
-    assert model_file(found, question(driven), one) is None
+    assert model_file(found, request(driven), one) is None
 
 
 def test_only_the_lines_of_its_keys_change(driven):
@@ -97,7 +121,7 @@ def test_a_key_the_file_leaves_out_is_put_in():
 
 def test_what_a_file_cannot_hold_is_the_model_on_the_mended_car(driven, tmp_path):
     found, one = mended(driven, ("steering_ratio", {"factor": 0.9}), ("yaw_rate_bias", {"bias": 0.004}))
-    file = model_file(found, question(driven), one)
+    file = model_file(found, request(driven), one)
     assert set(file.effects) == {"yaw_rate_bias"} and file.vehicle_hash == one.vehicle.hash != CAR.hash
     assert file.effects["yaw_rate_bias"]["bias"].interval == pytest.approx((0.00392, 0.00408))
     assert ModelFile.from_yaml(file.to_yaml()).model().values["yaw_rate_bias"]["bias"] == 0.004
@@ -115,7 +139,7 @@ def test_recordings_of_the_road_wheels_keep_the_ratio_in_the_model(driven):
     found, one = mended(bare, ("steering_ratio", {"factor": 0.9}))
     assert not one.folded and one.text == "" and one.vehicle.hash == CAR.hash
     assert one.kept["steering_ratio"]["steering_ratio"] == pytest.approx((17.3, 15.57))
-    assert set(model_file(found, question(bare), one).effects) == {"steering_ratio"}
+    assert set(model_file(found, request(bare), one).effects) == {"steering_ratio"}
 
 
 def test_what_does_not_commute_stays_in_the_model(driven):

@@ -8,8 +8,9 @@
     provenance: {date: "2026-11-21", version: "0.1.0", data: {"run.ncom": "sha256 ..."}, note: "..."}
     hash: "..."
 
-The values hold for one car: the one of `vehicle.hash`. An interval covers the true value in 95 of 100 cases, as far as
-its source says; null where it is not known. The hash is over base, values and vehicle; a file whose content does not
+The values hold for one car: the one of `vehicle.hash`. A value with `effective: true` helps to predict and is not a
+property of the car. An interval covers the true value in 95 of 100 cases, as far as its source says; null where it is
+not known. The hash is over base, values and vehicle; a file whose content does not
 fit its hash was changed since and is refused, one without a hash is taken as it is.
 """
 
@@ -33,11 +34,15 @@ HEADER = "# Model file: base model, effects on top of it (SI units, 95 % interva
 
 @dataclass(frozen=True)
 class Estimate:
-    """Value of one parameter of an effect [its unit], its 95 % interval where known, and where it comes from."""
+    """Value of one parameter of an effect [its unit], its 95 % interval where known, and where it comes from.
+
+    effective: it helps to predict, and is no property of the car.
+    """
 
     value: float
     interval: Interval = None
     source: str = "not stated"
+    effective: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,7 @@ def _entry(estimate: Estimate, unit: str) -> str:
     if estimate.interval is not None:
         interval = f"[{', '.join(number(limit) for limit in estimate.interval)}]"
     return (f"{{value: {number(estimate.value)}, unit: {quoted(unit)}, interval: {interval}, "
-            f"source: {quoted(estimate.source)}}}")
+            f"source: {quoted(estimate.source)}{', effective: true' if estimate.effective else ''}}}")
 
 
 def _effect(name: str, entry: Any) -> dict[str, Estimate]:
@@ -158,13 +163,16 @@ def _effect(name: str, entry: Any) -> dict[str, Estimate]:
     for key in entry:
         where = f"effects.{name}.{key}"
         part = _mapping(where, entry[key])
-        check_keys(f"{where}.", part, ["value", "unit", "interval", "source"], required=["value", "unit"])
+        check_keys(f"{where}.", part, ["value", "unit", "interval", "source", "effective"], required=["value", "unit"])
         unit = parameters[key].unit
         if str(part["unit"]) != unit:
             raise ConfigurationError(f"{where}: unit {str(part['unit'])!r} is not {unit}; convert the value")
         value = parameters[key].check(part["value"], where)
         source = _text(f"{where}.source", part.get("source", "not stated"))
-        estimates[key] = Estimate(value, _interval(where, part.get("interval"), value), source)
+        effective = part.get("effective", False)
+        if not isinstance(effective, bool):
+            raise ConfigurationError(f"{where}.effective: {effective!r} is not true or false")
+        estimates[key] = Estimate(value, _interval(where, part.get("interval"), value), source, effective)
     return estimates
 
 

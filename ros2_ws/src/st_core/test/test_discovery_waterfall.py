@@ -93,7 +93,7 @@ def test_gap_names_the_worst_run_and_those_that_grew(explained):
 
 def test_budget_lines(explained):
     problem, final, ends, _, base = explained
-    lines = {line.part: line for line in waterfall.budget(problem, base, final, None, ends)}
+    lines = {line.part: line for line in waterfall.budget(problem, base, final, final, None, ends)}
     assert list(lines) == ["sensors", "vehicle parameters", "unexplained"]
     gap = waterfall.gaps(ends, base, final, {})["position_5s"]
     assert lines["unexplained"].last == lines["unexplained"].first == pytest.approx(gap.augmented, rel=0.01)
@@ -111,7 +111,7 @@ def test_budget_of_one_part_is_the_same_first_and_last():
     final = fitted(problem, "mass")
     ends = waterfall.Ends(problem, 0)
     _, base = waterfall.steps(problem, final, ["mass"], ends, {})
-    part, rest = waterfall.budget(problem, base, final, None, ends)
+    part, rest = waterfall.budget(problem, base, final, final, None, ends)
     assert (part.part, part.last, part.loss_last) == ("vehicle parameters", part.first, part.loss_first)
     assert part.share_last + rest.share_last == pytest.approx(1.0)
     assert part.loss_last + rest.loss_last == pytest.approx(1.0)

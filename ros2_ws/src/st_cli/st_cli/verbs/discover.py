@@ -85,7 +85,8 @@ def discover(
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
     from st_core.discovery import DiscoverySettings
-    from st_offline.discovery.command import Job, run_command
+    from st_offline.discovery.discover_command import run_command
+    from st_offline.discovery.request import Request
 
     with shared.refusals("discover"):
         whose = _typed({"--car": car, "--vehicle": vehicle})
@@ -93,12 +94,11 @@ def discover(
                           "--steering-latency": steering_latency, "--offset": offset})
         vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
         parameters, file = shared.leaf_or(vehicle)
-        job = Job(
-            runs, reference, base, parameters, str(file), file.read_text(encoding="utf-8"),
-            DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify),
-            read, effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose, (*whose, *reading),
-            whose)
-        status = run_command(job, Console())
+        request = Request(
+            base, parameters, str(file), file.read_text(encoding="utf-8"),
+            DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify), runs, reference, read,
+            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose, (*whose, *reading), whose)
+        status = run_command(request, Console())
     if vehicle is None:
         shared.say_whose("discover", file)
     raise typer.Exit(status)

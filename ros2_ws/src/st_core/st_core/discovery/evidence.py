@@ -232,10 +232,13 @@ def falls(fall: np.ndarray, condition: Level | None) -> tuple[float, float]:
 
 def to_bound(problem: Problem, fit: Fit, effect: str) -> float:
     """Distance of the effect's values to their nearest bounds, in usual sizes. A bound at the null, or at what theory
-    says, is none."""
+    says, is none, nor one of the shape of a curve."""
     space, nearest = problem.space, np.inf
     for i in space.indices(effect):
-        null = next(p.null for p in get_effect(effect).parameters if p.name == space.free[i].parameter)
+        null, shape = next((p.null, p.shape) for p in get_effect(effect).parameters
+                           if p.name == space.free[i].parameter)
+        if shape:
+            continue
         for edge in (space.low[i], space.high[i]):
             if edge not in (null, space.free[i].theory):
                 nearest = min(nearest, abs(fit.vector[i] - edge) / space.scale[i])

@@ -251,11 +251,9 @@ class Discovery:
     outcome: Outcome
     effects: tuple[FoundEffect, ...]
     minor: tuple[FoundEffect, ...]
-    effective: tuple[FoundEffect, ...]
     bound: tuple[BoundEffect, ...]
     steps: tuple[Step, ...]
     gap: Mapping[str, Gap]
-    gap_named: Mapping[str, Gap]
     budget: tuple[BudgetLine, ...]
     reasons: tuple[Reason, ...]
     candidates: tuple[Candidate, ...]
@@ -270,10 +268,17 @@ class Discovery:
     base: AugmentedModel
     model: AugmentedModel | None
     named: AugmentedModel | None = None
+    effective: tuple[FoundEffect, ...] = ()
+    gap_named: Mapping[str, Gap] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     left_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     acceleration_gain: float = 0.0
     noise: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.effective:  # then both models are one
+            object.__setattr__(self, "named", self.named or self.model)
+            object.__setattr__(self, "gap_named", self.gap_named or self.gap)
 
     def document(self) -> dict[str, Any]:
         """The body of discovery.json: dicts, lists, texts and numbers only."""

@@ -33,7 +33,8 @@ class Parameter:
     a fit leaves alone; null is then its default. identity: the estimate of `st_core.checks.check` that measures it
     without a fit to the car, same value, sign and unit; "" where there is none. theory: what physics says it is in any
     car; None where that is of the single car. quantity: key of the vehicle file that it is a difference from, same
-    unit and sign, where neither `vehicle` nor `fold` of the effect shows that.
+    unit and sign, where neither `vehicle` nor `fold` of the effect shows that. shape: a coordinate of a curve; its
+    bounds are those of the family of curves, and a value on one is a curve as any other.
     Raises ConfigurationError when these contradict each other.
     """
 
@@ -49,6 +50,7 @@ class Parameter:
     identity: str = ""
     theory: float | None = None
     quantity: str = ""
+    shape: bool = False
 
     def __post_init__(self):
         low, high = self.bounds

@@ -13,7 +13,7 @@ from st_core.discovery.result import BoundEffect, FoundEffect, Value
 from st_core.palette import MEASURED_COLOUR
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, finish, style
-from . import quantities, words
+from . import quantities, report_text
 from .figures import AFTER, Scene
 
 MOST_SITES = 4
@@ -63,8 +63,8 @@ def agreement(scene: Scene) -> Drawn | None:
 
 def _agreed(effects: Sequence[FoundEffect]) -> str:
     """Which effects show in every run, and which do not."""
-    counts = {quantities.plain(e.name): (words.showing(e.agreement["run"]), len(e.agreement["run"])) for e in effects
-              if e.agreement.get("run")}
+    by_name = {quantities.plain(e.name): e.agreement["run"] for e in effects if e.agreement.get("run")}
+    counts = {name: (report_text.showing(shares), len(shares)) for name, shares in by_name.items()}
     every = [name for name, (shown, of) in counts.items() if shown == of]
     some = [f"{name} in {shown} of {of}" for name, (shown, of) in counts.items() if shown < of]
     told = [f"in every run that can tell by itself: {', '.join(every)}"] if every else []
@@ -77,11 +77,11 @@ def _shares(axes: plt.Axes, shares: Sequence[tuple[int, Value]]) -> None:
     axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
     axes.axvline(1.0, color=TEXT, lw=0.8)
     for row, one in shares:
-        low, high = one.share - words.SURE * one.deviation, one.share + words.SURE * one.deviation
+        low, high = one.share - report_text.SURE * one.deviation, one.share + report_text.SURE * one.deviation
         clear = low > 0.0 or high < 0.0
         axes.plot(np.clip([low, high], -WIDEST, WIDEST), [row, row], color=AFTER, lw=1.2)
         axes.plot(np.clip(one.share, -WIDEST, WIDEST), row, "o", ms=4.5, color=AFTER, mfc=AFTER if clear else "none")
-    ends = [e for _, v in shares for e in (v.share - words.SURE * v.deviation, v.share + words.SURE * v.deviation)]
+    ends = [v.share + side * report_text.SURE * v.deviation for _, v in shares for side in (-1.0, 1.0)]
     axes.set_xlim(max(min([-0.2, *ends]), -WIDEST) - 0.05, min(max([1.2, *ends]), WIDEST) + 0.05)
 
 
@@ -94,7 +94,7 @@ def bound(scene: Scene) -> Drawn | None:
     shown = _map_levels(scene, one)
     count = len(groups) if shown else 0
     with style():
-        told = words.clearest(one.values, MOST_ROWS)
+        told = report_text.clearest(one.values, MOST_ROWS)
         height = max(2.6 if count else 0.0, 1.2 + 0.2 * len(told))
         figure = plt.figure(figsize=(WIDTH, height))
         grid = GridSpec(1, 1 + count, figure, width_ratios=[1.2, *[1.0] * count])

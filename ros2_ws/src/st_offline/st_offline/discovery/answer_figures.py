@@ -7,7 +7,7 @@ from matplotlib.patches import Patch
 from st_core.palette import MEASURED_COLOUR
 
 from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, finish, style
-from . import quantities, words
+from . import quantities, report_text
 from .figures import AFTER, Scene
 
 UNEXPLAINED = "unexplained"
@@ -34,9 +34,9 @@ def waterfall(scene: Scene) -> Drawn | None:
             ends = [before - edge for edge in step.position_5s.interval]
             axes.plot(ends, [row, row], color=TEXT, lw=1.0)
             change = f"{after - before:+.2f} m".replace("-", "−")
-            small = abs(after - before) < words.LEAST and words.other_channel(step)
+            small = abs(after - before) < report_text.LEAST and report_text.other_channel(step)
             _label(axes, max(before, after, *ends), row, small or change)
-            rows.append(f"{words.step_name(step)}  {quantities.short_values(step.parameters)}")
+            rows.append(f"{report_text.step_name(step)}  {quantities.short_values(step.parameters)}")
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
         _label(axes, last, len(steps) + 1, quantities.metres(last))
@@ -52,7 +52,7 @@ def waterfall(scene: Scene) -> Drawn | None:
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
         caption = ("One effect more in each row, all values fitted anew; every error is on driving its values were not "
                    "fitted to. Line: 95 % of the change.")
-        return finish(figure, scene.place, "waterfall", words.title(scene.found), caption)
+        return finish(figure, scene.place, "waterfall", report_text.title(scene.found), caption)
 
 
 def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
@@ -71,7 +71,7 @@ def budget(scene: Scene) -> Drawn | None:
             colour = MEASURED_COLOUR if one.part == UNEXPLAINED else AFTER
             axes.barh(row - 0.18, one.last, color=colour, height=0.32)
             axes.barh(row + 0.18, one.first, color=colour, height=0.32, alpha=0.45)
-            _label(axes, max(one.last, one.first, 0.0), row, words.span(one))
+            _label(axes, max(one.last, one.first, 0.0), row, report_text.span(one))
         axes.set_yticks(range(len(lines)), [one.part for one in lines])
         axes.set_ylim(len(lines) - 0.4, -0.6)
         top = max(*(max(one.last, one.first) for one in lines), 1e-3)
@@ -82,7 +82,7 @@ def budget(scene: Scene) -> Drawn | None:
                    Patch(color=MEASURED_COLOUR, label="unexplained")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
         largest = max(lines, key=lambda one: max(one.last, one.first))
-        title = f"Where the error comes from, most from: {largest.part}, {words.span(largest)}"
+        title = f"Where the error comes from, most from: {largest.part}, {report_text.span(largest)}"
         caption = ("Where both bars of a part are alike, its share does not depend on what else is blamed; added last "
                    "is the larger one where a part shows only once the others are mended. Unexplained: noise included.")
         return finish(figure, scene.place, "budget", title, caption)
@@ -145,7 +145,7 @@ def certificate(scene: Scene) -> Drawn | None:
         axes.set_xticks(range(most), SIZES[:most] if most <= len(SIZES) else [f"{k + 1}" for k in range(most)])
         axes.tick_params(length=0)
         figure.colorbar(image, ax=axes, label="found, share of cases", pad=0.01)
-        seen = sum(max(p.found for p in entries) >= words.SHOWN for entries in ranked)
+        seen = sum(max(p.found for p in entries) >= report_text.SHOWN for entries in ranked)
         title = f"Of {len(ranked)} effects, {seen} would be found in these drives at one of three sizes"
         certificate = scene.found.certificate
         caption = ("Known effects put into these recordings and searched for" if certificate.driven else

@@ -1,48 +1,55 @@
-"""The files of a discovery: discovery.json (schema in docs/manual/discovery.md) and model.yaml."""
+"""The files of a discovery: discovery.json (schema in docs/manual/discovery.md), model.yaml and the report."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from st_core.discovery import Discovery
+from st_core.discovery.result import FittedParameter
 from st_core.model_file import Interval, ModelFile, Provenance
 from st_recordings.plain_json import finite
 from st_recordings.results import versions
 
-from .mending import Mended
-from .question import Question
+from ..evaluation.drawing import Drawn
+from ..pages import template
+from . import quantities, report_text
+from .law_told import Told
+from .request import Request
+from .vehicle_update import VehicleUpdate
 
 SCHEMA = 2
+VERDICTS = ("stated", "alternative", "bound")  # first in the table of all effects
 
 
-def document(found: Discovery, question: Question, mended: Mended | None,
+def document(found: Discovery, request: Request, update: VehicleUpdate | None,
              seconds: Mapping[str, float]) -> dict[str, Any]:
     """The content of discovery.json."""
-    changes = {} if mended is None else {
+    changes = {} if update is None else {
         key: dict(zip(("before", "after", "interval"), (before, after, (low, high)), strict=True))
-        for key, (before, after, low, high) in mended.changes.items()}
-    files = {"vehicle.yaml": {"folded": mended.folded if mended else (), "kept": mended.kept if mended else {},
-                              "changes": changes}}
+        for key, (before, after, low, high) in update.changes.items()}
+    files = {"vehicle.yaml": {"folded": update.folded if update else (), "kept": update.kept if update else {},
+                              "changes": changes, "error": update.error if update else (),
+                              "objections": update.objections if update else ()}}
     return {"schema": SCHEMA, **finite(found.document()), "mended": finite(files),
-            "provenance": finite(provenance(found, question, seconds))}
+            "provenance": finite(provenance(found, request, seconds))}
 
 
-def provenance(found: Discovery, question: Question, seconds: Mapping[str, float]) -> dict[str, Any]:
+def provenance(found: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Everything the answer depends on."""
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "vehicle": {"name": question.vehicle.name, "file": question.vehicle_file, "hash": question.vehicle.hash},
-        "base": {"model": question.base, "values": {e: dict(v) for e, v in found.base.values.items()
+        "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
+        "base": {"model": request.base, "values": {e: dict(v) for e, v in found.base.values.items()
                                                     if _not_null(found, e)}},
-        "settings": asdict(question.settings),
-        "runs": {d.name: d.about for d in question.runs if d.log is not None},
-        "reference": {d.name: d.about for d in question.reference if d.log is not None},
-        "refused": {d.name: d.about["findings"] for d in (*question.runs, *question.reference)
+        "settings": asdict(request.settings),
+        "runs": {d.name: d.about for d in request.drives if d.log is not None},
+        "reference": {d.name: d.about for d in request.healthy if d.log is not None},
+        "refused": {d.name: d.about["findings"] for d in (*request.drives, *request.healthy)
                     if d.problem and d.about},
-        "not_used": {d.name: d.problem for d in (*question.runs, *question.reference) if d.problem},
-        "effects_of_the_user": dict(question.effects),
+        "not_used": {d.name: d.problem for d in (*request.drives, *request.healthy) if d.problem},
+        "effects_of_the_user": dict(request.own_effects),
         "versions": versions(),
         "seconds": dict(seconds),
     }
@@ -53,7 +60,7 @@ def _not_null(found: Discovery, name: str) -> bool:
     return any(p.fit and found.base.values[name][p.name] != p.null for p in effect.parameters)
 
 
-def model_file(found: Discovery, question: Question, mended: Mended) -> ModelFile | None:
+def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """What vehicle.yaml does not hold, on that vehicle; None where nothing is left. Effects at null are left out.
 
     With a reference a value may be a change against it; the interval is moved to the total.
@@ -61,27 +68,53 @@ def model_file(found: Discovery, question: Question, mended: Mended) -> ModelFil
     intervals: dict[tuple[str, str], Interval] = {}
     for one in found.effects:
         for name, p in one.parameters.items():
-            assert found.model is not None  # it holds the effects
-            total = found.model.values[one.name][name]
+            assert found.named is not None  # it holds the effects
+            total = found.named.values[one.name][name]
             low, high = (total + edge - p.value for edge in p.interval)
             intervals[one.name, name] = (min(low, total), max(high, total))
-    files = {f"{d.name}: {Path(name).name}": digest for d in (*question.runs, *question.reference) if d.log is not None
+    files = {f"{d.name}: {Path(name).name}": digest for d in (*request.drives, *request.healthy) if d.log is not None
              for name, digest in d.about["files"].items()}
-    beside = f", beside vehicle.yaml with {', '.join(mended.folded)}" if mended.folded else ""
-    note = f"st discover, outcome {found.outcome}, from {question.base}{beside}"
+    beside = f", beside vehicle.yaml with {', '.join(update.folded)}" if update.folded else ""
+    note = f"st discover, outcome {found.outcome}, from {request.base}{beside}"
     about = Provenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
-    chosen = {e.name for e in found.effects}
-    whole = ModelFile.of(mended.model, mended.vehicle, about, intervals, "st discover: found in the runs")
-    learnt = "st discover: the healthy car's, from the reference drives" if question.reference else "part of the base"
+    stated = {e.name: e.parameters for e in found.effects}
+    whole = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
+    learnt = "st discover: the healthy car's, from the reference drives" if request.healthy else "part of the base"
+    minor = {e.name for e in found.minor}
     kept = {}
-    for effect in mended.model.effects:
-        values = mended.model.values[effect.name]
+    for effect in update.model.effects:
+        name, values = effect.name, update.model.values[effect.name]
         if all(values[p.name] == p.null for p in effect.parameters if p.fit):
             continue
-        estimates = whole.effects[effect.name]
-        kept[effect.name] = estimates if effect.name in chosen else {
-            p.name: replace(estimates[p.name], source=learnt) if p.fit else estimates[p.name]
-            for p in effect.parameters}
+        effective = name in update.folded or found.named is None or (
+            not _inside(values, stated[name]) if name in stated
+            else name not in minor and values != found.named.values.get(name))
+        if name in stated and not effective:
+            kept[name] = whole.effects[name]
+            continue
+        source = ("st discover: effective correction" if effective else
+                  "st discover: too small to be named" if name in minor else learnt)
+        kept[name] = {p.name: replace(whole.effects[name][p.name], source=source, effective=effective,
+                                      interval=None if effective else whole.effects[name][p.name].interval)
+                      if p.fit else whole.effects[name][p.name] for p in effect.parameters}
     if not kept:
         return None
     return ModelFile(whole.base, kept, whole.vehicle, whole.vehicle_name, whole.vehicle_hash, about)
+
+
+def _inside(values: Mapping[str, float], parameters: Mapping[str, FittedParameter]) -> bool:
+    return all(p.interval[0] <= values[name] <= p.interval[1] for name, p in parameters.items())
+
+
+def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
+               figures: Sequence[Drawn], law: Told | None = None) -> None:
+    """content: of discovery.json. law: what is proposed beyond the library."""
+    about = content["provenance"]
+    refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
+    order = {verdict: place for place, verdict in enumerate(VERDICTS)}
+    ranked = sorted(found.candidates, key=lambda c: (order.get(c.verdict, len(order)), -c.gain))
+    text = template("discovery", "discovery.html.jinja", plain=quantities.plain, channel=quantities.channel).render(
+        title=report_text.title(found), found=found, verdict=report_text.verdict(found, update), content=content,
+        figures=figures, candidates=ranked, words=report_text, law=law, quantities=quantities, size=quantities.size,
+        recordings={**refused, **about["runs"], **about["reference"]})
+    file.write_text(text, encoding="utf-8")

@@ -16,7 +16,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from . import quantities, words
+from . import quantities, report_text
 
 AFTER = MODEL_COLOUR["augmented"]
 MOST_CANDIDATES = 14
@@ -41,7 +41,7 @@ class Scene:
 
     @property
     def channel(self) -> str:
-        return words.worst_channel(self.found, list(self.before.samples.squares))
+        return report_text.worst_channel(self.found, list(self.before.samples.squares))
 
     def handles(self, marker: str = "o") -> list[Line2D]:
         base = Line2D([], [], color=self.colour, marker=marker, ls="", label=f"{self.found.base.base.name} model")
@@ -85,12 +85,12 @@ def gap(scene: Scene) -> Drawn | None:
 def _gap_title(found: Discovery) -> str:
     if not found.model:
         return "Error of the base model on held-out driving"
-    certain = words.surely_changed(found.gap)
+    certain = report_text.surely_changed(found.gap)
     if not certain:
         return "No held-out error surely changes with what was found"
     first = certain[0]
     return (f"{len(certain)} of {len(found.gap)} held-out errors surely change, most that of the "
-            f"{quantities.channel(first)}: {words.before_and_after(found.gap[first])}")
+            f"{quantities.channel(first)}: {report_text.before_and_after(found.gap[first])}")
 
 
 def conditions(scene: Scene) -> Drawn | None:
@@ -123,7 +123,7 @@ def conditions(scene: Scene) -> Drawn | None:
             axes.set_ylabel(f"{quantities.channel(channel)} error,\ntimes the expected")
         figure.legend(handles=scene.handles(), loc="outside lower left", ncols=3)
         said = [w for w in scene.found.where if w.channel == channel and w.condition != EVERYWHERE]
-        title = words.statement(said[0]) if said else f"{quantities.channel(channel)}: no condition stands out"
+        title = report_text.statement(said[0]) if said else f"{quantities.channel(channel)}: no condition stands out"
         expected = "the reference drives' in the same range" if scene.before.reference else "what noise alone leaves"
         caption = (f"Root mean square over {expected}; 1 = as expected. Filled: significant over all ranges together "
                    "(false discovery rate 5 %). Bars: 95 %, whole blocks of time resampled.")

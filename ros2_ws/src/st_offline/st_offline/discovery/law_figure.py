@@ -8,7 +8,7 @@ from st_core.proposals import Proposal
 from st_core.proposals.places import QUANTITIES
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from . import law_words, quantities, words
+from . import law_words, quantities, report_text
 from .figures import AFTER
 from .law_file import law_in_words
 
@@ -17,7 +17,7 @@ def law_figure(one: Proposal, place: Place) -> Drawn:
     """Curve and 95 % band above, share of the driving below; angles in degrees, shares in per cent."""
     c = one.candidate
     (up, unit), (across, across_unit) = shown(c.unit), shown(QUANTITIES[c.quantity])
-    at, value, band = across * one.at, up * one.value, up * words.SURE * one.deviation
+    at, value, band = across * one.at, up * one.value, up * report_text.SURE * one.deviation
     with style():
         figure, (curve, driven) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
         curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")

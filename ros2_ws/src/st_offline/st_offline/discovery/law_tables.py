@@ -7,8 +7,8 @@ from st_core.discovery import Discovery
 from st_core.proposals import Proposal
 from st_core.vehicle import VehicleParameters
 
-from . import quantities, words
-from .mending import changed
+from . import quantities, report_text
+from .vehicle_update import changed
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def values_beside(one: Proposal, answer: Discovery, vehicle: VehicleParameters) 
             continue
         rows.append((quantities.plain(effect.name), *(
             "; ".join(filter(None, (quantities.fitted_shortly(effect.name, {p.name: v[p.name] for p in free}),
-                                    words.keys(changed(vehicle, effect, v))))) for v in (stated, beside))))
+                                    report_text.keys(changed(vehicle, effect, v))))) for v in (stated, beside))))
     return [Table("The same quantities, without and with the law",
                   "Two fits of the same car: the law takes over a part of what the values had to explain. Without the "
                   "law: the values stated above, for vehicle.yaml and model.yaml. With the law: the values in "

@@ -9,7 +9,7 @@ from st_core.proposals import Proposal, Proposals
 from st_core.proposals.places import ODD, QUANTITIES
 from st_core.vehicle import VehicleParameters
 
-from . import law_words, next_drive_words, quantities, words
+from . import law_words, next_drive_words, quantities, report_text
 from .law_figure import shown
 from .law_file import law_in_words, name_of
 from .law_tables import Table, by_run, values_beside
@@ -94,14 +94,14 @@ def _sure(one: Proposal) -> list[str]:
     lines = [f"driven: {law_words.quantity(c)} from {across * c.low:.3g} to {across * c.high:.3g} {across_unit}; "
              "beyond, the curve stays as it is at the end",
              f"least sure at {across * one.at[least]:.3g} {across_unit}: {up * one.value[least]:.2g} ± "
-             f"{up * words.SURE * one.deviation[least]:.2g} {unit} (95 %)"]
+             f"{up * report_text.SURE * one.deviation[least]:.2g} {unit} (95 %)"]
     if one.drives.thin:
         mirrored = ", to either side" if c.parity == ODD else ""
         lines.append(f"hardly driven: {next_drive_words.ranges(one, one.drives.thin)}{mirrored}. There the curve is a "
                      "smooth bridge, and its interval holds only if the true law is as smooth")
     absent = one.shares.absent() if one.shares.differ < DIFFER else []
     if absent:
-        told_of = ", ".join(f"{name} {share:.1f} ± {words.SURE * deviation:.1f}" for name, (share, deviation) in
+        told_of = ", ".join(f"{name} {share:.1f} ± {report_text.SURE * deviation:.1f}" for name, (share, deviation) in
                             one.shares.by_run.items())
         lines.append(f"it comes and goes: hardly there in {', '.join(absent)} (share of it by run, 95 %: {told_of})")
     return lines

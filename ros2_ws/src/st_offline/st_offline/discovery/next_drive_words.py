@@ -7,7 +7,7 @@ from st_core.proposals import Proposal
 from st_core.proposals.next_drive import OF_A_PLACE, Option
 from st_core.proposals.places import QUANTITIES
 
-from . import law_words, words
+from . import law_words, report_text
 from .law_figure import shown
 
 ELSEWHERE = ("drive the same again, once beginning elsewhere on the course and once in the other direction, and add "
@@ -40,8 +40,8 @@ def sentences(one: Proposal) -> list[str]:
     if surest is not None:
         up, unit = shown(c.unit)
         lines.append(f"for a surer curve: {_driven(surest, lines)}. The largest 95 % "
-                     f"interval then falls from ± {up * words.SURE * one.deviation.max():.2g} to ± "
-                     f"{up * words.SURE * surest.deviation.max():.2g} {unit}")
+                     f"interval then falls from ± {up * report_text.SURE * one.deviation.max():.2g} to ± "
+                     f"{up * report_text.SURE * surest.deviation.max():.2g} {unit}")
     return [*lines, *_thin(one, lines)]
 
 

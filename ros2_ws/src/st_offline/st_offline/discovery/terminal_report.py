@@ -9,10 +9,10 @@ from rich.table import Table
 from st_core.discovery import Discovery
 
 from ..terminal import list_files, report_problem
-from . import quantities, words
+from . import quantities, report_text
 from .drives import Drive
 from .law_told import Told
-from .mending import Mended
+from .vehicle_update import VehicleUpdate
 
 WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
         "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
@@ -21,13 +21,13 @@ WHAT = {"report.html": "one page, with all figures", "discovery.json": "every nu
         "model.yaml": "what a vehicle file cannot hold: --model of st demo, st live, st evaluate"}
 
 
-def show(found: Discovery, mended: Mended | None, failed: Sequence[Drive], files: Mapping[str, Path], earlier: bool,
-         console: Console, law: Told | None = None) -> None:
+def show(found: Discovery, update: VehicleUpdate | None, failed: Sequence[Drive], files: Mapping[str, Path],
+         earlier: bool, console: Console, law: Told | None = None) -> None:
     """Runs, answer, waterfall, budget. earlier: whether the answer is that of an earlier start. law: what is proposed
     beyond the library."""
-    lines = words.verdict(found, mended)
+    lines = report_text.verdict(found, update)
     _answers(lines[:2], console)
-    console.print(f"[bold]{escape(words.title(found))}[/bold]", highlight=False)
+    console.print(f"[bold]{escape(report_text.title(found))}[/bold]", highlight=False)
     if law is not None and law.headline:
         console.print(f"[bold]{escape(law.headline)}[/bold]", highlight=False)
     for table in filter(None, (waterfall(found), budget(found))):
@@ -79,7 +79,7 @@ def waterfall(found: Discovery) -> Table | None:
     for step in found.steps:
         change = step.position_5s
         low, high = change.interval
-        table.add_row(escape(words.step_name(step)), escape(quantities.short_values(step.parameters)),
+        table.add_row(escape(report_text.step_name(step)), escape(quantities.short_values(step.parameters)),
                       f"{change.augmented:.3f}", f"{change.base - change.augmented:.3f}", f"{low:.3f} to {high:.3f}")
     return table
 

@@ -2,15 +2,15 @@
 
 import hashlib
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
 from st_core.checks import pooled
-from st_core.discovery import Discovery, DiscoverySettings, discover
+from st_core.discovery import Discovery, discover
 from st_core.discovery.where import survey
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
@@ -21,7 +21,7 @@ from st_core.proposals import Proposals, propose, wanted
 from st_core.vehicle import VehicleParameters
 from st_recordings.output import new_folder
 from st_recordings.plain_json import as_text, finite
-from st_recordings.runs import ReadSettings, find_runs
+from st_recordings.runs import find_runs
 
 from ..checking.document import findings_in
 from ..checking.shown import say
@@ -30,80 +30,53 @@ from ..terminal import progress_bars
 from . import answers, law_told, proposed
 from .agreement_figures import agreement, bound
 from .answer_figures import budget, certificate, runs, waterfall
-from .document import document, model_file
+from .document import document, model_file, write_page
 from .drive_figures import maps, over_time, paths
 from .drives import Drive, cache_folder, read_drives
 from .figures import Scene, candidates, conditions, gap
 from .law_figure import law_figure
-from .mending import Mended, mend
-from .page import write_page
-from .question import Question
-from .shown import show
+from .request import Request
+from .terminal_report import show
+from .vehicle_update import VehicleUpdate, update_vehicle
 
 
-@dataclass(frozen=True)
-class Job:
-    """Arguments of the verb. vehicle_text: of vehicle_file. output: None for runs/discover-<time>. propose: None where
-    much is left unexplained. given: the options that say whose the recordings are, as typed, for the commands that the
-    answer suggests; given_vehicle: those of them that every verb takes."""
-
-    runs: Sequence[Path]
-    reference: Sequence[Path]
-    base: str
-    vehicle: VehicleParameters
-    vehicle_file: str
-    vehicle_text: str
-    settings: DiscoverySettings
-    read: ReadSettings
-    effects: Path | None
-    output: Path | None
-    jobs: int
-    formats: tuple[str, ...]
-    report: bool = True
-    cached: bool = True
-    force: bool = False
-    propose: bool | None = None
-    given: Sequence[str] = ()
-    given_vehicle: Sequence[str] = ()
-
-
-def run_command(job: Job, console: Console) -> int:
+def run_command(request: Request, console: Console) -> int:
     """Exit status: 0 answered from all runs, 1 some runs could not be used. Raises ConfigurationError, StCoreError."""
-    check_formats(job.formats)
-    own = own_effects(job.effects)
-    base = base_model(job.base, job.vehicle, job.vehicle_file)
-    folder = new_folder(job.output, "discover")
+    check_formats(request.formats)
+    own = own_effects(request.effects)
+    base = base_model(request.base, request.vehicle, request.vehicle_file)
+    folder = new_folder(request.output, "discover")
     marks = [time.perf_counter()]
     with progress_bars(console) as progress:
-        suspect, healthy = _read(job, progress)
+        drives, healthy = _read(request, progress)
+        request = replace(request, drives=drives, healthy=healthy, own_effects=own)
         marks.append(time.perf_counter())
-        found, earlier = _answer(job, base, suspect, healthy, own, progress)
+        found, earlier = _answer(request, base, progress)
         marks.append(time.perf_counter())
-        asked = wanted(found) if job.propose is None else job.propose
-        laws = _laws(job, found, suspect, progress) if asked else None
+        asked = wanted(found) if request.propose is None else request.propose
+        laws = _laws(request, found, progress) if asked else None
     marks.append(time.perf_counter())
-    question = Question(suspect, healthy, job.base, job.vehicle, job.vehicle_file, job.vehicle_text, job.settings, own)
     seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
     if laws:
         seconds["propose"] = marks[3] - marks[2]
     with console.status("drawing, writing the report"):
-        place = Place(folder / "figures", job.formats)
-        drawn = draw(found, question, place) if job.report else None
+        place = Place(folder / "figures", request.formats)
+        drawn = draw(found, request, place) if request.report else None
         if drawn is not None and laws and laws.proposal:
             drawn.insert(0, law_figure(laws.proposal, place))
-        mended = mend(found, question)
-        told = law_told.told(laws, found, job.vehicle, start(job, folder)) if laws else None
-        files = write_results(found, question, mended, folder, drawn, seconds, laws, told)
-    for drive in (*suspect, *healthy):
+        update = update_vehicle(found, request)
+        told = law_told.told(laws, found, request.vehicle, start(request, folder)) if laws else None
+        files = write_results(found, request, update, folder, drawn, seconds, laws, told)
+    for drive in (*drives, *healthy):
         say(drive.name, findings_in(drive.about), console)
-    show(found, mended, [d for d in (*suspect, *healthy) if d.problem], files, earlier, console,
-         told)
-    return 1 if any(d.problem for d in (*suspect, *healthy)) else 0
+    failed = [d for d in (*drives, *healthy) if d.problem]
+    show(found, update, failed, files, earlier, console, told)
+    return 1 if failed else 0
 
 
-def start(job: Job, folder: Path) -> law_told.Start:
+def start(request: Request, folder: Path) -> law_told.Start:
     """As it was typed, so that the commands of the answer can be copied."""
-    return law_told.Start([*map(str, job.runs)], job.given, job.given_vehicle, str(folder))
+    return law_told.Start([*map(str, request.runs)], request.given, request.given_vehicle, str(folder))
 
 
 def own_effects(folder: Path | None) -> dict[str, str]:
@@ -133,15 +106,15 @@ def base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Mode
     return file.model()
 
 
-def _read(job: Job, progress: Progress) -> tuple[list[Drive], list[Drive]]:
-    sources = find_runs(job.runs)
-    healthy = find_runs(job.reference) if job.reference else []
+def _read(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
+    sources = find_runs(request.runs)
+    healthy = find_runs(request.reference) if request.reference else []
     if not sources:
         raise ConfigurationError("no recording found")
     bar = progress.add_task("reading the runs", total=len(sources) + len(healthy))
-    cache = cache_folder() if job.cached else None
-    drives = read_drives([*sources, *healthy], job.vehicle, job.read, job.jobs, cache, lambda: progress.advance(bar),
-                         job.force)
+    cache = cache_folder() if request.cached else None
+    drives = read_drives([*sources, *healthy], request.vehicle, request.read, request.jobs, cache,
+                         lambda: progress.advance(bar), request.force)
     suspect, reference = drives[:len(sources)], drives[len(sources):]
     if not _logs(suspect):
         raise ConfigurationError("no run can be used: " + "; ".join(d.problem for d in suspect))
@@ -180,30 +153,30 @@ def _logs(drives: Sequence[Drive]) -> list[DriveLog]:
     return [d.log for d in drives if d.log is not None]
 
 
-def _answer(job: Job, base: Model, suspect: Sequence[Drive], healthy: Sequence[Drive], own: Mapping[str, str],
-            progress: Progress) -> tuple[Discovery, bool]:
+def _answer(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
     """The answer, and whether it is that of an earlier start with the same inputs."""
     bar = progress.add_task("", total=None)
 
     def stage(name: str, done: int, total: int) -> None:
         progress.update(bar, description=escape(name), completed=done, total=total)
 
-    logs, reference, identities = _logs(suspect), _logs(healthy), measured(suspect)
-    name = answers.key(logs, reference, job.vehicle, base, job.settings, own, identities)
-    folder = cache_folder("answers") if job.cached else None
+    logs, reference, identities = _logs(request.drives), _logs(request.healthy), measured(request.drives)
+    name = answers.key(logs, reference, request.vehicle, base, request.settings, request.own_effects, identities)
+    folder = cache_folder("answers") if request.cached else None
     file = folder / f"{name}.json" if folder else None
     found = answers.kept(file) if file else None
     if found is not None:
         return found, True
-    found = discover(logs, job.vehicle, base, reference, job.settings, stage, identities, job.jobs)
+    found = discover(logs, request.vehicle, base, reference, request.settings, stage, identities, request.jobs)
     if file:
         answers.keep(file, found)
     return found, False
 
 
-def _laws(job: Job, found: Discovery, suspect: Sequence[Drive], progress: Progress) -> Proposals:
+def _laws(request: Request, found: Discovery, progress: Progress) -> Proposals:
     bar = progress.add_task("looking for a law beyond the library", total=None)
-    return propose(found, _logs(suspect), job.vehicle, job.settings, job.jobs, lambda: progress.advance(bar))
+    return propose(found, _logs(request.drives), request.vehicle, request.settings, request.jobs,
+                   lambda: progress.advance(bar))
 
 
 def measured(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
@@ -212,42 +185,42 @@ def measured(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
                    for d in drives if d.log is not None])
 
 
-def draw(found: Discovery, question: Question, place: Place) -> list[Drawn]:
+def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
     """The figures that there are data for, in the order of the page."""
-    suspect, reference = _logs(question.runs), _logs(question.reference)
+    suspect, reference = _logs(request.drives), _logs(request.healthy)
     # The channels that were used: one that not every run has was left out.
-    noise = {channel: one.floor for channel, one in found.gap.items() if channel in question.settings.channels}
-    settings = replace(question.settings, channels=tuple(noise))
+    noise = {channel: one.floor for channel, one in found.gap.items() if channel in request.settings.channels}
+    settings = replace(request.settings, channels=tuple(noise))
 
     def look(model):
-        return survey(suspect, model, question.vehicle, settings, reference, noise, found.acceleration_gain)
+        return survey(suspect, model, request.vehicle, settings, reference, noise, found.acceleration_gain)
 
-    scene = Scene(found, suspect, question.vehicle, look(found.base), look(found.model) if found.model else None, place)
+    scene = Scene(found, suspect, request.vehicle, look(found.base), look(found.model) if found.model else None, place)
     makers = (waterfall, budget, runs, agreement, bound, gap, conditions, maps, over_time, paths, candidates,
               certificate)
     return [figure for make in makers if (figure := make(scene))]
 
 
-def write_results(found: Discovery, question: Question, mended: Mended | None, folder: Path,
+def write_results(found: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
                   drawn: Sequence[Drawn] | None, seconds: dict[str, float],
                   laws: Proposals | None = None, told: law_told.Told | None = None) -> dict[str, Path]:
     """All files; by what they are. drawn: None for no page. laws: what is proposed beyond the library; told: in words.
     """
     files = {"discovery.json": folder / "discovery.json"}
-    if mended is not None:
-        model = model_file(found, question, mended)
-        for name, text in (("vehicle.yaml", mended.text), ("model.yaml", model.to_yaml() if model else "")):
+    if update is not None:
+        model = model_file(found, request, update)
+        for name, text in (("vehicle.yaml", update.text), ("model.yaml", model.to_yaml() if model else "")):
             if text:
                 files[name] = folder / name
                 files[name].write_text(text, encoding="utf-8")
-    content = document(found, question, mended, seconds) | ({"law": finite(proposed.document(laws))} if laws else {})
+    content = document(found, request, update, seconds) | ({"law": finite(proposed.document(laws))} if laws else {})
     if laws:
         about = content["provenance"]
         digests = {f"{name}: {Path(file).name}": digest for name, run in about["runs"].items()
                    for file, digest in run["files"].items()}
-        files |= proposed.write(laws, question.vehicle, list(about["runs"]), about["created"], digests, folder)
+        files |= proposed.write(laws, request.vehicle, list(about["runs"]), about["created"], digests, folder)
     files["discovery.json"].write_text(as_text(content), encoding="utf-8")
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}
-        write_page(files["report.html"], found, mended, content, drawn, told)
+        write_page(files["report.html"], found, update, content, drawn, told)
     return files

@@ -1,4 +1,4 @@
-"""The user's vehicle file with what was found folded in; what a vehicle file cannot hold stays in the model file."""
+"""The user's vehicle file with what was named in it; everything else stays in the model file."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -12,6 +12,7 @@ from st_core.batch import LogBatch
 from st_core.discovery import Discovery
 from st_core.effects import Effect, get_effect
 from st_core.errors import ConfigurationError, StCoreError
+from st_core.handling import objections
 from st_core.identification.apply import value_of
 from st_core.identification.result import quantity
 from st_core.log import DriveLog
@@ -21,23 +22,26 @@ from st_core.provenance import Provenance
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters
 from st_core.yaml_text import number, quoted
 
-from .question import Question
+from .request import Request
 
 HORIZON, STEP, EVERY = 5.0, 0.05, 5.0  # s: predictions the two descriptions are compared by, and between their starts
 SLOWEST = 1.5  # m/s
 SAME = 1e-3  # m, rad; at every start, at the end of the horizon
+NEARLY_SAME = 0.02  # m, mean: two models of which one has corrections that have no meaning
 DIGITS = 6
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
 Values = Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True)
-class Mended:
-    """vehicle: as `text` says, the content of vehicle.yaml; the user's own, and "", where nothing could be folded in.
+class VehicleUpdate:
+    """vehicle: as `text` says, the content of vehicle.yaml; the user's own, and "", where it is not written.
 
-    model: on that vehicle, effects folded in at null. folded: effects the file holds now. changes: (before, after,
-    low, high) by key of the file, SI. kept: (before, after) by key, for each effect that a vehicle file could hold but
-    not so that these drives are predicted as before.
+    model: on that vehicle, the rest of what predicts best; effects in the file at null or, where they predict better
+    with another value, at what that adds. folded: effects the file holds. changes: (before, after, low, high) by key of
+    the file, SI. kept: (before, after) by key, for each effect that a vehicle file could hold but not so that these
+    drives are predicted as before. error: (original, updated) mean position error after 5 s of the bare base model with
+    each vehicle file, each drive with values found without it [m]; NaN without drives. objections: to the updated car.
     """
 
     vehicle: VehicleParameters
@@ -46,46 +50,94 @@ class Mended:
     folded: tuple[str, ...]
     changes: Mapping[str, tuple[float, float, float, float]]
     kept: Mapping[str, Mapping[str, tuple[float, float]]]
+    error: tuple[float, float] = (math.nan, math.nan)
+    objections: tuple[str, ...] = ()
 
 
-def mend(found: Discovery, question: Question) -> Mended | None:
-    """The vehicle file mended; None where no model was found.
+def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
+    """The vehicle file with what was named, `folded_update`, where it predicts the drives better by itself than the
+    original, each drive with the values found without it; else the original. None where no model was found."""
+    update = folded_update(found, request)
+    if update is None or not update.text or not update.error[1] > update.error[0]:
+        return update
+    return VehicleUpdate(request.vehicle, "", found.model or update.model, (), {}, update.kept, update.error)
 
-    Each effect that a vehicle file can hold is folded in, in the order in which they act, if prediction of the drives
-    stays what it was. It does not where the recordings hold the angle of the road wheels, which no ratio or offset of a
-    vehicle file touches, or where what acts before it does not commute (play in the steering). What is not named, kept
-    only so that it does not bend other values, is no reason to change the vehicle file.
+
+def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
+    """The vehicle file with what was named, better or not; None where no model was found.
+
+    Each named effect that a vehicle file can hold is folded in, in the order in which they act, if prediction of the
+    drives stays what it was. It does not where the recordings hold the angle of the road wheels, which no ratio or
+    offset of a vehicle file touches, or where what acts before it does not commute (play in the steering). What is not
+    named, minor or effective, is no reason to change the vehicle file.
     """
-    if found.model is None:
+    if found.model is None or found.named is None:
         return None
-    drives = [d.log for d in question.runs if d.log is not None]
-    expected = _errors(found.model, question.vehicle, drives)
+    drives = [d.log for d in request.drives if d.log is not None]
+    expected = _errors(found.named, request.vehicle, drives)
     folded: tuple[type[Effect], ...] = ()
     kept = {}
     named = {e.name for e in found.effects}
-    for effect in found.model.effects:
+    for effect in found.named.effects:
         if not effect.fold or effect.name not in named:
             continue
         more = (*folded, effect)
         try:
-            car = fold(question.vehicle, more, found.model.values)
-            same = _alike(_errors(without(found.model, more), car, drives), expected)
+            car = fold(request.vehicle, more, found.named.values)
+            same = _alike(_errors(without(found.named, more), car, drives), expected)
         except StCoreError:  # no car, or one beyond the limits of a vehicle file
             continue
         if same:
             folded = more
         else:
-            kept[effect.name] = _changes(question.vehicle, fold(question.vehicle, (effect,), found.model.values))
-    model = without(found.model, folded)
+            kept[effect.name] = _changes(request.vehicle, fold(request.vehicle, (effect,), found.named.values))
     if not folded:
-        return Mended(question.vehicle, "", model, (), {}, kept)
-    car = fold(question.vehicle, folded, found.model.values)
-    changes = {key: (*change, *_interval(found, question.vehicle, folded, key))
-               for key, change in _changes(question.vehicle, car).items()}
-    text = mended_text(question, car, changes, *_source(found, folded))
+        return VehicleUpdate(request.vehicle, "", found.model, (), {}, kept)
+    car = fold(request.vehicle, folded, found.named.values)
+    error = _held_out_error(found, request.vehicle, folded, drives)
+    model = _remaining(found, car, folded, drives, request.vehicle)
+    changes = {key: (*change, *_interval(found, request.vehicle, folded, key))
+               for key, change in _changes(request.vehicle, car).items()}
+    text = updated_text(request, car, changes, *_source(found, folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
-    return Mended(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept)
+    return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept, error,
+                         objections(vehicle, request.vehicle))
+
+
+def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
+                    drives: Sequence[DriveLog]) -> tuple[float, float]:
+    """(original, updated) mean position error of the base model [m]; see `VehicleUpdate`."""
+    sums = np.zeros(3)
+    for drive in drives:
+        assert found.named is not None
+        values = {**found.named.values, **found.left_out.get(drive.name, {})}
+        try:
+            car = fold(vehicle, folded, values)
+        except StCoreError:  # fitted without this drive it is no car
+            return 0.0, math.inf
+        before, after = (np.hypot(*_errors(found.base, one, [drive])[0][:, :2].T) for one in (vehicle, car))
+        there = np.isfinite(before) & np.isfinite(after)
+        sums += before[there].sum(), after[there].sum(), there.sum()
+    return (float(sums[0] / sums[2]), float(sums[1] / sums[2])) if sums[2] else (math.nan, math.nan)
+
+
+def _remaining(found: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]], drives: Sequence[DriveLog],
+               vehicle: VehicleParameters) -> AugmentedModel:
+    """What predicts on the updated vehicle as the whole model does on the original; without effective corrections where
+    that cannot be had."""
+    assert found.model is not None and found.named is not None
+    values = {}
+    for effect in folded:
+        values[effect.name] = {}
+        for p in (p for p in effect.parameters if p.fit):
+            stated, best = found.named.values[effect.name][p.name], found.model.values[effect.name][p.name]
+            further = best / stated if p.null == 1.0 else best - stated + p.null
+            values[effect.name][p.name] = float(np.clip(further, *p.bounds))
+    model = found.model.with_values(values)
+    off = np.concatenate([a - b for a, b in zip(_errors(model, car, drives), _errors(found.model, vehicle, drives),
+                                                strict=True)])
+    return model if np.nanmean(np.hypot(off[:, 0], off[:, 1])) < NEARLY_SAME else without(found.named, folded)
 
 
 def _changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
@@ -140,9 +192,9 @@ def _alike(errors: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
 
 def _interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
               key: str) -> tuple[float, float]:
-    """95 % of a key of the file: the intervals of the effects in it, inside their bounds, taken as independent."""
-    assert found.model is not None  # it holds the effects
-    values = {name: dict(entry) for name, entry in found.model.values.items()}
+    """95 % of a key of the file: the intervals of the effects in it, taken as independent."""
+    assert found.named is not None  # it holds the effects
+    values = {name: dict(entry) for name, entry in found.named.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
     below = above = 0.0
     names = {effect.name for effect in folded}
@@ -167,7 +219,7 @@ def _source(found: Discovery, folded: Sequence[type[Effect]]) -> tuple[str, Prov
     return f"st discover, {date}, {whence}: {', '.join(e.name for e in folded)}", about
 
 
-def mended_text(question: Question, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]], source: str,
+def updated_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]], source: str,
                 about: Provenance) -> str:
     """The user's vehicle file with these keys written anew; all else in it, comments included, stays as it is.
 
@@ -177,19 +229,19 @@ def mended_text(question: Question, car: VehicleParameters, changes: Mapping[str
     def written(text: str, keys: Iterable[str]) -> str:
         return edited(text, {key: _entry(changes[key], source, about) for key in keys})
 
-    stated = yaml.safe_load(question.vehicle_text)
+    stated = yaml.safe_load(request.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in stated[tyre]]
     try:
-        text = written(question.vehicle_text, [key for key in changes if key not in derived])
+        text = written(request.vehicle_text, [key for key in changes if key not in derived])
         off = [key for key in derived if not _close(VehicleParameters.from_yaml(text), car, key)]
-        derived_too = {key: (value_of(question.vehicle, key), value_of(car, key)) for key in off}
+        derived_too = {key: (value_of(request.vehicle, key), value_of(car, key)) for key in off}
         text = edited(text, {key: _entry(change, source, about) for key, change in derived_too.items()})
         if all(_close(VehicleParameters.from_yaml(text), car, key) for key in KEYS):
             return text
     except (ConfigurationError, yaml.YAMLError):
         pass
     sources = {key: f"{source}; before {number(change[0])}" for key, change in changes.items()}
-    return replace(car, sources={**question.vehicle.sources, **sources}).to_yaml()
+    return replace(car, sources={**request.vehicle.sources, **sources}).to_yaml()
 
 
 def _close(car: VehicleParameters, other: VehicleParameters, key: str) -> bool:

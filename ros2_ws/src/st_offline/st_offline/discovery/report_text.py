@@ -19,8 +19,8 @@ from st_core.discovery.result import (
 from st_core.effects import EFFECTS
 from st_core.vehicle import VEHICLE_QUANTITIES
 
-from .mending import Mended
 from .quantities import change, channel, fitted_shortly, metres, plain, short_values, size, values
+from .vehicle_update import VehicleUpdate
 
 MOST_PARTS = 6
 MOST_BLIND = 8  # told in a sentence; all are in the table
@@ -248,25 +248,25 @@ def following(found: Discovery) -> str:
             f"by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}; {plain(n.reason)}")
 
 
-def to_do(found: Discovery, mended: Mended | None) -> list[str]:
+def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     """What the user may do with the answer."""
     told = []
-    if mended is not None and mended.folded:
+    if update is not None and update.folded:
         same = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effects
-                         if e.name in mended.folded)
-        told.append(f"use vehicle.yaml: {keys(mended.changes)}, the same correction as {same}")
+                         if e.name in update.folded)
+        told.append(f"use vehicle.yaml: {keys(update.changes)}, the same correction as {same}")
         told += [f"vehicle.yaml holds the first of {by_any_name(found, e)}; these drives do not tell them apart: "
-                 "measure one of them on the car" for e in found.effects if e.name in mended.folded and e.alternatives]
-    for name, change_of in (mended.kept if mended is not None else {}).items():
+                 "measure one of them on the car" for e in found.effects if e.name in update.folded and e.alternatives]
+    for name, change_of in (update.kept if update is not None else {}).items():
         told.append(f"{plain(name)} is in model.yaml: these recordings contain the angle of the road wheels, or play "
                     "in the steering acts before it, and no entry of a vehicle file corrects that; for recordings of "
                     f"the steering wheel, set {keys(change_of)}")
-    rest = [e for e in found.effects if mended is None or e.name not in mended.folded]
+    rest = [e for e in found.effects if update is None or e.name not in update.folded]
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
         told.append(f"{', '.join(sensors)}: model.yaml corrects for it; when the sensors are repaired, or the "
                     "recordings corrected in run.yaml, run st discover again: this model would correct twice")
-    others = [plain(e.name) for e in rest if e.kind != "sensors" and (mended is None or e.name not in mended.kept)]
+    others = [plain(e.name) for e in rest if e.kind != "sensors" and (update is None or e.name not in update.kept)]
     if others:
         told.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.minor and found.effects:
@@ -297,10 +297,10 @@ def _unit(key: str) -> str:
     return quantity.si_unit.removesuffix("1") if quantity else ""
 
 
-def verdict(found: Discovery, mended: Mended | None) -> list[tuple[str, list[str]]]:
+def verdict(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(question, lines of the answer) of what is told first; empty answers are left out."""
     lines = [*((role, [text]) for role, text in drives(found)), ("what", what(found)), ("how sure", sure(found)),
-             ("what to do", to_do(found, mended)), ("not named", list(map(tied, found.bound))),
+             ("what to do", to_do(found, update)), ("not named", list(map(tied, found.bound))),
              ("parts of the error", [parts(found.budget)]), ("what remains", [left(found)]),
              ("the base fails most", misses(found)), ("these drives", blind(found)),
              ("next drive", [following(found)])]
