@@ -1,4 +1,4 @@
-"""A model with effects added: `augment(base, {effect: {parameter: value}})` gives a Model every backend takes."""
+"""Models with effects: `augment(base, {effect: {parameter: value}})` returns a Model for every backend."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,13 +19,13 @@ Values = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class AugmentedModel(Model):
-    """A base model and effects with their values.
+    """A base model and effects with their values, created by `augment`.
 
-    Made by `augment`. What it adds to a Model: `effective_vehicle`, for the lever arm; `steering`, the effects with
-    memory on a recorded road wheel angle; `observe` and `correct`, between the truth and what the sensors make of it.
-    `st_core.readings` applies these to logs and trajectories. The functions are the same objects for all values.
+    In addition to a Model: `effective_vehicle`, for the lever arm; `steering`, the effects with memory on a recorded
+    road wheel angle; `observe` and `correct`, from true to measured values and back. `st_core.readings` applies these
+    to logs and trajectories. The functions are the same objects for all values.
 
-    base: the model underneath. effects: in the order in which they act. values: of every parameter, by effect.
+    base: model without effects. effects: in order of action. values: of every parameter, by effect.
     """
 
     base: Model = field(kw_only=True)
@@ -34,7 +34,7 @@ class AugmentedModel(Model):
 
     @cached_property
     def free(self) -> tuple[tuple[str, Parameter], ...]:
-        """(effect, parameter) of everything a fit may change, in the order of `vector`."""
+        """(effect, parameter) of all parameters that a fit may change, in the order of `vector`."""
         return tuple((e.name, p) for e in self.effects for p in e.parameters if p.fit)
 
     @property
@@ -51,7 +51,7 @@ class AugmentedModel(Model):
         return self.with_values(values)
 
     def with_values(self, values: Values) -> "AugmentedModel":
-        """The same model with other values; those not given stay. Raises ConfigurationError naming effect and limit."""
+        """The same model with some values changed. Raises ConfigurationError naming effect and limit."""
         for name in set(values) - set(self.values):
             raise ConfigurationError(f"effect {name}: not in this model, which has {', '.join(self.values) or 'none'}")
         changed = [e for e in self.effects if e.name in values]
@@ -60,41 +60,41 @@ class AugmentedModel(Model):
 
     @property
     def has_memory(self) -> bool:
-        """Whether `steering` changes anything."""
+        """Whether `steering` has an effect."""
         return any(effect.steering for effect in self.active)
 
     @property
     def has_sensors(self) -> bool:
-        """Whether `observe` and `correct` change anything."""
+        """Whether `observe` and `correct` have an effect."""
         return any(effect.observe for effect in self.active)
 
     @property
     def measuring(self) -> tuple:
-        """What decides how `steering` and `correct` change a recording: the same for models that do the same to it."""
+        """Key of the changes that `steering` and `correct` make to a recording: equal for equal changes."""
         return tuple((e.name, *self.values[e.name].values()) for e in self.active if e.steering or e.observe)
 
     def looked_at(self, p: Any) -> tuple:
-        """What of the parameters `inputs` looks at."""
+        """Those parameters of p that `inputs` depends on."""
         own = compose(self.base, self.effects).own
         return (p.base, *(t for e, t in zip(own, p.effects, strict=True) if e.inputs or e.prepare)) if own else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The car as the effects make it. Raises ConfigurationError when that is no car."""
+        """The vehicle with the effects on its parameters. Raises ConfigurationError for impossible parameters."""
         known = self._cars.get(id(vehicle))
         if known is None or known[0] is not vehicle:
-            made = vehicle
+            changed = vehicle
             for effect in self.active:
                 if effect.vehicle:
-                    made = effect.vehicle(made, self._bare(effect))
-            known = self._cars[id(vehicle)] = vehicle, made
+                    changed = effect.vehicle(changed, self._bare(effect))
+            known = self._cars[id(vehicle)] = vehicle, changed
         return known[1]
 
     def folded(self, vehicle: VehicleParameters) -> tuple[VehicleParameters, "AugmentedModel"]:
-        """(the car with those effects in it that a vehicle file can hold, the model with the others).
+        """The vehicle including the effects that a vehicle file can represent, and the model with the others.
 
-        Predicts the same from the same readings; where ratio or offset changed, with the road wheel angle made anew
-        (`DriveLog.with_steering`). Only the play of steering_backlash then counts at another angle: divide it by the
-        factor of steering_ratio. Raises ConfigurationError when that is no car.
+        Predictions from the same readings are the same; if steering ratio or offset changed, the road wheel angle must
+        be recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the factor of
+        steering_ratio. Raises ConfigurationError for impossible parameters.
         """
         for effect in self.active:
             if effect.fold:
@@ -102,7 +102,7 @@ class AugmentedModel(Model):
         return vehicle, _make(self.base, tuple(e for e in self.effects if not e.fold), self.values)
 
     def lean(self) -> "AugmentedModel":
-        """The same predictions, to the last bit, without the costly effects that are at null."""
+        """The model without the costly effects at null: the same predictions, to the last bit."""
         return self.only(e for e in self.effects if e in self.active or not e.costly)
 
     def only(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
@@ -110,19 +110,19 @@ class AugmentedModel(Model):
         kept = tuple(effects)
         return self if len(kept) == len(self.effects) else _make(self.base, kept, self.values)
 
-    def felt(self, state: tuple, w: tuple, p: Any) -> tuple:
-        a_x, a_y = Model.felt(self, state, w, p)
-        added = compose(self.base, self.effects).felt
+    def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
+        a_x, a_y = Model.specific_force(self, state, w, p)
+        added = compose(self.base, self.effects).specific_force
         if added is None:
             return a_x, a_y
-        more_x, more_y = added(state, w, p)
-        return a_x + more_x, a_y + more_y
+        added_x, added_y = added(state, w, p)
+        return a_x + added_x, a_y + added_y
 
     def steering(self, time: np.ndarray, angle: np.ndarray, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(time [s], road wheel angle [rad]) after the effects with memory on the input alone: delay, play, lag.
+        """Time [s] and road wheel angle [rad] of a recording after the effects with memory: delay, play, lag.
 
-        A whole recording. time: rising, from any origin. begins: True where a stretch begins, the first sample and each
-        after a gap; memory is fresh there.
+        time: increasing, from any origin. begins: True at the first sample and after each gap, where the memory is
+        reset.
         """
         for effect in self.active:
             if effect.steering:
@@ -130,14 +130,14 @@ class AugmentedModel(Model):
         return time, angle
 
     def observe(self, measured: Measured) -> Measured:
-        """What the INS shows when `measured` is the truth at the INS point."""
+        """INS readings for true values at the INS point."""
         for effect in self.active:
             if effect.observe:
                 measured = effect.observe(measured, self._bare(effect))
         return measured
 
     def correct(self, measured: Measured) -> Measured:
-        """The truth at the INS point when the INS shows `measured`: the inverse of `observe`."""
+        """True values at the INS point for INS readings: the inverse of `observe`."""
         for effect in reversed(self.active):
             if effect.correct:
                 measured = effect.correct(measured, self._bare(effect))
@@ -145,12 +145,12 @@ class AugmentedModel(Model):
 
     @cached_property
     def _cars(self) -> dict[int, tuple[VehicleParameters, VehicleParameters]]:
-        """Cars asked for, and what the effects made of them: made once, asked for at every prediction."""
+        """Cache of effective_vehicle(), which is called for every prediction."""
         return {}
 
     @cached_property
     def active(self) -> tuple[type[Effect], ...]:
-        """Effects that are not at null. One that is changes nothing, to the last bit: only the equations compute it."""
+        """Effects that are not at null; those at null change nothing, to the last bit."""
         return tuple(e for e in self.effects
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 
@@ -159,11 +159,11 @@ class AugmentedModel(Model):
 
 
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
-    """A model with effects added; one that has some already gets more.
+    """The model with effects added, also to those it has.
 
-    effects: values by effect and parameter; constants that a fit leaves alone (`Parameter.fit`) may be left out. Names
-    alone stand for the initial values. Raises ConfigurationError naming the effect, and the parameter and its limit: an
-    unknown or repeated effect, one that does not apply to the base, a value missing or outside its bounds.
+    effects: values by effect and parameter, constants (not `Parameter.fit`) optional; or names, for initial values.
+    Raises ConfigurationError naming effect, parameter and limit: for an unknown or repeated effect, one that does not
+    apply to the base, a value missing or outside its bounds.
     """
     base = get_model(base)
     if not isinstance(effects, Mapping):
@@ -174,7 +174,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
     if isinstance(base, AugmentedModel):
         for name in effects:
             if name in base.values:
-                raise ConfigurationError(f"effect {name}: in the model already; change its values instead")
+                raise ConfigurationError(f"effect {name}: already in the model; change its values instead")
         effects = {**base.values, **effects}
         base = base.base
     found = sorted((get_effect(name) for name in effects), key=lambda effect: (effect.order, effect.name))
@@ -227,22 +227,22 @@ def _checked_one(effect: type[Effect], values: Mapping[str, float]) -> dict[str,
         result[parameter.name] = parameter.check(values.get(parameter.name, parameter.null), key)
     for name in values:
         if name not in result:
-            raise ConfigurationError(f"effect {effect.name}: {name}: unknown parameter; there are {', '.join(result)}")
+            raise ConfigurationError(f"effect {effect.name}: {name}: unknown parameter; it has {', '.join(result)}")
     return result
 
 
 def universal(base: str | Model) -> AugmentedModel:
-    """All effects that apply to a kind of model, at null: one set of functions for every choice among them.
+    """The model with all effects that apply to it, at null: one set of functions for every combination.
 
-    For who tries many combinations: `with_values` switches effects on. Compiled once, it costs two to four times the
-    base, where each combination of its own would have to be compiled.
+    `with_values` switches effects on. It is compiled once and costs two to four times the base; otherwise every
+    combination would have to be compiled.
     """
     base = get_model(base)
     return neutral(augment(base, applicable(base.name)))
 
 
 def neutral(model: AugmentedModel) -> AugmentedModel:
-    """The same effects, all at the value at which they change nothing."""
+    """The model with all its effects at null."""
     return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in model.effects})
 
 

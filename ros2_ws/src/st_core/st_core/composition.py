@@ -1,13 +1,13 @@
-"""Models put together from a base model and effects: nested plain functions, the same for every kind of number.
+"""Composition of a base model with effects: nested plain functions, the same for floats, arrays, compilers and CasADi.
 
-The composed functions are made once for a base and a set of effects; values live in their parameters p alone, so that a
-fit never makes, traces or compiles anything anew. Layout of a composed model:
+The functions are created once per base and set of effects; values are only in their parameters p, so that a fit never
+creates, traces or compiles them again. Layout of a composed model:
 
     p     = AugmentedParameters(base, effects): of the base model, and theta of each effect that acts in the equations
     w     = (road_wheel_angle, velocity_x_dot, what each effect prepared ..., w of the base model)
     state = the six, then the extra states of each effect
 
-Effects at null leave no trace, to the last bit: they add 0, multiply by 1, or blend with a share of 0.
+Effects at null change nothing, to the last bit: they add 0, multiply by 1, or blend with weight 0.
 """
 
 from collections.abc import Callable
@@ -31,20 +31,20 @@ class AugmentedParameters(NamedTuple):
 
 @dataclass(frozen=True)
 class Composed:
-    """The functions of an augmented model. own: the effects that have a theta in p; none: p is that of the base."""
+    """Functions of an augmented model. own: effects with a theta in p; without any, p is that of the base."""
 
     own: tuple[type[Effect], ...]
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
     start: Callable[[tuple, tuple, Any], tuple] | None = None
-    felt: Callable[[tuple, tuple, Any], tuple] | None = None
+    specific_force: Callable[[tuple, tuple, Any], tuple] | None = None
     extra_states: tuple[str, ...] = ()
     signals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where an effect finds its own: index of its theta, and from where to where in w and in the state."""
+    """Position of an effect: index of its theta in p, and (begin, end) of its entries in w and in the state."""
 
     effect: type[Effect]
     index: int
@@ -54,7 +54,7 @@ class _Place:
 
 @cache
 def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
-    """The functions for a base model and effects in the order in which they act; always the same objects."""
+    """The functions of a base model with effects, in order of action; the same objects at every call."""
     own = tuple(e for e in effects if e.lifts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
     if not own:
         return Composed((), base.inputs, base.rhs)
@@ -70,7 +70,7 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composed:
         rhs = _blended(base.rhs, rhs, tail, _lift(places).index)
     extra = tuple(f"{e.name}.{name}" for e in own for name in e.extra_states)
     return Composed(own, _inputs(base.inputs, changed, _given(places, signals)), rhs,
-                    _start(places, slips_of) if extra else None, _felt(places), extra, signals)
+                    _start(places, slips_of) if extra else None, _specific_force(places), extra, signals)
 
 
 def _places(own: tuple[type[Effect], ...]) -> list[_Place]:
@@ -84,18 +84,18 @@ def _places(own: tuple[type[Effect], ...]) -> list[_Place]:
 
 
 def _lift(places: list[_Place]) -> _Place:
-    """The place of the effect that brings the dynamics a kinematic base lacks."""
+    """Position of the effect that adds dynamics to a kinematic base."""
     return next(place for place in places if place.effect.lifts and place.effect.lifts[0] == "kinematic")
 
 
-# From here on each function returns a closure over plain functions and whole numbers: compilers inline those.
+# Each function below returns a closure over plain functions and integers, which compilers can inline.
 
 def _instant(state, w, p):
     return Instant(state[0], state[1], state[2], state[3], state[4], state[5], w[0], w[1], w, p)
 
 
 def _dynamics(base: Model, places: list[_Place], tail: int):
-    """slips(at), forces(slip_front, slip_rear, at) and motion(force_front, force_rear, at) of the dynamic part."""
+    """Functions slips(at), forces(slip_front, slip_rear, at), motion(force_front, force_rear, at) of the dynamics."""
     if base.axles is None:
         lift, axles = _lift(places), linear_tyre.AXLES
         index, (begin, end) = lift.index, lift.given
@@ -142,11 +142,12 @@ def _rhs(slips_of, slips, forces, motion, acceleration, rates):
 def _blended(kinematic, dynamic, tail, index):
     def rhs(state, w, p):
         share = p.effects[index].share
-        rest = 1.0 - share
+        remainder = 1.0 - share
         k = kinematic(state[:STATES], w[tail:], p.base)
         d = dynamic(state, w, p)
-        return (rest * k[0] + share * d[0], rest * k[1] + share * d[1], rest * k[2] + share * d[2],
-                rest * k[3] + share * d[3], rest * k[4] + share * d[4], rest * k[5] + share * d[5], *d[STATES:])
+        return (remainder * k[0] + share * d[0], remainder * k[1] + share * d[1], remainder * k[2] + share * d[2],
+                remainder * k[3] + share * d[3], remainder * k[4] + share * d[4], remainder * k[5] + share * d[5],
+                *d[STATES:])
     return rhs
 
 
@@ -171,8 +172,8 @@ def _inputs(base_inputs, changed, given):
     return inputs
 
 
-def _pick(signals: tuple[str, ...], wanted: tuple[str, ...]):
-    """A function from the values of all signals to those of the wanted ones."""
+def _pick(signals: tuple[str, ...], selected: tuple[str, ...]):
+    """Function from the values of all signals to those of the selected ones."""
     def nothing(values):
         return ()
 
@@ -182,7 +183,7 @@ def _pick(signals: tuple[str, ...], wanted: tuple[str, ...]):
         return pick
 
     pick = nothing
-    for name in wanted:
+    for name in selected:
         pick = after(pick, signals.index(name))
     return pick
 
@@ -214,19 +215,19 @@ def _given(places: list[_Place], signals: tuple[str, ...]):
             return *before, *hook(angle, acceleration, pick(values), p.effects[index])
         return given
 
-    def hand_on(angle, acceleration, values, theta):
+    def pass_on(angle, acceleration, values, theta):
         return values
 
     given = nothing
     for place in places:
         if place.effect.prepare or place.effect.signals:
             pick = _pick(signals, place.effect.signals)
-            given = after(given, place.effect.prepare or hand_on, place.index, pick)
+            given = after(given, place.effect.prepare or pass_on, place.index, pick)
     return given
 
 
 def _chained(chain, after, places: list[_Place], hook: str, *own: str):
-    """`after` around what came before, for every effect that has the hook. own: of its place, handed on."""
+    """The chain extended by `after` for every effect with the hook; own: attributes of its position to pass on."""
     for place in places:
         if function := getattr(place.effect, hook):
             chain = after(chain, function, place.index, *(getattr(place, name) for name in own))
@@ -320,7 +321,7 @@ def _start(places: list[_Place], slips_of):
     return start
 
 
-def _felt(places: list[_Place]):
+def _specific_force(places: list[_Place]):
     def none(at):
         zero = 0.0 * at.velocity_x
         return zero, zero
@@ -328,14 +329,14 @@ def _felt(places: list[_Place]):
     def after(inner, hook, index, given):
         begin, end = given
 
-        def felt(at):
+        def specific_force(at):
             x, y = inner(at)
             a_x, a_y = hook(at, at.w[begin:end], at.p.effects[index])
             return x + a_x, y + a_y
-        return felt
+        return specific_force
 
-    chain = _chained(none, after, places, "felt", "given")
+    chain = _chained(none, after, places, "specific_force", "given")
 
-    def felt(state, w, p):
+    def specific_force(state, w, p):
         return chain(_instant(state, w, p))
-    return None if chain is none else felt
+    return None if chain is none else specific_force

@@ -1,7 +1,7 @@
-"""What every effect promises, tried out: `st effects check`, for the library and for a user's own.
+"""Requirements on every effect, checked by `st effects check` for the library and for users' own effects.
 
-Each of `PROMISES` is a function of an effect and a car that returns what is wrong, in one line with figures, or "".
-They run the real paths: floats, the numpy batch, the compiled lanes, CasADi. Checked by: test_contract.py.
+Each of `PROMISES` is a function of an effect and a car that returns the violation, in one line with figures, or "".
+All implementations are run: floats, the numpy batch, the compiled lanes, CasADi. Checked by: test_contract.py.
 """
 
 import importlib.util
@@ -24,9 +24,9 @@ from .vehicle import VehicleParameters
 STEP, STEPS = 0.05, 40
 SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
 STANDSTILL = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
-SAME = 1e-9  # of 1 or of the value: rounding in another order
-CORRECTED = 0.05  # of what `observe` changes: `correct` looks at the reading, not at the truth
-GROWTH = 0.1  # 1/s: a mode that grows faster, where the base has none that does
+SAME = 1e-9  # relative to max(1, |value|): different order of rounding
+CORRECTED = 0.05  # relative to the change by `observe`: `correct` depends on the reading, not on the true value
+GROWTH = 0.1  # 1/s: permitted growth rate of a mode beyond that of the base
 MIRROR = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
 MIRRORED = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READ = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
@@ -34,14 +34,14 @@ READ = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 
 @dataclass(frozen=True)
 class Promise:
-    """what: in words. problem: "" if it is kept."""
+    """A requirement in words and its violation, "" if fulfilled."""
 
     what: str
     problem: str
 
 
 def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> tuple[Promise, ...]:
-    """Every promise, in the order of PROMISES; what raises is a promise that is not kept."""
+    """Result of every requirement, in the order of PROMISES; an exception counts as a violation."""
     found = []
     for what, look in PROMISES.items():
         try:
@@ -77,7 +77,7 @@ def _shows(effect: type[Effect], vehicle: VehicleParameters) -> str:
         steered = [np.array(a) for a in model.steering(time, angle, np.arange(100) == 0)]
         changed = (np.abs(_path(model, vehicle) - _path(base, vehicle)).max(), np.abs(steered[0] - time).max(),
                    np.abs(steered[1] - angle).max(), np.abs(np.subtract(model.observe(READ), READ)).max())
-        if not max(changed) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.felt:
+        if not max(changed) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.specific_force:
             return f"at its initial values nothing changes in the {base.name} model"
     return ""
 
@@ -112,7 +112,7 @@ def _backends(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 def _mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
     if effect.kind == "surroundings":
-        return ""  # the map has a left and a right of its own
+        return ""  # depends on the map and is not symmetric
     flipped = {p.name: -p.initial for p in effect.parameters if p.odd}
     for base, model in _models(effect):
         other = model.with_values({effect.name: flipped}) if flipped else model
@@ -121,7 +121,7 @@ def _mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
         seen = float(np.abs(np.subtract(turned, _mirrored(model.observe(READ)))).max())
         if not max(off, seen) < SAME:
             return (f"a left turn is not the mirror image of a right one in the {base.name} model ({max(off, seen):.2g}"
-                    "); if it is meant so, say odd=True of the parameter that changes its sign")
+                    "); if intended, set odd=True for the parameter that changes its sign")
     return ""
 
 
@@ -134,7 +134,7 @@ def _steady(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 
 def unsteady(base: Model, model: Model, vehicle: VehicleParameters, speeds: Iterable[float]) -> str:
-    """What is wrong with straight driving where a model is less stable than its base; "" where it is not."""
+    """Description of an instability of straight driving that the base does not have, "" if there is none."""
     for speed in speeds:
         if base.name != "kinematic":
             before, after = (float(lateral_modes(m, vehicle, speed).real.max()) for m in (base, model))
@@ -152,8 +152,8 @@ def _corrects(effect: type[Effect], vehicle: VehicleParameters) -> str:
     _, model = next(_models(effect))
     shown = np.array(model.observe(READ), float)
     back = np.array(model.correct(Measured(*shown)), float)
-    left, changed = np.abs(back - READ).max(), np.abs(shown - READ).max()
-    return "" if left <= CORRECTED * changed else f"correct leaves {left:.3g} of the {changed:.3g} that observe changes"
+    error, change = np.abs(back - READ).max(), np.abs(shown - READ).max()
+    return "" if error <= CORRECTED * change else f"{error:.3g} of the {change:.3g} by observe() remain after correct()"
 
 
 PROMISES = {
@@ -162,15 +162,15 @@ PROMISES = {
     "at its initial values it changes something": _shows,
     "finite at its bounds, and at standstill": _finite,
     "the same on floats, in batches, compiled and in CasADi": _backends,
-    "left and right are mirror images, but for surroundings, or it says which sign changes": _mirror,
+    "left and right are mirror images, except for surroundings and parameters with odd=True": _mirror,
     "it does not make the car unstable": _steady,
-    "what it does to a sensor is undone again": _corrects,
+    "correct() inverts observe()": _corrects,
 }
-"""What is promised -> function of effect and car that says what is wrong."""
+"""Requirement -> function of effect and car that returns its violation."""
 
 
 def _models(effect: type[Effect]) -> Iterator[tuple[Model, AugmentedModel]]:
-    """(base, base with the effect at its initial values) of every kind of model it applies to."""
+    """Base and base with the effect at its initial values, for every kind of model it applies to."""
     for name, base in MODELS.items():
         if name in effect.applies_to:
             yield base, augment(base, [effect.name])
@@ -191,13 +191,13 @@ def _start(speed: float, side: float = 1.0) -> tuple[float, ...]:
 
 def _path(model: Model, vehicle: VehicleParameters, speed: float = 12.0, side: float = 1.0,
           acceleration: float = 0.8) -> np.ndarray:
-    """(STEPS + 1, 6) on floats."""
+    """States (STEPS + 1, 6) computed on floats."""
     inputs = InputSequence(*_course(side, acceleration), signals=_signals(model, side))
     return predict(model, vehicle, VehicleState(*_start(speed, side)), inputs, STEP * STEPS, STEP).states
 
 
 def _columns(model: Model, vehicle: VehicleParameters, backend: str) -> np.ndarray:
-    """(speeds, STEPS + 1, 6), a column for each speed."""
+    """States (speeds, STEPS + 1, 6) computed by a backend."""
     made, p = get_backend(backend), model.parameters(vehicle)
     speeds = np.pad(SPEEDS, (0, -len(SPEEDS) % made.LANES), mode="edge")
     columns = len(speeds)
@@ -211,7 +211,7 @@ def _columns(model: Model, vehicle: VehicleParameters, backend: str) -> np.ndarr
 
 
 def _symbolic(model: Model, vehicle: VehicleParameters) -> np.ndarray:
-    """(speeds, 6) at the end, from the rates: an exported step holds its inputs, which a course does not."""
+    """(speeds, 6) at the end, by integration of `dynamics`: an exported step has constant inputs."""
     from .backends.casadi_backend import build
     from .integrate import rk4_step
 

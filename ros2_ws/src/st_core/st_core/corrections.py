@@ -1,9 +1,8 @@
-"""Faults of a recording that are known, taken back: scales, biases, delays, another point, an INS mounted askew.
+"""Corrections of known faults of a recording: scales, biases, delays, reference point, misalignment of the INS.
 
     corrected value = scale * recorded value + add,   at   recorded stamp - earlier
 
-What a recording holds of the wrong unit, sign or point stays in its files; a run.yaml says what is to be made of it.
-Checked by: test_corrections.py.
+The files of a recording are not changed; its run.yaml contains the corrections. Checked by: test_corrections.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,10 +20,10 @@ from .timeseries import interpolate
 from .vehicle import VehicleParameters
 
 MAXIMUM_GAP = 0.25
-"""s. A signal moved in time is not interpolated between samples further apart."""
+"""s. A signal shifted in time is not interpolated across longer gaps."""
 
 LARGEST = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}
-"""More is a slip of the finger; a channel that is a minute late belongs to another recording."""
+"""Plausible limits; a channel that is a minute late belongs to another recording."""
 
 STEERING = ("road_wheel_angle", "steering")
 _PAIRS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
@@ -34,7 +33,7 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("velocity_x", "velocity_y"), _ALL), "velocity": ("scale", "earlier"),
     **dict.fromkeys(("yaw_rate", *OPTIONAL_INS_SIGNALS, *STEERING), _ALL),
 }
-"""What may be corrected, and which fields of Correction it takes."""
+"""Channels that can be corrected, with the applicable fields of Correction."""
 
 UNITS: Mapping[str, str] = {
     **dict.fromkeys(("x", "y", "position"), "m"), **dict.fromkeys(("velocity_x", "velocity_y", "velocity"), "m/s"),
@@ -46,8 +45,8 @@ UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Correction:
-    """Of one channel. scale [1]. add [unit of the channel]. earlier: its stamps are late by so much [s]. ahead: moves
-    the point of the positions forward along the car [m]."""
+    """Correction of one channel: scale [1]; add [unit of the channel]; earlier: delay of its stamps [s]; ahead: forward
+    shift of the reference point of positions along the car [m]."""
 
     scale: float = 1.0
     add: float = 0.0
@@ -57,23 +56,22 @@ class Correction:
 
 def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: VehicleParameters | None = None,
               leave_out: Sequence[tuple[float, float]] = ()) -> DriveLog:
-    """The drive as it should have been recorded.
+    """The corrected drive.
 
-    Of each channel first scale, then add, then time; position and velocity stand for both of theirs, after x, y,
-    velocity_x and velocity_y have had their own. Then
+    Each channel is scaled, then offset, then shifted in time; "position" and "velocity" apply to both components, after
+    the corrections of the single ones. Then
 
         heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body,  so that R(yaw) v,
-                            the velocity over ground, stays
+                            the velocity over ground, does not change
         position.ahead = d: (x, y) -> (x, y) + d (cos yaw, sin yaw)
 
-    An INS channel that is moved in time is interpolated at the stamps of the others, which stay; where it is not known
-    there (the ends, and gaps longer than MAXIMUM_GAP) the sample is left out, of an acceleration it is NaN. Steering
-    has its own stamps, and these are moved. A hand wheel is corrected so that ratio and offset of `vehicle` give the
-    corrected road wheel angle; without a vehicle it is left out of the result.
+    An INS channel shifted in time is interpolated at the stamps of the others; samples without a value there (the ends,
+    gaps longer than MAXIMUM_GAP) are removed, for an acceleration set to NaN. Steering has its own stamps, which are
+    shifted. A hand-wheel angle is corrected so that ratio and offset of `vehicle` give the corrected road wheel angle;
+    without a vehicle it is removed.
 
-    leave_out: INS samples that are not used, (start, end) [s] after the first recorded one, both included.
-    Raises StCoreError for what CHANNELS does not know, a value beyond LARGEST, and a correction that leaves
-    nothing.
+    leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded one, both included.
+    Raises StCoreError for a channel not in CHANNELS, a value beyond LARGEST, and corrections that remove all samples.
     """
     check_corrections(corrections)
     since_ns = log.ins_time_ns - log.ins_time_ns[:1]
@@ -82,32 +80,32 @@ def corrected(log: DriveLog, corrections: Mapping[str, Correction], vehicle: Veh
         used &= (since_ns * NANOSECOND < begin - NANOSECOND) | (since_ns * NANOSECOND > end + NANOSECOND)
     if not used.all():
         log = log.with_ins(used)
-    log = _ins_corrected(log, corrections)
-    log = _turned(log, corrections.get("heading", Correction()).add)
+    log = _correct_ins(log, corrections)
+    log = _rotated(log, corrections.get("heading", Correction()).add)
     ahead = corrections.get("position", Correction()).ahead
     if ahead:
         forward, left = body_to_map(ahead, 0.0, log.yaw)
         log = replace(log, x=log.x + forward, y=log.y + left)
     for name in STEERING:
-        log = _steered(log, corrections.get(name, Correction()), vehicle)
+        log = _correct_steering(log, corrections.get(name, Correction()), vehicle)
     if used.any() and not len(log.ins_time_ns):
         raise StCoreError(f"{log.name}: the corrections leave no INS sample")
     return log
 
 
 def check_corrections(corrections: Mapping[str, Correction]) -> None:
-    """Raises StCoreError for an unknown channel, a field that means nothing for it, and a value beyond LARGEST."""
+    """Raises StCoreError for an unknown channel, a field not applicable to it, and a value beyond LARGEST."""
     for channel, correction in corrections.items():
         if channel not in CHANNELS:
-            raise StCoreError(f"{channel}: no such channel; there are {', '.join(CHANNELS)}")
+            raise StCoreError(f"{channel}: unknown channel; known are {', '.join(CHANNELS)}")
         for name, neutral in vars(Correction()).items():
             value = getattr(correction, name)
             if not abs(value) <= LARGEST[name]:
                 raise StCoreError(f"{channel}: {name}: {value!r} is not within +-{LARGEST[name]:g}")
             if value != neutral and name not in CHANNELS[channel]:
-                raise StCoreError(f"{channel}: {name} means nothing here; there are {', '.join(CHANNELS[channel])}")
+                raise StCoreError(f"{channel}: {name} does not apply here; valid are {', '.join(CHANNELS[channel])}")
         if correction.scale == 0.0:
-            raise StCoreError(f"{channel}: scale: 0 leaves nothing of it")
+            raise StCoreError(f"{channel}: scale: must not be 0")
     if all(name in corrections for name in STEERING):
         raise StCoreError(f"{' and '.join(STEERING)} are the same channel; correct one of them")
 
@@ -131,7 +129,7 @@ def _phrase(channel: str, correction: Correction) -> str:
     return phrase
 
 
-def _ins_corrected(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveLog:
+def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveLog:
     group = {name: pair for pair, names in _PAIRS.items() for name in names}
     parts: dict[str, Any] = {}
     for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS):
@@ -153,7 +151,7 @@ def _ins_corrected(log: DriveLog, corrections: Mapping[str, Correction]) -> Driv
     return replace(log.with_ins(known), **{name: values[known] for name, values in parts.items()})
 
 
-def _turned(log: DriveLog, angle: float) -> DriveLog:
+def _rotated(log: DriveLog, angle: float) -> DriveLog:
     if not angle:
         return log
     parts: dict[str, Any] = {"yaw": log.yaw + angle}
@@ -164,7 +162,7 @@ def _turned(log: DriveLog, angle: float) -> DriveLog:
     return replace(log, **parts)
 
 
-def _steered(log: DriveLog, correction: Correction, vehicle: VehicleParameters | None) -> DriveLog:
+def _correct_steering(log: DriveLog, correction: Correction, vehicle: VehicleParameters | None) -> DriveLog:
     late_ns = round(correction.earlier / NANOSECOND)
     log = replace(log, steering_time_ns=log.steering_time_ns - late_ns) if late_ns else log
     if correction.scale == 1.0 and not correction.add:

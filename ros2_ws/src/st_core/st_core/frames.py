@@ -29,12 +29,12 @@ def map_to_body(x: Number, y: Number, yaw: Number) -> tuple[Number, Number]:
 
 
 def map_to_axes(x: Number, y: Number, cosine: Number, sine: Number) -> tuple[Number, Number]:
-    """`map_to_body` where cosine and sine of the yaw are known already."""
+    """`map_to_body` from cosine and sine of the yaw."""
     return x * cosine + y * sine, y * cosine - x * sine
 
 
 def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> VehicleState:
-    """State at the CG of a rigid car whose INS point was measured.
+    """State at the CG of a rigid car from a measurement at the INS point.
 
         p_cg = p_ins - R(yaw) d,    v_x,cg = v_x,ins + r d_y,    v_y,cg = v_y,ins - r d_x
 
@@ -61,7 +61,7 @@ def cg_to_ins_position(x: Number, y: Number, yaw: Number, cg_to_ins_x: Number,
 
 def ins_to_cg_acceleration(acceleration_x: Number, acceleration_y: Number, yaw_rate: Number, yaw_acceleration: Number,
                            cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -> tuple[Number, Number]:
-    """Acceleration at the CG [m/s^2], body axes, from the one at the INS point.
+    """Acceleration at the CG [m/s^2], body axes, from that at the INS point.
 
         a_x,cg = a_x,ins + r^2 d_x + r_dot d_y,    a_y,cg = a_y,ins - r_dot d_x + r^2 d_y
 

@@ -1,7 +1,6 @@
-"""Classical Runge-Kutta with a fixed step, for states held as tuples. Knows nothing of cars.
+"""Classical Runge-Kutta integration with a fixed step, for states as tuples of floats or of arrays of equal shape.
 
-The numbers in the tuples may be floats or arrays of equal shape (a batch); a derivative is a plain function
-`derivative(state, w, p) -> tuple`, with w whatever belongs to one instant and p the constants.
+A derivative is a function `derivative(state, w, p) -> tuple` with inputs w of one instant and constants p.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +36,7 @@ def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, 
 
 def _step_of_six(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
                  step: float) -> tuple:
-    # rk4_step written out: the live predictor spends its time here, and this is twice as fast on floats.
+    # rk4_step written out: twice as fast on floats, on which the live predictor spends its time without numba.
     half, sixth = 0.5 * step, step / 6.0
     s0, s1, s2, s3, s4, s5 = state
     a0, a1, a2, a3, a4, a5 = derivative(state, w_start, p)

@@ -1,7 +1,7 @@
-"""What one model makes of the measurements: its start state, its inputs, and what the INS would show on its path.
+"""Measurements as one model uses them: its start state, its inputs, and the INS readings along its path.
 
-A plain model takes the measurements as they are. Effects may correct the sensors, move the point that is measured, or
-delay the steering; then start and inputs are the model's own.
+A model without effects uses the measurements unchanged. Effects may correct the sensors, move the measured point or
+delay the steering; start state and inputs then depend on the model.
 """
 
 from collections.abc import Sequence
@@ -33,10 +33,10 @@ from .vehicle import VehicleParameters
 
 
 class ModelView:
-    """One model's view of a MeasurementHistory that it shares with others.
+    """A MeasurementHistory, shared between models, as one model uses it.
 
-    Where the model corrects the INS it keeps a history of its own, filled by `add_ins` and `add_steering` in step with
-    the shared one. vehicle: as in its file. Raises ConfigurationError where that takes what nobody measures live.
+    A model that corrects the INS has a history of its own, filled by `add_ins` and `add_steering` in parallel with the
+    shared one. vehicle: as in its file. Raises ConfigurationError if the model needs a quantity not measured live.
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
@@ -55,24 +55,24 @@ class ModelView:
 
     @staticmethod
     def span(models: Sequence[Model], span: float) -> float:
-        """How long a history must be [s] so that effects with memory have theirs also at the beginning of `span`."""
+        """Length of the history [s] that effects with memory need for a time span [s]."""
         return span + MEMORY if any(has_memory(model) for model in models) else span
 
     def add_ins(self, sample: InsSample) -> None:
-        """Tell the view of an INS sample the shared history was offered."""
+        """Add an INS sample that was added to the shared history."""
         if self._has_sensors:
             self._history.add_ins(corrected_sample(self.model, sample))
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
-        """Tell the view of a road wheel angle the shared history was offered."""
+        """Add a road wheel angle [rad] that was added to the shared history."""
         if self._has_sensors:
             self._history.add_steering(time_ns, road_wheel_angle)
 
     def start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
-        """State at the model's CG and the inputs of a forecast: steering wheel and acceleration held from now on.
+        """State at the model's CG and inputs of a forecast with constant steering wheel angle and acceleration.
 
-        With memory the wheels still follow what the steering did before: then it is a sequence on the half-step grid.
-        Raises StCoreError where one of them is not known.
+        With memory the road wheels still follow the previous steering: the inputs are a sequence on the half-step grid.
+        Raises StCoreError if state or inputs are not known at the time.
         """
         sample, now = self._history.ins_at(time_ns), self._history.inputs_at(time_ns)
         if sample is None or now is None:
@@ -86,7 +86,7 @@ class ModelView:
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 
     def measured(self, times_ns: np.ndarray) -> InputSequence:
-        """Measured inputs at rising instants [ns]; NaN where not known."""
+        """Measured inputs at increasing times [ns]; NaN where not known."""
         acceleration = self._history.ins.sample(times_ns)[:, DERIVATIVE]
         if not self.has_memory:
             return InputSequence(self._history.steering.sample(times_ns)[:, 0], acceleration)
@@ -98,7 +98,7 @@ class ModelView:
         return InputSequence(interpolate(*wheels, times_ns, gap_ns), acceleration)
 
     def shown(self, trajectory: Trajectory) -> Measured:
-        """What the INS would show along a trajectory of the model; no accelerations."""
+        """INS readings along a trajectory of the model, without accelerations."""
         t = trajectory
         return readings(self.model, self._vehicle, (t.x, t.y, t.velocity_x, t.velocity_y, t.yaw, t.yaw_rate))
 

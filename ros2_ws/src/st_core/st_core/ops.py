@@ -1,9 +1,8 @@
-"""The small vocabulary the equations are written in: one function per operation, for every kind of number.
+"""The elementary functions of the equations, for every kind of number.
 
-A Python float takes the `math` function, a numpy array or scalar the numpy function. Any other type must be registered
-with `register`, which the module that brings that kind of number (a symbolic framework, a compiler) does itself:
-nothing is imported here for it. On floats no function raises: outside its domain the answer is NaN, as in numpy. NaN in
-gives NaN out.
+Python floats use `math`, numpy arrays and scalars numpy. Other types (symbolic, compiled) are registered by the module
+that defines them, with `register`. No function raises on floats: outside its domain the result is NaN, as in numpy. NaN
+in gives NaN out.
 """
 
 import math
@@ -15,9 +14,9 @@ import numpy as np
 
 _sin, _cos, _tan, _atan, _sqrt = math.sin, math.cos, math.tan, math.atan, math.sqrt
 _NAN = math.nan
-# numpy hands sine and cosine to the C library one by one, 12 ns each. Its tangent is a vector function on newer x86,
-# 1 ns; with t = tan(x / 2) the absolute error is 2.3e-16 at any size of x. Below this many numbers the calls cost more.
-_MANY = 256
+# numpy computes sine and cosine one by one in the C library, 12 ns each, but the tangent in vectors on newer x86, 1 ns.
+# With t = tan(x / 2) the absolute error is 2.3e-16 for any x. Below this array size the additional calls cost more.
+_VECTOR_SIZE = 256
 
 
 @cache
@@ -31,14 +30,14 @@ def _has_vector_tangent() -> bool:
 
 
 def _array_sin(x):
-    if np.size(x) < _MANY or not _has_vector_tangent():
+    if np.size(x) < _VECTOR_SIZE or not _has_vector_tangent():
         return np.sin(x)
     t = np.tan(0.5 * x)
     return 2.0 * t / (1.0 + t * t)
 
 
 def _array_cos(x):
-    if np.size(x) < _MANY or not _has_vector_tangent():
+    if np.size(x) < _VECTOR_SIZE or not _has_vector_tangent():
         return np.cos(x)
     t = np.tan(0.5 * x)
     t = t * t
@@ -53,9 +52,9 @@ _registered: dict[type, Mapping[str, Callable]] = {}
 
 
 def register(kind: type, functions: Mapping[str, Callable]) -> None:
-    """Teach the vocabulary one more kind of number: a function for each of NAMES.
+    """Register the functions of a further kind of number, one for each of NAMES.
 
-    Raises KeyError naming the first operation that is missing.
+    Raises KeyError naming the first missing operation.
     """
     for name in NAMES:
         functions[name]
@@ -129,14 +128,14 @@ def absolute(x):
 
 
 def maximum(x, limit):
-    """The larger of the two; NaN if x is NaN, but for a CasADi symbol: there the limit. `limit` is a number."""
+    """The larger of x and a number `limit`; NaN if x is NaN, except for CasADi: then the limit."""
     if type(x) is float:
         return limit if x < limit else x
     return _other("maximum", x, limit)
 
 
 def minimum(x, limit):
-    """The smaller of the two; NaN if x is NaN, but for a CasADi symbol: there the limit. `limit` is a number."""
+    """The smaller of x and a number `limit`; NaN if x is NaN, except for CasADi: then the limit."""
     if type(x) is float:
         return limit if x > limit else x
     return _other("minimum", x, limit)

@@ -1,4 +1,4 @@
-"""Random effects: several estimates of one quantity as one, with what they differ by beyond their own deviations.
+"""Random-effects estimate of one quantity from several, with the variance between them beyond their own variances.
 
 Source: DerSimonian and Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7 (1986).
 """
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Pooled(NamedTuple):
-    """mean with its standard deviation. between: variance between the estimates. excess: Cochran's Q."""
+    """Pooled mean and its standard deviation. between: variance between estimates. excess: Cochran's Q [1]."""
 
     mean: float
     deviation: float
@@ -18,7 +18,10 @@ class Pooled(NamedTuple):
 
 
 def random_effects(values: np.ndarray, variances: np.ndarray) -> Pooled:
-    """values, variances: (n,), n >= 1, variances > 0. Checked by: test_discovery_evidence.py."""
+    """Pooled estimate by DerSimonian and Laird; values, variances: (n,), n >= 1, variances > 0.
+
+    Checked by: test_discovery_evidence.py.
+    """
     w = 1.0 / variances
     excess = float(w @ np.square(values - w @ values / w.sum()))
     surplus = max(excess - max(len(values) - 1, 1), 0.0)

@@ -136,7 +136,7 @@ def true_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tu
     w, p: the model's inputs there and its parameters, for the accelerations; without them those are NaN, and that in
     yaw is 0: a late yaw rate then shows as it is.
 
-        a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.felt`
+        a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.specific_force`
 
     vehicle: as in its file; the effects on it are applied here.
     """
@@ -147,7 +147,7 @@ def true_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tu
     a_x = a_y = velocity_x * np.nan
     yaw_acceleration = 0.0 * yaw_rate
     if w is not None:
-        a_x, a_y = model.felt(states, w, p)
+        a_x, a_y = model.specific_force(states, w, p)
         yaw_acceleration = model.rhs(states, w, p)[5]
         a_x, a_y = (a_x - yaw_rate * yaw_rate * dx - yaw_acceleration * dy,
                     a_y + yaw_acceleration * dx - yaw_rate * yaw_rate * dy)

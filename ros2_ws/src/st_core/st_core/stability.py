@@ -1,9 +1,8 @@
-"""Whether the integration step is short enough for the stiffness and the speed at hand.
+"""Numerical stability of the integration step at a given stiffness and speed.
 
-The lateral dynamics of a car become stiffer as it slows down: the damping goes with C / (m v). Under classical
-Runge-Kutta a mode with eigenvalue s is damped as long as |R(h s)| <= 1; beyond that a prediction rings, diverges or
-settles in the wrong place, although the car would not. Below minimum_slip_speed the models keep the stiffness they have
-there.
+The lateral dynamics of a car become stiffer at lower speed: their damping is proportional to C / (m v). Classical
+Runge-Kutta damps a mode with eigenvalue s if |R(h s)| <= 1; otherwise a prediction oscillates, diverges or converges to
+a wrong value. Below minimum_slip_speed the stiffness of the models is constant.
 """
 
 import math
@@ -17,11 +16,11 @@ from .models import Model, get_model
 from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 
 MOST_SUBSTEPS = 64
-HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s, that a vehicle file may hold
-FASTEST = 60.0  # m/s, where the search for the lowest stable speed begins
-_LATERAL = (3, 5)  # velocity_y, yaw_rate; and what states follow the six
-_SMALL = 1.0e-5  # of the difference quotients [m/s, rad/s]
-_said: set[tuple[str, str, float]] = set()
+HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s, upper limit in a vehicle file
+FASTEST = 60.0  # m/s, start of the search for the lowest stable speed
+_LATERAL = (3, 5)  # indices of velocity_y and yaw_rate
+_INCREMENT = 1.0e-5  # of the difference quotients [m/s, rad/s]
+_warned: set[tuple[str, str, float]] = set()
 
 
 class StepTooLongWarning(UserWarning):
@@ -44,12 +43,12 @@ def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) 
         moved[changed] += by
         return np.array(model.rhs(tuple(moved), w, p), float)[rows]
 
-    jacobian = [(derivative(row, _SMALL) - derivative(row, -_SMALL)) / (2.0 * _SMALL) for row in rows]
+    jacobian = [(derivative(row, _INCREMENT) - derivative(row, -_INCREMENT)) / (2.0 * _INCREMENT) for row in rows]
     return np.linalg.eigvals(np.array(jacobian).T)
 
 
 def growth(model: str | Model, vehicle: VehicleParameters, speed: float, step: float) -> float:
-    """Largest factor per step [1] by which Runge-Kutta lets a mode grow that the car itself damps; <= 1: stable.
+    """Largest growth factor per step [1] of a physically damped mode under Runge-Kutta; <= 1: stable.
 
         |1 + z + z^2/2 + z^3/6 + z^4/24|,  z = step * eigenvalue, real part of the eigenvalue < 0
     """
@@ -59,7 +58,7 @@ def growth(model: str | Model, vehicle: VehicleParameters, speed: float, step: f
 
 
 def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
-    """The speed [m/s] above which steps of `step` [s] are stable; 0 when they are at all speeds, inf when at none.
+    """The speed [m/s] above which a step [s] is stable; 0 if stable at all speeds, inf if at none.
 
     With minimum_slip_speed set low, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
     """
@@ -78,12 +77,12 @@ def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: fl
 
 
 def stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> bool:
-    """Whether steps of `step` [s] are short enough for all the models at all the speeds [m/s]."""
+    """Whether a step [s] is stable for all models at all speeds [m/s]."""
     return all(growth(model, vehicle, v, step) <= 1.0 for v in speeds for model in models)
 
 
 def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
-    """Into how many equal parts a step must be divided to be stable at all the speeds [m/s]; at most MOST_SUBSTEPS."""
+    """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; at most MOST_SUBSTEPS."""
     speeds = list(speeds)
     return next((count for count in range(1, MOST_SUBSTEPS) if stable([model], vehicle, speeds, step / count)),
                 MOST_SUBSTEPS)
@@ -91,40 +90,40 @@ def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iter
 
 def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float],
                       step: float) -> float | None:
-    """The minimum_slip_speed [m/s], in tenths, from which on the models are stable at all the speeds [m/s].
+    """Smallest minimum_slip_speed [m/s], in tenths, with which the models are stable at all speeds [m/s].
 
-    It is more than `lowest_stable_speed`: a slower car keeps the damping it has there, but not the
-    coupling v r of its two modes, and one of the two becomes faster. None where no value a vehicle file may hold
-    helps: extra states, such as those of tyres that relax, have a stiffness of their own, at high speed.
+    It is larger than `lowest_stable_speed`: below it the damping is constant but the coupling v r of the two modes
+    decreases, which makes one of them faster. None if no permitted value suffices: extra states, such as those of tyre
+    relaxation, have their own stiffness at high speed.
     """
     speeds, models = sorted(speeds), [get_model(model) for model in models]
 
-    def helps(tenths: int) -> bool:
+    def is_stable(tenths: int) -> bool:
         return stable(models, replace(vehicle, minimum_slip_speed=tenths / 10.0), speeds, step)
 
     first = math.ceil(10.0 * vehicle.minimum_slip_speed)
     tried = np.unique(np.geomspace(first, 10.0 * HIGHEST_SLIP_SPEED, 80).astype(int)).tolist()
-    good = next((k for k, tenths in enumerate(tried) if helps(tenths)), None)
+    good = next((k for k, tenths in enumerate(tried) if is_stable(tenths)), None)
     if good is None:
         return None
     below = tried[good - 1] + 1 if good else first
-    return next(tenths for tenths in range(below, tried[good] + 1) if helps(tenths)) / 10.0
+    return next(tenths for tenths in range(below, tried[good] + 1) if is_stable(tenths)) / 10.0
 
 
 def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> None:
-    """StepTooLongWarning, once for a model, car and step, when a step [s] is too long at one of the speeds [m/s]."""
+    """Issue StepTooLongWarning, once per model, car and step, if a step [s] is unstable at one of the speeds [m/s]."""
     model = get_model(model)
     key = (model.name, vehicle.name, step)
-    if key in _said:
+    if key in _warned:
         return
     factors = {float(v): growth(model, vehicle, v, step) for v in speeds}
     worst = max(factors, key=factors.__getitem__, default=None)
     if worst is None or factors[worst] <= 1.0:
         return
-    _said.add(key)
+    _warned.add(key)
     needed = slip_speed_needed([model], vehicle, factors, step)
     in_the_file = f"a minimum_slip_speed of {needed:g} m/s in the vehicle file, or " if needed else ""
     warnings.warn(
         f"{model.name} model of {vehicle.name}: integration steps of {step * 1e3:g} ms are too long at {worst:.2f} m/s,"
-        f" the lateral motion comes out wrong; cured by {in_the_file}"
+        f" the predicted lateral motion is wrong; use {in_the_file}"
         f"substeps={substeps_needed(model, vehicle, factors, step)}", StepTooLongWarning, stacklevel=3)

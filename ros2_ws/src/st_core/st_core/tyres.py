@@ -2,7 +2,7 @@
 
 Sign, once for the whole package: a slip angle is positive when the wheel slides to its left, so the force that opposes
 it is negative. Linear: F_y = -C alpha with C > 0. The Magic Formula table keeps its SAE sign, p_ky1 < 0, which makes
-its stiffness K negative and its force oppose alpha as it stands.
+its stiffness K negative and its force oppose alpha without a further minus sign.
 """
 
 from typing import NamedTuple
@@ -11,8 +11,8 @@ from .ops import absolute, atan, maximum, minimum, sign, sin
 
 GRAVITY = 9.81  # m/s^2, as in the paper
 
-# The load enters as a divisor. A car lifts an axle long after the model has stopped to hold, but a jump in the measured
-# speed can ask for that; one newton keeps the force finite and next to zero.
+# The load is a divisor. A jump in the measured speed can demand a lifted axle, far outside the range of the model; a
+# lower limit of 1 N keeps the force finite and close to zero.
 MINIMUM_LOAD = 1.0  # N, of one tyre
 
 
@@ -41,7 +41,7 @@ def slip_angle(velocity_lateral, velocity_forward, minimum_speed):
     """alpha = atan(v_sy / max(|v_x|, v_eps)) [rad], in wheel axes; + when the wheel slides to its left.
 
     velocity_lateral, velocity_forward: of the wheel, in wheel axes [m/s]. minimum_speed: v_eps [m/s], > 0; below it the
-    angle is too small on purpose. Source: paper, slip angle equation.
+    angle is underestimated on purpose. Source: paper, slip angle equation.
     """
     return atan(velocity_lateral / maximum(absolute(velocity_forward), minimum_speed))
 
@@ -64,12 +64,12 @@ def magic_formula_peak(load, tyre: MagicFormula):
 
 
 def magic_formula_coefficients(load, tyre: MagicFormula):
-    """(B, D, E) of one tyre at load [N]: what depends on the load alone.
+    """(B, D, E) of one tyre at load [N], the coefficients that depend on the load alone.
 
         D = (p_dy1 + p_dy2 df) lambda_muy F_z,  B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0
 
-    Held within its range: F_z >= 1 N; E <= 1, beyond which the curve folds back (Pacejka, Tire and Vehicle Dynamics,
-    eq. 4.E24); neither limit is reached below 8 m/s^2 of braking on the Leaf.
+    Limited to F_z >= 1 N and to E <= 1, beyond which the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq.
+    4.E24); the Leaf reaches neither limit below 8 m/s^2 of braking.
     """
     load = maximum(load, MINIMUM_LOAD)
     increment = load / tyre.nominal_load - 1.0

@@ -285,7 +285,7 @@ def test_a_model_numba_cannot_compile_runs_in_numpy_and_says_so(leaf, caplog):
 
 def test_without_numba_numpy_takes_over_with_one_line(monkeypatch, caplog):
     monkeypatch.setattr(backends, "has_numba", lambda: False)
-    backends._say_numpy.cache_clear()
+    backends._warn_numpy.cache_clear()
     with caplog.at_level(logging.WARNING):
         assert backends.get_backend() is numpy_batch and backends.get_backend() is numpy_batch
     assert [r.getMessage() for r in caplog.records] == [

@@ -180,7 +180,7 @@ def test_substeps(leaf, log):
 
 
 def test_a_step_too_long_is_warned_of_or_divided(leaf, monkeypatch):
-    monkeypatch.setattr(stability, "_said", set())
+    monkeypatch.setattr(stability, "_warned", set())
     bare, slow, starts = replace(leaf, minimum_slip_speed=0.1), drive(slow=3.5), regular(700, 20)
     with pytest.warns(StepTooLongWarning, match=r"minimum_slip_speed of 2\.7 m/s in .* or substeps=2") as caught:
         for _ in range(2):

@@ -81,13 +81,13 @@ def test_the_speed_where_steps_become_stable_is_not_the_floor_that_makes_them_so
 
 
 def test_prediction_no_longer_warns_with_the_value_told(leaf, log, monkeypatch):
-    monkeypatch.setattr(stability, "_said", set())
+    monkeypatch.setattr(stability, "_warned", set())
     stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
     starts = np.arange(0, 50, 5) * 10**9
     with pytest.warns(StepTooLongWarning, match=r"minimum_slip_speed of [\d.]+ m/s in the vehicle file") as caught:
         predict_log("nonlinear", stiff, log, starts, backend="numpy")
     told = float(re.search(r"minimum_slip_speed of ([\d.]+) m/s", str(caught[0].message))[1])
-    stability._said.clear()
+    stability._warned.clear()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         predict_log("nonlinear", replace(stiff, minimum_slip_speed=told), log, starts, backend="numpy")

@@ -61,7 +61,7 @@ def test_a_sensor_that_is_not_undone(leaf):
         return measured._replace(yaw_rate=measured.yaw_rate * (1.0 + theta.gain))
 
     found = broken(made(observe=shown, correct=shown), leaf)
-    assert list(found) == ["what it does to a sensor is undone again"]
+    assert list(found) == ["correct() inverts observe()"]
 
 
 def test_one_file_of_a_folder_is_loaded_and_the_others_are_left_alone(tmp_path, leaf):

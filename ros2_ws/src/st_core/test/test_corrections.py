@@ -156,12 +156,12 @@ def test_without_a_vehicle_the_hand_wheel_is_not_passed_on_uncorrected() -> None
 
 
 @pytest.mark.parametrize(("corrections", "message"), [
-    ({"speed": Correction()}, "speed: no such channel; there are x, y, position"),
-    ({"yaw": Correction(ahead=1.0)}, "yaw: ahead means nothing here; there are scale, add, earlier"),
-    ({"heading": Correction(scale=2.0)}, "heading: scale means nothing here; there are add"),
+    ({"speed": Correction()}, "speed: unknown channel; known are x, y, position"),
+    ({"yaw": Correction(ahead=1.0)}, "yaw: ahead does not apply here; valid are scale, add, earlier"),
+    ({"heading": Correction(scale=2.0)}, "heading: scale does not apply here; valid are add"),
     ({"x": Correction(scale=float("nan"))}, "x: scale: nan is not within"),
     ({"x": Correction(earlier=61.0)}, "x: earlier: 61.0 is not within .-60"),
-    ({"x": Correction(scale=0.0)}, "x: scale: 0 leaves nothing of it"),
+    ({"x": Correction(scale=0.0)}, "x: scale: must not be 0"),
     ({"steering": Correction(), "road_wheel_angle": Correction()}, "are the same channel"),
 ])
 def test_what_cannot_be_meant_is_refused(corrections: dict, message: str) -> None:

@@ -122,7 +122,7 @@ def test_bank_pulls_down_the_slope_unfelt(leaf, base):
     p = model.parameters(leaf)
     w, state = model.inputs(0.0, 0.0, p), (0.0, 0.0, SPEED, 0.0, 0.0, 0.0)
     assert model.rhs(state, w, p)[3] == pytest.approx(-GRAVITY * math.sin(bank))
-    assert model.felt(state, w, p) == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert model.specific_force(state, w, p) == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
 @DYNAMIC
@@ -138,7 +138,7 @@ def test_tilted_plane_pulls_one_way_in_the_map_unfelt(leaf, base, yaw):
     assert derivative[3] == pytest.approx(-GRAVITY * rise, rel=1e-9) and derivative[5] == pytest.approx(0.0, abs=1e-12)
     # Sliding freely down the slope the accelerometer shows nothing across; along, what holds the car against it.
     climb = math.sin(east) * math.cos(yaw) + math.sin(north) * math.sin(yaw)
-    assert model.felt(state, w, p) == pytest.approx((GRAVITY * climb, 0.0), abs=1e-9)
+    assert model.specific_force(state, w, p) == pytest.approx((GRAVITY * climb, 0.0), abs=1e-9)
 
 
 def test_tilted_plane_is_a_bank_to_who_always_heads_east(leaf):
@@ -189,7 +189,7 @@ def test_wind_from_the_right_pushes_to_the_left_and_is_felt(leaf, base):
     derivative = model.rhs(state, w, p)
     assert derivative[3] == pytest.approx(force / leaf.mass, rel=1e-4)
     assert derivative[5] == pytest.approx(arm * force / leaf.yaw_inertia, rel=1e-4)
-    assert model.felt(state, w, p)[1] == pytest.approx(force / leaf.mass, rel=1e-4)
+    assert model.specific_force(state, w, p)[1] == pytest.approx(force / leaf.mass, rel=1e-4)
     # l r / v = -F_f / C_f + F_r / C_r with F_f = (l_r (m v r - F) - e F) / l, F_r = (l_f (m v r - F) + e F) / l.
     # Still air's own side force is no part of the effect; the push along the drift of the car adds 1 % here.
     l_f, l_r = leaf.cg_to_front_axle, leaf.cg_to_rear_axle

@@ -86,7 +86,7 @@ def test_kinematic_model_feels_the_curve_it_drives(leaf):
     model = MODELS["kinematic"]
     p = model.parameters(leaf)
     w = model.inputs(0.1, 0.0, p)
-    _, a_y = model.felt((0.0, 0.0, 8.0, 0.0, 0.0, 0.0), w, p)
+    _, a_y = model.specific_force((0.0, 0.0, 8.0, 0.0, 0.0, 0.0), w, p)
     assert a_y == pytest.approx(8.0**2 * w[1])
 
 

@@ -1,4 +1,4 @@
-"""Where RK4 lets the models down: the paper's step and two cars, warned of once, cured by sub-steps."""
+"""Where RK4 lets the models down: the paper's step and two cars, warned of once, with sub-steps as remedy."""
 
 import warnings
 from dataclasses import replace
@@ -24,7 +24,7 @@ STEP = 0.05
 
 @pytest.fixture(autouse=True)
 def nothing_said_yet(monkeypatch):
-    monkeypatch.setattr(stability, "_said", set())
+    monkeypatch.setattr(stability, "_warned", set())
 
 
 @pytest.fixture
@@ -90,8 +90,8 @@ def test_the_warning_comes_once_and_says_what_to_do(bare):
     assert len(caught) == 1
     floor, count = slip_speed_needed(["linear"], bare, [2.0, 20.0], STEP), substeps_needed("linear", bare, [2.0], STEP)
     assert str(caught[0].message) == (
-        f"linear model of {bare.name}: integration steps of 50 ms are too long at 2.00 m/s, the lateral motion comes "
-        f"out wrong; cured by a minimum_slip_speed of {floor:g} m/s in the vehicle file, or substeps={count}")
+        f"linear model of {bare.name}: integration steps of 50 ms are too long at 2.00 m/s, the predicted "
+        f"lateral motion is wrong; use a minimum_slip_speed of {floor:g} m/s in the vehicle file, or substeps={count}")
 
 
 def test_nothing_is_said_where_all_is_well(car, bare):

@@ -107,7 +107,7 @@ def test_labels_stay_with_what_they_name(tmp_path: Path) -> None:
     ("correct: {yaw: {scale: true}}", "correct: yaw: scale: 'True' is not a number"),
     ("correct: {yaw: {scale: .inf}}", "correct: yaw: scale: 'inf' is not a number"),
     ("correct: {yaw: {earlier: 1.0e+20}}", r"correct: yaw: earlier: 1e\+20 is not within .-60"),
-    ("correct: {yaw: {scale: 0}}", "correct: yaw: scale: 0 leaves nothing of it"),
+    ("correct: {yaw: {scale: 0}}", "correct: yaw: scale: must not be 0"),
     ("correct: {heading: {scale: 2}}", "correct: heading: scale is not known; known are add"),
     ("correct: {steering: {add: 1}, road_wheel_angle: {add: 1}}", "correct: .* are the same channel"),
     ("leave_out: [3, 4]", r"leave_out: a list of \[start, end\] is wanted"),

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 HOOK_WORDS = {
     "vehicle": "car", "steering": "recorded steering", "inputs": "steering angle, forward acceleration",
     "slip_angles": "slip angles", "axle_forces": "axle forces", "acceleration": "motion", "rates": "memory",
-    "felt": "motion", "observe": "readings"}
+    "specific_force": "motion", "observe": "readings"}
 
 
 def effects(

@@ -1,4 +1,4 @@
-"""Backends: many predictions at once from the functions of a Model, which stay as they are.
+"""Backends: many predictions at once from the unchanged functions of a Model.
 
 A backend is a module with
 
@@ -9,8 +9,8 @@ A backend is a module with
     offsets: (2 * steps + 1,); column i has w[:, offsets[k] + i] at time k * step / 2. points: step numbers, rising.
     out: (len(points), 6, n), the states there. NaN in a column gives NaN in that column.
 
-numpy_batch needs nothing more than numpy; numba_lanes is five to twenty times faster and needs numba. Neither numba nor
-casadi is imported before it is asked for.
+numpy_batch needs only numpy; numba_lanes needs numba and is five to twenty times faster. numba and casadi are imported
+only on use.
 """
 
 import importlib.util
@@ -24,20 +24,20 @@ NAMES = ("lanes", "numpy")
 
 
 def get_backend(name: str | None = None) -> ModuleType:
-    """The backend of that name; None: lanes where numba is installed, else numpy, saying so once in one line.
+    """The backend of a name; None: lanes if numba is installed, else numpy with one warning.
 
-    Raises ConfigurationError for an unknown name, or for lanes without numba.
+    Raises ConfigurationError for an unknown name, and for lanes without numba.
     """
     if name is None:
         name = "lanes" if has_numba() else "numpy"
         if name == "numpy":
-            _say_numpy()
+            _warn_numpy()
     if name == "numpy":
         from . import numpy_batch
         return numpy_batch
     if name == "lanes":
         if not has_numba():
-            raise ConfigurationError("backend lanes: numba is not installed; install it or take backend numpy")
+            raise ConfigurationError("backend lanes: numba is not installed; install it or use backend numpy")
         from . import numba_lanes
         return numba_lanes
     raise ConfigurationError(f"unknown backend {name!r}; known are {', '.join(NAMES)}")
@@ -45,10 +45,10 @@ def get_backend(name: str | None = None) -> ModuleType:
 
 @cache
 def has_numba() -> bool:
-    """Whether numba is installed; it is not imported to find out."""
+    """Whether numba is installed; does not import it."""
     return importlib.util.find_spec("numba") is not None
 
 
 @cache
-def _say_numpy() -> None:
+def _warn_numpy() -> None:
     logging.getLogger(__name__).warning("numba is not installed: batches run in numpy, about five times slower")

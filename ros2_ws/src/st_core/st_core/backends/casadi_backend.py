@@ -1,8 +1,8 @@
-"""CasADi: the functions of a Model as symbolic ones, for optimisation, linearisation and export. Needs casadi.
+"""CasADi: symbolic functions of a Model for optimisation, linearisation and export. Needs casadi.
 
-The equations are not written again: `model.inputs` and `model.rhs` are called with symbols, and the step is
-`integrate.rk4_step` as everywhere. Importing this module teaches `st_core.ops` the numbers of CasADi. Unlike on floats,
-`maximum` and `minimum` let go of a NaN: one instruction instead of five, and smooth solvers never see one.
+The equations are those of the model: `model.inputs` and `model.rhs` are called with symbols, and the step is
+`integrate.rk4_step`. Importing this module registers the numbers of CasADi in `st_core.ops`. Unlike on floats,
+`maximum` and `minimum` do not propagate NaN, which saves four of five instructions.
 Checked by: test_casadi_backend.py.
 """
 
@@ -32,9 +32,9 @@ for _kind in (casadi.SX, casadi.MX, casadi.DM):
 
 @dataclass(frozen=True)
 class Variable:
-    """One entry of x, u or p. lower, upper: where the model is meant to hold [unit], infinite where nothing limits it.
+    """One entry of x, u or p. lower, upper: range of validity of the model [unit], infinite if unlimited.
 
-    value: of a parameter, as the car and the model have it; NaN where the caller must give one.
+    value: of a parameter, from vehicle and model; NaN if the caller must supply one.
     """
 
     name: str
@@ -44,8 +44,8 @@ class Variable:
     value: float = math.nan
 
 
-# Wide enough for any driving on a road, narrow enough that a solver starts at something like a car: a front axle steers
-# 35 deg at most, tyres brake and drive at 1 g, and the models are for speeds at which a car rolls.
+# Wide enough for driving on a road, narrow enough for the start of a solver: 35 deg of steering, 1 g of braking and
+# acceleration, and speeds above walking pace.
 _BOUNDS = {"velocity_x": (0.5, 70.0), "velocity_y": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0)}
 INPUTS = (Variable("road_wheel_angle", "rad", -0.61, 0.61), Variable("velocity_x_dot", "m/s^2", -9.81, 9.81))
 
@@ -55,14 +55,14 @@ class SymbolicModel:
     """A model as CasADi functions; x, u and p are columns in the order of `states`, `inputs` and `parameters`.
 
         dynamics(x, u) -> x_dot
-        step(x, u, h) -> x_next             RK4 with u held; h [s] in `substeps` equal parts
+        step(x, u, h) -> x_next             RK4 with constant u; h [s] in `substeps` equal parts
         dynamics_jacobian(x, u) -> A, B     of x_dot by x and by u
         step_jacobian(x, u, h) -> A, B      of x_next by x and by u
-        start(x_six, u) -> x                the six states, and the extra ones as they are at a start
+        start(x_six, u) -> x                initial state: the six states and the extra ones
 
-    Where `parameters` is not empty, each function has one more argument, p, at the end: the parameters left free, then
-    the signals the model asks for. left_out: effects of the model that are not in its equations, because they act on a
-    recorded steering series or on the sensors.
+    If `parameters` is not empty, each function has p as last argument: the free parameters, then the signals of the
+    model. left_out: effects of the model that are not in its equations, because they act on a recorded steering series
+    or on the sensors.
     """
 
     name: str
@@ -84,10 +84,10 @@ class SymbolicModel:
 
 def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
           free: Iterable[str] = ()) -> SymbolicModel:
-    """The functions of a model with the numbers of a car in them.
+    """The functions of a model with the parameters of a car.
 
-    substeps: RK4 steps within h. free: parameters that stay an argument, "road_bank.angle": of effects that act in the
-    equations; those that make another car of it (mass, friction, stiffness) are numbers here. Functions are named
+    substeps: RK4 steps within h. free: parameters that remain an argument, e.g. "road_bank.angle", of effects that act
+    in the equations; effects on vehicle parameters (mass, friction, stiffness) are constants here. Functions are named
     <model>_dynamics and so on. Raises ConfigurationError for an unknown model or parameter.
     """
     model = get_model(model)
@@ -134,7 +134,7 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1,
 
 
 def free_parameters(model: str | Model) -> dict[str, Variable]:
-    """What `build` can leave free in a model, by name."""
+    """Parameters of a model that `build` can leave free, by name."""
     model = get_model(model)
     if not isinstance(model, AugmentedModel):
         return {}
@@ -143,7 +143,7 @@ def free_parameters(model: str | Model) -> dict[str, Variable]:
 
 
 def _acting(model: Model) -> tuple[type[Effect], ...]:
-    """The effects that have a place in p, in the order of their places."""
+    """The effects with a theta in p, in their order there."""
     return compose(model.base, model.effects).own if isinstance(model, AugmentedModel) else ()
 
 

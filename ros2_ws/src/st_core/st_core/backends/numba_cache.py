@@ -1,8 +1,8 @@
-"""Where compiled kernels are kept, so that the next process finds them.
+"""Cache of compiled kernels between processes.
 
-One folder for each kernel, named by a hash of everything its machine code depends on: the sources and values of all
-equations and plug-ins it was made of, these backend modules, numba, numpy, Python and the CPU. numba's own cache looks
-at the kernel's own file only and would hand out stale code when a helper changes.
+One folder per kernel, named by a hash of all its dependencies: sources and values of all equations and plug-ins, these
+backend modules, numba, numpy, Python and the CPU. numba's own cache checks only the file of the kernel and would return
+outdated code after a change of a helper.
 """
 
 import contextlib
@@ -19,13 +19,13 @@ import numpy as np
 from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 
-# Kernels nobody asked for in this time are deleted [s]; each edit of an equation leaves one behind.
+# Kernels not used for this time are deleted [s]; each edit of an equation creates a new one.
 KEEP = 30 * 86400.0
 
 
 def enable(kernel, fingerprint: str) -> Path | None:
-    """Let a jitted function, not compiled yet, be kept between processes. Returns its folder, None where nothing may
-    be written: then it is compiled in every process.
+    """Cache a jitted function that is not compiled yet. Returns its folder; None, and compilation in every process, if
+    no folder is writable.
     """
     key = hashlib.sha256("\n".join((fingerprint, *_surroundings())).encode()).hexdigest()[:32]
     for base in _candidates():
@@ -34,20 +34,20 @@ def enable(kernel, fingerprint: str) -> Path | None:
             _attach(kernel, folder, key)
         except (OSError, RuntimeError, AttributeError):  # not writable, or another numba
             continue
-        _forget_old(base)
+        _delete_old(base)
         return folder
     return None
 
 
 def compiled(kernel, signature) -> None:
-    """Compile, or take what an earlier process kept. A damaged or unwritable folder costs time, not the answer."""
+    """Compile a kernel or load it from the cache; a damaged or unwritable folder only costs time."""
     try:
         kernel.compile(signature)
     except NumbaError:
         raise
-    except Exception:  # unpickling what was cut off raises nearly anything
+    except Exception:  # unpickling a truncated file raises many kinds of errors
         if kernel.signatures:
-            return  # compiled, not kept
+            return  # compiled, not cached
         with contextlib.suppress(OSError):
             kernel._cache.flush()
         kernel._cache.disable()
@@ -62,7 +62,7 @@ def _surroundings() -> Iterator[str]:
 
 
 def _candidates() -> Iterator[Path]:
-    if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR: the user has decided
+    if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, set by the user
         yield Path(numba.config.CACHE_DIR) / "st_core"
     yield Path(__file__).parent / "__pycache__" / "kernels"
     with contextlib.suppress(RuntimeError):  # no home
@@ -72,7 +72,7 @@ def _candidates() -> Iterator[Path]:
 def _make(base: Path, key: str) -> Path:
     folder = base / key
     folder.mkdir(parents=True, exist_ok=True)
-    os.utime(folder)  # in use; fails in a folder of someone else
+    os.utime(folder)  # marks it as used; fails in another user's folder
     return folder
 
 
@@ -83,11 +83,11 @@ def _attach(kernel, folder: Path, key: str) -> None:
         kernel.enable_caching()
     finally:
         numba.config.CACHE_DIR = before
-    # Its own key pickles what the closure holds, which is not the same bytes in every process.
+    # numba's own key pickles the closure, whose bytes differ between processes.
     kernel._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), key)
 
 
-def _forget_old(base: Path) -> None:
+def _delete_old(base: Path) -> None:
     limit = time.time() - KEEP
     with contextlib.suppress(OSError):
         for folder in base.iterdir():

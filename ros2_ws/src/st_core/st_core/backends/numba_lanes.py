@@ -1,7 +1,7 @@
-"""Lanes: predictions side by side in vector registers, compiled by numba from the model's own functions.
+"""Lanes: parallel predictions in vector registers, compiled by numba from the functions of the model.
 
-Every function a model reaches is inlined into one loop over lanes that holds a whole Runge-Kutta step; LLVM turns it
-into vector instructions. Three vectors are worked on at a time, because the chain of operations within one is long.
+All functions of a model are inlined into one loop over lanes that contains a whole Runge-Kutta step; LLVM vectorises
+it. Three vectors are interleaved, because the chain of operations within one is long.
 Measured: docs/measurements/performance.md.
 """
 
@@ -27,8 +27,8 @@ from ..types import STATE_NAMES
 from . import numba_cache, numpy_batch, structure
 from .numba_ops import FLAGS, inline
 
-# A multiple of what is worked on at a time: three vectors of 8 numbers (AVX-512) or 4 (AVX2). Below 16 the loop is not
-# vectorised at all, seven times slower; 32 to 96 lanes and 2 to 4 vectors are within 15 %.
+# A multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. Below 16 the loop is not vectorised, seven times
+# slower; 32 to 96 lanes and 2 to 4 vectors differ by less than 15 %.
 LANES = 48
 INTERLEAVE = 3
 CACHE_LINE = 64
@@ -41,7 +41,7 @@ _lock = Lock()
 
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
             points: np.ndarray) -> np.ndarray:
-    """See the package. A model that numba cannot compile runs in numpy; one line says so."""
+    """States of all columns at the points, as defined in the package; in numpy, with a warning, if not compilable."""
     numbers: list[float] = []
     kernel = _kernel(model, p, _skeleton(p, numbers), len(w), len(start))
     if kernel is None:
@@ -55,7 +55,7 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
 
 
 def compiles(model: Model, p: Any, fields: int, states: int) -> bool:
-    """Whether `advance` runs on machine code for so many fields of w and states; it is compiled, or loaded, here."""
+    """Whether numba can compile `advance` for this number of fields of w and of states; compiles or loads it."""
     return _kernel(model, p, _skeleton(p, []), fields, states) is not None
 
 
@@ -68,7 +68,7 @@ def as_floats(p: Any) -> Any:
 
 
 def _kernel(model: Model, p: Any, skeleton: tuple, fields: int, states: int):
-    # Values are not in the key: a fit changes them a thousand times and compiles once.
+    # The key has no values, so that a fit, which changes them a thousand times, compiles once.
     key = (model.rhs, skeleton, fields, states)
     with _lock:
         if key not in _compiled:
@@ -77,8 +77,7 @@ def _kernel(model: Model, p: Any, skeleton: tuple, fields: int, states: int):
 
 
 def _skeleton(p: tuple, numbers: list[float]) -> tuple:
-    """How p is nested and of what types; appends its numbers. numba's own type says the same and takes milliseconds to
-    make."""
+    """Nesting and types of p; appends its numbers. Equivalent to numba's own type, which takes milliseconds."""
     shape: list[Any] = [type(p)]
     for value in p:
         if isinstance(value, tuple):
@@ -95,7 +94,7 @@ def _compile(model: Model, shape, fields: int, states: int):
         made_of = structure.fingerprint(cast(FunctionType, model.rhs), STOP)
         numba_cache.enable(kernel, f"{made_of} {shape} {fields} {states}")
     except structure.Unnamed:
-        pass  # compiled in every process
+        pass  # not cached: compiled in every process
     try:
         with _interleaved():
             numba_cache.compiled(kernel, SIGNATURE)
@@ -108,7 +107,7 @@ def _compile(model: Model, shape, fields: int, states: int):
 
 
 def uncached(model: Model, shape, fields: int, states: int):
-    """A kernel compiled here and now, for a look at its instructions. shape: numba's type of `as_floats(p)`."""
+    """A newly compiled kernel, for inspection of its instructions. shape: numba's type of `as_floats(p)`."""
     kernel = _prepared(model, shape, fields, states)
     with _interleaved():
         kernel.compile(SIGNATURE)
@@ -124,8 +123,8 @@ def _prepared(model: Model, shape, fields: int, states: int):
 
 @contextmanager
 def _interleaved() -> Iterator[None]:
-    # LLVM's own choice is one vector at a time, and on Intel's server processors one of half the width, which costs
-    # 40 %. The options are global to the process, so they are taken back.
+    # LLVM's default is one vector, on Intel server processors of half the width, which is 40 % slower. The options are
+    # global to the process and therefore reset.
     _, _, features = cpu_target.target_context.codegen().magic_tuple()
     for option, value in (("interleave", INTERLEAVE), ("width", 8 if "+avx512f" in features else 0)):
         llvmlite.binding.set_option("st_core", f"-force-vector-{option}={value}")
@@ -150,8 +149,8 @@ def _make(rhs, parameters, load_w, load_state, scratch):
             for lane in range(LANES):
                 _store(state, LANES, lane, load_state(start, columns, first + lane))
             k = 0
-            for wanted in range(len(points)):
-                while k < points[wanted]:
+            for point in range(len(points)):
+                while k < points[point]:
                     a, b, c = offsets[2 * k] + first, offsets[2 * k + 1] + first, offsets[2 * k + 2] + first
                     for lane in range(LANES):
                         s = load_state(state, LANES, lane)
@@ -164,11 +163,11 @@ def _make(rhs, parameters, load_w, load_state, scratch):
                         _store(state, LANES, lane, _add(s, sixth, increment))
                     k += 1
                 for lane in range(LANES):
-                    _store(out, columns, wanted * SIX * columns + first + lane, _load_six(state, LANES, lane))
+                    _store(out, columns, point * SIX * columns + first + lane, _load_six(state, LANES, lane))
     return kernel
 
 
-# The number of states and fields is known when a kernel is made; these move whole tuples of them, lane by lane.
+# The functions below move whole tuples of states and fields, lane by lane; their size is known at compile time.
 
 def _parameters(shape):
     @intrinsic
@@ -190,8 +189,8 @@ def _parameters(shape):
 def _scratch(count: int):
     @intrinsic
     def scratch(_):
-        """Room for count numbers on the stack, whole cache lines. The stack is then aligned to them as well; else a
-        vector that is put aside there costs two lines, and the speed varies by a third from process to process.
+        """Stack memory for count numbers, aligned to cache lines, as is the stack then; otherwise a spilled vector
+        needs two lines, and the speed varies by a third between processes.
         """
         def generate(context, builder, signature, arguments):
             room = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))

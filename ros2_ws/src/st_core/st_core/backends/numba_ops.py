@@ -1,9 +1,9 @@
-"""The vocabulary of `st_core.ops` for numba: branch-free, so that a loop over lanes becomes vector instructions.
+"""The functions of `st_core.ops` for numba, without branches, so that a loop over lanes can be vectorised.
 
 Sine, cosine: x = n pi/2 + r, |r| <= pi/4, pi/2 in two parts of which the first has 33 bits: exact to |n| = 2^20, that
 is 1.6e6 rad. Arc tangent: four ranges, in each atan x = base + atan t with |t| <= tan(pi/12), one division. The
-polynomials interpolate at Chebyshev nodes in r^2 or t^2; their relative error is below 6e-17. All in Estrin's form, as
-it is the length of the chain of operations that limits the speed. The arc tangent of an infinite number is NaN here.
+polynomials interpolate at Chebyshev nodes in r^2 or t^2; their relative error is below 6e-17. Estrin's form, because
+the length of the chain of operations limits the speed. The arc tangent of an infinite number is NaN here.
 Checked by: test_backends.py.
 """
 
@@ -16,7 +16,7 @@ from numba.extending import intrinsic, overload
 
 from .. import ops
 
-# Without nnan and ninf: logs hold NaN, and NaN has to come out. Flags do not spread to callees: every helper has them.
+# Without nnan and ninf, because NaN in a log must give NaN. Flags do not apply to callees: every helper has them.
 FLAGS = ("contract", "nsz", "arcp")
 OPTIONS: Any = {"fastmath": set(FLAGS), "error_model": "numpy", "forceinline": True}
 
@@ -41,7 +41,7 @@ PI_6, PI_3, HALF_PI = 0.5235987755982989, 1.0471975511965979, 1.5707963267948966
 
 
 def inline(function, implementation=None):
-    """Let compiled code call a plain function, inlined at every call. Returns the function."""
+    """Register a plain function for compiled code, inlined at every call; returns the function."""
     @overload(function, jit_options=OPTIONS, strict=False)
     def typed(*args, **kwargs):
         return implementation or function
@@ -91,7 +91,7 @@ def _tan(x):
 
 
 def _atan(x):
-    # With signed u = +-1 the sign takes part from the start and costs nothing at the end of the chain.
+    # The sign u = +-1 is included from the start, which does not lengthen the chain of operations.
     a = _number(_bits(x) & MAGNITUDE)
     u = _number((_bits(x) & SIGN) | ONE)
     below_one = a < 1.0

@@ -1,4 +1,4 @@
-"""What a function is made of: every plain function it calls, and all values they hold, found without running it."""
+"""Static analysis of a function: all plain functions it can call and the values they refer to."""
 
 import hashlib
 from collections.abc import Iterator
@@ -11,8 +11,7 @@ from typing import Any
 def reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> list[FunctionType]:
     """The function and all plain functions it can reach, each once, callees first.
 
-    Reached are functions named in its code or held in its closure, also as attribute of a module. stop: modules whose
-    functions are not looked at.
+    Functions are found by name in its code or closure, also as attributes of a module. stop: modules to exclude.
     """
     found: dict[FunctionType, None] = {}
     _collect(function, stop, found, set())
@@ -30,7 +29,7 @@ def _collect(function: FunctionType, stop: frozenset[str], found: dict, seen: se
 
 
 def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """(name, value) of everything outside its own body that the code of a function refers to."""
+    """(name, value) of all objects outside its body that the code of a function refers to."""
     cells = function.__closure__ or ()
     yield from zip(function.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True)
     names = _names(function.__code__)
@@ -49,14 +48,14 @@ def _names(code: CodeType) -> list[str]:
 
 
 class Unnamed(Exception):
-    """A value that has no name which is the same in every process."""
+    """A value without a name that is the same in every process."""
 
 
 def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> str:
-    """sha256 (hex) of a function, of all it can reach, of the values they hold and of the files they are written in.
+    """sha256 (hex) of a function, of all functions it can reach, of their values and source files.
 
-    The same in every process for the same sources. Raises Unnamed where that cannot be: an object held in a closure
-    that is neither a number, text, tuple, class, module nor plain function.
+    The same in every process for the same sources. Raises Unnamed for an object in a closure that is neither a number,
+    text, tuple, class, module nor plain function.
     """
     digest = hashlib.sha256()
     functions = reachable(function, stop)
@@ -76,7 +75,7 @@ def _content(file: str) -> bytes:
     try:
         return Path(file).read_bytes()
     except OSError:
-        return b""  # typed in at a prompt: its code and constants are hashed all the same
+        return b""  # entered at a prompt: its code and constants are hashed in any case
 
 
 def _constants(code: CodeType) -> str:

@@ -237,7 +237,7 @@ class Windows:
 
     def _felt(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
         """What an accelerometer shows on top of the motion [m/s^2]."""
-        if not any(e.felt for e in model.active):
+        if not any(e.specific_force for e in model.active):
             return 0.0
         recording = self._batch.recording(model)
         if "points" not in recording.sampled:
@@ -252,8 +252,8 @@ def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states
                        acceleration: np.ndarray) -> np.ndarray | float:
     """a_y an accelerometer at the CG shows on top of the motion [m/s^2]; states: the six, arrays as the inputs."""
     # Only those effects that are felt, and what changes the inputs they look at.
-    model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.felt or e.inputs)))
-    added = compose(model.base, model.effects).felt
+    model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.specific_force or e.inputs)))
+    added = compose(model.base, model.effects).specific_force
     if added is None:
         return 0.0
     p = model.parameters(vehicle)

@@ -133,7 +133,7 @@ class Effect:
         acceleration(at, given, theta) -> (along x, along y [m/s^2], of yaw [rad/s^2]), added
         start(slips, at, given, theta) -> values of `extra_states` at the start; without it zeros
         rates(extra, slips, forces, at, given, theta) -> their derivatives; slips [rad] geometric, forces [N] as acting
-        felt(at, given, theta) -> (a_x, a_y) [m/s^2] an accelerometer at the CG shows on top of the motion
+        specific_force(at, given, theta) -> (a_x, a_y) [m/s^2] an accelerometer at the CG shows on top of the motion
         observe(measured, theta) -> Measured: what the sensors make of the truth; correct(measured, theta): back again
 
     name: unique. physics: the equation in a line, sign included. excited_by: driving that shows it. twins: effects it
@@ -177,14 +177,14 @@ class Effect:
     acceleration: ClassVar[Callable | None] = None
     start: ClassVar[Callable | None] = None
     rates: ClassVar[Callable | None] = None
-    felt: ClassVar[Callable | None] = None
+    specific_force: ClassVar[Callable | None] = None
     observe: ClassVar[Callable | None] = None
     correct: ClassVar[Callable | None] = None
 
 
 HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and name != "lifts")
 PASSIVE = ("constants", "fold")
-EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "felt")
+EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}
 UNLISTED: dict[str, type[Effect]] = {}
 """Effects a program builds models with and nobody searches for: not in the library, known to `get_effect` alone."""

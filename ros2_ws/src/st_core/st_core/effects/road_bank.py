@@ -28,6 +28,6 @@ class RoadBank(Effect):
         return zero, zero - GRAVITY * sin(theta.angle), zero
 
     @staticmethod
-    def felt(at, given, theta):
+    def specific_force(at, given, theta):
         zero = 0.0 * at.velocity_x
         return zero, zero + GRAVITY * sin(theta.angle)

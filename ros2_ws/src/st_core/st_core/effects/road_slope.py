@@ -38,6 +38,6 @@ class RoadSlope(Effect):
         return zero, zero - GRAVITY * rise(at, theta)[1], zero
 
     @staticmethod
-    def felt(at, given, theta):
+    def specific_force(at, given, theta):
         forward, left = rise(at, theta)
         return GRAVITY * forward, GRAVITY * left

@@ -1,4 +1,4 @@
-"""The single-track models by name: kinematic, linear, nonlinear. One model, one file."""
+"""The single-track models by name: kinematic, linear, nonlinear; one file each."""
 
 from ..errors import ConfigurationError
 from . import kinematic, linear_tyre, nonlinear_tyre
@@ -8,7 +8,7 @@ MODELS: dict[str, Model] = {m.name: m for m in (kinematic.MODEL, linear_tyre.MOD
 
 
 def get_model(model: str | Model) -> Model:
-    """The model of that name (a Model is handed back); raises ConfigurationError naming the known ones."""
+    """The model of a name (a Model is returned unchanged). Raises ConfigurationError listing the known names."""
     if isinstance(model, Model):
         return model
     if model not in MODELS:

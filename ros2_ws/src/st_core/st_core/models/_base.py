@@ -1,4 +1,4 @@
-"""What a model is: a name and plain functions."""
+"""Definition of a model: its name and functions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from ..vehicle import VehicleParameters
 
 @dataclass(frozen=True)
 class Axles:
-    """The rhs of a dynamic model taken apart where tyres meet the car; put together again it is the rhs, bit by bit.
+    """The rhs of a dynamic model in three parts: slip angles, tyre forces, motion; composed they equal the rhs exactly.
 
     slip_angles(state, w, p) -> (front, rear) [rad], forces(slip_front, slip_rear, w, p) -> (front, rear) [N],
     motion(state, force_front, force_rear, w, p) -> time derivative of the state.
@@ -25,12 +25,12 @@ class Model:
     """One vehicle model. State (x, y, velocity_x, velocity_y, yaw, yaw_rate) at the CG, as types.VehicleState.
 
     parameters(vehicle) -> p: a NamedTuple of the numbers the equations need, possibly nested.
-    inputs(road_wheel_angle, velocity_x_dot, p, *signals) -> w: everything that depends on the inputs alone, a tuple;
-        computed once per instant, or once per prediction when the inputs are held. One argument for each of `signals`.
+    inputs(road_wheel_angle, velocity_x_dot, p, *signals) -> w: a tuple of all quantities that depend on the inputs
+        only; computed once per instant, or once per prediction with constant inputs. One argument per signal.
     rhs(state, w, p) -> time derivative of the state, a tuple of six and one for each of `extra_states`.
     extra_states: names of the states that follow the six. start(state, w, p) -> their values at the start of a
         prediction, from the six states and w there; None: zeros.
-    signals: names of what the model needs to know beyond its two inputs.
+    signals: names of further measured quantities that the model needs.
     axles: for a dynamic model, None for the kinematic one.
 
     The functions are written over `st_core.ops` and take floats, or arrays of equal shape for a batch.
@@ -46,13 +46,14 @@ class Model:
     axles: Axles | None = None
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The car as the model takes it to be, for the lever arm between the INS and its CG. `parameters` wants the
-        vehicle as it is in the file.
+        """The vehicle with the parameters of the model, for the lever arm between INS and CG.
+
+        vehicle: as in its file, also for `parameters`.
         """
         return vehicle
 
-    def felt(self, state: tuple, w: tuple, p: Any) -> tuple:
-        """(a_x, a_y) [m/s^2] an accelerometer at the CG shows, body axes: a_x = v_x_dot - v_y r, a_y = v_y_dot + v_x r.
+    def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
+        """Specific force at the CG (a_x, a_y) [m/s^2], body axes: a_x = v_x_dot - v_y r, a_y = v_y_dot + v_x r.
 
         r is the derivative of yaw, so that it holds for the kinematic model as well.
         """
@@ -60,7 +61,7 @@ class Model:
         return derivative[2] - state[3] * derivative[4], derivative[3] + state[2] * derivative[4]
 
     def start_state(self, state: tuple, w: tuple, p: Any) -> tuple:
-        """The whole state at the start of a prediction: the six given and the extra ones."""
+        """Initial state of a prediction: the six given states and the extra ones."""
         if self.start is None:
             return (*state, *(0.0 * state[0] for _ in self.extra_states))
         return (*state, *self.start(state, w, p))

@@ -1,4 +1,4 @@
-"""What the two dynamic models share: axle slip angles and the equations of motion of the single-track car."""
+"""Common equations of the two dynamic models: axle slip angles and motion of the single-track car."""
 
 from ..ops import cos, sin
 from ..tyres import slip_angle
