@@ -9,11 +9,11 @@ from pathlib import Path
 
 from _drawn_bands import drawn_bands
 from st_core.vehicle import VehicleParameters
-from st_live.bands import with_bands
+from st_live.configuration import add_bands, live_parameters
 from st_live.node import Monitor
-from st_live.session import NODES, node_parameters
+from st_live.session import NODES
 from st_live.suite import Suite, claimed_domain
-from st_live.wires import VirtualCar
+from st_live.virtual_car import VirtualCar
 from st_recordings.paths import config
 
 
@@ -32,12 +32,12 @@ def running_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full")
         car = VirtualCar(config("vehicle/leaf.yaml"), ["--scenario", "S6", "--duration", str(duration), *rates])
         folder = Path(name)
         os.environ["ROS_DOMAIN_ID"] = str(domain)
-        parameters = node_parameters(folder, car.vehicle, car.bridge_parameters())
+        parameters = live_parameters(folder, car.vehicle, car.bridge_parameters())
         if os.environ.get("ST_BENCH_BANDS") == "1":
             file = folder / "bands.yaml"
             vehicle = VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle))
             file.write_text(drawn_bands(vehicle).to_yaml(), encoding="utf-8")
-            parameters = with_bands(parameters, file)
+            parameters = add_bands(parameters, file)
         with Suite(folder, parameters, domain, "ST_BENCH_REALTIME" in os.environ) as suite:
             for package, executable in nodes:
                 suite.start_node(package, executable)

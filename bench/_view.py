@@ -1,8 +1,10 @@
-"""A view attached to the running suite, as `--view` does it, without a browser; it runs, or it hangs."""
+"""The passenger's page attached to the running suite, with one client that reads it; it runs, or it hangs."""
 
 import os
 import signal
+import threading
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,31 +12,32 @@ from pathlib import Path
 import psutil
 from rich.console import Console
 from st_live.suite import Suite
-from st_live.view.window import Window
+from st_live.view.live import LiveView
 from st_recordings.paths import config
 
-SETTLE = 3.0  # s from its start until it hears everything
+SETTLE = 3.0  # s from its start until it receives every topic
 
 
 @contextmanager
 def view(suite: Suite, hangs: bool) -> Iterator[None]:
-    """hangs: server and all are stopped (SIGSTOP) with their subscriptions made."""
-    window = Window(page=True)
+    """hangs: its process is stopped (SIGSTOP) after it has subscribed."""
+    page = LiveView(page=True)
     folder = Path(suite.folder, f"view-{time.monotonic_ns()}")
-    window.open(folder, int(os.environ["ROS_DOMAIN_ID"]), str(config("vehicle/leaf.yaml")), "map", "bench",
-                Console(quiet=True))
+    predictor = {"vehicle_file": str(config("vehicle/leaf.yaml")), "map_frame": "map"}
+    page.open(folder, int(os.environ["ROS_DOMAIN_ID"]), predictor, "bench", Console(quiet=True))
+    (process,) = (p for p in psutil.Process().children(recursive=True) if "st_live.nodes.passenger" in p.cmdline())
+    threading.Thread(target=_read, args=(page.url,), daemon=True).start()
     try:
         time.sleep(SETTLE)
         if hangs:
-            for process in _family(window.pids):
-                process.send_signal(signal.SIGSTOP)
+            process.send_signal(signal.SIGSTOP)
         yield
     finally:
-        for process in _family(window.pids):
-            process.send_signal(signal.SIGCONT)
-        window.close()
+        process.send_signal(signal.SIGCONT)
+        page.close()
 
 
-def _family(pids: list[int]) -> list[psutil.Process]:
-    found = [psutil.Process(pid) for pid in pids]
-    return found + [child for process in found for child in process.children(recursive=True)]
+def _read(url: str) -> None:
+    with urllib.request.urlopen(f"{url}frames") as stream:
+        while stream.readline():
+            pass

@@ -184,13 +184,13 @@ def run() -> dict:
         folder = Path(name)
         with running(folder, 250, full_bus=True) as rig:
             began_ns = time.time_ns()
-            ticks = rig.monitor.heard.ticks
+            ticks = rig.monitor.state.ticks
             samples, faults, when = drive(rig, minutes, seed)
             ill, restarts = rig.ill(), rig.supervisor.restarts
             rig.car.ins.change = rig.car.can.change = lambda data: ()  # what was sent is all there by the end
             rig.run(2.0)
             sent, frames_sent = np.array(rig.car.ins.sent_ns), len(rig.car.can.sent_ns)
-            ticks = rig.monitor.heard.ticks or ticks
+            ticks = rig.monitor.state.ticks or ticks
         statuses = rig.statuses
         found = recorded(folder)
         size = sum(f.stat().st_size for f in folder.rglob("*.mcap"))

@@ -10,10 +10,9 @@ import urllib.request
 from pathlib import Path
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-# Software rendering: a machine without a graphics card, or a container, draws WebGL all the same.
-FLAGS = ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-         "--hide-scrollbars", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-         "--remote-debugging-port=0", "--remote-debugging-address=127.0.0.1")
+FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--no-first-run",
+         "--disable-background-networking", "--disable-component-update", "--remote-debugging-port=0",
+         "--remote-debugging-address=127.0.0.1")
 
 
 def program() -> str | None:
@@ -32,7 +31,6 @@ class Browser:
     def __init__(self, folder: Path, size: tuple[int, int] = (1600, 1000)):
         self._folder, self._size = folder, size
         self.requested: list[str] = []  # addresses the page asked for
-        self.refused: list[str] = []  # of these, what the page's own policy refused
         self.console: list[str] = []
         self._number = 0
         self._answers: dict[int, asyncio.Future] = {}
@@ -71,6 +69,18 @@ class Browser:
     async def open(self, url: str) -> None:
         await self._call("Page.navigate", url=url)
 
+    async def look_like(self, width: int, height: int, dark: bool = False) -> None:
+        """Size of the window in pixels, a phone below 500, and the colour scheme of the device."""
+        await self._call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
+                         mobile=width < 500)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        await self._call("Emulation.setEmulatedMedia", features=[scheme])
+
+    async def evaluate(self, expression: str) -> object:
+        """Value of a JavaScript expression, JSON-able."""
+        answer = await self._call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        return answer["result"].get("value")
+
     async def picture(self, file: Path) -> None:
         answer = await self._call("Page.captureScreenshot", format="png")
         file.write_bytes(base64.b64decode(answer["data"]))
@@ -93,8 +103,6 @@ class Browser:
                     answer.set_result(message["result"])
             elif message["method"] == "Network.requestWillBeSent":
                 self.requested.append(message["params"]["request"]["url"])
-            elif message["method"] == "Network.loadingFailed" and message["params"].get("blockedReason") == "csp":
-                self.refused.append(message["params"]["requestId"])
             elif message["method"] == "Runtime.consoleAPICalled":
                 self.console.append(" ".join(str(a.get("value", a.get("description", "")))
                                              for a in message["params"]["args"]))

@@ -269,7 +269,7 @@ KILLED = tuple(
           GO_ON if name in ("evaluator", "recorder") else ANY, name == "predictor", name) for name in NODES)
 HANGING = tuple(
     Fault(f"{name} hangs (SIGSTOP)", 12.0, signalled(name, signal.SIGSTOP), "killed after 8 s without a word, started "
-          "again", f"suite: {name}", "said nothing", GO_ON if name in ("evaluator", "recorder") else ANY,
+          "again", f"suite: {name}", "was silent", GO_ON if name in ("evaluator", "recorder") else ANY,
           name == "oxts_bridge", name) for name in NODES)
 MACHINE = (
     Fault("recorder runs a fifth of the time, 6 s", 6.0, slowed("recorder"), "queues hold it: nothing lost",

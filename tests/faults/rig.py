@@ -7,11 +7,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from st_live.configuration import bridge_parameters, live_parameters
 from st_live.node import Monitor
-from st_live.session import NODES, STOP_ORDER, node_parameters
+from st_live.session import NODES, STOP_ORDER
 from st_live.suite import Suite, claimed_domain, free_udp_port
 from st_live.supervision import Supervisor
-from st_live.wires import bridge_parameters
 from st_recordings.paths import config
 
 from .car import Car, Circle, Drive
@@ -51,7 +51,7 @@ class Rig:
         while not until():
             if time.monotonic() >= end:
                 return until()
-            self.supervisor.look()
+            self.supervisor.update()
             self._listen()
             time.sleep(LOOK_PERIOD)
         return True
@@ -67,16 +67,16 @@ class Rig:
 
     def ill(self) -> list[str]:
         now = time.monotonic()
-        return [f"{s.name}: {s.message}" for s in self.monitor.heard.health.values()
+        return [f"{s.name}: {s.message}" for s in self.monitor.state.health.values()
                 if (s.level or s.is_silent(now)) and not s.name.startswith("suite: ") and s.name not in OF_THE_MACHINE]
 
     def is_well(self) -> bool:
         """All that is heard is well, and it is heard from all."""
-        return bool(self.monitor.heard.health) and not self.ill()
+        return bool(self.monitor.state.health) and not self.ill()
 
     def _listen(self) -> None:
         now = time.time_ns()
-        for status in list(self.monitor.heard.health.values()):
+        for status in list(self.monitor.state.health.values()):
             state = (status.level, status.message)
             if self._known.get(status.name) != state:
                 self._known[status.name] = state
@@ -100,7 +100,7 @@ def running(folder: Path, ncom_rate: int = 100, full_bus: bool = False, drive: D
         shutil.copy(config("vehicle/leaf.yaml"), vehicle)
         bridges = bridge_parameters(vehicle, {"udp_port": port, "bind_address": LOOPBACK},
                                     {"interface": "udp_multicast", "channel": channel})
-        suite = stack.enter_context(Suite(folder, node_parameters(folder, vehicle, bridges), domain))
+        suite = stack.enter_context(Suite(folder, live_parameters(folder, vehicle, bridges), domain))
         for package, executable in NODES:
             suite.start_node(package, executable)
         missing = monitor.wait_for_nodes({executable for _, executable in NODES}, START_TIMEOUT)

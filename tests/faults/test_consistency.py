@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from st_live import live_view
+from st_live import terminal
 
 from faults.car import WindingRoad
 from faults.catalogue import CONSISTENCY, DRIVING
@@ -25,9 +25,9 @@ FIRST = 60.0  # s in which a right car is judged
 def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Row]:
     folder = tmp_path_factory.mktemp("consistency")
     with running(folder, drive=WindingRoad(ROAD)) as rig:
-        assert rig.run(FIRST, lambda: CONSISTENCY in rig.monitor.heard.health
-                       and "agree" in rig.monitor.heard.health[CONSISTENCY].message and rig.is_well())
-        assert live_view.health(rig.monitor.heard).plain == "all nodes well"
+        assert rig.run(FIRST, lambda: CONSISTENCY in rig.monitor.state.health
+                       and "agree" in rig.monitor.state.health[CONSISTENCY].message and rig.is_well())
+        assert terminal.health(rig.monitor.state).plain == "all nodes OK"
         windows = [put(rig, fault, until_told=True) for fault in DRIVING]
     assert set(rig.statuses.values()) == {0}
     recorded = Recorded(folder)

@@ -1,4 +1,4 @@
-"""The live view as a person sees it: in a browser, while the virtual Leaf drives circles to the left."""
+"""The passenger's page in headless Chromium, on a phone, a tablet and a laptop, while the virtual Leaf drives."""
 
 import asyncio
 import os
@@ -6,15 +6,15 @@ import re
 import signal
 import subprocess
 import time
-from itertools import pairwise
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
-pytest.importorskip("rerun", reason="not beside a sourced ROS")
 
 from browser import Browser, program
 from PIL import Image
@@ -23,68 +23,85 @@ from support import ROOT
 
 pytestmark = [
     pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(400),
+    pytest.mark.skipif(program() is None, reason="no Chromium: apt install chromium"),
     pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
 ]
-MODELS = ("kinematic", "linear", "nonlinear")
-SIZE = (1100, 700)
 DRIVING = 200  # s; the test ends it before
-PATIENCE = 150.0  # s for a first whole picture, with software rendering on two cores
-# Left of the page's middle, above its plots and below its titles: the view from the driver's seat.
-SEAT = (slice(70, 400), slice(0, 460))
+SIZES = [(390, 844), (1024, 768), (1400, 900)]
+WATCH = 8.0  # s
+AGES = "window.ages = []; setInterval(() => window.ages.push(picture.age()), 100); 0"
 
 
-def pixels(picture: Path, colour: str) -> np.ndarray:
-    """(row, column) of the points of a colour in the view from the driver's seat."""
-    seat = np.asarray(Image.open(picture).convert("RGB"), int)[SEAT]
-    return np.argwhere(np.abs(seat - rgb(colour)).max(axis=-1) <= 12)
-
-
-def drawn(picture: Path) -> bool:
-    """Whether all models have a path: more than the dot beside the name."""
-    return all(len(pixels(picture, MODEL_COLOUR[m])) > 60 for m in ("kinematic", "nonlinear"))
-
-
-async def look(url: str, folder: Path) -> tuple[list[Path], Browser]:
-    """Three pictures: the first that shows everything, and two later ones."""
-    async with Browser(folder, SIZE) as browser:
-        await browser.open(url)
-        pictures, end = [], time.monotonic() + PATIENCE
-        while len(pictures) < 3:
-            picture = folder / f"view_{len(pictures)}.png"
-            await asyncio.sleep(2.0)
-            await browser.picture(picture)
-            if drawn(picture):
-                pictures.append(picture)
-            assert time.monotonic() < end, f"nothing drawn in {PATIENCE:.0f} s: {browser.console[-3:]}"
-        return pictures, browser
-
-
-@pytest.mark.skipif(program() is None, reason="no Chromium: apt install chromium")
-def test_three_paths_bend_to_the_left_and_move_and_nobody_else_is_asked(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen, str]]:
+    """(process, address of the page) of circles to the left."""
+    folder = tmp_path_factory.mktemp("page")
     command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", str(DRIVING), "--output",
-               str(tmp_path / "run")]
-    log = tmp_path / "demo.log"
+               str(folder / "run")]
+    log = folder / "demo.log"
     with log.open("wb") as stream:
-        demo = subprocess.Popen(command, cwd=ROOT, stdout=stream, stderr=stream, start_new_session=True)
+        process = subprocess.Popen(command, cwd=ROOT, stdout=stream, stderr=stream, start_new_session=True)
     try:
         end = time.monotonic() + 90
         while not (found := re.search(r"view: (\S+)", log.read_text())):
-            assert demo.poll() is None and time.monotonic() < end, log.read_text()
+            assert process.poll() is None and time.monotonic() < end, log.read_text()
             time.sleep(0.2)
-        pictures, browser = asyncio.run(look(found.group(1), tmp_path))
+        yield process, found.group(1)
     finally:
-        if demo.poll() is None:
-            os.kill(demo.pid, signal.SIGINT)
-        demo.wait(90)
-    for picture in pictures:
-        ahead = np.concatenate([pixels(picture, MODEL_COLOUR[m]) for m in MODELS])
-        middle = 0.5 * (SEAT[1].stop - SEAT[1].start)
-        # Of what is coloured above the car and not in the corner of names: a left circle lies to the left.
-        path = ahead[ahead[:, 0] < 0.68 * (SEAT[0].stop - SEAT[0].start)]
-        assert len(path) > 30 and np.mean(path[:, 1] < middle) > 0.9
-    images = [np.asarray(Image.open(p).convert("L"), int) for p in pictures]
-    assert all(np.abs(a - b).max() > 50 for a, b in pairwise(images))
-    outside = [u for u in browser.requested if not u.startswith(("http://127.0.0.1:", "data:", "blob:"))]
-    # The browser asked for nothing outside that the page's policy did not stop.
-    assert len(outside) <= len(browser.refused)
-    assert any("Content Security Policy" in line for line in browser.console)
+        if process.poll() is None:
+            os.kill(process.pid, signal.SIGINT)
+        process.wait(90)
+
+
+async def until(browser: Browser, condition: str) -> None:
+    end = time.monotonic() + 60
+    while not await browser.evaluate(condition):
+        assert time.monotonic() < end, f"{condition}: {browser.console[-3:]}"
+        await asyncio.sleep(0.2)
+
+
+async def watch(demo: subprocess.Popen, url: str, folder: Path) -> tuple[dict, Browser]:
+    """Frames, ages and pictures at each size, and the age after the page has ended."""
+    found: dict = {}
+    async with Browser(folder) as browser:
+        await browser.open(url)
+        await until(browser, "typeof picture !== 'undefined' && Number.isFinite(picture.age())")
+        await browser.evaluate(AGES)
+        for size in SIZES:
+            await browser.look_like(*size, dark=size[0] == 1024)
+            before, begin = await browser.evaluate("picture.drawn"), time.monotonic()
+            await asyncio.sleep(WATCH)
+            after, seconds = await browser.evaluate("picture.drawn"), time.monotonic() - begin
+            await browser.picture(folder / f"page_{size[0]}.png")
+            overflow = await browser.evaluate("document.documentElement.scrollWidth - innerWidth")
+            found[size[0]] = (after - before) / seconds, overflow
+        found["ages"] = await browser.evaluate("window.ages")
+        found["text"] = await browser.evaluate("document.body.innerText")
+        (server,) = (p for p in psutil.Process(demo.pid).children(recursive=True)
+                     if "st_live.nodes.passenger" in p.cmdline())
+        server.kill()
+        await asyncio.sleep(3.0)
+        found["age_after_end"] = await browser.evaluate("picture.age()")
+        found["light"] = await browser.evaluate("document.querySelector('#light b').textContent")
+        return found, browser
+
+
+def test_the_page_shows_the_path_at_10_hz_at_every_size(demo, tmp_path: Path) -> None:
+    found, browser = asyncio.run(watch(*demo, tmp_path))
+    for width, _ in SIZES:
+        rate, overflow = found[width]
+        assert rate > 7.0 and overflow <= 0, (width, found[width])
+    assert np.median(found["ages"]) < 0.5
+    # The age goes on where the suite has ended.
+    assert found["age_after_end"] > 2.5 and found["light"].lower() == "error"
+    for word in ("RTK integer", "km/h", "left", "nonlinear"):
+        assert word in found["text"]
+    assert {u.split("/")[2] for u in browser.requested if u.startswith("http")} == {demo[1].split("/")[2]}
+    for width, height in (SIZES[0], SIZES[2]):
+        # The swath of a left circle lies to the left of the car.
+        picture = np.asarray(Image.open(tmp_path / f"page_{width}.png").convert("RGB"), float)
+        road = picture[: height if width > 800 else height // 2, : width - 440 if width > 800 else width]
+        background = np.array([251.0, 251.0, 249.0])
+        swath = background + 0.38 * (np.array(rgb(MODEL_COLOUR["nonlinear"])) - background)
+        columns = np.argwhere(np.abs(road - swath).max(axis=-1) < 12)[:, 1]
+        assert len(columns) > 500 and np.mean(columns < 0.5 * road.shape[1] + 10) > 0.9, (width, len(columns))

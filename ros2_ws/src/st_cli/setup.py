@@ -20,7 +20,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "st = st_cli.cli:main",
+            "st = st_cli.__main__:main",
         ],
     },
 )

@@ -6,7 +6,7 @@ setup(
     name=package_name,
     version="0.2.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"": ["py.typed"]},
+    package_data={"": ["py.typed", "view/passenger.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/st_live"]),
         ("share/st_live", ["package.xml"]),
@@ -16,6 +16,6 @@ setup(
     zip_safe=False,
     maintainer="The single-track authors",
     maintainer_email="single-track@example.org",
-    description="The running suite: session, supervision, wires, player, relay and viewer, the live view.",
+    description="The running suite: processes, supervision, replay, verification, relay and views.",
     license="Apache-2.0",
 )

@@ -12,7 +12,7 @@ from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile, Provenance
 from st_core.vehicle import VehicleParameters
-from st_live.fourth_model import fourth_model
+from st_live.configuration import model_parameters
 from st_live.suite import SuiteError
 from st_offline.discovery.discover_command import _refuse_twice, measured
 from st_offline.discovery.drives import _key, read_drive, read_drives
@@ -175,18 +175,18 @@ def test_model_file_of_another_car_is_refused(drive, tmp_path):
     result = discover(drive, "--base", model, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "the values hold for 'Hyundai Genesis'" in result.output
     with pytest.raises(SuiteError, match="the values hold for 'Hyundai Genesis'"):
-        fourth_model(model, None, LEAF)
-    chosen = fourth_model(model, None, GENESIS)
+        model_parameters(model, None, LEAF)
+    chosen = model_parameters(model, None, GENESIS)
     assert chosen["predictor"] == chosen["evaluator"] == {"model_file": str(model), "effects_directory": ""}
 
 
 def test_fourth_model_that_is_none(tmp_path):
     (tmp_path / "model.yaml").write_text("base: nonlinear\neffects: {no_such: {}}\n")
     with pytest.raises(ConfigurationError, match="no_such"):
-        fourth_model(tmp_path / "model.yaml", None, LEAF)
+        model_parameters(tmp_path / "model.yaml", None, LEAF)
     with pytest.raises(SuiteError, match="only a --model uses effects"):
-        fourth_model(None, tmp_path, LEAF)
-    assert fourth_model(None, None, LEAF) == {}
+        model_parameters(None, tmp_path, LEAF)
+    assert model_parameters(None, None, LEAF) == {}
 
 
 def test_results_are_never_overwritten(drive, tmp_path):

@@ -14,11 +14,13 @@ from typer.testing import CliRunner
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rich.console import Console
-from st_cli.verbs import demo, develop, live, ncom
-from st_live import live_view, session, wires
-from st_live.node import Heard, Status
+from st_cli.verbs import demo, live, ncom
+from st_live import configuration, session, terminal
+from st_live.node import Status, SuiteState
 from st_live.suite import SuiteError, chosen_domain_id, claimed_domain, merge
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
+
+from tools import develop
 
 pytestmark = pytest.mark.ros
 LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
@@ -77,7 +79,8 @@ def test_the_steering_of_the_nodes_file_holds_unless_it_is_given(tmp_path: Path,
     nodes = tmp_path / "nodes.yaml"
     nodes.write_text((ROOT / "config/nodes.yaml").read_text().replace("steering_latency: 0.0", "steering_latency: 0.05")
                      .replace("steering_sign: 1", "steering_sign: -1"))
-    monkeypatch.setattr(session, "config", lambda _: nodes)
+    config = configuration.config
+    monkeypatch.setattr(configuration, "config", lambda name: nodes if name == "nodes.yaml" else config(name))
     buses = []
 
     def not_now(_folder, parameters, *_arguments, **_more):
@@ -112,8 +115,8 @@ def test_live_takes_a_car_by_its_folder(tmp_path: Path, monkeypatch) -> None:
 
 
 def test_results_name_a_car_by_its_folder(tmp_path: Path) -> None:
-    assert wires.name_of(ROOT / "config/car/leaf/vehicle.yaml") == "leaf"
-    assert wires.name_of(tmp_path / "winter.yaml") == "winter"
+    assert configuration.vehicle_name(ROOT / "config/car/leaf/vehicle.yaml") == "leaf"
+    assert configuration.vehicle_name(tmp_path / "winter.yaml") == "winter"
 
 
 def test_live_refuses_a_car_whose_bus_nobody_has_described(tmp_path: Path) -> None:
@@ -181,10 +184,10 @@ def test_every_node_has_one_section_in_the_parameter_file() -> None:
         "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder", "markers", "identifier"}
 
 
-def lines_of(heard: Heard) -> list[str]:
+def lines_of(state: SuiteState) -> list[str]:
     console = Console(width=80, force_terminal=True, color_system=None)
     with console.capture() as captured:
-        console.print(live_view.view(heard, 12.0, 60.0, "S6"))
+        console.print(terminal.progress_view(state, 12.0, 60.0, "S6"))
     return [line.rstrip() for line in captured.get().splitlines()]
 
 
@@ -194,7 +197,7 @@ def test_the_running_table_takes_one_line_per_model_and_mode_on_eighty_columns()
     statistics = [ErrorStatistics(model=m, mode=k, n_starts=12345, **values)
                   for m in ("kinematic", "linear", "nonlinear", "augmented") for k in ("forecast", "hindsight")]
     ticks = PredictorStatus(due=130, predicted=128, skipped_stale=2)
-    lines = lines_of(Heard(ErrorSummary(statistics=statistics), ticks))
+    lines = lines_of(SuiteState(ErrorSummary(statistics=statistics), ticks))
     rows = [line for line in lines if "forecast" in line or "hindsight" in line]
     assert len(rows) == 8 and max(map(len, lines)) <= 80
     for row in rows:
@@ -205,7 +208,7 @@ def test_the_running_table_takes_one_line_per_model_and_mode_on_eighty_columns()
 def test_how_often_bands_held_stands_under_the_table() -> None:
     rows = [ErrorStatistics(model="linear", mode=mode, n_starts=9, n_bands=count, coverage_50=0.25, coverage_90=0.875)
             for mode, count in (("forecast", 8), ("hindsight", 0))]
-    lines = lines_of(Heard(ErrorSummary(statistics=rows)))
+    lines = lines_of(SuiteState(ErrorSummary(statistics=rows)))
     bands = [line for line in lines if "band" in line]
     assert bands == ["inside the 90 | 50 % band, forecast: linear 88 % | 25 % of 8"]
 
@@ -214,9 +217,9 @@ def test_what_is_wrong_stands_under_the_table_worst_first() -> None:
     now = time.monotonic()
     health = [Status("a: one", 1, "not so good", now), Status("b: two", 2, "[bad]", now),
               Status("c: three", 0, "fine", now)]
-    lines = lines_of(Heard(ErrorSummary(statistics=[ErrorStatistics(model="linear", mode="forecast")]), None,
+    lines = lines_of(SuiteState(ErrorSummary(statistics=[ErrorStatistics(model="linear", mode="forecast")]), None,
                            {s.name: s for s in health}))
-    assert lines[1:6] == ["no prediction yet", "waiting for the first complete horizon", "predictor: not heard yet",
+    assert lines[1:6] == ["no prediction yet", "waiting for the first complete horizon", "predictor: no status yet",
                           "error: b: two: [bad]", "warning: a: one: not so good"]
 
 
@@ -224,6 +227,6 @@ def test_the_motion_line_says_which_way_the_wheels_point() -> None:
     turning = Prediction(model="linear", velocity_x=[10.0, 9.0], yaw_rate=[0.2, 0.1],
                          road_wheel_angle=math.radians(3.0), compute_time=0.002)
     line = "10.0 m/s, wheels 3.0 deg left, v_x r +2.0 m/s², linear took 2.0 ms"
-    assert lines_of(Heard(prediction=turning))[1] == line
+    assert lines_of(SuiteState(prediction=turning))[1] == line
     turning.road_wheel_angle, turning.yaw_rate = -0.1, [-0.2, 0.0]
-    assert "5.7 deg right, v_x r -2.0 m/s²" in lines_of(Heard(prediction=turning))[1]
+    assert "5.7 deg right, v_x r -2.0 m/s²" in lines_of(SuiteState(prediction=turning))[1]

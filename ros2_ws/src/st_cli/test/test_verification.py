@@ -14,7 +14,8 @@ from st_core.prediction import PredictionSettings, Predictor, Start, configurati
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
 from st_live import verification
-from st_live.verification import not_played, verify
+from st_live.replaying import not_played
+from st_live.verification import verify
 from st_recordings.mcap import BagWriter, recover
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions
 from st_recordings.runs.cdr import typestore
@@ -177,16 +178,16 @@ def test_what_depends_on_the_first_sample_a_node_heard_is_left_out_and_said(live
     found = verify(live.write())
     assert found.largest < 1e-6 and all(c.n_settling >= 7 for c in found.comparisons)
     result = st_verify(live.folder)
-    assert result.exit_code == 0 and "predictions not compared: they start while" in result.output.replace("\n", " ")
-    monkeypatch.setattr(verification, "SETTLED", 0.0)
+    assert result.exit_code == 0 and "predictions not compared: the filter" in result.output.replace("\n", " ")
+    monkeypatch.setattr(verification, "SETTLING_TIME_CONSTANTS", 0.0)
     assert verify(live.folder).largest > 0.001  # it is no other fault
 
 
 def test_a_recording_too_short_to_compare_says_so(live, monkeypatch):
     live.write()
-    monkeypatch.setattr(verification, "SETTLED", 1e6)
+    monkeypatch.setattr(verification, "SETTLING_TIME_CONSTANTS", 1e6)
     result = st_verify(live.folder)
-    assert result.exit_code == 2 and "all 120 predictions start too soon" in result.output.replace("\n", " ")
+    assert result.exit_code == 2 and "all 120 predictions start too early" in result.output.replace("\n", " ")
 
 
 @pytest.mark.parametrize("period", [0.1, 0.5, 1.0, 2.0])
@@ -208,7 +209,7 @@ def test_a_score_of_its_own_is_found(live):
 
 
 def test_a_recording_that_was_cut_says_so(live):
-    assert "was cut" not in st_verify(live.write()).output and not_played(live.folder, ()) == []
+    assert "is truncated" not in st_verify(live.write()).output and not_played(live.folder, ()) == []
     file = live.folder / f"{live.folder.name}_0.mcap"
     with file.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
@@ -217,10 +218,10 @@ def test_a_recording_that_was_cut_says_so(live):
     assert unread.exit_code == 2 and "was not closed" in unread.output and "st recover" in unread.output
     recover(live.folder)
     done = st_verify(live.folder)
-    assert f"{live.folder} was cut" in done.output.replace("\n", "")
+    assert f"{live.folder} is truncated" in done.output.replace("\n", "")
     (said,) = not_played(live.folder, ())
-    assert said.startswith(f"{live.folder} was cut") and said.endswith("is not played")
-    assert not_played(live.folder, ["/a (b)"])[0] == "not known and not played: /a (b)"
+    assert said.startswith(f"{live.folder} is truncated") and said.endswith("is not played")
+    assert not_played(live.folder, ["/a (b)"])[0] == "of unknown type and not played: /a (b)"
 
 
 def test_a_meaningless_recording_is_compared_when_forced(live):

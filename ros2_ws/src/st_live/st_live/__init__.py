@@ -1,1 +1,1 @@
-"""The running suite: session, supervision, wires, player, relay and viewer, the live view."""
+"""The running suite: processes, supervision, replay, verification, relay and views."""

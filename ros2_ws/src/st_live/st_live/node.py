@@ -1,4 +1,4 @@
-"""What the terminal shows of a running suite, heard over DDS: statistics, tick counts, diagnostics."""
+"""Node of the command itself: receives statistics, tick counts and diagnostics, publishes /diagnostics_agg."""
 
 import contextlib
 import threading
@@ -15,8 +15,9 @@ from st_core.palette import MODEL_COLOUR
 from st_msgs.msg import ErrorSummary, Prediction, PredictorStatus
 from st_ros.polling import PolledSubscription
 
-LOOK_PERIOD = 0.25  # s between looks for a newest prediction
-FORGET_AFTER = 5.0  # s without hearing of a diagnostic before it is shown as silent
+AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
+PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
+STATUS_TIMEOUT = 5.0  # s without an update before a status is silent
 STALE = 3
 
 
@@ -27,14 +28,16 @@ class Status:
     name: str
     level: int
     message: str
-    heard_at: float  # s, monotonic
+    received_at: float  # s, monotonic
 
     def is_silent(self, now: float) -> bool:
-        return now - self.heard_at > FORGET_AFTER
+        return now - self.received_at > STATUS_TIMEOUT
 
 
 @dataclass
-class Heard:
+class SuiteState:
+    """The newest messages of a running suite."""
+
     summary: ErrorSummary | None = None
     ticks: PredictorStatus | None = None
     health: dict[str, Status] = field(default_factory=dict)
@@ -42,11 +45,11 @@ class Heard:
 
 
 class Monitor:
-    """Listens in a thread of its own; `heard` is replaced, never changed, so reading needs no lock."""
+    """Receives in a thread of its own; `state` is replaced, never changed, so that reading needs no lock."""
 
     def __init__(self, domain_id: int | None = None):
-        self.heard = Heard()
-        self._taking = threading.Lock()
+        self.state = SuiteState()
+        self._lock = threading.Lock()
         self._context = rclpy.Context()
         rclpy.init(
             context=self._context, domain_id=domain_id, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO
@@ -60,15 +63,16 @@ class Monitor:
             PolledSubscription(self._node, Prediction, f"predictor/{model}/prediction", newest)
             for model in MODEL_COLOUR
         ]
-        self._node.create_timer(LOOK_PERIOD, self._look)
-        self._health = self._node.create_publisher(DiagnosticArray, "/diagnostics_agg", 10)
+        self._node.create_timer(PREDICTION_PERIOD, self._read_predictions)
+        self._aggregate = self._node.create_publisher(DiagnosticArray, "/diagnostics_agg", 10)
+        self._node.create_timer(AGGREGATE_PERIOD, self._publish_aggregate)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, name="monitor", daemon=True)
         self._thread.start()
 
     def node_names(self) -> list[str]:
-        """Of all nodes in the graph but this one; two of one name stand there twice."""
+        """Names of all other nodes in the graph; two nodes of one name are listed twice."""
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
@@ -85,26 +89,26 @@ class Monitor:
         return {n: ({topic for topic, _ in self._node.get_publisher_names_and_types_by_node(n, "/")},
                     {topic for topic, _ in self._node.get_subscriber_names_and_types_by_node(n, "/")}) for n in names}
 
-    def heard_from(self, name: str) -> float:
-        """When a node last spoke on /diagnostics [s, monotonic]; minus infinity: never."""
-        own = f"{name}: "
-        return max((s.heard_at for n, s in self.heard.health.items() if n.startswith(own)), default=float("-inf"))
+    def last_status(self, name: str) -> float:
+        """Time of the newest /diagnostics of a node [s, monotonic]; minus infinity: never."""
+        prefix = f"{name}: "
+        return max((s.received_at for n, s in self.state.health.items() if n.startswith(prefix)), default=float("-inf"))
 
-    def note(self, status: Status) -> None:
-        """Put a line of our own beside those that are heard."""
-        self._take({status.name: status})
+    def add_status(self, status: Status) -> None:
+        """Add a status of the command to those received."""
+        self._update_health({status.name: status})
 
-    def publish_health(self) -> None:
-        """All that is known as one array, as a diagnostic aggregator does: first the whole suite, then each line."""
-        now, known = time.monotonic(), self.heard.health
+    def _publish_aggregate(self) -> None:
+        """Publish /diagnostics_agg as a diagnostic aggregator does: the level of the suite, then every status."""
+        now, statuses = time.monotonic(), self.state.health
         lines = [DiagnosticStatus(name=s.name, message=s.message, level=bytes([STALE if s.is_silent(now) else s.level]))
-                 for s in sorted(known.values(), key=lambda s: s.name)]
+                 for s in sorted(statuses.values(), key=lambda s: s.name)]
         worst = max((line.level[0] for line in lines), default=STALE)
         bad = [line.name for line in lines if line.level[0]]
-        text = "all nodes well" if not bad else f"{len(bad)} of {len(lines)} checks are not well: {', '.join(bad)}"
+        text = "all nodes OK" if not bad else f"{len(bad)} of {len(lines)} checks are not OK: {', '.join(bad)}"
         message = DiagnosticArray(status=[DiagnosticStatus(name="suite", level=bytes([worst]), message=text), *lines])
         message.header.stamp = self._node.get_clock().now().to_msg()
-        self._health.publish(message)
+        self._aggregate.publish(message)
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -123,23 +127,24 @@ class Monitor:
             self._executor.spin()
 
     def _on_summary(self, message: ErrorSummary) -> None:
-        with self._taking:
-            self.heard = replace(self.heard, summary=message)
+        with self._lock:
+            self.state = replace(self.state, summary=message)
 
     def _on_ticks(self, message: PredictorStatus) -> None:
-        with self._taking:
-            self.heard = replace(self.heard, ticks=message)
+        with self._lock:
+            self.state = replace(self.state, ticks=message)
 
-    def _look(self) -> None:
+    def _read_predictions(self) -> None:
         for subscription in self._predictions:
             for message, _, _ in subscription.take():
-                with self._taking:
-                    self.heard = replace(self.heard, prediction=message)
+                with self._lock:
+                    self.state = replace(self.state, prediction=message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
-        self._take({s.name: Status(s.name, int.from_bytes(s.level, "little"), s.message, now) for s in message.status})
+        self._update_health({s.name: Status(s.name, int.from_bytes(s.level, "little"), s.message, now)
+                             for s in message.status})
 
-    def _take(self, news: dict[str, Status]) -> None:
-        with self._taking:  # from its own thread and from the caller's
-            self.heard = replace(self.heard, health={**self.heard.health, **news})
+    def _update_health(self, news: dict[str, Status]) -> None:
+        with self._lock:  # called by its own thread and by that of the caller
+            self.state = replace(self.state, health={**self.state.health, **news})

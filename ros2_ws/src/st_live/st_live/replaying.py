@@ -1,4 +1,4 @@
-"""A recording through the real nodes: predictor, evaluator and recorder on the recording's own clock."""
+"""A recording played through the real nodes: predictor, evaluator and recorder on the recording's own clock."""
 
 import json
 import sys
@@ -9,52 +9,80 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from st_recordings.paths import config
-from st_recordings.recorded import RecordedConfiguration
+from st_core.vehicle import VehicleParameters
+from st_recordings.recorded import configuration_of
+from st_recordings.runs.bag import read_bag, was_cut
+from st_recordings.runs.errors import RunError
+from st_recordings.runs.foreign import SteeringField
+from st_recordings.runs.made_again import WHERE
 from st_recordings.runs.messages import ODOMETRY, STEERING
 
+from .configuration import REPLAY_NODES, TRUNCATED, add_bands, replay_parameters
 from .node import Monitor
 from .session import START_TIMEOUT, Outcome
-from .suite import Child, Suite, SuiteError, chosen_domain_id, claimed_domain, merge
-from .view.window import Window
+from .suite import Child, Suite, SuiteError, chosen_domain_id, claimed_domain
+from .view.live import LiveView
 
-NODES = ("recorder", "evaluator", "predictor")  # the listeners first, so that nothing is missed
-SETTLE = 1.0  # s after the last message: the newest predictions are on their way to evaluator and recorder
-LOOK_EVERY = 0.2  # s
-
-
-def node_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration) -> dict[str, dict[str, Any]]:
-    """Parameters of the three nodes: as recorded where the recording says, else config/nodes.yaml."""
-    ours = {"vehicle_file": str(vehicle), "use_sim_time": True}
-    before = {node: recorded.nodes.get(node, {}) for node in ("predictor", "evaluator")}
-    merged = merge(config("nodes.yaml"), {
-        # Bands are asked for anew: the file of the recorded run may be elsewhere by now, or another.
-        "predictor": {**before["predictor"], **ours, "bands_file": ""},
-        "evaluator": {**before["evaluator"], **ours, "output_directory": str(folder / "errors")},
-        "recorder": {"use_sim_time": True, "output_directory": str(folder / "bag"),
-                     "configuration_files": [str(vehicle), str(folder / "parameters.yaml")]},
-    })
-    return {node: merged[node] for node in NODES}
+SETTLING_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
+PROGRESS_PERIOD = 0.2  # s
 
 
-def replay(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
-           console: Console, view: Window | None = None, options: Sequence[str] = ()) -> Outcome:
-    """Play the bag through the nodes; their recordings go to folder/bag and folder/errors.
+def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console,
+               view: LiveView | None = None, bands: Path | None = None,
+               steering: SteeringField | None = None) -> tuple[Outcome, str]:
+    """(Outcome, name of the vehicle) of a replay with the configuration of the recording.
 
-    topics: type -> topic that is played as the nodes' input (bag.BagDrive). rate: times as fast as it was
-    recorded; 0: as fast as the nodes follow. options: further ones of the player. Raises SuiteError.
+    The recordings of the nodes are folder/bag and folder/errors. vehicle: file instead of the recorded one. rate: times
+    as fast as recorded; 0: as fast as the nodes follow. steering: source of the angle in external recordings. Raises
+    RunError, SuiteError and ConfigurationError.
     """
+    drive = read_bag(bag, steering=steering)
+    reconstructed = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(WHERE)]
+    if reconstructed:
+        raise RunError(bag, f"without {' and without '.join(reconstructed)} it cannot be played",
+                       "st evaluate and st verify reconstruct them from raw packets and frames")
+    for line in not_played(bag, drive.unknown):
+        console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
+    car, recorded, _ = configuration_of(drive.records, vehicle)
+    file = folder / "vehicle.yaml"
+    file.write_text(car.to_yaml())
+    parameters = add_bands(replay_parameters(folder, file, recorded), bands)
+    if "map_frame" not in recorded.nodes.get("predictor", {}):
+        for node in ("predictor", "evaluator"):  # the odometry of external recordings may be in another frame
+            parameters[node]["map_frame"] = drive.frame
+    outcome = _play(bag, drive.topics, folder, parameters, rate, console, view, player_options(steering, car))
+    return outcome, car.name
+
+
+def not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
+    """What a replay leaves out, in sentences: topics of unknown type, and the end of a truncated recording."""
+    topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
+    return topics + ([TRUNCATED.format(bag, "played")] if was_cut(bag) else [])
+
+
+def player_options(steering: SteeringField | None, car: VehicleParameters) -> list[str]:
+    """Options of the player to convert an external steering topic; empty for st_msgs/Steering."""
+    if steering is None:
+        return []
+    wheel = ["--steering-wheel", repr(car.steering_ratio), repr(car.steering_wheel_offset)]
+    return ["--steering-field", steering.field, *(wheel if steering.quantity == "wheel" else [])]
+
+
+def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
+          console: Console, view: LiveView | None, options: Sequence[str]) -> Outcome:
+    """topics: type -> topic played as the nodes' input (bag.BagDrive). options: further ones of the player."""
     chosen = chosen_domain_id()
-    held = claimed_domain() if chosen is None else nullcontext(chosen)
+    reserved = claimed_domain() if chosen is None else nullcontext(chosen)
     problem, interrupted = "", False
     predictor = parameters["predictor"]
-    with held as domain, Suite(folder, parameters, domain) as suite, Monitor(domain) as monitor:
-        for name in NODES:
+    with reserved as domain, Suite(folder, parameters, domain) as suite, Monitor(domain) as monitor:
+        for name in REPLAY_NODES:
             suite.start_node("st_predictor", name)
-        _wait(suite, monitor)
+        _wait_for_nodes(suite, monitor)
         if view:
-            view.open(folder, domain, predictor["vehicle_file"], predictor["map_frame"], bag.name, console)
+            view.open(folder, domain, predictor, bag.name, console)
         player = suite.start("player", [
             sys.executable, "-m", "st_live.nodes.player", str(bag.absolute()), "--rate", str(rate),
             "--odometry", topics[ODOMETRY], "--steering", topics[STEERING], "--horizon", str(predictor["horizon"]),
@@ -66,15 +94,15 @@ def replay(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mappi
         except KeyboardInterrupt:
             interrupted = True
         statuses = suite.stop("player")
-        time.sleep(SETTLE)
-        for name in reversed(NODES):
+        time.sleep(SETTLING_TIME)
+        for name in reversed(REPLAY_NODES):
             statuses.update(suite.stop(name))
     return Outcome(statuses, interrupted, problem)
 
 
-def _wait(suite: Suite, monitor: Monitor) -> None:
+def _wait_for_nodes(suite: Suite, monitor: Monitor) -> None:
     end = time.monotonic() + START_TIMEOUT
-    while missing := monitor.wait_for_nodes(set(NODES), 0.5):
+    while missing := monitor.wait_for_nodes(set(REPLAY_NODES), 0.5):
         suite.check()
         if time.monotonic() > end:
             raise SuiteError(f"not up after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))} "
@@ -82,26 +110,26 @@ def _wait(suite: Suite, monitor: Monitor) -> None:
 
 
 def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console) -> None:
-    """Until the player is done; a process that dies before that ends the replay."""
-    speed = f"{rate:g} x" if rate > 0 else "as fast as it goes"
+    """Until the player has finished. Raises SuiteError for a process that ends before."""
+    speed = f"{rate:g} x" if rate > 0 else "as fast as the nodes follow"
     columns = (TextColumn("{task.description}"), BarColumn(),
                TextColumn("{task.completed:.0f} s of {task.total} s"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         bar = progress.add_task(f"{name}, {speed}", total=None)
         while player.process.poll() is None:
-            time.sleep(LOOK_EVERY)
+            time.sleep(PROGRESS_PERIOD)
             if player.process.poll() is None:
                 suite.check()
-            word = _last_word(player)
-            progress.update(bar, completed=word.get("done", 0.0), total=word.get("duration", 1.0))
+            status = _last_status(player)
+            progress.update(bar, completed=status.get("done", 0.0), total=status.get("duration", 1.0))
     if player.process.returncode:
         raise SuiteError(f"the player ended with status {player.process.returncode}: {player.last_lines()}")
-    word = _last_word(player)
-    if word.get("wall"):
-        speed = word["duration"] / word["wall"]
-        console.print(f"{word['duration']:.1f} s played in {word['wall']:.1f} s ({speed:.1f} x)", highlight=False)
+    status = _last_status(player)
+    if status.get("wall"):
+        speed = status["duration"] / status["wall"]
+        console.print(f"{status['duration']:.1f} s played in {status['wall']:.1f} s ({speed:.1f} x)", highlight=False)
 
 
-def _last_word(player: Child) -> dict[str, Any]:
+def _last_status(player: Child) -> dict[str, Any]:
     lines = [line for line in player.log.read_text(errors="replace").splitlines() if line.startswith("{")]
     return json.loads(lines[-1]) if lines else {}

@@ -1,29 +1,38 @@
-"""The end of a run: summary.json, paths.png, the table in the terminal, and the exit status."""
+"""Results of a run: summary.json, paths.png, the table in the terminal, and the exit status."""
 
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.markup import escape
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 from st_recordings.counted import lines
-from st_recordings.results import read_results, summarise, write_summary
+from st_recordings.results import Results, read_results, summarise, write_summary
 from st_recordings.runs.errors import RunError
 
-from .figures import paths_figure
 from .session import Outcome
-from .tables import error_table, finding
+from .terminal import error_table, finding
+
+INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 
 
 def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
-    """Write and show what the run found.
+    """Write and print the results of a run; returns the exit status.
 
-    Returns 0 when every process ended well and something was scored or the run was ended by hand, 130 when it was ended
-    before anything flowed, else 1.
+    0 if every process ended normally and a horizon was scored or the user ended the run; 130 if the user ended it
+    before the first data, else 1.
     """
     if outcome.interrupted and not outcome.statuses:
-        console.print("ended before anything was sent or recorded")
+        console.print("ended before the first data")
         return 130
-    _say_what_went_wrong(folder, outcome, console)
+    _print_problems(folder, outcome, console)
     with console.status("reading the recordings, drawing"):
         try:
             results = read_results(folder)
@@ -38,13 +47,9 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
         console.print(line, highlight=False, soft_wrap=True)
     ticks = summary["ticks"]
     console.print(f"ticks {ticks['due']}, predicted {ticks['predicted']}, skipped {ticks['skipped']}")
-    for name, what in (
-        ("bag", "what was sent and measured"),
-        ("errors", "every score"),
-        ("summary.json", "this table"),
-        ("paths.png", "the picture"),
-    ):
-        console.print(f"  {escape(str(folder / name))}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
+    for name, content in (("bag", "measurements and predictions"), ("errors", "every score"),
+                          ("summary.json", "this table"), ("paths.png", "the figure")):
+        console.print(f"  {escape(str(folder / name))}  [dim]{content}[/dim]", highlight=False, soft_wrap=True)
     scored = any(modes["hindsight"]["n_starts"] for modes in summary["models"].values())
     if not scored:
         console.print("[yellow]nothing was scored: shorter than a horizon, or an input was missing[/yellow]")
@@ -52,20 +57,78 @@ def conclude(folder: Path, outcome: Outcome, about: dict[str, Any], console: Con
     return 0 if outcome.ok and (scored or outcome.interrupted) else 1
 
 
-def _say_what_went_wrong(folder: Path, outcome: Outcome, console: Console) -> None:
+def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
     if outcome.problem:
         console.print(f"[red]{escape(outcome.problem)}[/red]", highlight=False, soft_wrap=True)
     for name, times in outcome.restarts.items():
-        console.print(
-            f"[yellow]{name} was started again, {times} times; its recordings go on beside the first one (bag_2, "
-            "errors_2), and `st recover` mends what was cut off[/yellow]", soft_wrap=True
-        )
+        console.print(f"[yellow]{name} was restarted {times} times; its recordings continue in bag_2, errors_2, and "
+                      "`st recover` repairs truncated ones[/yellow]", soft_wrap=True)
     failed = {name: status for name, status in outcome.statuses.items() if status}
     if failed:
-        console.print(
-            "[red]ended with an error: "
-            + ", ".join(f"{n} (status {s})" for n, s in failed.items())
-            + f"; see {escape(str(folder / 'logs'))}[/red]",
-            highlight=False,
-            soft_wrap=True,
-        )
+        names = ", ".join(f"{name} (status {status})" for name, status in failed.items())
+        console.print(f"[red]ended with an error: {names}; see {escape(str(folder / 'logs'))}[/red]", highlight=False,
+                      soft_wrap=True)
+
+
+def paths_figure(results: Results, title: str, file: Path) -> None:
+    """Map of measured and predicted paths, and the horizon-mean errors over the start time.
+
+    The map shows the hindsight predictions (measured inputs over the horizon, as in the paper). Hindsight and forecast
+    have separate error plots, because their scales differ by an order of magnitude where the driver acts.
+    Longitudinal + = predicted ahead, lateral + = predicted to the left.
+    """
+    with plt.rc_context(RC):
+        figure = plt.figure(figsize=(13, 5.4))
+        grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 1, 1))
+        _draw_map(figure.add_subplot(grid[:, 0]), results)
+        for column, (mode, meaning) in enumerate(INPUTS_OF_MODE.items(), start=1):
+            upper = figure.add_subplot(grid[0, column])
+            lower = figure.add_subplot(grid[1, column], sharex=upper)
+            _draw_errors(upper, results, mode, "longitudinal")
+            _draw_errors(lower, results, mode, "lateral")
+            upper.set_title(f"{mode.capitalize()}: {meaning}", fontsize=9)
+            upper.tick_params(labelbottom=False)
+            lower.set_xlabel("start of the prediction, s")
+            if column == 1:
+                upper.set_ylabel("mean longitudinal error, m\n(+ = predicted ahead)")
+                lower.set_ylabel("mean lateral error, m\n(+ = predicted left)")
+        figure.align_ylabels()
+        figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+        figure.savefig(file)
+        plt.close(figure)
+
+
+def _draw_map(axes: Axes, results: Results) -> None:
+    track = results.track
+    axes.plot(track.x, track.y, color=MEASURED_COLOUR, lw=3, alpha=0.45, solid_capstyle="round", zorder=1)
+    for (model, _), segment in results.segments.items():
+        x, y, yaw = (np.interp(segment.time_ns, track.time_ns, v) for v in (track.x, track.y, track.yaw))
+        # The measured position plus the recorded error, rotated from the measured heading into the map.
+        along, across = segment.longitudinal, segment.lateral
+        axes.plot(x + along * np.cos(yaw) - across * np.sin(yaw), y + along * np.sin(yaw) + across * np.cos(yaw),
+                  color=MODEL_COLOUR[model], ls=MODEL_LINE[model], zorder=3)
+    starts = results.starts_drawn()
+    for start_ns in starts:
+        x, y = (np.interp(start_ns, track.time_ns, v) for v in (track.x, track.y))
+        axes.plot(x, y, "o", ms=4, color="k", zorder=4)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel="east, m", ylabel="north, m")
+    axes.set_title(f"Measured track and 5 s predictions from {len(starts)} starts", fontsize=9)
+    handles = [Line2D([], [], color=MEASURED_COLOUR, lw=3, alpha=0.45, label="measured")]
+    handles += [Line2D([], [], color=MODEL_COLOUR[m], ls=MODEL_LINE[m], label=m) for m in results.models()]
+    handles += [Line2D([], [], color="k", marker="o", ms=4, ls="", label="start")]
+    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=len(handles))
+
+
+def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None:
+    origin = results.track.time_ns[0] if len(results.track.time_ns) else 0
+    axes.axhline(0, color="k", lw=0.6)
+    for model in results.models():
+        scores = results.scores.get((model, mode))
+        if scores is None:
+            continue
+        time = (scores.start_ns[scores.complete] - origin) * 1e-9
+        value = getattr(scores, quantity)[scores.complete]
+        breaks = np.nonzero(np.diff(time) > 1.0)[0] + 1  # no line across starts without score
+        axes.plot(np.insert(time, breaks, np.nan), np.insert(value, breaks, np.nan), color=MODEL_COLOUR[model],
+                  ls=MODEL_LINE[model])

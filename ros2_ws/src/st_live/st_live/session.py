@@ -1,4 +1,4 @@
-"""One run of the live suite, with the virtual Leaf or the real car at the other end of the wires."""
+"""One run of the live suite, on the virtual Leaf or the real car."""
 
 import os
 import select
@@ -14,35 +14,31 @@ from rich.console import Console
 from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
-from st_predictor.params import ALL_TOPICS
-from st_recordings.paths import config
 
-from . import live_view
-from .importance import HOW_TO_ALLOW
+from . import terminal
 from .node import Monitor
-from .suite import Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain, merge
+from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, chosen_domain_id, claimed_domain
 from .supervision import Supervisor
-from .view.window import Window
+from .view.live import LiveView
 
-NODES = (  # package, executable: in the order they start; the listeners come first so that nothing is missed
+NODES = (  # package, executable, in the order of their start: subscribers first, so that no message is missed
     ("st_predictor", "recorder"),
     ("st_predictor", "evaluator"),
     ("st_predictor", "predictor"),
     ("oxts_bridge", "oxts_bridge"),
     ("canedge_bridge", "canedge_bridge"),
 )
-# The predictor ends while data still flow, so that its last tick is as good as any; what records the last word of all
-# the others ends last.
+# The predictor ends while data still arrive, so that its last tick has inputs; the recorder ends last.
 STOP_ORDER = ("predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
-BEFORE_THE_END = 0.5  # s before a source runs dry the run ends
+END_MARGIN = 0.5  # s between the end of the run and the end of the source
 START_TIMEOUT = 60.0  # s for all nodes to appear in the graph
-DISCOVERY_TIME = 1.5  # s until nodes that run already are in the graph; they announce themselves every second
-QUIET_REFRESH = 10.0  # s between lines where the output is no terminal
+DISCOVERY_TIME = 1.5  # s until running nodes are in the graph; they announce themselves every second
+LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """statuses: of the processes that ran to the end. health: what was not well when the run ended, for a reader."""
+    """statuses: exit statuses of the processes that ran to the end. health: text of the checks not OK at the end."""
 
     statuses: dict[str, int]
     interrupted: bool
@@ -55,34 +51,6 @@ class Outcome:
         return not (self.problem or self.restarts or any(self.statuses.values()))
 
 
-def node_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Parameters | None = None,
-                    everything: bool = False) -> Parameters:
-    """config/nodes.yaml with what this run decides on top.
-
-    model: of `fourth_model`, for one beside the three. everything: whether all topics are recorded, those too that can
-    be made again.
-    """
-    fourth = model or {}
-    files = [values["model_file"] for values in list(fourth.values())[:1]]
-    # With them the raw frames can be decoded wherever the recording is taken.
-    bus = [bridges["canedge_bridge"][name] for name in ("dbc_file", "signals_file")]
-    return merge(
-        config("nodes.yaml"),
-        {
-            **bridges,
-            "predictor": {"vehicle_file": str(vehicle), **fourth.get("predictor", {})},
-            "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors"),
-                          "number_when_taken": True, **fourth.get("evaluator", {})},
-            "recorder": {
-                "output_directory": str(folder / "bag"),
-                "number_when_taken": True,
-                "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *bus, *files],
-                **({"topics": ALL_TOPICS} if everything else {}),
-            },
-        },
-    )
-
-
 def run(
     folder: Path,
     parameters: Parameters,
@@ -90,54 +58,53 @@ def run(
     duration: float | None,
     source: Callable[[Suite], float] | None = None,
     console: Console | None = None,
-    view: Window | None = None,
+    view: LiveView | None = None,
     supervised: bool = False,
     realtime: bool = False,
 ) -> Outcome:
     """Start all nodes, then the source (the virtual Leaf), show the run, stop everything in order.
 
-    duration in s; None: until Ctrl-C, or until the source runs dry: it returns how long it lasts [s]. supervised: a
-    node that ends or hangs is started again; else it ends the run. realtime: bridges and predictor above all other
-    programs, see importance.py; one line says where that is not allowed. Raises SuiteError when a node does not come
-    up, or runs already.
+    duration in s; None: until Ctrl-C, or until the end of the source, which returns its duration [s]. supervised: a
+    node that ends or hangs is restarted; else it ends the run. realtime: real-time scheduling for bridges and
+    predictor, see suite.py. Raises SuiteError if a node does not start, or runs already.
     """
     console = console or Console()
-    # A demo must not be heard by, or hear, another suite on this machine; the car uses the user's own domain.
+    # A demo must not exchange messages with another suite on this machine; the car uses the user's domain.
     chosen = chosen_domain_id()
     if chosen is None and not source:
         chosen = 0
-    held = claimed_domain() if chosen is None else nullcontext(chosen)
-    with _StopRequest() as stop, held as domain, Monitor(domain) as monitor:
+    reserved = claimed_domain() if chosen is None else nullcontext(chosen)
+    with _StopRequest() as stop, reserved as domain, Monitor(domain) as monitor:
         if chosen is not None:
             stop.wait(DISCOVERY_TIME)
-            _refuse_company(monitor, domain, allowed=0)
+            _check_no_other_suite(monitor, domain, allowed=0)
         with Suite(folder, parameters, domain, realtime) as suite:
             if not _all_up(suite, monitor, stop):
                 return Outcome({}, True)
-            _refuse_company(monitor, domain, allowed=1)
-            what = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
-            console.print(escape(what), highlight=False, soft_wrap=True)
+            _check_no_other_suite(monitor, domain, allowed=1)
+            text = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
+            console.print(escape(text), highlight=False, soft_wrap=True)
             if suite.denied:
                 names = ", ".join(sorted(suite.denied))
-                console.print(f"[yellow]real-time scheduling is not allowed here for {names}: "
-                              f"{escape(HOW_TO_ALLOW)}[/yellow]", highlight=False, soft_wrap=True)
+                console.print(f"[yellow]real-time scheduling is not permitted for {names}: "
+                              f"{escape(REALTIME_PERMISSION)}[/yellow]", highlight=False, soft_wrap=True)
             if view:
                 predictor = parameters["predictor"]
-                view.open(folder, domain, predictor["vehicle_file"], predictor["map_frame"], title, console)
+                view.open(folder, domain, predictor, title, console)
             if source:
-                lasts = source(suite) - BEFORE_THE_END
-                duration = min(duration or lasts, lasts)
+                available = source(suite) - END_MARGIN
+                duration = min(duration or available, available)
             supervisor = Supervisor(suite, monitor, NODES) if supervised else None
             problem = _watch(suite, monitor, supervisor, console, title, duration, stop)
-            health = live_view.health(monitor.heard).plain
+            health = terminal.health(monitor.state).plain
             statuses = {}
             for name in STOP_ORDER:
                 statuses.update(suite.stop(name))
         return Outcome(statuses, stop.requested, problem, health, supervisor.restarts if supervisor else {})
 
 
-def _refuse_company(monitor: Monitor, domain: int, allowed: int) -> None:
-    """Two suites in one domain would take each other's INS and steering for their own. Raises SuiteError."""
+def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
+    """Raises SuiteError for another suite in the domain: both would use the INS and steering of the other."""
     counts = Counter(monitor.node_names())
     others = [name for _, name in NODES if counts[name] > allowed]
     if others:
@@ -154,9 +121,8 @@ def _all_up(suite: Suite, monitor: Monitor, stop: "_StopRequest") -> bool:
     while not stop.requested and (missing := monitor.wait_for_nodes(names, 0.5)):
         suite.check()
         if time.monotonic() > end:
-            raise SuiteError(
-                f"not up after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))} (logs in {suite.folder / 'logs'})"
-            )
+            names_missing = ", ".join(sorted(missing))
+            raise SuiteError(f"not up after {START_TIMEOUT:.0f} s: {names_missing} (logs in {suite.folder / 'logs'})")
     return not stop.requested
 
 
@@ -164,9 +130,9 @@ def _watch(
     suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
     duration: float | None, stop: "_StopRequest",
 ) -> str:
-    """Until the time is over or somebody pressed Ctrl-C.
+    """Until the end of the duration or Ctrl-C.
 
-    Without a supervisor a process that dies ends the run, and is what is returned.
+    Without a supervisor a process that ends also ends the run; returns its problem, else an empty text.
     """
     started = time.monotonic()
     last_line = started
@@ -176,24 +142,24 @@ def _watch(
             if duration is not None and elapsed > duration:
                 break
             if supervisor:
-                supervisor.look()
+                supervisor.update()
             else:
                 try:
                     suite.check()
                 except SuiteError as error:
                     return str(error)
             if console.is_terminal:
-                live.update(live_view.view(monitor.heard, elapsed, duration, title), refresh=True)
-            elif time.monotonic() - last_line >= QUIET_REFRESH:
+                live.update(terminal.progress_view(monitor.state, elapsed, duration, title), refresh=True)
+            elif time.monotonic() - last_line >= LOG_PERIOD:
                 last_line = time.monotonic()
-                console.print(Text(f"{title}: {elapsed:.0f} s; {live_view.ticks(monitor.heard)}"), soft_wrap=True)
-                if said := live_view.health(monitor.heard).plain.rstrip():
-                    console.print(Text(said), soft_wrap=True)
+                console.print(Text(f"{title}: {elapsed:.0f} s; {terminal.ticks(monitor.state)}"), soft_wrap=True)
+                if problems := terminal.health(monitor.state).plain.rstrip():
+                    console.print(Text(problems), soft_wrap=True)
     return ""
 
 
 class _StopRequest:
-    """Ctrl-C or SIGTERM as a flag, so that the run ends in its own order."""
+    """Ctrl-C or SIGTERM as a flag, so that the nodes are stopped in order."""
 
     def __init__(self) -> None:
         self.requested = False

@@ -1,8 +1,11 @@
 """The suite as processes: start the nodes with one parameter file, watch them, stop them in order.
 
-Nodes are started through their console scripts, which exist with and without `ros2 run`. Each child leaves the
-terminal's process group, so Ctrl-C reaches only this process, which then ends the children one after another;
-should this process be killed, the kernel interrupts the children (parent-death signal, set by util-linux' setpriv).
+Nodes are started by their console scripts, which exist with and without `ros2 run`. Each child leaves the process group
+of the terminal, so that Ctrl-C reaches only this process, which then ends the children in order. If this process is
+killed, the kernel interrupts the children (parent-death signal, set by util-linux' setpriv).
+
+Priorities on a busy computer: bridges and predictor first, then recorder and evaluator, then the views. The first may
+get real-time scheduling (`st live --realtime`); the others lower their own (st_ros.scheduling.lower).
 """
 
 import os
@@ -20,11 +23,14 @@ import yaml
 from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
-from .importance import make_realtime
-
 STOP_TIMEOUT = 10.0  # s until a child that ignores SIGINT is killed
-LAST_DOMAIN = 101  # the ports of higher ones lie among those the system hands out by itself
-LARGEST_DOMAIN = 232  # there are no ports beyond it
+LAST_DOMAIN = 101  # the ports of higher domains are in the system's ephemeral range
+LARGEST_DOMAIN = 232  # higher domains have no valid port
+# Priorities of SCHED_RR: above other programs, far below the kernel's own threads (50 and more).
+REALTIME_PRIORITIES = {"oxts_bridge": 22, "canedge_bridge": 22, "predictor": 21}
+VIEW_NICE = 10  # a tenth of an equal share
+REALTIME_PERMISSION = ('echo "$USER - rtprio 30" | sudo tee /etc/security/limits.d/single-track.conf, '
+                       "then log in again")
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
@@ -44,10 +50,9 @@ class Child:
 
 
 class Processes:
-    """Processes with their logs in folder/logs. Leave the `with` block and they have ended.
+    """Processes with their logs in folder/logs; leaving the `with` block ends them.
 
-    realtime: those that matter most are to get real-time scheduling (importance.py). denied: names of those that did
-    not.
+    realtime: request REALTIME_PRIORITIES. denied: names of the processes for which that was not permitted.
     """
 
     def __init__(self, folder: Path, domain_id: int | None = None, realtime: bool = False):
@@ -74,7 +79,7 @@ class Processes:
                 env=self.environment,
                 start_new_session=True,
             )
-        if self._realtime and not make_realtime(process.pid, name):
+        if self._realtime and not _set_realtime(process.pid, name):
             self.denied.add(name)
         child = Child(name, process, log)
         self.children.append(child)
@@ -84,13 +89,13 @@ class Processes:
         return [child for child in self.children if child.process.poll() is not None]
 
     def check(self) -> None:
-        """Raises SuiteError naming the first child that ended by itself."""
+        """Raises SuiteError naming the first child that has ended."""
         for child in self.dead():
-            status, words = child.process.returncode, child.last_lines() or "no output"
-            raise SuiteError(f"{child.name} ended with status {status}: {words}\n(log: {child.log})")
+            status, output = child.process.returncode, child.last_lines() or "no output"
+            raise SuiteError(f"{child.name} ended with status {status}: {output}\n(log: {child.log})")
 
     def reap(self, name: str) -> Child | None:
-        """The child of that name if it has ended by itself; it is forgotten then, and may be started again."""
+        """Remove and return the child of that name if it has ended, so that it can be restarted; else None."""
         for child in self.dead():
             if child.name == name:
                 self.children.remove(child)
@@ -98,14 +103,14 @@ class Processes:
         return None
 
     def kill(self, name: str) -> None:
-        """End a child that no longer listens."""
+        """Kill a child that does not respond."""
         for child in [c for c in self.children if c.name == name]:
             child.process.kill()
             child.process.wait()
             self.children.remove(child)
 
     def stop(self, name: str | None = None, timeout: float = STOP_TIMEOUT) -> dict[str, int]:
-        """End one child, or all in the order they were started; returns exit statuses. timeout in s, each."""
+        """End one child, or all in the order of their start; returns exit statuses. timeout: for each [s]."""
         statuses = {}
         for child in [c for c in self.children if name in (None, c.name)]:
             statuses[child.name] = _end(child.process, timeout)
@@ -135,6 +140,18 @@ class Suite(Processes):
         )
 
 
+def _set_realtime(pid: int, name: str) -> bool:
+    """Real-time scheduling for a process of REALTIME_PRIORITIES; False if it is not permitted."""
+    if name in REALTIME_PRIORITIES:
+        try:
+            os.sched_setscheduler(pid, os.SCHED_RR, os.sched_param(REALTIME_PRIORITIES[name]))
+        except PermissionError:
+            return False
+        except ProcessLookupError:
+            pass  # it has ended already, which `check` reports
+    return True
+
+
 def _end(process: subprocess.Popen, timeout: float) -> int:
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
@@ -144,7 +161,7 @@ def _end(process: subprocess.Popen, timeout: float) -> int:
             process.kill()
             process.wait()
         if process.returncode == -signal.SIGINT:
-            return 0  # asked to end before it could listen to being asked
+            return 0  # interrupted before its handler was installed
     return process.returncode
 
 
@@ -164,7 +181,7 @@ def find_executable(package: str, executable: str) -> str:
 def merge(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
     """Node parameters of a file with overrides on top; the file's sections are node names.
 
-    Raises SuiteError naming the file for one that cannot be read, or says something twice.
+    Raises SuiteError naming the file if it cannot be read or has a key twice.
     """
     try:
         document = yaml_text.load(base.read_text(encoding="utf-8"))
@@ -185,7 +202,7 @@ def free_udp_port() -> int:
 
 
 def chosen_domain_id() -> int | None:
-    """The user's ROS_DOMAIN_ID; None where it is not set. Raises SuiteError for one that cannot be a domain."""
+    """ROS_DOMAIN_ID of the user; None where it is not set. Raises SuiteError for an invalid one."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     if not text:
         return None
@@ -196,9 +213,9 @@ def chosen_domain_id() -> int | None:
 
 @contextmanager
 def claimed_domain() -> Iterator[int]:
-    """A ROS domain nobody on this machine uses, and nobody who asks like this gets while it is held.
+    """A ROS domain that no process on this machine uses, reserved against other callers until the end of the block.
 
-    Its first discovery port (DDS: 7400 + 250 * domain + 10) can be bound, and stays bound: participants take the next.
+    Its first discovery port (DDS: 7400 + 250 * domain + 10) is bound meanwhile; participants use the next.
     """
     for domain in range(LAST_DOMAIN, 0, -1):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:

@@ -1,4 +1,4 @@
-"""Which way the nodes talk to each other: on this machine only, and not over shared memory."""
+"""Transport between the nodes: the loopback interface, no shared memory."""
 
 from collections.abc import Mapping
 
@@ -8,11 +8,11 @@ RANGE, PROFILES, RMW = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFIL
 
 
 def loopback(environment: Mapping[str, str]) -> dict[str, str]:
-    """The variables to add to `environment` so that all nodes started with them stay on the loopback interface.
+    """Variables to add to `environment` so that all nodes started with them stay on the loopback interface.
 
-    For Fast DDS that is a profile (config/dds/loopback.xml). The range LOCALHOST, which does the same for any
-    middleware, would bring back the shared memory over which a node started again after `kill -9` may stay deaf
-    (docs/manual/reliability.md, Transport). Another middleware gets it, and so does who has a profile of his own.
+    For Fast DDS that is a profile (config/dds/loopback.xml). The range LOCALHOST, which has the same effect for any
+    middleware, would enable shared memory, over which a node restarted after `kill -9` may receive nothing
+    (docs/manual/reliability.md, Transport). It is used for other middleware, and with a profile of the user.
     """
     own = str(config("dds/loopback.xml"))
     if environment.get(PROFILES, own) != own or not environment.get(RMW, "rmw_fastrtps_cpp").startswith("rmw_fastrtps"):

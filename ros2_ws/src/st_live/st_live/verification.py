@@ -1,19 +1,25 @@
-"""Live equals offline: what the nodes predicted and scored against the library, start by start, on one recording."""
+"""Comparison of the predictions and scores of the nodes with the library, start by start, on one recording."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+from rich.progress import Progress as ProgressBar
+from rich.table import Table
+from rich.text import Text
 from st_core.errors import ConfigurationError
 from st_core.evaluation import Mode
 from st_core.log_evaluation import MODES, EvaluationSettings, evaluate_blocks
 from st_core.log_signals import LogSignals
 from st_core.models import Model, get_model
+from st_core.palette import MODEL_COLOUR
 from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
+from st_recordings.output import new_folder
 from st_recordings.recorded import (
     Predictions,
     Progress,
@@ -23,29 +29,27 @@ from st_recordings.recorded import (
     read_predictions,
     read_scores,
 )
-from st_recordings.runs.bag import is_bag, read_bag, was_cut
-from st_recordings.runs.errors import RunError
-from st_recordings.runs.foreign import SteeringField
-from st_recordings.runs.made_again import WHERE
-from st_recordings.runs.messages import ODOMETRY, STEERING
+from st_recordings.runs.bag import read_bag, was_cut
+
+from .configuration import TRUNCATED, recordings_of
+from .suite import SuiteError
 
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
-# Nodes and recorder find each other one by one, and the filter of the forward acceleration begins with the first sample
-# each of them hears. After so many of its time constants it knows nothing of that (2e-9 is left).
-SETTLED = 20.0
-# So long without a prediction, the predictor may have been started again [s]; a busy computer skips fewer ticks.
-PAUSE = 1.0
-CUT = "{} was cut: its recorder did not end it; what came after is not {}"
+# The filter of the forward acceleration starts with the first sample each node receives, which differs between nodes.
+# After this many time constants 2e-9 of that difference remains.
+SETTLING_TIME_CONSTANTS = 20.0
+# A pause this long without prediction may be a restart of the predictor [s]; a busy computer skips fewer ticks.
+RESTART_PAUSE = 1.0
 
 
 @dataclass
 class Comparison:
-    """Of one model. Differences are largest magnitudes: position of any point [m], yaw [rad], error of any point [m].
+    """Largest differences of one model: position of any point [m], yaw [rad], error of any point [m].
 
-    n_starts: predictions compared. n_scores: complete scores compared, by mode. n_cut: scores the nodes were ended
-    before; n_disagree: other scores complete on one side only, jumps of the position apart. start: position at the
-    start alone, which tells a different state from a different prediction [m]. n_settling: predictions, with their
-    scores, that are not compared, see `settled`.
+    n_starts: predictions compared. n_scores: complete scores compared, by mode. n_cut: scores that the end of the nodes
+    left incomplete; n_disagree: other scores complete on one side only, jumps of the position excepted. start: position
+    at the start alone, which separates a different state from a different prediction [m]. n_settling: predictions, with
+    their scores, that are not compared, see `settled`. at_ns: start of the largest difference.
     """
 
     model: str
@@ -68,7 +72,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """same_configuration: whether vehicle and settings taken here are those the predictions carry the hash of."""
+    """same_configuration: whether vehicle and settings used here have the hash of the predictions."""
 
     comparisons: list[Comparison]
     vehicle: str
@@ -84,57 +88,10 @@ class Verification:
         return sum(c.n_starts for c in self.comparisons)
 
 
-def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console, view=None,
-               bands: Path | None = None, steering: SteeringField | None = None):
-    """(Outcome, name of the vehicle) of playing a recording with its own configuration; see replaying.replay.
-
-    steering: where the angle is in a recording of another make.
-    """
-    from .bands import with_bands
-    from .replaying import node_parameters, replay
-
-    drive = read_bag(bag, steering=steering)
-    made = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(WHERE)]
-    if made:
-        raise RunError(bag, f"it holds no {' and no '.join(made)} to play",
-                       "st evaluate and st verify make them again from raw packets and frames")
-    for line in not_played(bag, drive.unknown):
-        console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
-    car, recorded, _ = configuration_of(drive.records, vehicle)
-    file = folder / "vehicle.yaml"
-    file.write_text(car.to_yaml())
-    parameters = with_bands(node_parameters(folder, file, recorded), bands)
-    if "map_frame" not in recorded.nodes.get("predictor", {}):
-        for node in ("predictor", "evaluator"):  # of another make, its odometry may be in a frame of another name
-            parameters[node]["map_frame"] = drive.frame
-    return replay(bag, drive.topics, folder, parameters, rate, console, view, player_options(steering, car)), car.name
-
-
-def not_played(bag: Path, unknown: Sequence[str]) -> list[str]:
-    """What a replay does not show, in sentences: topics nobody here knows, and the rest of a recording that was cut."""
-    topics = [f"not known and not played: {', '.join(unknown)}"] if unknown else []
-    return topics + ([CUT.format(bag, "played")] if was_cut(bag) else [])
-
-
-def player_options(steering: SteeringField | None, car: VehicleParameters) -> list[str]:
-    """How the player makes st_msgs/Steering of another topic; nothing where it is that already."""
-    if steering is None:
-        return []
-    wheel = ["--steering-wheel", repr(car.steering_ratio), repr(car.steering_wheel_offset)]
-    return ["--steering-field", steering.field, *(wheel if steering.quantity == "wheel" else [])]
-
-
-def recordings_of(path: Path) -> tuple[Path, list[Path]]:
-    """(the bag with measurements, bags that may hold scores) for a bag, or the folder of a run of st."""
-    bag = path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
-    errors = bag.parent / "errors"
-    return bag, [errors] if is_bag(errors) and errors.is_dir() else [bag]
-
-
 def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = None) -> Verification | None:
-    """Compare every prediction and score in a recording with the library; None where it holds no predictions.
+    """Compare every prediction and score in a recording with the library; None without predictions.
 
-    vehicle: file to take instead of the one in the recording. Raises RunError, ConfigurationError.
+    vehicle: file instead of the one in the recording. Raises RunError, ConfigurationError.
     """
     bag, score_bags = recordings_of(path)
     predictions = read_predictions(bag, progress)
@@ -145,13 +102,13 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     settings = _settings(recorded)
     scores = read_scores(score_bags, progress)
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
-    cut = [CUT.format(one, "compared") for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
-    comparisons, warnings = [], [*drive.warnings, *cut]
+    truncated = [TRUNCATED.format(one, "compared") for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
+    comparisons, warnings = [], [*drive.warnings, *truncated]
     for name, live in predictions.items():
         try:
             model = get_model(name)
         except ConfigurationError:
-            warnings.append(f"predictions of {name} are not compared: the library has no model of that name")
+            warnings.append(f"predictions of {name} are not compared: the library has no model of this name")
             continue
         of_model = {mode: scores[name, mode] for mode in MODES if (name, mode) in scores}
         comparisons.append(_compare(model, car, signals, live, of_model, settings.filter_cutoff, progress))
@@ -166,19 +123,19 @@ def _settings(recorded: RecordedConfiguration) -> PredictionSettings:
 
 
 def settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
-    """Whether the forward acceleration at a start no longer depends on which INS sample was the first to be heard.
+    """Whether the forward acceleration at each start is independent of the first INS sample received.
 
-    starts_ns: of predictions, rising. A predictor that was started again begins anew, so the time counts from the first
-    start since the recording knows the INS, and from the first after every pause: of PAUSE, or of three intervals where
-    the predictor is slower. cutoff: of the filter [Hz].
+    starts_ns: of predictions, increasing. The time counts from the first start after the first recorded INS sample, and
+    from the first start after every pause, which may be a restart of the predictor: of RESTART_PAUSE, or of three
+    intervals where the predictor is slower. cutoff: of the filter [Hz].
     """
     known = starts_ns >= ins_time_ns[0] if len(ins_time_ns) else np.zeros(len(starts_ns), bool)
     between = np.diff(starts_ns)
-    pause = max(round(1e9 * PAUSE), 3 * np.median(between)) if len(between) else 0
+    pause = max(round(1e9 * RESTART_PAUSE), 3 * np.median(between)) if len(between) else 0
     begins = np.concatenate([np.ones(min(len(starts_ns), 1), bool), between > pause])
     begins |= np.diff(known, prepend=False)
     since_ns = starts_ns - np.maximum.accumulate(np.where(begins, starts_ns, starts_ns[:1]))
-    return known & (since_ns > SETTLED / (2.0 * np.pi * cutoff) * 1e9)
+    return known & (since_ns > SETTLING_TIME_CONSTANTS / (2.0 * np.pi * cutoff) * 1e9)
 
 
 def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Predictions,
@@ -190,16 +147,17 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
     result.n_settling = int((~kept).sum())
     starts_ns, live_states = live.starts_ns[kept], live.states[kept]
     for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings):
-        ours, theirs = block.trajectories[model.name, "forecast"], live_states[rows]
-        known = np.isfinite(ours).all(axis=(1, 2)) & np.isfinite(theirs).all(axis=(1, 2))
-        distance = np.hypot(ours[known][..., 0] - theirs[known][..., 0], ours[known][..., 1] - theirs[known][..., 1])
+        computed, recorded = block.trajectories[model.name, "forecast"], live_states[rows]
+        known = np.isfinite(computed).all(axis=(1, 2)) & np.isfinite(recorded).all(axis=(1, 2))
+        difference = computed[known] - recorded[known]
+        distance = np.hypot(difference[..., 0], difference[..., 1])
         result.n_starts += int(known.sum())
         if distance.size:
             if distance.max() > result.position:
                 result.at_ns = int(starts_ns[rows][known][distance.max(axis=1).argmax()])
             result.position = max(result.position, float(distance.max()))
             result.start = max(result.start, float(distance[:, 0].max()))
-            result.yaw = max(result.yaw, float(np.abs(ours[known][..., 4] - theirs[known][..., 4]).max()))
+            result.yaw = max(result.yaw, float(np.abs(difference[..., 4]).max()))
         for mode, scored in scores.items():
             _compare_scores(result, mode, scored, starts_ns[rows], block.errors[model.name, mode])
         if progress:
@@ -207,16 +165,90 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
     return result
 
 
-def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np.ndarray, ours: np.ndarray) -> None:
-    _, mine, theirs = np.intersect1d(starts_ns, scored.starts_ns, assume_unique=True, return_indices=True)
-    complete = np.isfinite(ours[mine]).all(axis=(1, 2))
-    both = complete & scored.complete[theirs]
-    cut = complete & scored.cut[theirs]
+def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np.ndarray, errors: np.ndarray) -> None:
+    _, computed, recorded = np.intersect1d(starts_ns, scored.starts_ns, assume_unique=True, return_indices=True)
+    complete = np.isfinite(errors[computed]).all(axis=(1, 2))
+    both = complete & scored.complete[recorded]
+    cut = complete & scored.cut[recorded]
     result.n_cut += int(cut.sum())
-    # Offline `st check` tells jumps of the position and leaves them out; live no score goes across one.
-    excused = cut | scored.jumped[theirs]
-    result.n_disagree += int(((complete != scored.complete[theirs]) & ~excused).sum())
+    # Offline `st check` finds jumps of the position and excludes them; live no score spans one.
+    excused = cut | scored.jumped[recorded]
+    result.n_disagree += int(((complete != scored.complete[recorded]) & ~excused).sum())
     result.n_scores[mode] += int(both.sum())
     if both.any():
-        difference = np.abs(ours[mine][both][..., :2] - scored.errors[theirs][both][..., :2])
+        difference = np.abs(errors[computed][both][..., :2] - scored.errors[recorded][both][..., :2])
         result.error[mode] = max(result.error[mode], float(difference.max()))
+
+
+def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: bool, output: Path | None,
+                   console: Console) -> int:
+    """Run `st verify` and print the result.
+
+    Returns 0 if no difference exceeds `tolerance` [m] and every score is complete on both sides, 1 if not, 2 if there
+    is nothing to compare. replayed: play the recording through the nodes first.
+    """
+    from .replaying import replay_bag  # needs ROS, which comparing does not
+
+    found = None if replayed else _verified(bag, vehicle, console)
+    if found is None:
+        why = "--replay" if replayed else "it has no predictions"
+        folder = new_folder(output, f"verify-{bag.stem}")
+        console.print(f"{bag.name} is played through the nodes ({why}); recordings in {folder}", highlight=False)
+        outcome, _ = replay_bag(recordings_of(bag)[0], folder, vehicle, 0.0, console)
+        if not outcome.ok:
+            failure = f"a node ended with an error: {outcome.statuses}; see {folder / 'logs'}"
+            raise SuiteError(outcome.problem or failure)
+        found = _verified(folder, vehicle, console)
+    if found is None or not found.n_starts:
+        settling = sum(c.n_settling for c in found.comparisons) if found else 0
+        why = (f"all {settling} predictions start too early after the first sample received" if settling
+               else "no prediction was made from this recording")
+        console.print(f"nothing to compare: {why}")
+        return 2
+    console.print(_table(found))
+    for warning in found.warnings:
+        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+    if not found.same_configuration:
+        console.print("[yellow]the predictions have the hash of another vehicle or of other settings[/yellow]")
+    return _conclusion(found, tolerance, console)
+
+
+def _verified(path: Path, vehicle: Path | None, console: Console) -> Verification | None:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with ProgressBar(*columns, console=console, transient=True) as progress:
+        bar = progress.add_task("reading and comparing")
+        return verify(path, vehicle, lambda done, total: progress.update(bar, completed=done, total=total))
+
+
+def _table(found: Verification) -> Table:
+    """At most 80 columns wide for an hour of driving."""
+    table = Table(title=f"Live against library ({found.vehicle}): largest differences", title_justify="left",
+                  title_style="bold", box=None, collapse_padding=True, pad_edge=False)
+    table.add_column("model")
+    for heading in ("starts", "start\nstate\nmm", "path\nmm", "hindsight\nscores\nnumber, mm",
+                    "forecast\nscores\nnumber, mm", "only on\none side"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for c in found.comparisons:
+        scores = [f"{c.n_scores[mode]}, {c.error[mode] * 1000:.2g}" for mode in MODES]
+        table.add_row(Text(c.model, style=MODEL_COLOUR.get(c.model, "")), str(c.n_starts), f"{c.start * 1000:.2g}",
+                      f"{c.position * 1000:.2g}", *scores, str(c.n_disagree))
+    return table
+
+
+def _conclusion(found: Verification, tolerance: float, console: Console) -> int:
+    scores = sum(sum(c.n_scores.values()) for c in found.comparisons)
+    disagree, cut = (sum(getattr(c, name) for c in found.comparisons) for name in ("n_disagree", "n_cut"))
+    passed = found.largest <= tolerance and not disagree
+    verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
+    worst = max(found.comparisons, key=lambda c: c.position)
+    where = ""
+    if worst.at_ns and not passed:
+        time = f"{datetime.fromtimestamp(worst.at_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3]
+        where = f"; the path of {worst.model} most at {time} UTC"
+    console.print(f"{verdict}: {found.n_starts} predictions and {scores} scores compared, largest difference "
+                  f"{found.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), {disagree} scores complete on one "
+                  f"side only, {cut} more cut off by the end of the nodes{where}", highlight=False, soft_wrap=True)
+    settling = sum(c.n_settling for c in found.comparisons)
+    console.print(f"[dim]{settling} predictions not compared: the filter of the forward acceleration still depends "
+                  f"on the first sample each node received[/dim]", highlight=False, soft_wrap=True)
+    return 0 if passed else 1

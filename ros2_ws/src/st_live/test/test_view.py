@@ -1,6 +1,9 @@
-"""The live view: left is left, ghosts are as old as they say, and what it refuses."""
+"""The views: left is left, ghosts have their ages, the frames of the page, and refused files."""
 
+import json
 import math
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +12,24 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from rich.console import Console
+import urllib.error
+import urllib.request
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import Odometry
 from st_core.palette import LABEL_AT, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.suite import SuiteError
-from st_live.view import words
-from st_live.view.geometry import grid, heading_up, north_up
-from st_live.view.page import policy
-from st_live.view.window import Window
-from st_msgs.msg import ErrorStatistics
+from st_live.view.live import LiveView, check_new_rerun_file
+from st_live.view.page_server import PAGE, PageServer
+from st_live.view.passenger import PassengerFrames
+from st_live.view.recorded import error_text
+from st_live.view.rerun_scene import grid, heading_up, north_up
+from st_live.view.rerun_server import POLICY
+from st_msgs.msg import Band, ErrorStatistics, InsStatus, Prediction, PredictionError, Steering
 from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, car_outline, ribbon
 from st_predictor.map_drawing import Path as PredictedPath
+from st_ros.stamps import from_nanoseconds
 from support import ROOT
 
 pytestmark = pytest.mark.ros
@@ -119,96 +129,135 @@ def test_names_of_models_that_predict_the_same_do_not_cover_each_other() -> None
 def test_the_table_on_the_page_has_a_row_per_model_and_mode_and_names_what_is_wrong() -> None:
     rows = [ErrorStatistics(model=m, mode=k, n_starts=7, longitudinal_rmse=1.234, lateral_rmse=float("nan"))
             for m in ("kinematic", "linear") for k in ("forecast", "hindsight")]
-    text = words.page(rows, "Ticks 9", [(0, "a", "fine"), (1, "b", "late"), (2, "c", "silent")])
+    text = error_text(rows, "Ticks 9", [(0, "a", "fine"), (1, "b", "late"), (2, "c", "silent")])
     assert [text.count(f"| {mode} | 7 | 1.23 | - |") for mode in ("forecast", "hindsight")] == [2, 2]
     assert text.index("**error**: c: silent") < text.index("warning: b: late") and "fine" not in text
-    assert "Waiting" in words.page([], "", []) and "All nodes well." in words.page([], "", [(0, "a", "fine")])
+    assert "Waiting" in error_text([], "", []) and "All nodes OK." in error_text([], "", [(0, "a", "fine")])
 
 
-def test_the_page_may_ask_nobody_but_this_machine() -> None:
-    for directive in policy(4711).split("; "):
+def test_the_page_of_rerun_may_request_nothing_from_elsewhere() -> None:
+    for directive in POLICY.split("; "):
         for source in directive.split()[1:]:
-            assert source.startswith("'") or source in ("data:", "blob:", "http://127.0.0.1:4711"), directive
+            assert source.startswith("'") or source in ("data:", "blob:"), directive
 
 
-@pytest.mark.parametrize(("name", "words"), [
-    ("view.txt", "ends in .rrd"), ("there.rrd", "exists already"), ("no/where.rrd", "cannot be made"),
+@pytest.mark.parametrize(("name", "text"), [
+    ("view.txt", "ends in .rrd"), ("there.rrd", "exists already"), ("no/where.rrd", "cannot be written"),
 ])
-def test_a_recording_that_cannot_be_written_is_refused(tmp_path: Path, name: str, words: str) -> None:
+def test_a_recording_that_cannot_be_written_is_refused(tmp_path: Path, name: str, text: str) -> None:
     pytest.importorskip("rerun", reason="not beside a sourced ROS")
     (tmp_path / "there.rrd").write_bytes(b"")
-    with pytest.raises(SuiteError, match=words):
-        Window(page=True, save=tmp_path / name)
+    with pytest.raises(SuiteError, match=text):
+        check_new_rerun_file("--view-save", tmp_path / name)
 
 
-def test_a_view_that_was_never_opened_ends_quietly() -> None:
-    pytest.importorskip("rerun", reason="not beside a sourced ROS")
-    window = Window(page=True)
-    window.finish(Console(quiet=True))
-    window.close()
+@pytest.mark.parametrize("address", ["127.0.0.1:http", "127.0.0.1:99999"])
+def test_an_address_without_a_valid_port_is_refused(address: str) -> None:
+    with pytest.raises(SuiteError, match="--view-address"):
+        LiveView(True, address)
 
 
-def said(**changes: object) -> list[str]:
-    values: dict = {"velocity_x": 10.0, "yaw_rate": -0.2, "road_wheel_angle": 0.05, "mode": "RTK integer",
-                    "mode_age": 0.4, "health": words.light([(0, "a", "fine")]), "age": 0.12}
-    return words.passenger(**values | changes).split("\n\n")
+def odometry(time_s: float, x: float, y: float, yaw: float, speed: float, yaw_rate: float) -> Odometry:
+    message = Odometry()
+    message.header.frame_id, message.header.stamp = "map", from_nanoseconds(round(time_s * 1e9))
+    message.pose.pose.position.x, message.pose.pose.position.y = x, y
+    message.pose.pose.orientation.z, message.pose.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    message.twist.twist.linear.x, message.twist.twist.angular.z = speed, yaw_rate
+    return message
 
 
-def test_the_passenger_reads_speed_steering_position_mode_and_one_light() -> None:
-    assert said() == ["# 36 km/h", "## wheels 2.9° left · 2.0 m/s² right", "## RTK integer · all well",
-                      "picture 0.1 s old"]
-    assert "## wheels - · 2.0 m/s² right" in said(road_wheel_angle=None)
-    assert "## wheels 0.0° · 2.0 m/s² right" in said(road_wheel_angle=-1e-4)
-    assert "## RTK float (9 s ago) · all well" in said(mode="RTK float", mode_age=9.0)
-    assert "## position mode not heard · all well" in said(mode="")
-    assert not any("old" in line for line in said(age=None))  # a recording is as old as it is
-    assert "## the picture stands: 3 s old" in said(age=3.2)
+@pytest.fixture
+def driven() -> PassengerFrames:
+    """3 s to the north at 10 m/s with the INS 0.4 m behind the CG; a prediction that bends to the left."""
+    car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
+    frames = PassengerFrames(car, "map")
+    for k in range(31):
+        frames.take("ins/odometry", odometry(1000 + 0.1 * k, 7.0, k, math.pi / 2, 10.0, 0.2), 50 + 0.1 * k)
+    north = 30 - car.cg_to_ins_x + np.linspace(0.0, 50.0, 101)
+    prediction = Prediction(model="linear", step=0.05, x=7.0 - 0.002 * (north - north[0]) ** 2, y=north,
+                            yaw=np.full(101, math.pi / 2))
+    zeros, across = [0.0] * 101, np.linspace(0.0, 2.0, 101).tolist()
+    prediction.bands = [Band(mode="forecast", level=0.9, along=zeros, across=across, yaw=zeros)]
+    frames.take("predictor/linear/prediction", prediction, 53.0)
+    frames.take("vehicle/steering", Steering(road_wheel_angle=0.1), 53.0)
+    frames.take("ins/status", InsStatus(position_mode_text="RTK integer"), 52.5)
+    return frames
 
 
-def test_the_light_is_that_of_the_worst_check_and_never_green_over_an_old_picture() -> None:
-    health = [(0, "a", "fine"), (1, "b", "late"), (2, "c", "silent")]
-    assert words.light(health) == ("error", "c: silent, and 1 more")
-    assert words.light(health[:2]) == ("warning", "b: late")
-    assert words.light(health[:1], 0.2) == ("all well", "") and words.light([]) == ("nothing heard", "")
-    assert words.light(health[:1], 1.5)[0] == words.light([(3, "d", "gone")])[0] == "error"
+def test_a_frame_shows_the_world_from_the_car(driven: PassengerFrames) -> None:
+    frame = driven.frame(53.1)
+    json.dumps(frame, allow_nan=False)
+    assert frame["received"] == pytest.approx(53.0) and frame["mode"] == "RTK integer"
+    assert frame["speed"] == 10.0 and frame["lateral_acceleration"] == 2.0 and frame["steering"] == 0.1
+    track = np.array(frame["track"])
+    assert np.abs(track[:, 1]).max() < 0.01 and track[0, 0] == pytest.approx(-30.0, abs=0.01)
+    path = frame["paths"]["linear"]
+    points = np.array(path["points"])
+    assert points[0] == pytest.approx([0.0, 0.0], abs=0.01)  # the prediction starts at the CG
+    assert points[-1] == pytest.approx([50.0, 5.0], abs=0.01)  # a bend to the left is left
+    assert path["step"] == pytest.approx(0.1) and path["band"][-1] == 2.0 and len(points) == 51
+    assert "linear" not in driven.frame(54.5)["paths"]  # an old prediction is not drawn
 
 
-def test_a_view_whose_odometry_stops_says_so(tmp_path: Path) -> None:
-    rr = pytest.importorskip("rerun", reason="not beside a sourced ROS")
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-    from nav_msgs.msg import Odometry
-    from st_live.view.feed import Feed
-    from st_live.view.scene import Scene, recording
-    from st_msgs.msg import InsStatus, Steering
-    from st_ros.stamps import from_nanoseconds
+def test_the_error_is_that_of_the_end_of_the_horizon(driven: PassengerFrames) -> None:
+    score = PredictionError(model="linear", mode="forecast", complete=True, horizon=[0.0, 5.0],
+                            longitudinal=[0.0, -1.5], lateral=[0.0, 0.8])
+    driven.take("evaluator/errors", score, 53.0)
+    driven.take("evaluator/errors", PredictionError(model="kinematic", mode="hindsight", complete=True), 53.0)
+    assert driven.frame(53.1)["errors"] == {"linear": {"longitudinal": -1.5, "lateral": 0.8, "horizon": 5.0}}
+    driven.take("ins/odometry", odometry(1.0, 0.0, 0.0, 0.0, 1.0, 0.0), 53.2)  # a replay starts over
+    frame = driven.frame(53.2)
+    assert frame["errors"] == {} and len(frame["track"]) == 1
 
-    class Noted(Scene):
-        """Draws, and keeps what the passenger was told."""
 
-        def passenger(self, time_ns: int, markdown: str, light: str) -> None:
-            super().passenger(time_ns, markdown, light)
-            told.append((time_ns, markdown, light))
+@pytest.mark.parametrize(("levels", "light", "text"), [
+    ([0, 0], "ok", "all checks OK"), ([0, 1], "warning", "b: text"), ([2, 1], "error", "a: text, and 1 more"),
+    ([3, 0], "error", "a: text"), ([], "none", "no diagnostics"),
+])
+def test_the_light_is_that_of_the_worst_check(driven: PassengerFrames, levels, light, text) -> None:
+    status = [DiagnosticStatus(name=n, level=bytes([k]), message="text") for n, k in zip("ab", levels, strict=False)]
+    driven.take("/diagnostics", DiagnosticArray(status=status), 53.0)
+    frame = driven.frame(53.1)
+    assert (frame["light"], frame["text"]) == (light, text)
+    assert driven.frame(57.0)["light"] == "none"  # nodes that are silent
 
-    told: list[tuple[int, str, str]] = []
-    drawing = recording("test", 0.1, rr.FileSink(str(tmp_path / "view.rrd")))
-    feed = Feed(Noted(drawing, VehicleParameters.from_yaml(LEAF.read_text(), "leaf")), "map")
-    start, measured = 1_800_000_000_000_000_000, 1_700_000_000_000_000_000  # of another clock than the host's
-    odometry, status = Odometry(), InsStatus(position_mode=6, position_mode_text="RTK integer")
-    odometry.header.frame_id, odometry.twist.twist.linear.x = "map", 10.0
-    for k in range(60):
-        now = start + k * 100_000_000
-        odometry.header.stamp = status.header.stamp = from_nanoseconds(measured + k * 100_000_000)
-        if k % 10 == 0:
-            feed.take("ins/status", status, now)
-            feed.take("/diagnostics", DiagnosticArray(status=[DiagnosticStatus(name="a")]), now)
-        feed.take("vehicle/steering", Steering(road_wheel_angle=0.1), now)
-        if k < 40:
-            feed.take("ins/odometry", odometry, now)
-        feed.draw(now + 20_000_000)
-    drawing.flush()
-    drawing.disconnect()
-    moving = [(text, light) for time_ns, text, light in told if time_ns < measured + 3_800_000_000]
-    assert {light for _, light in moving} == {"all well"} and all("picture 0.0 s old" in text for text, _ in moving)
-    assert 8 <= len(moving) <= 12 and "# 36 km/h" in moving[0][0] and "## RTK integer" in moving[0][0]
-    assert told[-1][2] == "error" and "the picture stands: 2 s old" in told[-1][1] and "no position" in told[-1][1]
-    assert (tmp_path / "view.rrd").stat().st_size > 1000
+
+@pytest.fixture
+def server():
+    running = PageServer("127.0.0.1", 0, {"title": "</script>", "models": {}, "car": {"length": 4.4, "width": 1.8}})
+    threading.Thread(target=running.serve_forever, daemon=True).start()
+    yield running
+    running.stop()
+
+
+def get(server: PageServer, path: str, host: str = "127.0.0.1"):
+    request = urllib.request.Request(f"http://127.0.0.1:{server.port}{path}", headers={"Host": f"{host}:{server.port}"})
+    return urllib.request.urlopen(request, timeout=10)
+
+
+def test_the_page_is_small_and_loads_nothing_else(server: PageServer) -> None:
+    with get(server, "/") as answer:
+        page, headers = answer.read().decode(), answer.headers
+    assert len(page) < 200_000 and "default-src 'none'" in headers["Content-Security-Policy"]
+    assert "</script>:" not in page and page.count("<script>") == page.count("</script>") == 1
+    assert "http" not in PAGE.read_text().replace('<html lang="en">', "")
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        get(server, "/etc/passwd")
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        get(server, "/", host="elsewhere.example")
+
+
+def test_a_slow_client_gets_the_newest_frame_and_the_clock_is_that_of_the_frames(server: PageServer) -> None:
+    with get(server, "/frames") as stream:
+        while not server.clients:
+            time.sleep(0.01)
+        server.publish({"number": 1})
+        assert stream.readline() == b'data: {"number":1}\n'
+        assert stream.readline() == b"\n"
+        with get(server, "/clock") as answer:
+            assert abs(json.load(answer) - time.monotonic()) < 5.0
+    number = server.next_frame(0)[1]
+    server.publish({"number": 2})
+    server.publish({"number": 3})
+    assert server.next_frame(number)[0] == b'data: {"number":3}\n\n'
+    assert server.next_frame(number + 2) == (b":\n\n", number + 2)  # no new frame

@@ -79,6 +79,19 @@ def steering_of(context):
     return {name: str(value) for name, value in steering.items()}
 
 
+def ins_bridge(context):
+    """The bridge of the INS, with the lever arm of the vehicle file as the transform base_link to ins_link."""
+    with open(VEHICLE.perform(context), encoding="utf-8") as stream:
+        vehicle = yaml.safe_load(stream)
+    x, y = (float(vehicle.get(name, {}).get("value", 0.0)) for name in ("cg_to_ins_x", "cg_to_ins_y"))
+    return [suite_node(
+        "oxts_bridge", "oxts_bridge",
+        number("oxts_bridge", "udp_port", LaunchConfiguration("ncom_port")),
+        text("oxts_bridge", "bind_address", LaunchConfiguration("ncom_address")),
+        number("oxts_bridge", "base_to_ins", f"[{x}, {y}, 0.0]"),
+    )]
+
+
 def can_bridge(context):
     return [suite_node(
         "canedge_bridge", "canedge_bridge",
@@ -140,11 +153,6 @@ def generate_launch_description():
         ),
         suite_node("st_predictor", "markers", text("markers", "vehicle_file", VEHICLE), **drawn),
         suite_node("st_predictor", "identifier", text("identifier", "vehicle_file", VEHICLE), **tracked),
-        suite_node(
-            "oxts_bridge", "oxts_bridge",
-            number("oxts_bridge", "udp_port", LaunchConfiguration("ncom_port")),
-            text("oxts_bridge", "bind_address", LaunchConfiguration("ncom_address")),
-            **bridges,
-        ),
+        OpaqueFunction(function=ins_bridge, **bridges),
         OpaqueFunction(function=can_bridge, **bridges),
     ])

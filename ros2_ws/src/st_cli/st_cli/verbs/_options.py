@@ -55,8 +55,11 @@ Step = Annotated[float, typer.Option(help="Integration step, s.")]
 MinimumSpeed = Annotated[float, typer.Option(help="No prediction starts below this speed, m/s.")]
 BandsFile = Annotated[Path | None, typer.Option(
     "--bands", help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True, dir_okay=False)]
-View = Annotated[bool, typer.Option("--view", help="Show it live in the browser, served on this machine only.")]
-ViewSave = Annotated[Path | None, typer.Option(help="Write the live view to this file (.rrd), for `st view`.")]
+View = Annotated[bool, typer.Option("--view", help="Show the path ahead and its error live in the browser.")]
+ViewAddress = Annotated[str | None, typer.Option(
+    "--view-address", help="HOST or HOST:PORT of this computer for --view; default 127.0.0.1, this computer only. "
+    "0.0.0.0:8080: also a phone in the same network, which anybody there can open.")]
+ViewSave = Annotated[Path | None, typer.Option(help="After the run, draw it into this file (.rrd), for `st view`.")]
 Offset = Annotated[float | None, typer.Option(
     help="INS minus CAN clock, s, set by hand; default: found from the signals.")]
 InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
@@ -181,7 +184,7 @@ def say_whose(verb: str, file: Path | str) -> None:
 
 def say_whose_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
     """The same line for a recording that carries no vehicle file. Raises RunError for one that cannot be read."""
-    from st_live.verification import recordings_of
+    from st_live.configuration import recordings_of
     from st_recordings.recorded import recorded_configuration
     from st_recordings.runs.bag import records_of
 

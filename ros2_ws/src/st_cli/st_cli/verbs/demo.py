@@ -36,18 +36,24 @@ def demo(
     bands: shared.BandsFile = None,
     record: shared.Record = "needed",
     view: shared.View = False,
+    view_address: shared.ViewAddress = None,
     view_save: shared.ViewSave = None,
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
 ) -> None:
     """Drive the virtual Leaf, or a recorded drive, through bridges and nodes; show how well each model predicts."""
     # Imported when it runs: the drawing and ROS libraries take a second that `st --help` need not wait.
-    from st_live.bands import with_bands
-    from st_live.fourth_model import fourth_model
+    from st_live.configuration import (
+        add_bands,
+        live_parameters,
+        model_parameters,
+        vehicle_file,
+        vehicle_name,
+    )
     from st_live.report import conclude
-    from st_live.session import node_parameters, run
+    from st_live.session import run
     from st_live.suite import SuiteError
-    from st_live.view.window import finish, window
-    from st_live.wires import VirtualCar, name_of, vehicle_file
+    from st_live.view.live import LiveView
+    from st_live.virtual_car import VirtualCar
     from st_recordings.output import new_folder
 
     console = Console()
@@ -62,14 +68,14 @@ def demo(
     options += [word for e in effect for word in ("--effect", e)]
     with shared.refusals("demo", SuiteError):
         car = VirtualCar(vehicle_file(vehicle), options, plant_vehicle and plant_vehicle.absolute())
-        fourth = fourth_model(model, effects, car.vehicle)
-        shown = window(view, view_save)
+        further = model_parameters(model, effects, car.vehicle)
+        page = LiveView(view, view_address, view_save)
         folder = new_folder(output, f"demo-{what}")
-        parameters = with_bands(
-            node_parameters(folder, car.vehicle, car.bridge_parameters(), fourth, record == "all"), bands)
-        outcome = run(folder, parameters, what, duration, car.start, console, shown)
+        parameters = add_bands(
+            live_parameters(folder, car.vehicle, car.bridge_parameters(), further, record == "all"), bands)
+        outcome = run(folder, parameters, what, duration, car.start, console, page)
     source = "recorded drive" if drive else "virtual Leaf"
-    about = {"what": what, "source": source, "vehicle": name_of(car.vehicle), "seed": seed}
+    about = {"what": what, "source": source, "vehicle": vehicle_name(car.vehicle), "seed": seed}
     status = conclude(folder, outcome, about, console)
-    finish(shown, console)
+    page.finish(folder, console)
     raise typer.Exit(status)

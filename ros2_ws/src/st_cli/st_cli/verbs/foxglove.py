@@ -22,8 +22,8 @@ def foxglove(
     import time
 
     from rich.console import Console
+    from st_live.configuration import vehicle_file
     from st_live.suite import Suite, SuiteError, chosen_domain_id, merge
-    from st_live.wires import vehicle_file
     from st_recordings.paths import config
 
     console = Console()

@@ -33,7 +33,7 @@ def identify(
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
     from rich.table import Table
-    from st_live.fourth_model import known_model
+    from st_live.configuration import load_model
     from st_live.suite import SuiteError
     from st_offline.identification.command import Job, run
     from st_offline.identification.experiment import Setup
@@ -54,7 +54,7 @@ def identify(
         vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
         parameters, file = shared.leaf_or(vehicle)
         folder = new_folder(output, f"identify-{what}", create=False)
-        base = known_model(model, effects, parameters, str(file))
+        base = load_model(model, effects, parameters, str(file))
         job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(parameters, read, force, base), str(file), folder)
         status = run(job, console)
     if vehicle is None:

@@ -29,18 +29,24 @@ def live(
     bands: shared.BandsFile = None,
     record: shared.Record = "needed",
     view: shared.View = False,
+    view_address: shared.ViewAddress = None,
     view_save: shared.ViewSave = None,
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
     # Imported when it runs, see demo.py.
-    from st_live.bands import with_bands
-    from st_live.fourth_model import fourth_model
+    from st_live.configuration import (
+        add_bands,
+        bridge_parameters,
+        live_parameters,
+        model_parameters,
+        vehicle_file,
+        vehicle_name,
+    )
     from st_live.report import conclude
-    from st_live.session import node_parameters, run
+    from st_live.session import run
     from st_live.suite import SuiteError
-    from st_live.view.window import finish, window
-    from st_live.wires import bridge_parameters, name_of, vehicle_file
+    from st_live.view.live import LiveView
     from st_recordings.output import new_folder
 
     console = Console()
@@ -49,16 +55,16 @@ def live(
     with shared.refusals("live", SuiteError):
         named = shared.on_the_wires(car, vehicle, dbc, signals, steering_sign, steering_latency)
         vehicle = vehicle_file(named.vehicle)
-        fourth = fourth_model(model, effects, vehicle)
-        shown = window(view, view_save)
+        further = model_parameters(model, effects, vehicle)
+        page = LiveView(view, view_address, view_save)
         folder = new_folder(output, "live")
         bridges = bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
-        parameters = with_bands(node_parameters(folder, vehicle, bridges, fourth, record == "all"), bands)
+        parameters = add_bands(live_parameters(folder, vehicle, bridges, further, record == "all"), bands)
         if named.vehicle is None:
             shared.say_whose("live", vehicle)
-        outcome = run(folder, parameters, "live", duration, None, console, shown, supervised=True,
+        outcome = run(folder, parameters, "live", duration, None, console, page, supervised=True,
                       realtime=realtime)
     source = f"{can_interface}:{can_channel}, NCOM port {ncom_port}"
-    status = conclude(folder, outcome, {"what": "live", "source": source, "vehicle": name_of(vehicle)}, console)
-    finish(shown, console)
+    status = conclude(folder, outcome, {"what": "live", "source": source, "vehicle": vehicle_name(vehicle)}, console)
+    page.finish(folder, console)
     raise typer.Exit(status)

@@ -19,16 +19,17 @@ def replay(
     force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
     bands: shared.BandsFile = None,
     view: shared.View = False,
+    view_address: shared.ViewAddress = None,
     view_save: shared.ViewSave = None,
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/replay-<time>."),
 ) -> None:
-    """Play a recording through predictor, evaluator and recorder on its own clock; record what they say now."""
+    """Play a recording through predictor, evaluator and recorder on its own clock; record their predictions."""
     # Imported when it runs: the ROS libraries take a second that `st --help` need not wait.
     from rich.console import Console
+    from st_live.replaying import replay_bag
     from st_live.report import conclude
     from st_live.suite import SuiteError
-    from st_live.verification import replay_bag
-    from st_live.view.window import finish, window
+    from st_live.view.live import LiveView
     from st_offline.checking.document import documents
     from st_offline.checking.gate import passed_bag
     from st_offline.checking.shown import say
@@ -37,15 +38,15 @@ def replay(
     console = Console()
     with shared.refusals("replay", SuiteError):
         vehicle = shared.whose(car, vehicle)[0]
-        shown = window(view, view_save)
+        page = LiveView(view, view_address, view_save)
         steering = shared.foreign_steering(steering_topic, steering_field, steering_is)
         findings = passed_bag(bag, vehicle, force, steering)
         say(bag.name, findings, console)
         shared.say_whose_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, shown, bands, steering)
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, bands, steering)
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
              "findings": documents(findings)}
     status = conclude(folder, outcome, about, console)
-    finish(shown, console)
+    page.finish(folder, console)
     raise typer.Exit(status)

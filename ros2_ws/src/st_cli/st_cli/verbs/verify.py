@@ -14,7 +14,7 @@ def verify(
     car: CarName = None,
     vehicle: VehicleOfBag = None,
     tolerance: float = typer.Option(TOLERANCE, help="m; the largest difference that passes.", min=0.0),
-    again: bool = typer.Option(False, "--replay", help="Play it through the nodes, and compare what they say now."),
+    replayed: bool = typer.Option(False, "--replay", help="Play it through the nodes and compare the result."),
     force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
     output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
 ) -> None:
@@ -24,9 +24,9 @@ def verify(
     2 nothing to compare.
     """
     from rich.console import Console
+    from st_live.configuration import recordings_of
     from st_live.suite import SuiteError
-    from st_live.verification import recordings_of
-    from st_live.verify_command import verify_command
+    from st_live.verification import verify_command
     from st_offline.checking.gate import passed_bag
     from st_offline.checking.shown import say
 
@@ -35,5 +35,5 @@ def verify(
         say_whose_bag("verify", bag, vehicle)
         console = Console()
         say(bag.name, passed_bag(recordings_of(bag)[0], vehicle, force), console)
-        status = verify_command(bag, vehicle, tolerance, again, output, console)
+        status = verify_command(bag, vehicle, tolerance, replayed, output, console)
     raise typer.Exit(status)

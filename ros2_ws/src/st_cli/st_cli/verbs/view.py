@@ -1,4 +1,4 @@
-"""`st view`: a run that is over, in the browser."""
+"""`st view`: a recorded run in the browser."""
 
 from pathlib import Path
 
@@ -16,33 +16,35 @@ def view(
     ),
     save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
 ) -> None:
-    """Look at a run in the browser as it was seen live, forwards and backwards in time, until Ctrl-C."""
+    """Look at a recorded run in the browser, forwards and backwards in time, until Ctrl-C."""
     # Imported when it runs, see demo.py.
+    import signal
     import tempfile
 
     from rich.console import Console
     from st_live.suite import SuiteError
-    from st_live.view.window import Window
+    from st_live.view.live import check_new_rerun_file
+    from st_live.view.rerun_server import RecordingView, check_rerun
 
+    # SIGTERM ends it as Ctrl-C does, so that server and temporary folder are removed.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     console = Console()
-    with refusals("view", SuiteError):
+    with refusals("view", SuiteError), tempfile.TemporaryDirectory(prefix="st-view-") as name:
+        check_rerun("st view")
         vehicle = whose(car, vehicle)[0]
-        window = Window(page=not save, save=save)
-        with tempfile.TemporaryDirectory(prefix="st-view-") as name:
-            file = recording
-            if recording.suffix != ".rrd":
-                from st_live.view.recorded import draw
+        if save:
+            check_new_rerun_file("--save", save)
+        file = recording
+        if recording.suffix != ".rrd":
+            from st_live.view.recorded import draw
 
-                say_whose_bag("view", recording, vehicle)
-                file = save or Path(name, "view.rrd")
-                with console.status("drawing"):
-                    pictures = draw(recording, file, vehicle)
-                console.print(f"{pictures} pictures of {recording.name}", highlight=False)
-            elif save:
-                raise SuiteError(f"--save {save}: {recording} is a saved view already")
-            if not save:
-                window.show(Path(name), [file], console)
-                try:
-                    window.linger(console)
-                finally:
-                    window.close()
+            say_whose_bag("view", recording, vehicle)
+            file = save or Path(name, "view.rrd")
+            with console.status("drawing"):
+                pictures = draw(recording, file, vehicle)
+            console.print(f"{pictures} pictures of {recording.name}", highlight=False)
+        elif save:
+            raise SuiteError(f"--save {save}: {recording} is a saved view already")
+        if not save:
+            with RecordingView(Path(name), file) as page:
+                page.show(console)

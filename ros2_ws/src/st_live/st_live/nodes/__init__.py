@@ -1,1 +1,1 @@
-"""Processes of st that speak ROS."""
+"""Processes of the suite that use ROS."""

@@ -1,8 +1,8 @@
-"""Plays odometry and steering of a recording, with /clock: a process that `st replay` starts beside the nodes.
+"""Plays odometry and steering of a recording, with /clock: a process that `st replay` starts in addition to the nodes.
 
-Messages go out as they were recorded, byte for byte, in the order of their log times (steering of another make: one
-number of a message becomes a Steering); /clock advances in steps behind them. At a rate of 0 it goes as fast as
-predictor and evaluator follow: their newest stamps are heard, and the clock waits for them.
+Messages are published byte for byte in the order of their log times (an external steering topic is converted to
+st_msgs/Steering); /clock advances in steps behind them. At a rate of 0 it plays as fast as predictor and evaluator
+follow: the clock waits for the newest stamps they publish.
 """
 
 import argparse
@@ -31,25 +31,24 @@ from st_recordings.runs.cdr import typestore
 from st_recordings.runs.foreign import SteeringField, steering_value
 from st_recordings.runs.foreign import stamp_of as instant_of
 from st_ros import spin
-from st_ros.polling import PolledSubscription
+from st_ros.polling import PolledSubscription, message_class
 from st_ros.stamps import from_nanoseconds
 
-from ._messages import message_class
-
-INPUTS = ("/ins/odometry", "/vehicle/steering")  # whatever they are called in the recording
+INPUTS = ("/ins/odometry", "/vehicle/steering")  # names published, independent of those in the recording
 CLOCK_STEP_NS = 10_000_000
 DEPTH = 1000
 DISCOVERY_TIMEOUT = 15.0  # s
-SAY_EVERY = 0.5  # s
-LISTENERS = 2  # predictor and evaluator, beside the recorder
-# As fast as it goes: how long the clock waits for predictor and evaluator [s]; shorter while neither has anything to
-# say (standstill, no inputs).
-PATIENCE, SHORT_PATIENCE = 2.0, 0.005
+STATUS_PERIOD = 0.5  # s
+SUBSCRIBERS = 3  # predictor, evaluator, recorder
+# At rate 0: longest wait of the clock for predictor and evaluator [s]; shorter after a wait without an answer
+# (standstill, no inputs).
+TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
+POLL_PERIOD = 0.0005  # s
 SCORE_DELAY = 1.0  # s; the clock may be a horizon and this ahead of the newest start scored
 
 
 class Follower:
-    """How far another node has come: the newest of an instant that each of its messages holds."""
+    """Progress of another node: the newest of an instant in each of its messages."""
 
     def __init__(self, node: Node, message_type: type, topic: str, instant: Callable[[bytes], int], ahead: float):
         self._subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True)
@@ -58,8 +57,8 @@ class Follower:
         self._answers = True
 
     def wait(self, clock_ns: int) -> None:
-        """Until the clock is no more than `ahead` before the newest instant, or patience is over."""
-        end = time.monotonic() + (PATIENCE if self._answers else SHORT_PATIENCE)
+        """Until the clock is at most `ahead` after the newest instant, or the timeout."""
+        end = time.monotonic() + (TIMEOUT if self._answers else SHORT_TIMEOUT)
         while True:
             before = self._newest_ns
             for data, _, _ in self._subscription.take(DEPTH):
@@ -70,7 +69,7 @@ class Follower:
             if time.monotonic() > end:
                 self._answers = False
                 return
-            time.sleep(0.0005)
+            time.sleep(POLL_PERIOD)
 
 
 def stamp_of(data: bytes) -> int:
@@ -80,17 +79,17 @@ def stamp_of(data: bytes) -> int:
 
 
 def issued_at_of(data: bytes) -> int:
-    """issued_at [ns] of a serialised st_msgs/Prediction: what follows the header."""
+    """issued_at [ns] of a serialised st_msgs/Prediction: the field after the header."""
     (length,) = struct.unpack_from("<I", data, 12)
     seconds, nanoseconds = struct.unpack_from("<iI", data, 16 + -(-length // 4) * 4)
     return seconds * 1_000_000_000 + nanoseconds
 
 
 class Translator:
-    """Messages with a steering angle somewhere in them, as Steering."""
+    """Converts messages with a steering angle in one of their fields to Steering."""
 
     def __init__(self, bag: Path, steering: SteeringField, ratio: float, offset: float):
-        """ratio [1], offset [rad] of the hand wheel; 1 and 0 where the angle is the road wheels'."""
+        """ratio [1], offset [rad] of the steering wheel; 1 and 0 for an angle of the road wheels."""
         self._bag, self._steering, self._ratio, self._offset = bag, steering, ratio, offset
 
     def steering(self, message: Any, log_ns: int) -> Steering:
@@ -116,27 +115,27 @@ class Player:
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
-            # From a tick to the next: one is due then, never two.
+            # One tick ahead: exactly one prediction is due then.
             Follower(self._node, Prediction, f"predictor/{options.models[-1]}/prediction", issued_at_of,
                      1.0 / options.tick_rate),
             Follower(self._node, PredictionError, "evaluator/errors", stamp_of, options.horizon + SCORE_DELAY),
         ]
-        self._said = 0.0
+        self._reported_at = 0.0
 
     def play(self) -> int:
-        """Exit status: 0 when everything was played, or somebody asked to stop."""
+        """Play the recording; returns 0 after its end or a stop signal, 1 without subscribers."""
         with AnyReader([self._bag], default_typestore=typestore(definitions())) as reader:
             publishers = self._publishers(reader.connections)
-            if not self._wait_for_listeners(list(publishers.values())):
-                print("predictor and evaluator do not listen", file=sys.stderr)
+            if not self._wait_for_subscribers(list(publishers.values())):
+                print("predictor and evaluator have not subscribed", file=sys.stderr)
                 return 1
-            wanted = [c for c in reader.connections if c.topic in publishers]
+            connections = [c for c in reader.connections if c.topic in publishers]
             first = clock_ns = self._advance(reader.start_time, reader.start_time, time.monotonic())
             began, total = time.monotonic(), (reader.end_time - reader.start_time) * 1e-9
-            for connection, log_ns, data in reader.messages(connections=wanted):
+            for connection, log_ns, data in reader.messages(connections=connections):
                 while clock_ns + CLOCK_STEP_NS <= log_ns and not self.stop:
                     clock_ns = self._advance(clock_ns + CLOCK_STEP_NS, first, began)
-                    self._say((clock_ns - first) * 1e-9, total)
+                    self._report((clock_ns - first) * 1e-9, total)
                 if self.stop:
                     break
                 if self._translator and connection.topic == self._steering:
@@ -145,7 +144,7 @@ class Player:
                 else:
                     publishers[connection.topic].publish(bytes(data))
             self._advance(clock_ns + CLOCK_STEP_NS, first, began)
-        self._say(total, total, "done", time.monotonic() - began)
+        self._report(total, total, "done", time.monotonic() - began)
         return 0
 
     def close(self) -> None:
@@ -162,11 +161,10 @@ class Player:
                     message_type, self._played[connection.topic], QoSProfile(depth=DEPTH))
         return publishers
 
-    def _wait_for_listeners(self, publishers: Sequence[Publisher]) -> bool:
-        """Whether odometry, steering and the clock have found the recorder and the other nodes."""
-        wanted = dict.fromkeys((*publishers, self._clock), LISTENERS + 1)
+    def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
+        """Whether recorder, predictor and evaluator have subscribed to odometry, steering and clock in time."""
         end = time.monotonic() + DISCOVERY_TIMEOUT
-        while any(p.get_subscription_count() < count for p, count in wanted.items()):
+        while any(p.get_subscription_count() < SUBSCRIBERS for p in (*publishers, self._clock)):
             if time.monotonic() > end or self.stop:
                 return False
             time.sleep(0.05)
@@ -183,25 +181,25 @@ class Player:
             follower.wait(clock_ns)
         return clock_ns
 
-    def _say(self, done: float, total: float, state: str = "playing", wall: float = 0.0) -> None:
+    def _report(self, done: float, total: float, state: str = "playing", wall: float = 0.0) -> None:
         now = time.monotonic()
-        if state != "playing" or now - self._said > SAY_EVERY:
-            self._said = now
-            word = {"state": state, "done": round(done, 2), "duration": round(total, 2)}
-            print(json.dumps(word | ({"wall": round(wall, 2)} if wall else {})), flush=True)
+        if state != "playing" or now - self._reported_at > STATUS_PERIOD:
+            self._reported_at = now
+            status = {"state": state, "done": round(done, 2), "duration": round(total, 2)}
+            print(json.dumps(status | ({"wall": round(wall, 2)} if wall else {})), flush=True)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bag", type=Path)
-    parser.add_argument("--rate", type=float, default=1.0, help="times as fast as recorded; 0: as fast as it goes")
+    parser.add_argument("--rate", type=float, default=1.0, help="times as fast as recorded; 0: as the nodes follow")
     parser.add_argument("--models", nargs="+", required=True, help="models of the predictor, in its order")
     parser.add_argument("--tick-rate", type=float, required=True, help="of the predictor [Hz]")
     parser.add_argument("--horizon", type=float, required=True, help="of the predictor [s]")
     parser.add_argument("--odometry", required=True, help="its topic in the recording")
     parser.add_argument("--steering", required=True, help="its topic in the recording")
-    parser.add_argument("--steering-field", default="", help="where the angle is, if it is no st_msgs/Steering")
-    parser.add_argument("--steering-wheel", type=float, nargs=2, help="it is the hand wheel's: ratio, offset [rad]")
+    parser.add_argument("--steering-field", default="", help="field of the angle in other messages than Steering")
+    parser.add_argument("--steering-wheel", type=float, nargs=2, help="of the steering wheel: ratio, offset [rad]")
     options = parser.parse_args()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     player = Player(options)

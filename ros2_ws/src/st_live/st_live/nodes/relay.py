@@ -15,16 +15,14 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from st_recordings.definitions import UnknownTypeError, definition
-from st_ros.polling import PolledSubscription
+from st_ros.polling import PolledSubscription, message_class
 
-from ._messages import message_class
-
-# What a viewer draws. Raw packets and frames stay on this machine.
+# Topics for viewers; raw packets and frames are not relayed.
 TOPICS = ("/ins/odometry", "/ins/status", "/vehicle/*", "/predictor/*", "/evaluator/*", "/view/*", "/tf",
           "/tf_static", "/diagnostics", "/diagnostics_agg")
 DEPTH = 100
 PERIOD = 0.02  # s between emptying the queues
-LOOK_PERIOD = 0.5  # s between looking for new topics
+DISCOVERY_PERIOD = 0.5  # s between searches for new topics
 
 
 class Relay:
@@ -36,12 +34,12 @@ class Relay:
     def spin(self) -> None:
         executor = SingleThreadedExecutor()
         executor.add_node(self._node)
-        look_due = 0.0
+        discovery_due = 0.0
         while not self.stop:
             executor.spin_once(timeout_sec=0.0)
-            if time.monotonic() >= look_due:
-                look_due = time.monotonic() + LOOK_PERIOD
-                self._look()
+            if time.monotonic() >= discovery_due:
+                discovery_due = time.monotonic() + DISCOVERY_PERIOD
+                self._open_new_topics()
             for subscription, channel in filter(None, self._open.values()):
                 for data, received_ns, _ in subscription.take(DEPTH):
                     channel.log(bytes(data), log_time=received_ns)
@@ -49,7 +47,7 @@ class Relay:
         executor.shutdown()
         self._node.destroy_node()
 
-    def _look(self) -> None:
+    def _open_new_topics(self) -> None:
         for topic, types in self._node.get_topic_names_and_types():
             if topic not in self._open and any(fnmatchcase(topic, f"*{p}") for p in TOPICS):
                 publishers = self._node.get_publishers_info_by_topic(topic)
@@ -66,7 +64,7 @@ class Relay:
             print(f"{topic} is left out: type {type_name} is not installed", flush=True)
             return None
         latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
-        # Nobody waits for a viewer; only what is said once has to arrive.
+        # No publisher waits for a viewer; only latched messages must arrive.
         qos = QoSProfile(
             depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)

@@ -1,1 +1,1 @@
-"""The live view in the browser: what it draws, how it is laid out, and the processes that serve it."""
+"""Views of the suite: the passenger's page during a run, Rerun for recordings."""

@@ -3,8 +3,7 @@
 import os
 import sys
 
-from st_live.importance import REALTIME
-from st_live.suite import Processes
+from st_live.suite import REALTIME_PRIORITIES, Processes
 
 SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
 
@@ -18,11 +17,11 @@ def test_without_being_asked_nothing_is_raised(tmp_path):
 
 def test_real_time_is_given_or_said_to_be_denied(tmp_path):
     with Processes(tmp_path, realtime=True) as processes:
-        pids = {name: processes.start(name, SLEEP).process.pid for name in (*REALTIME, "recorder")}
+        pids = {name: processes.start(name, SLEEP).process.pid for name in (*REALTIME_PRIORITIES, "recorder")}
         for name, pid in pids.items():
-            if name in REALTIME and name not in processes.denied:
+            if name in REALTIME_PRIORITIES and name not in processes.denied:
                 assert os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR
-                assert os.sched_getparam(pid).sched_priority == REALTIME[name]
+                assert os.sched_getparam(pid).sched_priority == REALTIME_PRIORITIES[name]
             else:
                 assert os.sched_getscheduler(pid) == os.SCHED_OTHER
-        assert processes.denied <= REALTIME.keys()
+        assert processes.denied <= REALTIME_PRIORITIES.keys()

@@ -1,4 +1,8 @@
-"""Draws one instant of a running suite into a Rerun recording: plain values in, nothing of ROS."""
+"""Draws a recorded run into a Rerun recording: layout of the panels, geometry, and one picture after the other.
+
+Two pictures around the car, in screen axes (x right, y DOWN, as Rerun's 2D views have them): a map with north up, and
+one with the car's heading up, where a point to the left of the car is on the left.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -6,31 +10,95 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
+from st_core.frames import map_to_body
 from st_core.palette import MEASURED_COLOUR, colour_of, rgb
 from st_core.vehicle import VehicleParameters
 from st_predictor.map_drawing import History, Ribbon, car_outline
 
-from .geometry import Pose, grid, heading_up, north_up
-from .layout import AHEAD, AROUND, ASIDE, BEHIND, GRID, TIMELINE, blueprint
-
+TIMELINE = "measured"
+PLOT_SPAN = 40.0  # s
+# Metres around the car, heading up: 5 s ahead at town speed, and some of the track behind.
+AHEAD, BEHIND, ASIDE = 44.0, 16.0, 34.0
+AROUND, GRID = 50.0, 20.0  # metres shown around the car on the map, and between the lines of its grid
+PLOTS = {
+    "lateral": "lateral error of the 5 s just over, m (+ predicted left)",
+    "longitudinal": "longitudinal error, m (+ predicted ahead)",
+    "steering": "road wheel angle, deg (left +)",
+    "speed": "speed, m/s",
+    "lateral_acceleration": "lateral acceleration v_x r, m/s² (left +)",
+}
+WHITE = (255, 255, 255)
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
-FAINT = (228, 228, 228)
-LIGHT_COLOUR = {"all well": (0, 150, 60), "warning": (235, 150, 0), "error": (200, 0, 0),
-                "nothing heard": (150, 150, 150)}
+LIGHT_GREY = (228, 228, 228)
 GHOST_STRENGTH = 0.4  # 1: full colour, 0: paper
-OLD = 1.0  # s; a prediction older than this is not the current one
-GHOST_STRIDE, TRACK_STRIDE = 5, 2  # of their points, one in so many is drawn
-# Half the width of a line, in points of the screen: the same at every zoom.
-RIBBON_STRIDE = 2  # of its points, one in so many is drawn
+STALE_PREDICTION = 1.0  # s; an older prediction is not drawn
+GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}
+# Half the width of a line in points of the screen, the same at every zoom.
 THIN, THICK, TRACK = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
-# One after the other on top and narrower: where models agree, all of them are seen.
+# Each model narrower and above the one before: all are visible where models agree.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
 Place = Callable[[np.ndarray, np.ndarray], np.ndarray]  # map x, y to the screen
+Pose = tuple[float, float, float]
+
+
+def blueprint() -> rrb.Blueprint:
+    """Layout of the panels."""
+    now = rrb.TimeRangeBoundary.cursor_relative
+    window = rrb.VisibleTimeRange(TIMELINE, start=now(seconds=-PLOT_SPAN), end=now())
+
+    def plot(name: str) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(origin=f"plots/{name}", name=PLOTS[name], time_ranges=[window],
+                                  plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop))
+
+    ahead = rrb.Spatial2DView(
+        origin="ahead", name="Heading up (10 m rings)", background=WHITE,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-ASIDE, ASIDE], y_range=[-AHEAD, BEHIND]))
+    around = rrb.Spatial2DView(
+        origin="map", name=f"Map (north up, {GRID:.0f} m grid)", background=WHITE,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-AROUND, AROUND], y_range=[-AROUND, AROUND]))
+    text = rrb.TextDocumentView(origin="text", name="Errors so far, and health")
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(ahead, rrb.Tabs(plot("steering"), plot("speed"), plot("lateral_acceleration")),
+                         row_shares=[3, 1]),
+            rrb.Vertical(rrb.Horizontal(around, text),
+                         rrb.Tabs(plot("lateral"), plot("longitudinal")),
+                         row_shares=[2, 1]),
+            column_shares=[1, 1.35],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+    )
+
+
+def north_up(x, y, pose: Pose) -> np.ndarray:
+    """(..., 2) screen coordinates [m] of map points x east, y north [m], around a car at pose (x, y [m], yaw [rad])."""
+    return np.stack(np.broadcast_arrays(np.asarray(x) - pose[0], pose[1] - np.asarray(y)), axis=-1)
+
+
+def heading_up(x, y, pose: Pose) -> np.ndarray:
+    """(..., 2) screen coordinates [m] of map points, seen from the INS point of a car at pose (x, y [m], yaw [rad])."""
+    forward, left = map_to_body(np.asarray(x) - pose[0], np.asarray(y) - pose[1], pose[2])
+    return np.stack(np.broadcast_arrays(-left, -forward), axis=-1)
+
+
+def grid(pose: Pose, spacing: float, reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Lines (x, y) [m] of the map's own grid within `reach` of the car."""
+    lines = []
+    for axis in (0, 1):
+        first = np.ceil((pose[axis] - reach) / spacing) * spacing
+        for value in np.arange(first, pose[axis] + reach, spacing):
+            fixed, along = np.full(2, value), pose[1 - axis] + reach * np.array([-1.0, 1.0])
+            lines.append((fixed, along) if axis == 0 else (along, fixed))
+    return lines
 
 
 def recording(name: str, flush: float, *sinks: Any) -> rr.RecordingStream:
-    """A recording into sinks, with the layout of the page. flush [s]: what is drawn goes out this often."""
+    """A recording into sinks, with the layout of the panels. flush: interval between writes [s]."""
     batches = rr.ChunkBatcherConfig(flush_tick=flush, flush_num_bytes=2_000_000)
     stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)
     stream.send_recording_name(name)
@@ -39,7 +107,7 @@ def recording(name: str, flush: float, *sinks: Any) -> rr.RecordingStream:
 
 
 class Scene:
-    """recording: where to draw. car: for its outline."""
+    """Draws into a recording. car: for the outline."""
 
     def __init__(self, recording: rr.RecordingStream, car: VehicleParameters):
         self._rr, self._car = recording, car
@@ -47,9 +115,9 @@ class Scene:
         self._scored: set[str] = set()
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
-        recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[FAINT], radii=THIN, draw_order=-1.0),
+        recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[LIGHT_GREY], radii=THIN, draw_order=-1.0),
                       static=True)
-        # Towards the right and ahead, where a path rarely is.
+        # Ahead to the right, where a path is rarely drawn.
         recording.log("ahead/ring_names", rr.Points2D(
             [(0.7 * r, -0.7 * r) for r in RINGS[1::2]], radii=THIN, colors=[(120, 120, 120)],
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)
@@ -69,7 +137,7 @@ class Scene:
             self._rr.log("plots/steering/measured", rr.Scalars([math.degrees(road_wheel_angle)]))
 
     def error(self, end_ns: int, model: str, longitudinal: float, lateral: float) -> None:
-        """The horizon means [m] of one forecast, drawn at the end of its horizon, when they became known."""
+        """Horizon means [m] of one forecast, drawn at the end of its horizon."""
         if model not in self._scored:
             self._scored.add(model)
             for quantity in ("lateral", "longitudinal"):
@@ -78,25 +146,18 @@ class Scene:
         self._rr.log(f"plots/lateral/{model}", rr.Scalars([lateral]))
         self._rr.log(f"plots/longitudinal/{model}", rr.Scalars([longitudinal]))
 
-    def passenger(self, time_ns: int, markdown: str, light: str) -> None:
-        """Large words, and the light in the corner of the picture ahead. light: a key of LIGHT_COLOUR."""
+    def text(self, time_ns: int, markdown: str) -> None:
         self._at(time_ns)
-        self._rr.log("passenger", rr.TextDocument(markdown, media_type="text/markdown"))
-        self._rr.log("ahead/light", rr.Points2D([(ASIDE - 6.0, -AHEAD + 6.0)], colors=[LIGHT_COLOUR[light]],
-                                                radii=rr.Radius.ui_points(14.0), labels=[light], show_labels=True))
-
-    def words(self, time_ns: int, markdown: str) -> None:
-        self._at(time_ns)
-        self._rr.log("words", rr.TextDocument(markdown, media_type="text/markdown"))
+        self._rr.log("text", rr.TextDocument(markdown, media_type="text/markdown"))
 
     def paths(self, time_ns: int, pose: Pose, history: History) -> None:
-        """Car, track, predictions with bands, and ghosts, on the map and from the driver's seat.
+        """Car, track, predictions with bands, and ghosts, in both pictures.
 
         pose: x, y [m], yaw [rad].
         """
         self._at(time_ns)
         lines = [north_up(x, y, pose) for x, y in grid(pose, GRID, 2.0 * AROUND)]
-        self._lines("map/grid", lines, [FAINT], THIN, order=-1.0)
+        self._lines("map/grid", lines, [LIGHT_GREY], THIN, order=-1.0)
         self._picture("map", lambda x, y: north_up(x, y, pose), pose, history, time_ns)
         self._picture("ahead", lambda x, y: heading_up(x, y, pose), pose, history, time_ns)
 
@@ -108,14 +169,14 @@ class Scene:
         for number, model in enumerate(history.models):
             self._name(model)
             path = history.newest(model)
-            fresh = now_ns - path.start_ns < OLD * 1e9
+            fresh = now_ns - path.start_ns < STALE_PREDICTION * 1e9
             self._lines(f"{root}/paths/{model}", [place(path.x, path.y)] if fresh else [], [rgb(colour_of(model))],
                         MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
             self._ribbons(f"{root}/bands/{model}", place, path.ribbons if fresh else (), model, number)
             for age, ghost in history.ghosts(model, now_ns):
                 ghosts.append(place(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
-            # From where the car is to where a horizon ago it was expected to be.
+            # From the car to its position as predicted a horizon ago.
             if point := history.expected(model, now_ns):
                 misses.append(place(np.array([pose[0], point[0]]), np.array([pose[1], point[1]])))
                 miss_colours.append(rgb(colour_of(model)))
@@ -123,8 +184,8 @@ class Scene:
         self._lines(f"{root}/misses", misses, miss_colours, THICK, order=4.5)
 
     def _ribbons(self, entity: str, place: Place, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
-        """Filled with lines from edge to edge, each as wide as it is far to the next: Rerun fills no areas in 2D. The
-        edges of the widest are drawn over all areas: where models cover each other, every one is seen."""
+        """Areas of the bands as lines from edge to edge, each as wide as the distance to the next, because Rerun
+        fills no areas in 2D. The edges of the widest band are drawn above all areas, so that every model is visible."""
         edges = [place(*side.T) for one in ribbons[:1] for side in (one.left, one.right)]
         self._lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN, order=0.8)
         for level, strength in RIBBON_STRENGTH.items():
@@ -138,7 +199,7 @@ class Scene:
             self._lines(f"{entity}/{level:.0%}", strips, [rgb(colour_of(model), strength)], radii, order=order)
 
     def _name(self, model: str) -> None:
-        """Its colour and name in the lower left corner: models that agree would cover each other's names."""
+        """Colour and name in the lower left corner, because names at the paths of equal models would overlap."""
         if model not in self._named:
             corner = (-ASIDE + 6.0, BEHIND - 7.0 - 5.0 * len(self._named))
             self._named.append(model)

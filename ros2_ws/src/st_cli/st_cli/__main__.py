@@ -1,0 +1,15 @@
+"""Entry point of `st`: Ctrl-C ends it without a traceback also while modules are imported."""
+
+import signal
+
+
+def main() -> None:
+    handler = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from .cli import main as run
+
+    signal.signal(signal.SIGINT, handler)
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""Parameters of the nodes of a run: config/nodes.yaml, the car, the bus, a further model and bands, checked first."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from st_core.bands import Bands
+from st_core.effects import load_folder
+from st_core.errors import StCoreError
+from st_core.log_evaluation import EvaluationSettings
+from st_core.model_file import ModelFile
+from st_core.models import MODELS, Model
+from st_core.prediction import PredictionSettings
+from st_core.vehicle import VehicleParameters
+from st_recordings.car import read_vehicle
+from st_recordings.paths import config
+from st_recordings.recorded import RecordedConfiguration
+from st_recordings.runs.bag import is_bag
+
+from .suite import Parameters, SuiteError, merge
+
+REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
+TRUNCATED = "{} is truncated: its recorder was killed; what came after is not {}"
+
+
+def vehicle_file(given: Path | None) -> Path:
+    """Absolute path of the vehicle file of a run, by default the Leaf's. Raises RunError and StCoreError, one line."""
+    path = (given or config("vehicle/leaf.yaml")).absolute()
+    read_vehicle(path)
+    return path
+
+
+def vehicle_name(vehicle: Path) -> str:
+    """Name of the car in results: its folder if the file is that of a car folder, else the file."""
+    return vehicle.parent.name if vehicle.name == "vehicle.yaml" else vehicle.stem
+
+
+def bridge_parameters(vehicle: Path, ins: dict[str, Any], bus: dict[str, Any], dbc: Path | None = None,
+                      signals: Path | None = None) -> dict[str, dict[str, Any]]:
+    """Parameters of both bridges. ins: of oxts_bridge; bus: of canedge_bridge: interface, channel, steering.
+
+    The transform base_link to ins_link is the lever arm of the vehicle file: base_link is the CG, at the height of the
+    INS, which the file does not give.
+    """
+    car = read_vehicle(vehicle)
+    lever_arm = [float(car.cg_to_ins_x), float(car.cg_to_ins_y), 0.0]
+    files = {
+        "vehicle_file": str(vehicle),
+        "dbc_file": str((dbc or config("can/leaf_ze0.dbc")).absolute()),
+        "signals_file": str((signals or config("can/leaf_ze0.yaml")).absolute()),
+    }
+    # Raw frames are recorded, so that the bag can be decoded with another DBC.
+    return {"oxts_bridge": {"base_to_ins": lever_arm, **ins},
+            "canedge_bridge": {**bus, **files, "publish_frames": True}}
+
+
+def live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Parameters | None = None,
+                    record_all: bool = False) -> Parameters:
+    """config/nodes.yaml with the parameters of a live run in `folder`.
+
+    model: of `model_parameters`. record_all: record also the topics that can be reconstructed from the others.
+    """
+    from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
+
+    further = model or {}
+    files = [values["model_file"] for values in list(further.values())[:1]]
+    # With DBC and signal table the raw frames can be decoded on any computer.
+    bus = [bridges["canedge_bridge"][name] for name in ("dbc_file", "signals_file")]
+    return merge(config("nodes.yaml"), {
+        **bridges,
+        "predictor": {"vehicle_file": str(vehicle), **further.get("predictor", {})},
+        "evaluator": {"vehicle_file": str(vehicle), "output_directory": str(folder / "errors"),
+                      "number_when_taken": True, **further.get("evaluator", {})},
+        "recorder": {
+            "output_directory": str(folder / "bag"),
+            "number_when_taken": True,
+            "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *bus, *files],
+            **({"topics": ALL_TOPICS} if record_all else {}),
+        },
+    })
+
+
+def replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration) -> dict[str, dict[str, Any]]:
+    """Parameters of REPLAY_NODES: those in the recording, else of config/nodes.yaml."""
+    replayed = {"vehicle_file": str(vehicle), "use_sim_time": True}
+    before = {node: recorded.nodes.get(node, {}) for node in ("predictor", "evaluator")}
+    merged = merge(config("nodes.yaml"), {
+        # The bands file of the recorded run may have moved or changed; `add_bands` sets it for this run.
+        "predictor": {**before["predictor"], **replayed, "bands_file": ""},
+        "evaluator": {**before["evaluator"], **replayed, "output_directory": str(folder / "errors")},
+        "recorder": {"use_sim_time": True, "output_directory": str(folder / "bag"),
+                     "configuration_files": [str(vehicle), str(folder / "parameters.yaml")]},
+    })
+    return {node: merged[node] for node in REPLAY_NODES}
+
+
+def model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> Parameters:
+    """Parameters of predictor and evaluator for a model file in addition to the three models; empty without one.
+
+    effects: folder of own effects of the model file. Raises SuiteError, StCoreError and RunError, one line, for a file
+    that is not a model, or whose values are of another car than the vehicle file.
+    """
+    if model is None and effects is None:
+        return {}
+    load_model(model, effects, read_vehicle(vehicle), str(vehicle))
+    chosen = {"model_file": str(model.absolute() if model else ""),
+              "effects_directory": str(effects.absolute()) if effects else ""}
+    return {"predictor": chosen, "evaluator": chosen}
+
+
+def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
+    """The model of a model file, by default the nonlinear one. effects: folder of own effects of the model file.
+
+    origin: of the car, for messages. Raises SuiteError and StCoreError, one line, for a file that is not a model or is
+    of another car, and for effects without a model file.
+    """
+    if model is None:
+        if effects is not None:
+            raise SuiteError(f"--effects {effects}: only a --model uses effects; give one")
+        return MODELS["nonlinear"]
+    try:
+        if effects is not None:
+            load_folder(str(effects.absolute()))
+        file = ModelFile.from_yaml(model.read_text(encoding="utf-8"), str(model))
+    except (OSError, UnicodeDecodeError) as error:
+        raise SuiteError(f"{model}: cannot be read: {error}") from None
+    try:
+        file.check_vehicle(car, origin)
+    except StCoreError as error:
+        raise SuiteError(f"{model}: {error}") from None
+    return file.model()
+
+
+def add_bands(parameters: Parameters, bands: Path | None) -> dict[str, dict[str, Any]]:
+    """The parameters with a bands file for the predictor, unchanged without one.
+
+    Raises SuiteError, one line, for a file that cannot be read or is of another car, model or configuration.
+    """
+    copy = {node: {**values} for node, values in parameters.items()}
+    if bands is None:
+        return copy
+    predictor, recorder = copy["predictor"], copy["recorder"]
+    try:
+        file = Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
+        vehicle = Path(predictor["vehicle_file"])
+        car = VehicleParameters.from_yaml(vehicle.read_text(encoding="utf-8"), str(vehicle))
+    except (OSError, UnicodeDecodeError) as error:
+        raise SuiteError(f"--bands {bands}: cannot be read: {error}") from None
+    except StCoreError as error:
+        raise SuiteError(f"--bands {error}") from None
+    settings = {name: predictor[name] for name in PredictionSettings.__dataclass_fields__ if name in predictor}
+    try:
+        file.check(car, _model_hashes(predictor), EvaluationSettings(PredictionSettings(**settings)))
+    except StCoreError as error:
+        raise SuiteError(f"--bands {bands}: {error}") from None
+    predictor["bands_file"] = str(bands.absolute())
+    recorder["configuration_files"] = [*recorder["configuration_files"], str(bands.absolute())]
+    return copy
+
+
+def _model_hashes(predictor: Mapping[str, Any]) -> dict[str, str]:
+    """Hash of the model file by model, "" for a built-in model."""
+    hashes = dict.fromkeys(predictor["models"], "")
+    if name := predictor.get("model_file"):
+        file = ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
+        hashes[file.model().name] = file.hash
+    return hashes
+
+
+def recordings_of(path: Path) -> tuple[Path, list[Path]]:
+    """(bag with the measurements, bags with the scores) of a bag or of the folder of a run."""
+    bag = path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
+    errors = bag.parent / "errors"
+    return bag, [errors] if is_bag(errors) and errors.is_dir() else [bag]
