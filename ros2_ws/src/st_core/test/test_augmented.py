@@ -27,7 +27,7 @@ STATE, HELD = VehicleState(0.0, 0.0, 12.0, 0.1, 0.3, 0.2), ControlInput(0.08, -0
     ("linear", {"mass": {"factor": 9.0}}, "effect mass: factor: 9.0 is outside 0.6 to 2 1"),
     ("linear", {"mass": {"factor": "heavy"}}, "effect mass: factor: 'heavy' is not a number"),
     ("linear", {"mass": {"factor": True}}, "effect mass: factor: True is not a number"),
-    ("linear", {"mass": {"factor": 1.0, "faktor": 1.0}}, "effect mass: faktor: unknown parameter; there are factor"),
+    ("linear", {"mass": {"factor": 1.0, "faktor": 1.0}}, "effect mass: faktor: unknown parameter; it has factor"),
 ])
 def test_what_is_refused(base, effects, message):
     with pytest.raises(ConfigurationError, match=message):
