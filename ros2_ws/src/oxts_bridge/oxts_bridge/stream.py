@@ -71,6 +71,7 @@ class NcomParser:
         self._in_step = True
         self._last_raw = b""
         self._last_trigger = b""
+        self._decoded: dict[int, tuple[bytes, Mapping[str, Value]]] = {}
 
     @property
     def time_jumps(self) -> int:
@@ -156,7 +157,10 @@ class NcomParser:
         if not channels.known(channel):
             self.counters.unknown_channels += 1
             return _NO_FIELDS, None
-        fields = channels.decode_channel(channel, packet.batch_s)
+        last = self._decoded.get(channel)
+        if last is None or last[0] != packet.batch_s:  # most channels repeat their bytes
+            last = self._decoded[channel] = packet.batch_s, channels.decode_channel(channel, packet.batch_s)
+        fields = last[1]
         if status not in MINUTE_STATUSES:
             return fields, None
         if channel == channels.UTC_CHANNEL and (offset := channels.utc_offset(packet.batch_s)) is not None:
