@@ -37,12 +37,13 @@ def run(tmp_path_factory: pytest.TempPathFactory):
         feeder = processes.start([sys.executable, str(ROOT / "tests" / "winding_feeder.py"), "--vehicle", str(vehicle)],
                                  "feeder")
         assert feeder.wait(120) == 0, processes.log("feeder")
+        wait_for(lambda: "stiffness_scale estimated" in processes.log("identifier"), what="estimates")
         # A comment changes no value; then a broken file, then another ratio.
         vehicle.write_text(LEAF.read_text() + "# noted\n")
         vehicle.write_text(LEAF.read_text().replace("17.3", "170.3"))
         wait_for(lambda: "170.3 is outside" in processes.log("identifier"), what="broken file noticed")
         vehicle.write_text(LEAF.read_text().replace("17.3", "16.6"))
-        wait_for(lambda: "everything tracked so far is forgotten" in processes.log("identifier"), what="reset")
+        wait_for(lambda: "all estimates are reset" in processes.log("identifier"), what="reset")
         assert [processes.stop(node) for node in nodes] == [0, 0], processes.log("identifier")
     finally:
         processes.close()

@@ -8,8 +8,9 @@ Steering ratio, where no turntables are at hand:
 
     delta = (delta_h - o) / i:    L kappa + K v^2 kappa = delta
 
-Slow bends show the ratio, fast ones add the understeer, straights the offset; so the stiffnesses are fitted too. The
-ratio comes out relative to the wheelbase: 1 % more of the one is 1 % less of the other.
+Slow bends show the ratio, fast ones add the understeer, straights the offset; so the stiffnesses are fitted too, and
+dead time and relaxation, or a car that lags would pass for one of another ratio. The ratio comes out relative to the
+wheelbase: 1 % more of the one is 1 % less of the other.
 
 Yaw inertia, from transients: I_z r_dot = l_f F_f cos(delta) - l_r F_r. In steady bends r_dot is zero and any inertia
 fits. Steering dynamics, a time stamp that is off, and the relaxation of the tyres delay the response as inertia does;
@@ -58,16 +59,17 @@ TRANSIENTS = DrivingFitSettings(interval=0.3)
 
 
 def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                      settings: DrivingFitSettings | None = None, *, also: Sequence[str] = ()) -> Identification:
+                      settings: DrivingFitSettings | None = None, *, also: Sequence[str] = (),
+                      nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses with their uncertainty over runs.
 
     vehicle: everything else, and where the fit starts. base: linear, nonlinear, or either with effects that are known
     (`augment`: drive force on steered wheels, say). also: further parameters to fit and report, of
-    `driving_fit.FREE` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). Raises
-    IdentificationError for too thin driving.
+    `driving_fit.FREE` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
+    fitted too, not reported. Raises IdentificationError for too thin driving.
     """
     settings = settings or DrivingFitSettings()
-    names = tuple(dict.fromkeys((*STIFFNESSES, *also, *NUISANCE)))
+    names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
     logs, noticed = prepared(logs, vehicle)
     needs = NEEDS | ({"speed": (5.0, 2)} if RATIO in names else {})
     covered = driving_coverage(logs, needs, settings.minimum_speed)
@@ -84,7 +86,8 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
 
     Raises IdentificationError for too thin driving: two bins of speed at least.
     """
-    result = predict_stiffness(logs, vehicle, base, settings, also=(RATIO, OFFSET))
+    result = predict_stiffness(logs, vehicle, base, settings, also=(RATIO, OFFSET),
+                               nuisance=(*NUISANCE, DELAY, RELAXATION))
     order = [e.parameter for e in result.estimates]
     chosen = [order.index(name) for name in (RATIO, OFFSET, *(n for n in order if n not in (RATIO, OFFSET)))]
     correlation = result.correlation[chosen][:, chosen] if result.correlation is not None else None

@@ -1,6 +1,7 @@
 """Node identifier: steering offset, ratio and stiffness scale estimated while driving; published, never applied."""
 
 import math
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,8 +9,7 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from st_core.identification.moments import Moments
-from st_core.identification.recursive import NAMES, RecursiveIdentifier, Tracked
+from st_core.identification.online import NAMES, OnlineFit, OnlineIdentifier, Tracked, fit_recent
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Steering, TrackedParameter, TrackedParameters
 from st_ros import diagnostics, parameters, spin
@@ -45,7 +45,10 @@ class IdentifierNode(Node):
         vehicle = params.load_vehicle(self._values)
         self._source = _Source(self._file.read_text(), vehicle)
         self._problem = ""
-        self._moments, self._core = Moments(vehicle), RecursiveIdentifier(vehicle)
+        self._core = OnlineIdentifier(vehicle)
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="fit")
+        self._fit: Future[OnlineFit] | None = None
+        self._status: dict[str, str] = {}
         self._resets = 0
         self._received = {"INS": 0, "steering": 0}
         qos = QoSProfile(depth=QUEUE_DEPTH)
@@ -61,13 +64,29 @@ class IdentifierNode(Node):
     def _drain(self) -> None:
         for message, _, _ in self._odometry.take(QUEUE_DEPTH):
             sample = convert.ins_sample(message, self._values.map_frame)
-            self._received["INS"] += not isinstance(sample, str) and self._moments.add_ins(sample)
+            self._received["INS"] += not isinstance(sample, str) and self._core.add_ins(sample)
         for message, _, _ in self._steering.take(QUEUE_DEPTH):
             usable = message.valid and math.isfinite(message.steering_wheel_angle)
-            self._received["steering"] += usable and self._moments.add_steering(
+            self._received["steering"] += usable and self._core.add_steering(
                 to_nanoseconds(message.header.stamp), message.steering_wheel_angle)
-        for moment in self._moments.take():
-            self._core.add(moment)
+        self._fit_in_background()
+
+    def _fit_in_background(self) -> None:
+        """One fit at a time, in its thread; the samples go on being received."""
+        if self._fit is not None and self._fit.done():
+            self._core.take(self._fit.result())
+            self._fit = None
+            self._log_changes()
+        if self._fit is None and self._core.due:
+            self._fit = self._pool.submit(fit_recent, *self._core.snapshot())
+
+    def _log_changes(self) -> None:
+        for one in self._core.tracked():
+            if one.status != self._status.get(one.parameter, "unestimated"):
+                value = f"{one.value:.4g} +/- {one.deviation:.2g} {one.unit}"
+                text = value if one.status == "estimated" else one.reason
+                self.get_logger().info(f"{one.parameter} {one.status}: {text}")
+            self._status[one.parameter] = one.status
 
     def _publish(self) -> None:
         self._reload_vehicle_file()
@@ -76,7 +95,7 @@ class IdentifierNode(Node):
                                     seconds_used=seconds.used, seconds_rejected=float(sum(seconds.rejected.values())))
         message.header.stamp = self.get_clock().now().to_msg()
         message.parameters = [TrackedParameter(
-            parameter=one.parameter, unit=one.unit, value=one.value, standard_deviation=one.spread,
+            parameter=one.parameter, unit=one.unit, value=one.value, standard_deviation=one.deviation,
             vehicle_file_value=self._file_value(one), status=STATUS[one.status], reason=one.reason)
             for one in self._core.tracked()]
         self._publisher.publish(message)
@@ -95,8 +114,9 @@ class IdentifierNode(Node):
         changed = vehicle.hash != self._source.vehicle.hash
         self._source, self._problem = _Source(text, vehicle), ""
         if changed:
-            self._moments.vehicle = vehicle
             self._core.reset(vehicle)
+            self._fit = None  # a fit that still runs is of the old file
+            self._status = {}
             self._resets += 1
             self.get_logger().info(f"{self._file} has changed: all estimates are reset")
 
@@ -110,13 +130,13 @@ class IdentifierNode(Node):
         checks = [Check("driving", diagnostics.OK, f"{seconds.used:.0f} s of driving used", used)]
         for one in self._core.tracked():
             known, level = self._file_value(one), LEVELS[one.status]
-            text = f"{one.value:.4g} +/- {one.spread:.2g} {one.unit}, vehicle file {known:.4g}"
+            text = f"{one.value:.4g} +/- {one.deviation:.2g} {one.unit}, vehicle file {known:.4g}"
             words = {"unestimated": f"not estimated yet: {one.reason}", "estimated": text,
                      "invalid": f"invalid: {one.reason}"}[one.status]
-            if one.status == "estimated" and abs(one.value - known) > FAR_OFF * one.spread:
+            if one.status == "estimated" and abs(one.value - known) > FAR_OFF * one.deviation:
                 level, words = diagnostics.WARN, f"{text}: the file does not fit the driving"
             checks.append(Check(one.parameter, level, words, {
-                "value": one.value, "standard deviation": one.spread, "vehicle file": known, "status": one.status}))
+                "value": one.value, "standard deviation": one.deviation, "vehicle file": known, "status": one.status}))
         file = Check("vehicle file", diagnostics.WARN, f"{self._problem}; the previous values are kept", {})
         return [*checks, file if self._problem else Check("vehicle file", diagnostics.OK, "as at the start", {
             "resets": self._resets})]
@@ -124,6 +144,7 @@ class IdentifierNode(Node):
     def close(self) -> None:
         self._drain()
         self._publish()
+        self._pool.shutdown(wait=False, cancel_futures=True)
 
 
 def main() -> int:

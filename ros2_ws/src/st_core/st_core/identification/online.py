@@ -1,0 +1,245 @@
+"""Steering offset, steering ratio and stiffness scale while driving, by the fit of `driving_fit` to the recent driving.
+
+Samples of INS and steering are kept while the car moves, the last BUFFER seconds of them. After every FIT_EVERY seconds
+of usable driving both stiffnesses, ratio, offset, INS misalignment, dead time of the steering and relaxation of the
+tyres are fitted together, so that delay and transients do not pass for ratio. The deviation has two parts, added in
+quadrature: the variation between blocks of driving, as a normal deviation with the same 95 % interval, and SYSTEMATIC,
+what the single-track model itself is off. A value counts as estimated when the driving is rich enough (`_missing`) and
+its deviation is below LIMITS; as invalid when it lies where no such car is, or the model leaves too much unexplained.
+Holds for |a_y| <= 4 m/s^2 and dry, level roads. Nothing is applied to the vehicle. Checked by: test_online.py.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from ..errors import StCoreError
+from ..filtering import NANOSECOND
+from ..log import DriveLog
+from ..types import InsSample
+from ..vehicle import VehicleParameters
+from .driving_fit import DELAY, MISALIGNMENT, RELAXATION, DrivingFitSettings, fit_driving
+from .run_samples import prepared
+
+Status = Literal["unestimated", "estimated", "invalid"]
+NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
+UNITS = ("rad", "1", "1")
+STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
+FITTED = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
+
+SETTINGS = DrivingFitSettings(interval=1.0, fewest_windows=20)
+BUFFER, SPACING_NS = 400.0, 19_000_000  # s of driving kept; ns between kept samples at least: 50 Hz
+FIT_EVERY = 15.0  # s of usable driving
+MOVING = 2.0  # m/s, below which samples are not kept
+MAXIMUM_GAP = 0.1  # s; a longer pause between samples counts for nothing
+SYSTEMATIC = (math.radians(0.05), 0.005, 0.03)
+"""Of offset [rad], and relative of ratio and scale: largest errors on the realistic virtual Leaf, bends and slaloms."""
+UNKNOWN = (math.radians(30.0), 0.2, 0.5)  # deviations without a fit; ratio and scale relative
+LIMITS = (math.radians(0.5), 0.015, 0.06)  # of the deviation; ratio and scale relative
+PLAUSIBLE = (math.radians(45.0), (0.6, 1.6), (0.3, 3.0))  # offset; ratio over the file's; scale
+LARGEST_UNEXPLAINED = 0.2  # of the root mean square yaw rate; 0.02 to 0.04 on the virtual Leaf, 0.1 with a noisy INS
+SMALLEST_YAW_RATE = 0.02  # rad/s, to which that is compared on straights
+SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s
+BEND, PULL = 0.02, 1.5  # l r / v [rad] and |v r| [m/s^2] from which a sample counts as a bend, as tyre load
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """The present estimate of one parameter. deviation: one standard deviation. reason: why it is not, or no longer,
+    estimated."""
+
+    parameter: str
+    value: float
+    unit: str
+    deviation: float
+    status: Status
+    reason: str
+
+
+@dataclass
+class Seconds:
+    """Driving used so far [s], by what it shows."""
+
+    used: float = 0.0
+    straight: float = 0.0
+    left: float = 0.0
+    right: float = 0.0
+    pull_left: float = 0.0
+    pull_right: float = 0.0
+    speeds: list[float] = field(default_factory=lambda: [0.0] * len(SPEED_BINS))
+    rejected: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class OnlineFit:
+    """values, deviations: (3,) in the order of NAMES. unexplained: share of the yaw rate. stopped: names at a bound.
+    problem: why there is no fit, else empty."""
+
+    values: tuple[float, ...]
+    deviations: tuple[float, ...]
+    unexplained: float = 0.0
+    stopped: tuple[str, ...] = ()
+    problem: str = ""
+
+
+def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
+    """One fit to a drive; never raises for what is in it. May run in a thread of its own."""
+    try:
+        logs, _ = prepared([log], vehicle)
+        fit = fit_driving(logs, vehicle, FITTED, "nonlinear", SETTINGS)
+    except (StCoreError, np.linalg.LinAlgError) as error:
+        return _no_fit(vehicle, str(error))
+    files = [getattr(vehicle, name) for name in STIFFNESSES]
+    # Half of each stiffness over the file's: one scale of both.
+    rows = np.zeros((3, len(FITTED)))
+    rows[0, 0] = rows[1, 1] = 1.0
+    rows[2, 2:4] = 0.5 / np.array(files)
+    values = rows @ fit.values
+    low_high = [fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED))]
+    normal = np.array(low_high) / 1.96 / np.maximum(fit.spread.deviations, 1e-300)
+    covariance = rows @ (fit.spread.covariance * np.outer(normal, normal)) @ rows.T
+    own = np.array([SYSTEMATIC[0], SYSTEMATIC[1] * values[1], SYSTEMATIC[2] * values[2]])
+    deviations = np.sqrt(np.diag(covariance) + own**2)
+    rate = max(float(np.sqrt(np.mean(np.square(log.yaw_rate)))), SMALLEST_YAW_RATE)
+    left = float(np.sqrt(np.mean(np.square(fit.residuals[:, 0]))))
+    return OnlineFit(tuple(values.tolist()), tuple(deviations.tolist()), left / rate, fit.at_bound)
+
+
+def _no_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
+    ratio = vehicle.steering_ratio
+    return OnlineFit((vehicle.steering_wheel_offset, ratio, 1.0),
+                     (UNKNOWN[0], UNKNOWN[1] * ratio, UNKNOWN[2]), problem=problem)
+
+
+class OnlineIdentifier:
+    """Consumes samples in order of time, reports estimates. `snapshot` and `take` let the fit run elsewhere."""
+
+    def __init__(self, vehicle: VehicleParameters):
+        self.reset(vehicle)
+
+    def reset(self, vehicle: VehicleParameters) -> None:
+        """Forget all driving and start with this vehicle."""
+        self.vehicle = vehicle
+        self.seconds = Seconds()
+        most = round(BUFFER / NANOSECOND / SPACING_NS)
+        self._ins: deque[InsSample] = deque(maxlen=most)
+        self._steering: deque[tuple[int, float]] = deque(maxlen=most)
+        self._newest_ns, self._fitted_at = 0, 0.0
+        self._fit = _no_fit(vehicle, "the first fit is not done")
+
+    def add_ins(self, sample: InsSample) -> bool:
+        """An INS sample at the INS point; False if it is not finite or not newer. A jump back of time forgets all."""
+        if not all(map(math.isfinite, sample[1:7])):
+            return False
+        step = (sample.time_ns - self._newest_ns) * NANOSECOND
+        if step <= 0.0:
+            if step < -1.0:
+                self.reset(self.vehicle)
+            return False
+        self._newest_ns = sample.time_ns
+        self._count(sample, step if step <= MAXIMUM_GAP else 0.0)
+        if sample.velocity_x > MOVING and (not self._ins or sample.time_ns - self._ins[-1].time_ns >= SPACING_NS):
+            self._ins.append(sample)
+        return True
+
+    def add_steering(self, time_ns: int, angle: float) -> bool:
+        """A hand-wheel angle as the sensor reads it [rad]; False if it is not finite or not newer."""
+        if not math.isfinite(angle) or (self._steering and time_ns <= self._steering[-1][0]):
+            return False
+        if not self._steering or time_ns - self._steering[-1][0] >= SPACING_NS:
+            self._steering.append((time_ns, angle))
+        return True
+
+    @property
+    def due(self) -> bool:
+        """Whether there is enough new driving for another fit."""
+        return self.seconds.used - self._fitted_at >= FIT_EVERY and len(self._steering) > 1
+
+    def snapshot(self) -> tuple[DriveLog, VehicleParameters]:
+        """The driving that is kept, for `fit_recent`; the next fit is due FIT_EVERY later."""
+        self._fitted_at = self.seconds.used
+        columns = np.array([sample[1:7] for sample in self._ins]).T
+        times = np.array([sample.time_ns for sample in self._ins], np.int64)
+        steering_times = np.array([time for time, _ in self._steering], np.int64)
+        angle = np.array([value for _, value in self._steering])
+        x, y, yaw, velocity_x, velocity_y, yaw_rate = columns
+        return DriveLog("recent driving", times, x, y, np.unwrap(yaw), velocity_x, velocity_y, yaw_rate,
+                        steering_times, self.vehicle.road_wheel_angle(angle), angle), self.vehicle
+
+    def take(self, fit: OnlineFit) -> None:
+        """The result of a fit to a snapshot."""
+        self._fit = fit
+
+    def update(self) -> None:
+        """Fit now, where one is due."""
+        if self.due:
+            self.take(fit_recent(*self.snapshot()))
+
+    def tracked(self) -> tuple[Tracked, ...]:
+        """What is known of each parameter; a value that is not estimated carries the reason."""
+        missing, trouble = self._missing(), self._trouble()
+        rows = []
+        for k, name in enumerate(NAMES):
+            value, deviation = self._fit.values[k], self._fit.deviations[k]
+            reason = missing[name] or self._fit.problem
+            if not reason and not deviation / (value if k else 1.0) <= LIMITS[k]:
+                reason = "the driving so far leaves the deviation too large"
+            status: Status = "unestimated" if reason else "estimated"
+            if not missing[name] and trouble.get(name):
+                status, reason = "invalid", trouble[name]
+            rows.append(Tracked(name, value, UNITS[k], deviation, status, reason))
+        return tuple(rows)
+
+    def _count(self, sample: InsSample, time: float) -> None:
+        speed, rate, seconds = sample.velocity_x, sample.yaw_rate, self.seconds
+        why = "too slow" if speed < SETTINGS.minimum_speed else (
+            "a_y" if abs(speed * rate) > SETTINGS.maximum_acceleration else "")
+        if why:
+            seconds.rejected[why] = seconds.rejected.get(why, 0.0) + time
+            return
+        bend, pull = self.vehicle.wheelbase * rate / speed, speed * rate
+        seconds.used += time
+        seconds.straight += time * (abs(bend) < 0.25 * BEND)
+        seconds.left += time * (bend > BEND)
+        seconds.right += time * (bend < -BEND)
+        seconds.pull_left += time * (pull > PULL)
+        seconds.pull_right += time * (pull < -PULL)
+        seconds.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
+
+    def _missing(self) -> Mapping[str, str]:
+        """What driving is missing, by parameter; an empty text where nothing is."""
+        s = self.seconds
+        bends = min(s.left, s.right)
+        filled = sum(time >= 5.0 for time in s.speeds)
+        needs = {
+            "steering_wheel_offset": [(s.used, 10.0, "driving"), (max(s.straight, bends), 5.0, "straights")],
+            # At one speed a ratio is a change of front stiffness.
+            "steering_ratio": [(s.left, 5.0, "left bends"), (s.right, 5.0, "right bends"),
+                               (filled, 2, "speeds, 5 s each")],
+            "stiffness_scale": [(s.pull_left, 3.0, "left bends above 1.5 m/s^2"),
+                                (s.pull_right, 3.0, "right bends above 1.5 m/s^2"), (filled, 2, "speeds, 5 s each")],
+        }
+        return {name: "; ".join(f"{have:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s'} {what}"
+                                for have, needed, what in rows if have < needed) for name, rows in needs.items()}
+
+    def _trouble(self) -> Mapping[str, str]:
+        """Why values are not to be believed, by parameter."""
+        fit, (offset, ratio, scale) = self._fit, self._fit.values
+        if fit.unexplained > LARGEST_UNEXPLAINED:
+            return dict.fromkeys(NAMES, f"the model leaves {100 * fit.unexplained:.0f} % of the yaw rate unexplained: "
+                                        "another road, load or sensor than the equations describe")
+        troubles = {}
+        if abs(offset) > PLAUSIBLE[0]:
+            troubles[NAMES[0]] = f"{math.degrees(offset):.0f} deg is beyond 45 deg"
+        relative = ratio / self.vehicle.steering_ratio
+        for name, value, (low, high) in ((NAMES[1], relative, PLAUSIBLE[1]), (NAMES[2], scale, PLAUSIBLE[2])):
+            if not low < value < high:
+                troubles[name] = f"{value:.2f} times the vehicle file's is outside {low:g} to {high:g}"
+        for name in fit.stopped:
+            if name in NAMES or name in STIFFNESSES:
+                troubles[name if name in NAMES else NAMES[2]] = f"{name} stopped at the bound of the fit"
+        return troubles

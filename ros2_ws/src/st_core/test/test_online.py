@@ -1,0 +1,126 @@
+"""Steering and stiffness while driving: found within their deviation, only after enough driving, and reset."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from driven import Sensors, drive
+from st_core.augmented import augment
+from st_core.identification.online import NAMES, OnlineIdentifier
+from st_core.types import InsSample
+from winding_road import Truth, winding_road
+
+TRUTH = Truth(math.radians(-4.0), 16.6, 0.85)
+
+
+def track(car, rows, tracker=None):
+    """rows: (t, x, y, yaw, v_x, v_y, yaw rate, hand wheel) at the INS point, SI."""
+    tracker = tracker or OnlineIdentifier(car)
+    for row in rows:
+        time = round(row[0] * 1e9) + 1
+        tracker.add_steering(time, row[7])
+        tracker.add_ins(InsSample(time, *row[1:7]))
+        tracker.update()
+    return tracker
+
+
+def rows_of(logs):
+    """Of drives one after the other, INS and steering on the same instants."""
+    parts, end = [], 0.0
+    for log in logs:
+        t = (log.ins_time_ns - log.start_ns) * 1e-9
+        parts.append(np.stack([t + end, log.x, log.y, log.yaw, log.velocity_x, log.velocity_y, log.yaw_rate,
+                               log.steering_wheel_angle], axis=1))
+        end += t[-1] + 1.0
+    return np.concatenate(parts).tolist()
+
+
+@pytest.fixture(scope="module")
+def road(leaf):
+    return winding_road(leaf, TRUTH, 100.0, seed=1).tolist()
+
+
+@pytest.fixture(scope="module")
+def tracked(leaf, road):
+    return track(leaf, road)
+
+
+def test_all_three_are_found_within_their_deviation(tracked):
+    for one, truth in zip(tracked.tracked(), (TRUTH.offset, TRUTH.ratio, TRUTH.scale), strict=True):
+        assert one.status == "estimated" and one.reason == ""
+        assert abs(one.value - truth) < 2.0 * one.deviation, one
+
+
+@pytest.mark.slow
+def test_other_cars_on_other_roads(leaf):
+    random = np.random.default_rng(5)
+    for seed in range(3):
+        truth = Truth(math.radians(random.uniform(-6, 6)), 17.3 * random.uniform(0.93, 1.07),
+                      random.uniform(0.75, 1.25))
+        found = track(leaf, winding_road(leaf, truth, 90.0, seed).tolist()).tracked()
+        for one, value in zip(found, (truth.offset, truth.ratio, truth.scale), strict=True):
+            assert one.status == "estimated" and abs(one.value - value) < 2.0 * one.deviation, (seed, one)
+
+
+def lagging_slalom(leaf, speeds):
+    """Of a car with steering lag, relaxing tyres and another front stiffness."""
+    real = replace(leaf, cornering_stiffness_front=1.2 * leaf.cornering_stiffness_front).with_derived_scales()
+    model = augment("nonlinear", {"tyre_relaxation": {"length": 0.4}})
+    return rows_of([drive(real, speed, lambda t, a=angle: a * np.sin(2.5 * t), 50.0, model=model,
+                          sensors=Sensors(delay=0.04), seed=2) for speed, angle in speeds])
+
+
+def test_a_slalom_at_one_speed_gives_no_ratio(leaf):
+    ratio = track(leaf, lagging_slalom(leaf, [(12.0, 0.045)])).tracked()[1]
+    assert ratio.status == "unestimated" and "1 of 2 speeds" in ratio.reason
+
+
+def test_a_slalom_of_a_car_that_lags_gives_the_true_ratio_at_two_speeds(leaf):
+    ratio = track(leaf, lagging_slalom(leaf, [(8.0, 0.08), (14.5, 0.035)])).tracked()[1]
+    assert ratio.status == "estimated" and abs(ratio.value - leaf.steering_ratio) < 2.0 * ratio.deviation
+
+
+def test_nothing_counts_before_enough_driving(leaf, road):
+    start = track(leaf, road[:300]).tracked()  # 3 s
+    assert {one.status for one in start} == {"unestimated"}
+    assert start[0].reason.startswith("3 of 10 s driving")
+    assert track(leaf, []).tracked()[2].reason.startswith("0 of 3 s left bends above 1.5 m/s^2; 0 of 3 s right")
+
+
+def test_slow_and_hard_driving_is_rejected_and_counted(leaf, road):
+    slow, hard = np.array(road), np.array(road)
+    slow[:, 4:7] *= 0.2
+    hard[:, 5:7] *= 2.5
+    tracker = track(leaf, slow.tolist())
+    assert tracker.seconds.used == 0.0 and tracker.seconds.rejected["too slow"] == pytest.approx(100.0, abs=0.3)
+    assert track(leaf, hard[:3000].tolist()).seconds.rejected["a_y"] > 3.0
+
+
+def test_values_no_car_has_are_not_estimated(leaf, road):
+    broken = np.array(road)
+    broken[:, 7] *= 0.5  # a sensor that counts half degrees
+    assert track(leaf, broken.tolist()).tracked()[1].status == "invalid"
+    noise = np.array(road)
+    noise[:, 6] += 0.15 * np.sin(np.arange(len(noise)) / 30.0)  # a yaw rate that is not this car's
+    assert "estimated" not in {one.status for one in track(leaf, noise.tolist()).tracked()[1:]}
+
+
+def test_reset_forgets_everything_and_so_does_a_jump_of_time(leaf, tracked):
+    other = replace(leaf, steering_ratio=15.0)
+    fresh = OnlineIdentifier(other)
+    tracked.reset(other)
+    assert tracked.tracked() == fresh.tracked() and tracked.seconds == fresh.seconds
+    assert dict(zip(NAMES, tracked.tracked(), strict=True))["steering_ratio"].value == 15.0
+    tracker = track(leaf, [[10.0 + 0.01 * k, 0.1 * k, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0] for k in range(100)])
+    assert tracker.seconds.used == pytest.approx(0.99, abs=0.02)
+    assert not tracker.add_ins(InsSample(1, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0)) and tracker.seconds.used == 0.0
+
+
+def test_samples_that_are_not_finite_or_not_newer_are_refused(leaf):
+    tracker = OnlineIdentifier(leaf)
+    assert tracker.add_ins(InsSample(1000, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0))
+    assert not tracker.add_ins(InsSample(1000, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0))
+    assert not tracker.add_ins(InsSample(2000, math.nan, 0.0, 0.0, 10.0, 0.0, 0.0))
+    assert tracker.add_steering(1000, 0.1) and not tracker.add_steering(1000, 0.1)
+    assert not tracker.add_steering(2000, math.inf)
