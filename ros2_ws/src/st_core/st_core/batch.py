@@ -19,14 +19,14 @@ from .filtering import NANOSECOND
 from .log import DriveLog
 from .log_signals import Acceleration, LogSignals, same
 from .models import Model, get_model
-from .planned_inputs import wheel_sequence
+from .planned_inputs import SLIP_FREE, wheel_sequence
 from .prediction import step_count
 from .readings import corrected_log, has_memory, held_steering, readings
 from .start_grid import Block, plan
 from .types import STATE_NAMES, InputSequence
 from .vehicle import VehicleParameters
 
-Inputs = Literal["measured", "held"] | tuple[np.ndarray, np.ndarray]
+Inputs = Literal["measured", "held"] | tuple[np.ndarray, ...]
 Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
@@ -77,7 +77,8 @@ class LogBatch:
     starts_ns: any instants [ns]. Fastest where they are multiples of half an integration step apart: then everything
     that depends on the inputs alone is computed once for the log, not for each start.
     horizon, step [s]. inputs: measured = those of the log over the horizon (hindsight); held = those at the start; or
-    planned road wheel angles [rad] and velocity_x_dot [m/s^2], each (n, 2 * steps + 1) on the half-step grid.
+    planned road wheel angles [rad], velocity_x_dot [m/s^2] and, of a path, slip-free angles [rad], each
+    (n, 2 * steps + 1) on the half-step grid.
     points [s]: of the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps in a step;
     auto = as few as are stable at the speeds of the log. A step too long for those is warned of once.
     backend: lanes or numpy; None: the fastest there is. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
@@ -120,15 +121,15 @@ class LogBatch:
                                      f"horizon of {self.steps * self.step:g} s")
         return numbers
 
-    def _check_planned(self, planned: tuple[np.ndarray, np.ndarray], substeps: int | str,
-                       rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _check_planned(self, planned: tuple[np.ndarray, ...], substeps: int | str,
+                       rows: np.ndarray) -> tuple[np.ndarray, ...]:
         expected = len(self.starts_ns), 2 * self.steps + 1
-        for name, values in zip(("road_wheel_angle", "velocity_x_dot"), planned, strict=True):
+        for name, values in zip(("road_wheel_angle", "velocity_x_dot", SLIP_FREE), planned, strict=False):
             if values.shape != expected:
                 raise ConfigurationError(f"planned {name}: shape {values.shape}, not {expected}")
         if substeps != 1:
             raise ConfigurationError("substeps: planned inputs are on the half-step grid; take 1")
-        return planned[0][rows], planned[1][rows]
+        return tuple(values[rows] for values in planned)
 
     def _occurring_speeds(self) -> tuple[float, ...]:
         if not len(self._unique):
@@ -238,7 +239,9 @@ class LogBatch:
 
     def _sample_planned(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
         """As `_sample`, of planned inputs; block: not shared."""
-        raw, (angle, acceleration) = self.signals.log, (values[block.rows] for values in self._ahead)
+        raw, (angle, acceleration, *path) = self.signals.log, (values[block.rows] for values in self._ahead)
+        if path and model.axles is None:
+            angle = path[0]
         if has_memory(model):
             angle = np.array([wheel_sequence(model, InputSequence(*both), int(start), self.step, raw.steering_time_ns,
                                              raw.road_wheel_angle, signals.maximum_gap).road_wheel_angle

@@ -35,11 +35,11 @@ CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate"
 ALL = slice(None)
 
 Progress = Callable[[int, int], None]
-Planned = tuple[np.ndarray, np.ndarray]
+Planned = tuple[np.ndarray, ...]
 Watch = Callable[[np.ndarray, "Block"], None]
-Ahead = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Of starts (n,) [ns], rising: road wheel angle [rad] and velocity_x_dot [m/s^2] over the horizon, each
-(n, 2 * steps + 1) on the half-step grid; NaN from where not known. Called once for every start, in order."""
+Ahead = Callable[[np.ndarray], tuple[np.ndarray, ...]]
+"""Of starts (n,) [ns], rising: road wheel angle [rad], velocity_x_dot [m/s^2] and, of a path, `SLIP_FREE` [rad] over
+the horizon, each (n, 2 * steps + 1) on the half-step grid; NaN where not known. Called once, with every start."""
 
 
 @dataclass(frozen=True)
@@ -236,7 +236,7 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
     inputs = {mode: of_mode(starts_ns) for mode, of_mode in (ahead or {}).items()} if len(starts_ns) else {}
 
     def make(starts_ns: np.ndarray, rows: slice) -> Block:
-        own: dict[Mode, Planned] = {mode: (angle[rows], rate[rows]) for mode, (angle, rate) in inputs.items()}
+        own: dict[Mode, Planned] = {mode: tuple(v[rows] for v in values) for mode, values in inputs.items()}
         return _evaluate_block(models, vehicle, signals, starts_ns, settings, own)
 
     if len(blocks) == 1:
@@ -296,7 +296,8 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
 def _or_held(planned: Planned, angle: np.ndarray, acceleration: np.ndarray) -> Planned:
     """Planned inputs (n, m), and the held ones (n,) for the starts where a planned one is not known."""
     known = np.isfinite(np.stack(planned)).all(axis=(0, 2))[:, None]
-    return np.where(known, planned[0], angle[:, None]), np.where(known, planned[1], acceleration[:, None])
+    held = angle[:, None], acceleration[:, None], angle[:, None]
+    return tuple(np.where(known, values, one) for values, one in zip(planned, held, strict=False))
 
 
 def _instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

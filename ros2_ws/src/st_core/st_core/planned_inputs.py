@@ -34,6 +34,8 @@ ANGLE_TOLERANCE = 0.05
 """rad between planned and measured road wheel angle at the start: 45 deg of the hand wheel."""
 ACCELERATION_TOLERANCE = 3.0
 """m/s^2 between planned and measured at the start: a brake that is being applied needs 0.3 s to build up."""
+SLIP_FREE = "slip_free_angle"
+"""Signal of inputs that follow a path: the road wheel angle of a car without slip, for models without tyres."""
 SPEED_TOLERANCE = 2.0
 """m/s between planned and measured at the start."""
 
@@ -41,7 +43,8 @@ SPEED_TOLERANCE = 2.0
 @dataclass(frozen=True, eq=False)
 class PlannedInputs:
     """One plan. issued_ns, time_ns (n,): instants on the measurement clock [ns]. road_wheel_angle (n,): left + [rad],
-    as the steering sensor will show it. velocity_x_dot (n,) [m/s^2]. speed: (n,) [m/s] where the plan states it.
+    as the steering sensor will show it. velocity_x_dot (n,) [m/s^2]. speed [m/s] and slip_free_angle [rad], (n,): of a
+    plan `from_path`.
 
     Between its points a plan is linear. Raises StCoreError, one line, for arrays of unequal length.
     """
@@ -51,10 +54,11 @@ class PlannedInputs:
     road_wheel_angle: np.ndarray
     velocity_x_dot: np.ndarray
     speed: np.ndarray | None = None
+    slip_free_angle: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_ns", np.asarray(self.time_ns, np.int64))
-        for name in ("road_wheel_angle", "velocity_x_dot", "speed"):
+        for name in ("road_wheel_angle", "velocity_x_dot", "speed", SLIP_FREE):
             if (values := getattr(self, name)) is not None:
                 object.__setattr__(self, name, np.asarray(values, float))
                 if getattr(self, name).shape != self.time_ns.shape or self.time_ns.ndim != 1:
@@ -67,19 +71,22 @@ class PlannedInputs:
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
-        K: `handling.understeer_coefficient`, the linear car in a steady turn; the steering of a fast change of
-        curvature lags behind by the car's own response, about 0.1 s.
+        K: `handling.understeer_coefficient`, the linear car in a steady turn, 0 for models without tyres; the steering
+        of a fast change of curvature lags behind by the car's own response, about 0.1 s.
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
         rising = len(seconds) > 1 and bool((np.diff(seconds) > 0.0).all()) and speed.shape == seconds.shape
-        acceleration = np.gradient(speed, seconds) if rising else np.zeros_like(speed)
-        return cls(issued_ns, time_ns, steady_state_steering(speed, curvature, vehicle), acceleration, speed)
+        if not rising:
+            return cls(issued_ns, time_ns, curvature, np.zeros_like(speed), speed)
+        path = path_inputs(speed, curvature, seconds, vehicle)
+        return cls(issued_ns, time_ns, path.road_wheel_angle, path.velocity_x_dot, speed, path.signals[SLIP_FREE])
 
     def sequence(self, start_ns: int, steps: int, step: float) -> InputSequence:
         """Inputs on the half-step grid from a start [ns]; NaN outside the plan."""
         grid = half_step_grid(start_ns, steps, step)
-        return InputSequence(self._at(self.road_wheel_angle, grid), self._at(self.velocity_x_dot, grid))
+        others = {} if self.slip_free_angle is None else {SLIP_FREE: self._at(self.slip_free_angle, grid)}
+        return InputSequence(self._at(self.road_wheel_angle, grid), self._at(self.velocity_x_dot, grid), others)
 
     def _at(self, values: np.ndarray, grid_ns: np.ndarray) -> np.ndarray:
         return np.interp(grid_ns - grid_ns[0], self.time_ns - grid_ns[0], values, left=np.nan, right=np.nan)
@@ -91,6 +98,13 @@ def steady_state_steering(speed: np.ndarray, curvature: np.ndarray, vehicle: Veh
         delta = L (1 + K v^2) k            Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
     """
     return vehicle.wheelbase * (1.0 + understeer_coefficient(vehicle) * speed * speed) * curvature
+
+
+def path_inputs(speed: np.ndarray, curvature: np.ndarray, seconds: np.ndarray,
+                vehicle: VehicleParameters) -> InputSequence:
+    """Inputs that follow a speed [m/s] and a curvature [1/m] over time [s]; see `PlannedInputs.from_path`."""
+    return InputSequence(steady_state_steering(speed, curvature, vehicle), np.gradient(speed, seconds),
+                         {SLIP_FREE: np.arctan(vehicle.wheelbase * curvature)})
 
 
 def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
@@ -190,8 +204,10 @@ def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: fl
     """Planned inputs as the wheels of a model follow them: with delay, play and lag, of what was recorded before too.
 
     planned: on the half-step grid from start_ns. steering_time_ns, road_wheel_angle: recorded; later samples are not
-    used. Unchanged for a model without a memory of the steering. maximum_gap [s].
+    used. A model without tyres takes the slip-free angle of a path. maximum_gap [s].
     """
+    if model.axles is None and SLIP_FREE in planned.signals:
+        planned = InputSequence(planned.signals[SLIP_FREE], planned.velocity_x_dot)
     if not has_memory(model):
         return planned
     grid = start_ns + np.round(np.arange(len(planned.road_wheel_angle)) * (0.5 * step / NANOSECOND)).astype(np.int64)

@@ -1,0 +1,187 @@
+"""A remembered course: speed and curvature along the way, from recordings of earlier drives at the same place.
+
+A course is a set of passes, each the way of one recording without its pauses, sampled every SPACING metres. Laps, both
+directions and branches are passes, or parts of one, that lie side by side; `Course.near` finds all that lead on from a
+place in a direction. Mean and spread over them are taken where they are used (`course_tracker`), because a mean over
+slow and fast laps would fit neither. Checked by: test_course.py.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial import cKDTree
+
+from .errors import ConfigurationError, StCoreError
+from .frames import wrap_angle
+from .log import DriveLog
+from .yaml_text import check_keys, load
+
+SPACING = 1.0
+"""m along the way; the sharpest turns of a car (radius 5 m) then have 8 points for a right angle."""
+SMOOTHING = 3.0
+"""m of the moving average of curvature and direction: one wheelbase, below which a car does not follow the steering."""
+REACH = 4.0
+"""m from the car to a pass that counts: one lane and its neighbour."""
+MAX_HEADING_DIFFERENCE = 0.5
+"""rad between the directions of car and pass: more is another direction or a crossing."""
+PAUSE_SPEED = 0.5
+"""m/s. Slower parts are left out: curvature is not defined in standstill."""
+MIN_LENGTH = 20.0
+"""m of a part of a pass; shorter ones lead nowhere within a horizon."""
+SCHEMA = 1
+POINTS = "\npoints: |\n"
+COLUMNS = ("x", "y", "direction", "curvature", "speed")
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """The way of one recording. recording: its name; digests: sha256 of its files. points: (n, 5), every SPACING m,
+    columns as COLUMNS: INS point in the map frame [m], direction of its motion from east [rad], curvature yaw_rate/v_x
+    [1/m], left +, v_x [m/s].
+    """
+
+    recording: str
+    digests: tuple[str, ...]
+    points: np.ndarray
+
+
+class Visit(NamedTuple):
+    """A place of a pass near the car. number: of the pass; row: of its point. distance: from the car [m]."""
+
+    number: int
+    row: int
+    distance: float
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Passes at one place. origin: (latitude, longitude) of the map frame [deg] where the recordings state it."""
+
+    passes: tuple[Pass, ...]
+    origin: tuple[float, float] | None = None
+
+    @cached_property
+    def _owners(self) -> tuple[np.ndarray, np.ndarray]:
+        """Number of the pass and row in it of every point, (points,) each."""
+        sizes = [len(one.points) for one in self.passes]
+        return np.repeat(np.arange(len(sizes)), sizes), np.concatenate([np.arange(n) for n in sizes])
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(np.concatenate([one.points[:, :2] for one in self.passes]))
+
+    def near(self, x: float, y: float, direction: float) -> list[Visit]:
+        """The passes within REACH in the direction of the car, one visit for each lap, the nearest first."""
+        if not self.passes:
+            return []
+        found = np.array(sorted(self._tree.query_ball_point((x, y), REACH)), int)
+        if not len(found):
+            return []
+        number, row = (of[found] for of in self._owners)
+        points = np.stack([self.passes[n].points[k] for n, k in zip(number.tolist(), row.tolist(), strict=True)])
+        same = np.abs(wrap_angle(points[:, 2] - direction)) < MAX_HEADING_DIFFERENCE
+        number, row, points = number[same], row[same], points[same]
+        distance = np.hypot(points[:, 0] - x, points[:, 1] - y)
+        # Points of one lap are consecutive; another lap of the same pass begins with a jump of the row.
+        begins = np.flatnonzero((np.diff(number, prepend=-1) != 0) | (np.diff(row, prepend=-9) > 1))
+        visits = [Visit(int(number[part[0]]), int(row[part[k]]), float(distance[part[k]]))
+                  for part in np.split(np.arange(len(number)), begins)[1:] for k in [int(distance[part].argmin())]]
+        return sorted(visits, key=lambda visit: visit.distance)
+
+    def without(self, digests: Sequence[str]) -> "Course":
+        """The course without the passes of recordings with these sha256: a run is never predicted from itself."""
+        known = set(digests)
+        return Course(tuple(one for one in self.passes if not known & set(one.digests)), self.origin)
+
+    def to_yaml(self) -> str:
+        """A file that `from_yaml` reads back, to the centimetre: a header, then the points of all passes as rows."""
+        passes = [{"recording": one.recording, "digests": list(one.digests), "rows": len(one.points)}
+                  for one in self.passes]
+        header = {"schema": SCHEMA, "spacing": SPACING, "columns": list(COLUMNS),
+                  "origin": None if self.origin is None else list(self.origin)}
+        rows = [f"  {x:.2f} {y:.2f} {direction:.4f} {curvature:.6f} {speed:.3f}"
+                for one in self.passes for x, y, direction, curvature, speed in one.points.tolist()]
+        lines = ["# Course: speed and curvature along the way of earlier drives. Made by `st course build`. SI units.",
+                 *(f"{key}: {json.dumps(value)}" for key, value in header.items()), "passes:",
+                 *(f"- {json.dumps(one)}" for one in passes)]
+        body = "\n".join([*lines, POINTS.strip("\n"), *rows])
+        return body.replace("passes:\n", f"hash: {_digest(body)}\npasses:\n", 1) + "\n"
+
+    @classmethod
+    def from_yaml(cls, text: str, origin: str = "course") -> "Course":
+        """The course in a file. origin: its name in errors. Raises ConfigurationError, one line."""
+        try:
+            return cls._read(text)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{origin}: {error}") from None
+        except (KeyError, TypeError, ValueError):
+            raise ConfigurationError(f"{origin}: not a complete course file; make one with st course build") from None
+
+    @classmethod
+    def _read(cls, text: str) -> "Course":
+        head, _, rows = text.partition(POINTS)
+        document = load(head)
+        keys = ["schema", "spacing", "columns", "origin", "hash", "passes"]
+        if not isinstance(document, dict):
+            raise ConfigurationError("not a course file; make one with st course build")
+        check_keys("", document, keys, required=keys)
+        if (document["schema"], document["spacing"], document["columns"]) != (SCHEMA, SPACING, list(COLUMNS)):
+            raise ConfigurationError(f"schema: {document['schema']} with spacing {document['spacing']} is not readable "
+                                     f"(expected {SCHEMA} with {SPACING:g}); build it with this version")
+        if _digest(text.replace(f"hash: {document['hash']}\n", "", 1).rstrip("\n")) != document["hash"]:
+            raise ConfigurationError("hash: the content was edited or cut off; run st course build again")
+        entries = document["passes"] or []
+        if not entries:
+            raise ConfigurationError("passes: empty; build the course from at least one recording")
+        points = np.array(rows.split(), float).reshape(-1, len(COLUMNS))
+        ends = np.cumsum([int(one["rows"]) for one in entries])
+        if ends[-1] != len(points) or not np.isfinite(points).all():
+            raise ConfigurationError(f"points: {len(points)} rows or not finite; the passes have {ends[-1]}")
+        passes = tuple(Pass(str(one["recording"]), tuple(one["digests"]), part)
+                       for one, part in zip(entries, np.split(points, ends[:-1]), strict=True))
+        place = document["origin"]
+        return cls(passes, None if place is None else (float(place[0]), float(place[1])))
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def passes_of(log: DriveLog, digests: Sequence[str], maximum_gap: float = 0.1) -> list[Pass]:
+    """The passes of one drive: split where it pauses, has a gap in time or a jump of the position.
+
+    maximum_gap [s]. Raises StCoreError, one line, for a drive without MIN_LENGTH metres of driving.
+    """
+    time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
+    spacing = np.diff(time)
+    way = np.hypot(np.diff(log.x), np.diff(log.y))
+    travelled = 0.5 * (log.velocity_x[1:] + log.velocity_x[:-1]) * spacing
+    slow = np.minimum(log.velocity_x[1:], log.velocity_x[:-1]) < PAUSE_SPEED
+    breaks = slow | (spacing > maximum_gap) | (np.abs(way - travelled) > 0.5 + 0.5 * travelled)
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
+    found = [Pass(log.name, tuple(digests), points) for first, last in edges.reshape(-1, 2)
+             if (points := _resampled(log, slice(int(first), int(last) + 1))) is not None]
+    if not found:
+        raise StCoreError(f"{log.name}: no {MIN_LENGTH:g} m of continuous driving faster than {PAUSE_SPEED:g} m/s; "
+                          "leave it out of the course")
+    return found
+
+
+def _resampled(log: DriveLog, rows: slice) -> np.ndarray | None:
+    """(n, 5) every SPACING m along the way of some rows; None for less than MIN_LENGTH."""
+    x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
+    seconds = (log.ins_time_ns[rows] - log.ins_time_ns[rows][:1]) * 1e-9
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])
+    if way[-1] < MIN_LENGTH:
+        return None
+    at = np.arange(0.0, way[-1], SPACING)
+    east, north, curvature, speed = (np.interp(at, way, v) for v in (x, y, log.yaw_rate[rows] / speed, speed))
+    curvature, d_x, d_y = (uniform_filter1d(v, round(SMOOTHING / SPACING), mode="nearest")
+                           for v in (curvature, np.gradient(east), np.gradient(north)))
+    return np.stack([east, north, np.unwrap(np.arctan2(d_y, d_x)), curvature, speed], axis=1)

@@ -1,0 +1,264 @@
+"""Inputs over the horizon from a remembered course, mixed with held ones by how well each did in the recent past.
+
+At every start the passes near the car are candidates. A candidate predicts by the way s ahead
+
+    v(s) = v_pass(s) v_now / v_pass(0),      k(s) = k_pass(s) + e''(s),     e(s) = A exp(-s / l_1) + B exp(-s / l_2)
+
+e: lateral distance to the pass, from the present distance and direction (A, B), as a driver steers back to a line. It
+weighs exp(-d^2 / 2), d^2 the sum of squared differences in place, direction, recent speed and recent curvature, each
+over its scale. The mean of the candidates is one of the curvatures and one of the speeds that are mixed:
+
+    curvature: held, course              speed: acceleration held, none, fading with FADING, course
+    share of each ~ E^-2,      E: mean square error of the forecasts that have ended, forgotten with FORGETTING
+
+E of a curvature is of the place after the way driven, E of a speed is of that way. So a driver who leaves the
+remembered line or speed gets the held one back within seconds, smoothly and independently. Source: combination by past
+performance, Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py; docs/manual/forecast.md.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from .course import SPACING, Course, Visit
+from .filtering import NANOSECOND
+from .frames import wrap_angle
+from .log_signals import LogSignals
+from .planned_inputs import SLIP_FREE, path_inputs
+from .types import InputSequence
+from .vehicle import VehicleParameters
+
+RETURN_LENGTHS = (40.0, 100.0)
+"""m, l_1 and l_2: at 15 m/s a driver is back on the line in about 10 s."""
+SCALES = {"place": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
+"""m, rad, share of the speed, 1/m: differences between drives of one driver on one course."""
+MAX_DIFFERENCE = 7.0
+"""d of the nearest candidate from which the driver follows none of them."""
+RECENT = 2.0
+"""s of the own way that is compared with a candidate's."""
+BLEND = 0.3
+"""s in which measured steering and acceleration turn into the remembered ones: the lag of a driver's hand and foot."""
+FADING = 0.7
+"""s in which an acceleration fades: pedals change about once a second."""
+FORGETTING = 10.0
+"""s: two horizons."""
+CURVATURE_PRIOR, SPEED_PRIOR = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
+"""m^2, E before a forecast has ended, in the order above; from leave-one-run-out errors of real laps."""
+SQUARES = (0.01, 9.0)
+"""m^2 that a squared error is limited to: the accuracy of the INS, and what one error may change at once."""
+JUMP = 2.0
+"""m between position and way driven from which on the past is dropped."""
+MIN_SPEED = 0.5
+"""m/s: curvature is not defined in standstill."""
+
+
+class Own(NamedTuple):
+    """Own motion at a start, INS point: [ns], map frame [m, rad], body axes [m/s], [rad/s], [m/s^2]; road wheel angle
+    [rad]."""
+
+    time_ns: int
+    x: float
+    y: float
+    yaw: float
+    velocity_x: float
+    velocity_y: float
+    yaw_rate: float
+    velocity_x_dot: float
+    road_wheel_angle: float
+
+    @property
+    def direction(self) -> float:
+        """Of the motion, from east [rad]."""
+        return self.yaw + math.atan2(self.velocity_y, self.velocity_x)
+
+    @property
+    def curvature(self) -> float:
+        return self.yaw_rate / max(self.velocity_x, MIN_SPEED)
+
+
+@dataclass(frozen=True, eq=False)
+class CourseForecast:
+    """inputs: on the half-step grid of the horizon; None where the course is not used. curvature_share, speed_share: of
+    the course in the mixture, 0 to 1. spread: standard deviation of the candidates' speeds [m/s] at the end. reason: ""
+    or why the course is not used, in one line.
+    """
+
+    inputs: InputSequence | None
+    curvature_share: float = 0.0
+    speed_share: float = 0.0
+    spread: float = math.nan
+    reason: str = ""
+
+
+class _Open(NamedTuple):
+    """A forecast that has not ended: when it does [ns], way [m] and motion at its start, predicted ways [m] by speed,
+    and the course's path (points, 2) [m] every SPACING m."""
+
+    due_ns: int
+    way: float
+    own: Own
+    ways: np.ndarray
+    path: np.ndarray
+
+
+class CourseTracker:
+    """Follows the car along a course, one call a start, in order of time.
+
+    horizon, step [s]. Keeps RECENT seconds of the own way and the forecasts that have not ended. Restarts when time
+    goes back or stops for longer than a horizon, and when the position jumps.
+    """
+
+    def __init__(self, course: Course, vehicle: VehicleParameters, horizon: float = 5.0, step: float = 0.05):
+        self.course, self._vehicle = course, vehicle
+        self._time = 0.5 * step * np.arange(round(2.0 * horizon / step) + 1)
+        self._horizon_ns = round(horizon / NANOSECOND)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the own way, open forecasts and errors."""
+        self._way = 0.0
+        self._past: deque[tuple[float, Own]] = deque()
+        self._open: deque[_Open] = deque()
+        self._curvature_errors, self._speed_errors = np.array(CURVATURE_PRIOR), np.array(SPEED_PRIOR)
+
+    def update(self, own: Own) -> CourseForecast:
+        """The forecast from this start; without inputs where the motion is not finite or no pass leads on."""
+        if not all(map(math.isfinite, own)) or own.velocity_x < MIN_SPEED:
+            return CourseForecast(None, reason="course: the car's own motion is not known or too slow")
+        elapsed = self._advance(own)
+        self._score(own, elapsed)
+        visits = self.course.near(own.x, own.y, own.direction)
+        candidates = [found for visit in visits if (found := self._candidate(visit, own)) is not None]
+        if not candidates:
+            return CourseForecast(None, reason="course: it ends within the horizon" if visits else
+                                  "course: no earlier drive near the car in its direction")
+        weights = np.exp(-0.5 * np.array([one[0] for one in candidates]))
+        if min(one[0] for one in candidates) > MAX_DIFFERENCE**2:
+            return CourseForecast(None, reason="course: the driver follows no earlier drive in line and speed")
+        return self._mixed(candidates, weights / weights.sum(), own)
+
+    def _advance(self, own: Own) -> float:
+        """Time since the last start [s]; 0 after a restart."""
+        elapsed = 0.0
+        if self._past:
+            last = self._past[-1][1]
+            elapsed = (own.time_ns - last.time_ns) * NANOSECOND
+            way = 0.5 * (own.velocity_x + last.velocity_x) * elapsed
+            jumped = abs(math.hypot(own.x - last.x, own.y - last.y) - abs(way)) > JUMP + 0.1 * abs(way)
+            if not 0.0 < elapsed < self._horizon_ns * NANOSECOND or jumped:
+                self.restart()
+                elapsed = 0.0
+            else:
+                self._way += way
+        self._past.append((self._way, own))
+        while (own.time_ns - self._past[0][1].time_ns) * NANOSECOND > RECENT:
+            self._past.popleft()
+        return elapsed
+
+    def _score(self, own: Own, elapsed: float) -> None:
+        """Errors of the forecasts that have ended, into E."""
+        share = min(elapsed / FORGETTING, 1.0)
+        while self._open and self._open[0].due_ns <= own.time_ns:
+            ended = self._open.popleft()
+            driven = self._way - ended.way
+            row = min(max(driven / SPACING, 0.0), len(ended.path) - 1.001)
+            before, after = ended.path[int(row)], ended.path[int(row) + 1]
+            places = np.array([_arc(ended.own, driven), before + (row - int(row)) * (after - before)])
+            squares = np.square(places - (own.x, own.y)).sum(axis=1), np.square(ended.ways - driven)
+            self._curvature_errors, self._speed_errors = (
+                (1.0 - share) * errors + share * np.clip(new, *SQUARES)
+                for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
+
+    def _candidate(self, visit: Visit, own: Own) -> tuple[float, np.ndarray, np.ndarray] | None:
+        """(d^2, speed and curvature every SPACING m ahead); None where the pass ends within the horizon."""
+        points = self.course.passes[visit.number].points
+        ahead = points[visit.row:]
+        speed = ahead[:, 4] * (own.velocity_x / ahead[0, 4])
+        arrival = np.cumsum(SPACING / speed)
+        if arrival[-1] < 1.2 * self._time[-1]:
+            return None
+        length = int(np.searchsorted(arrival, 2.0 * self._time[-1])) + 2
+        ahead, speed = ahead[:length], speed[:length]
+        rows = np.round(visit.row - np.array([self._way - way for way, _ in self._past]) / SPACING).astype(int)
+        then = points[np.maximum(rows, 0)][rows >= 0]
+        driven = np.array([[one.velocity_x, one.curvature] for _, one in self._past])[rows >= 0]
+        turned = float(wrap_angle(own.direction - ahead[0, 2]))
+        differences = {"place": visit.distance, "direction": turned,
+                       "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / then[:, 4])).mean())),
+                       "curvature": float(np.sqrt(np.square(driven[:, 1] - then[:, 3]).mean()))}
+        square = sum((differences[name] / scale) ** 2 for name, scale in SCALES.items())
+        across = math.cos(ahead[0, 2]) * (own.y - ahead[0, 1]) - math.sin(ahead[0, 2]) * (own.x - ahead[0, 0])
+        return min(square, 200.0), speed, ahead[:, 3] + _return_curvature(across, turned, len(ahead))
+
+    def _mixed(self, candidates: list[tuple[float, np.ndarray, np.ndarray]], weights: np.ndarray,
+               own: Own) -> CourseForecast:
+        length = min(len(speed) for _, speed, _ in candidates)
+        speeds = np.stack([speed[:length] for _, speed, _ in candidates])
+        by_way, curvature = weights @ speeds, weights @ np.stack([k[:length] for *_, k in candidates])
+        arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (by_way[1:] + by_way[:-1]))])
+        end = min(int(np.searchsorted(arrival, self._time[-1])), length - 1)
+        spread = float(np.sqrt(weights @ np.square(speeds[:, end] - by_way[end])))
+        t, gain = self._time, own.velocity_x_dot
+        options = np.stack([own.velocity_x + gain * t, np.full_like(t, own.velocity_x),
+                            own.velocity_x + gain * FADING * (1.0 - np.exp(-t / FADING)),
+                            np.interp(t, arrival, by_way)]).clip(0.0)
+        ways = 0.5 * (options[:, 1:] + options[:, :-1]) @ np.diff(t)
+        heading = own.direction + _integral(curvature, SPACING)
+        path = np.stack([own.x + _integral(np.cos(heading), SPACING), own.y + _integral(np.sin(heading), SPACING)], 1)
+        shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
+                                for errors in (self._curvature_errors, self._speed_errors))
+        self._open.append(_Open(own.time_ns + self._horizon_ns, self._way, own, ways, path))
+        speed = speed_shares @ options
+        way = _integral(speed, float(t[1]))
+        bend = shares[0] * own.curvature + shares[1] * np.interp(way, SPACING * np.arange(length), curvature)
+        return CourseForecast(self._inputs(own, speed, bend), float(shares[1]), float(speed_shares[3]), spread)
+
+    def _inputs(self, own: Own, speed: np.ndarray, curvature: np.ndarray) -> InputSequence:
+        share = 1.0 - np.exp(-self._time / BLEND)
+        path = path_inputs(speed, curvature, self._time, self._vehicle)
+        signals = {name: own.road_wheel_angle + share * (angle - own.road_wheel_angle)
+                   for name, angle in path.signals.items()}
+        return InputSequence(own.road_wheel_angle + share * (path.road_wheel_angle - own.road_wheel_angle),
+                             own.velocity_x_dot + share * (path.velocity_x_dot - own.velocity_x_dot), signals)
+
+
+def _integral(values: np.ndarray, spacing: float) -> np.ndarray:
+    """From the first to each, by the trapezoidal rule."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * spacing * (values[1:] + values[:-1]))])
+
+
+def _arc(own: Own, way: float) -> tuple[float, float]:
+    """Place after a way [m] of constant curvature."""
+    chord = own.direction + 0.5 * own.curvature * way
+    length = way * float(np.sinc(0.5 * own.curvature * way / math.pi))
+    return own.x + length * math.cos(chord), own.y + length * math.sin(chord)
+
+
+def _return_curvature(across: float, turned: float, count: int) -> np.ndarray:
+    """e'' every SPACING m, of a car `across` [m] from a line, left +, and `turned` [rad] from its direction."""
+    one, other = RETURN_LENGTHS
+    b = (turned + across / one) / (1.0 / one - 1.0 / other)
+    way = SPACING * np.arange(count)
+    return (across - b) / one**2 * np.exp(-way / one) + b / other**2 * np.exp(-way / other)
+
+
+def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
+                  step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
+    """The course as inputs of `log_evaluation.evaluate_log`: a tracker that follows the starts of a drive."""
+
+    def ahead(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
+        tracker = CourseTracker(course, vehicle, horizon, step)
+        columns = [*signals.ins_at(starts_ns, *Own._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
+        inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
+        for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
+            found = tracker.update(Own(time_ns, *values))
+            if found.inputs is not None:
+                one = found.inputs
+                inputs[:, k] = one.road_wheel_angle, one.velocity_x_dot, one.signals[SLIP_FREE]
+        return tuple(inputs)
+
+    return ahead
