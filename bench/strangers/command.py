@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "Cars that share no equation with the project, driven and recorded as CSV with the file of a usual owner; "
         "answered by st discover and scored."))
     parser.add_argument("--cases", choices=sorted(HALVES), default="development")
-    parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name contains one of these")
+    parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases by name, or by a part of it")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the chosen cases")
     parser.add_argument("--output", type=Path, help="folder of the answers, one JSON a case; default "
                         ".st/strangers/<half>. A case answered there by this version is not run again")
@@ -43,7 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--page", action="store_true", help="also write the tables of docs/measurements/strangers.md")
     chosen = parser.parse_args(arguments)
     some = [case for case in cases(chosen.cases).values()
-            if not chosen.only or any(text in case.name for text in chosen.only)][::chosen.every]
+            if not chosen.only or case.name in chosen.only
+            or any(text in case.name for text in chosen.only if text not in cases(chosen.cases))][::chosen.every]
     if chosen.list:
         print("\n".join(f"{case.name}: {_hidden(case)}" for case in some))
         return 0
