@@ -8,8 +8,8 @@ from st_core.augmented import AugmentedModel, augment
 from st_core.checks import check, pooled
 from st_core.discovery import Discovery, discover
 from st_core.log import DriveLog
-from st_core.proposals import Proposals, propose, wanted
-from st_core.proposals.curve_fit import RunWindows
+from st_core.relations import RelationSearch, find_relation, indicated
+from st_core.relations.relation_fit import RunWindows
 from st_core.vehicle import VehicleParameters
 
 from . import law_baselines
@@ -35,8 +35,8 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
                       for log in drives.suspect])
     found = discover(drives.suspect, vehicle, "nonlinear", (), settings, identities=sensors)
     middle = time.process_time()
-    said = propose(found, drives.suspect, vehicle, settings) if wanted(found) else Proposals(
-        None, "not looked for: what remains is near the noise", {})
+    said = find_relation(found, drives.suspect, vehicle, settings) if indicated(found) else RelationSearch(
+        None, "not searched: the residual is near the noise", {})
     end = time.process_time()
     judge = RunWindows(drives.held_out, vehicle, settings)
     answer = found.model or found.base
@@ -52,8 +52,8 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
     return record
 
 
-def proposed_model(said: Proposals) -> AugmentedModel | None:
-    one = said.proposal
+def proposed_model(said: RelationSearch) -> AugmentedModel | None:
+    one = said.relation
     if one is None:
         return None
     heights = {f"c{k}": float(c) for k, c in enumerate(one.coefficients)}
@@ -74,15 +74,15 @@ def _oracle(case: LawCase, healthy: list[DriveLog], twin: list[DriveLog], vehicl
     return position(RunWindows(twin, vehicle, case.settings), best.model)
 
 
-def _told(found: Discovery, said: Proposals) -> Record:
-    one = said.proposal
+def _told(found: Discovery, said: RelationSearch) -> Record:
+    one = said.relation
     law, needless = None, ()
     if one is not None:
-        needless = tuple(one.needless)
+        needless = tuple(one.redundant)
         law = {"place": one.candidate.place, "quantity": one.candidate.quantity, "by": one.candidate.by,
                "others": dict(one.others), "chance": one.chance, "gain": one.gain,
-               "shape": one.readings[0].shape if one.readings else "",
-               "reads": one.readings[0].text if one.readings else "", "promised": list(one.position_5s)}
-    return {"outcome": found.outcome, "wanted": wanted(found), "why": said.why, "law": law,
+               "shape": one.formulas[0].shape if one.formulas else "",
+               "reads": one.formulas[0].text if one.formulas else "", "promised": list(one.position_5s)}
+    return {"outcome": found.outcome, "wanted": indicated(found), "why": said.why, "law": law,
             "alone": [e.name for e in found.effects if not e.alternatives], "needless": list(needless),
             "kept": [e.name for e in (*found.effects, *found.minor)]}

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from st_core.effects import get_effect
-from st_core.proposals.places import WHERE
+from st_core.relations.candidates import WHERE
 
 from .cars import LEAF
 from .effects import SCATTER

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core.discovery.settings import DiscoverySettings
-from st_core.proposals.places import WHERE
-from st_core.proposals.readings import ONE_SIDED, SHAPES
+from st_core.relations.candidates import WHERE
+from st_core.relations.formulas import ONE_SIDED, SHAPES
 
 from bench.discovery import law_score as score
 from bench.discovery import pushes

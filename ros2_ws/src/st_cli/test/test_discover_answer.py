@@ -22,8 +22,7 @@ from st_offline.discovery.document import document, write_page
 from st_offline.discovery.drive_figures import maps, over_time, paths
 from st_offline.discovery.drives import read_drive
 from st_offline.discovery.figures import Scene, candidates, conditions, gap
-from st_offline.discovery.law_tables import Table
-from st_offline.discovery.law_told import Told
+from st_offline.discovery.relation_report import RelationReport, Table
 from st_offline.discovery.request import Request
 from st_offline.discovery.terminal_report import show
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
@@ -205,8 +204,8 @@ def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, ca
     found = discovery(logs, STEPS, 1.72)
     question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
     command = "./st evaluate " + " ".join(f"'a drive {k}/bag'" for k in range(9))
-    told = Told([("proposal", ["a law, <b>bold"])], [Table("By run", "Note.", ("run", "m"), [("[weave]", "0.1")])],
-                [("predict", command)], "PROPOSAL: a law")
+    table = Table("By run", "Note.", ("run", "m"), [("[weave]", "0.1")])
+    told = RelationReport([("proposal", ["a law, <b>bold"])], [table], [("predict", command)], "PROPOSAL: a law")
     page = tmp_path / "report.html"
     write_page(page, found, None, document(found, question, None, {}), [waterfall(scene(found, logs))], told)
     text = html.unescape(page.read_text())

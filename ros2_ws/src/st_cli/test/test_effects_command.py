@@ -11,9 +11,9 @@ from st_cli.cli import app
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, load_folder, source_file
 from st_core.model_file import ModelFile
-from st_core.proposals import Candidate, Proposal, Proposals
+from st_core.relations import Candidate, Relation, RelationSearch
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery import proposed
+from st_offline.discovery.relation_files import write_files
 from support import ROOT
 from typer.testing import CliRunner
 
@@ -34,9 +34,9 @@ def law(tmp_path):
     c = Candidate("rear_steer", "acceleration_y", -1.0, -6.0, 6.0)
     at = np.linspace(-6.0, 6.0, 41)
     heights = np.linalg.lstsq(c.splines(at).T, 0.001 * at, rcond=1e-6)[0]
-    one = Proposal(c, heights, at, heights @ c.splines(at), 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001, (0.8, 0.5), {},
+    one = Relation(c, heights, at, heights @ c.splines(at), 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001, (0.8, 0.5), {},
                    augment("nonlinear", {"mass": {"factor": 1.1}}))
-    proposed.write(Proposals(one, "", {}), CAR, ["lap"], "2026-01-01", {}, tmp_path)
+    write_files(RelationSearch(one, "", {}), CAR, ["lap"], "2026-01-01", {}, tmp_path)
     for name in [name for name in EFFECTS if name.startswith("proposed_")]:  # as in a new process
         del EFFECTS[name]
     for name in [m for m in sys.modules if m.startswith("st_effects_")]:

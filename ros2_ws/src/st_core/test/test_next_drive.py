@@ -8,10 +8,10 @@ from answers import discovery
 from discovery_drives import recorded
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
-from st_core.proposals import propose
-from st_core.proposals.curve_fit import Laws, RunWindows
-from st_core.proposals.next_drive import NextDrives, Option, _variance, next_drives, thin_ranges
-from st_core.proposals.places import NEITHER, ODD, Candidate
+from st_core.relations import find_relation
+from st_core.relations.candidates import NEITHER, ODD, Candidate
+from st_core.relations.next_drive import NextDrives, Option, _variance, next_drives, thin_ranges
+from st_core.relations.relation_fit import RelationFits, RunWindows
 
 LAW = Candidate("yaw_moment", "acceleration_x", NEITHER, -4.0, 2.0)
 OTHER = Candidate("front_steer", "acceleration_x", NEITHER, -4.0, 2.0)
@@ -26,7 +26,7 @@ def fitted(leaf, names, scale=None):
     heights = np.linalg.lstsq(LAW.splines(AT).T, 0.02 * AT, rcond=1e-6)[0]
     hidden = {LAW.effect: {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **LAW.constants}}
     windows = RunWindows(recorded(leaf, hidden, 3, names), leaf, SETTINGS)
-    laws = Laws(windows, augment("nonlinear", {}), 0.0, (), SETTINGS)
+    laws = RelationFits(windows, augment("nonlinear", {}), 0.0, (), SETTINGS)
     laws.loss.scale = laws.loss.scale if scale is None else scale
     without = laws.without()
     return laws, [laws.fit(c, without, 0.03) for c in (LAW, OTHER)]
@@ -51,9 +51,9 @@ def test_what_hardly_anything_was_driven_of_is_thin():
 
 def test_nothing_is_suggested_that_brings_nothing():
     now = np.full(41, 0.1)
-    assert NextDrives().pins_down(now) is None and NextDrives().tells_apart() is None
+    assert NextDrives().most_precise(now) is None and NextDrives().most_separating() is None
     weak = NextDrives((), {"other": 1.0}, [Option(None, now, {"other": 2.0}, ())])
-    assert weak.pins_down(now) is None and weak.tells_apart() is None
+    assert weak.most_precise(now) is None and weak.most_separating() is None
 
 
 @pytest.mark.slow
@@ -62,7 +62,7 @@ def test_a_suggested_drive_brings_what_it_promises(leaf):
     laws, (fit, other) = fitted(leaf, driven)
     now = deviation(fit)
     drives = next_drives(laws, LAW, fit, {"other": other}, 2.0, AT, now, [(-4.2, -3.8), (-3.0, -1.0)])
-    surest, (apart, rival) = drives.pins_down(now), drives.tells_apart()
+    surest, (apart, rival) = drives.most_precise(now), drives.most_separating()
     assert surest.manoeuvre.name == apart.manoeuvre.name == "brake_in_turn" and rival == "other"
     assert apart.apart["other"] > drives.now["other"]
     assert surest.seconds[0] > 1.0 and surest.seconds[1] < 1.0  # it brakes at 4 m/s^2, and is soon there
@@ -84,7 +84,7 @@ def test_a_law_beside_nothing_without_an_accelerometer_has_a_next_drive(leaf):
     channels = ("position", "yaw", "yaw_rate", "velocity_y")
     settings = DiscoverySettings(where=False, block=5.0, windows=60, channels=channels)
     nothing = replace(discovery(logs, (), 1.0), noise=dict.fromkeys(channels, 0.01))
-    one = propose(nothing, logs, leaf, settings).proposal
+    one = find_relation(nothing, logs, leaf, settings).relation
     assert (one.candidate.place, one.candidate.quantity) == ("yaw_moment", "acceleration_x")
     surest = min(one.drives.options, key=lambda o: o.deviation.max())
     assert surest.manoeuvre.name == "brake_in_turn" and surest.deviation.max() < one.deviation.max()

@@ -1,4 +1,4 @@
-"""A law nobody has named: a smooth curve of one quantity, at one place of the model. What `st_core.proposals` fits.
+"""A law nobody has named: a smooth curve of one quantity, at one place of the model. What `st_core.relations` fits.
 
     u = sum of in_i quantity_i, held at low and at low + 5 spacing beyond;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B the cubic B-spline on whole numbers, k = -1 ... 6

@@ -17,7 +17,7 @@ from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
-from st_core.proposals import Proposals, propose, wanted
+from st_core.relations import RelationSearch, find_relation, indicated
 from st_core.vehicle import VehicleParameters
 from st_recordings.output import new_folder
 from st_recordings.plain_json import as_text, finite
@@ -27,14 +27,16 @@ from ..checking.document import findings_in
 from ..checking.shown import say
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
-from . import answers, law_told, proposed
+from . import answers
 from .agreement_figures import agreement, bound
 from .answer_figures import budget, certificate, runs, waterfall
 from .document import document, model_file, write_page
 from .drive_figures import maps, over_time, paths
 from .drives import Drive, cache_folder, read_drives
 from .figures import Scene, candidates, conditions, gap
-from .law_figure import law_figure
+from .relation_figure import relation_figure
+from .relation_files import relation_document, write_files
+from .relation_report import CommandLine, RelationReport, relation_report
 from .request import Request
 from .terminal_report import show
 from .vehicle_update import VehicleUpdate, update_vehicle
@@ -53,30 +55,31 @@ def run_command(request: Request, console: Console) -> int:
         marks.append(time.perf_counter())
         found, earlier = _answer(request, base, progress)
         marks.append(time.perf_counter())
-        asked = wanted(found) if request.propose is None else request.propose
-        laws = _laws(request, found, progress) if asked else None
+        search = indicated(found) if request.propose is None else request.propose
+        relations = _relations(request, found, progress) if search else None
     marks.append(time.perf_counter())
     seconds = {"read": marks[1] - marks[0], "discover": marks[2] - marks[1]}
-    if laws:
+    if relations:
         seconds["propose"] = marks[3] - marks[2]
     with console.status("drawing, writing the report"):
         place = Place(folder / "figures", request.formats)
         drawn = draw(found, request, place) if request.report else None
-        if drawn is not None and laws and laws.proposal:
-            drawn.insert(0, law_figure(laws.proposal, place))
+        if drawn is not None and relations and relations.relation:
+            drawn.insert(0, relation_figure(relations.relation, place))
         update = update_vehicle(found, request)
-        told = law_told.told(laws, found, request.vehicle, start(request, folder)) if laws else None
-        files = write_results(found, request, update, folder, drawn, seconds, laws, told)
+        report = (relation_report(relations, found, request.vehicle, command_line(request, folder)) if relations
+                  else None)
+        files = write_results(found, request, update, folder, drawn, seconds, relations, report)
     for drive in (*drives, *healthy):
         say(drive.name, findings_in(drive.about), console)
     failed = [d for d in (*drives, *healthy) if d.problem]
-    show(found, update, failed, files, earlier, console, told)
+    show(found, update, failed, files, earlier, console, report)
     return 1 if failed else 0
 
 
-def start(request: Request, folder: Path) -> law_told.Start:
+def command_line(request: Request, folder: Path) -> CommandLine:
     """As it was typed, so that the commands of the answer can be copied."""
-    return law_told.Start([*map(str, request.runs)], request.given, request.given_vehicle, str(folder))
+    return CommandLine([*map(str, request.runs)], request.given, request.given_vehicle, str(folder))
 
 
 def own_effects(folder: Path | None) -> dict[str, str]:
@@ -173,10 +176,12 @@ def _answer(request: Request, base: Model, progress: Progress) -> tuple[Discover
     return found, False
 
 
-def _laws(request: Request, found: Discovery, progress: Progress) -> Proposals:
-    bar = progress.add_task("looking for a law beyond the library", total=None)
-    return propose(found, _logs(request.drives), request.vehicle, request.settings, request.jobs,
-                   lambda: progress.advance(bar))
+def _relations(request: Request, found: Discovery, progress: Progress) -> RelationSearch:
+    bar = progress.add_task("searching for a relation beyond the library", total=None)
+    reported = {(one["name"], channel) for d in request.drives if d.log is not None for one in d.about["findings"]
+                if one["severity"] != "note" for channel in one["channels"]}
+    return find_relation(found, _logs(request.drives), request.vehicle, request.settings, request.jobs,
+                         lambda: progress.advance(bar), reported)
 
 
 def measured(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
@@ -203,9 +208,8 @@ def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
 
 def write_results(found: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
                   drawn: Sequence[Drawn] | None, seconds: dict[str, float],
-                  laws: Proposals | None = None, told: law_told.Told | None = None) -> dict[str, Path]:
-    """All files; by what they are. drawn: None for no page. laws: what is proposed beyond the library; told: in words.
-    """
+                  relations: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
+    """Write all files; paths by kind. drawn: None for no page. relations: beyond the library; report: of them."""
     files = {"discovery.json": folder / "discovery.json"}
     if update is not None:
         model = model_file(found, request, update)
@@ -213,14 +217,15 @@ def write_results(found: Discovery, request: Request, update: VehicleUpdate | No
             if text:
                 files[name] = folder / name
                 files[name].write_text(text, encoding="utf-8")
-    content = document(found, request, update, seconds) | ({"law": finite(proposed.document(laws))} if laws else {})
-    if laws:
+    content = document(found, request, update, seconds)
+    if relations:
+        content |= {"law": finite(relation_document(relations))}
         about = content["provenance"]
         digests = {f"{name}: {Path(file).name}": digest for name, run in about["runs"].items()
                    for file, digest in run["files"].items()}
-        files |= proposed.write(laws, request.vehicle, list(about["runs"]), about["created"], digests, folder)
+        files |= write_files(relations, request.vehicle, list(about["runs"]), about["created"], digests, folder)
     files["discovery.json"].write_text(as_text(content), encoding="utf-8")
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}
-        write_page(files["report.html"], found, update, content, drawn, told)
+        write_page(files["report.html"], found, update, content, drawn, report)
     return files

@@ -15,7 +15,7 @@ from st_recordings.results import versions
 from ..evaluation.drawing import Drawn
 from ..pages import template
 from . import quantities, report_text
-from .law_told import Told
+from .relation_report import RelationReport
 from .request import Request
 from .vehicle_update import VehicleUpdate
 
@@ -107,8 +107,8 @@ def _inside(values: Mapping[str, float], parameters: Mapping[str, FittedParamete
 
 
 def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
-               figures: Sequence[Drawn], law: Told | None = None) -> None:
-    """content: of discovery.json. law: what is proposed beyond the library."""
+               figures: Sequence[Drawn], law: RelationReport | None = None) -> None:
+    """content: of discovery.json. law: of the relation proposed beyond the library."""
     about = content["provenance"]
     refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
     order = {verdict: place for place, verdict in enumerate(VERDICTS)}

@@ -11,18 +11,18 @@ from st_core.discovery import Discovery
 from ..terminal import list_files, report_problem
 from . import quantities, report_text
 from .drives import Drive
-from .law_told import Told
+from .relation_report import RelationReport
 from .vehicle_update import VehicleUpdate
 
 WHAT = {"report.html": "one page, with all figures", "discovery.json": "every number, docs/manual/discovery.md",
         "vehicle.yaml": "the vehicle file, corrected: --vehicle of every command",
-        "effects": "the law proposed, as an effect; its folder: --effects of st evaluate, st demo, st live",
+        "effects": "the relation proposed, as an effect; its folder: --effects of st evaluate, st demo, st live",
         "proposed.yaml": "a model with it: --model, together with --effects and the vehicle file as it was given",
         "model.yaml": "what a vehicle file cannot hold: --model of st demo, st live, st evaluate"}
 
 
 def show(found: Discovery, update: VehicleUpdate | None, failed: Sequence[Drive], files: Mapping[str, Path],
-         earlier: bool, console: Console, law: Told | None = None) -> None:
+         earlier: bool, console: Console, law: RelationReport | None = None) -> None:
     """Runs, answer, waterfall, budget. earlier: whether the answer is that of an earlier start. law: what is proposed
     beyond the library."""
     lines = report_text.verdict(found, update)
@@ -44,7 +44,7 @@ def show(found: Discovery, update: VehicleUpdate | None, failed: Sequence[Drive]
     list_files({file: WHAT[name] for name, file in files.items()}, console)
 
 
-def _law(law: Told, console: Console) -> None:
+def _law(law: RelationReport, console: Console) -> None:
     console.print("[bold]Beyond the effects of the library[/bold]")
     _answers(law.groups, console)
     for shown in law.tables:

@@ -15,12 +15,21 @@ from st_core.effects import EFFECTS, Measured, load_folder
 from st_core.manoeuvres import CATALOGUE
 from st_core.model_file import ModelFile
 from st_core.models import MODELS
-from st_core.proposals import Candidate, Proposal, Proposals, Reading, wanted
-from st_core.proposals.next_drive import NextDrives, Option
-from st_core.proposals.places import ASKED, NEITHER, PAIRS
-from st_core.proposals.scrutiny import Shares
+from st_core.relations import Candidate, Formula, Relation, RelationSearch, indicated
+from st_core.relations.candidates import ADMISSIBLE, NEITHER, PAIRS
+from st_core.relations.next_drive import NextDrives, Option
+from st_core.relations.selection import RunShares
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery import law_figure, law_file, law_told, law_words, next_drive_words, proposed
+from st_offline.discovery import relation_wording
+from st_offline.discovery.relation_figure import relation_figure, shown
+from st_offline.discovery.relation_files import effect_file, name_of, relation_document, write_files
+from st_offline.discovery.relation_report import (
+    CommandLine,
+    RelationReport,
+    next_drive_sentences,
+    relation_report,
+    suggested_manoeuvres,
+)
 from st_offline.evaluation.drawing import Place
 from support import ROOT
 
@@ -28,37 +37,37 @@ CAR = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").re
 RANGE = {"slip_front": 0.1, "slip_rear": 0.1, "steering": 0.3, "acceleration_y": 6.0, "acceleration_x": 4.0,
          "speed": 20.0, "yaw_rate": 0.6, "steering_rate": 0.5, "lagging_steering": 0.3, "lean": 6.0, "north": 1.0,
          "east": 1.0, "position_x": 50.0, "position_y": 50.0, "run_time": 60.0}
-EVERY = [(place, quantity, parity, "") for place, quantities in ASKED.items() for quantity, parity in quantities
+EVERY = [(place, quantity, parity, "") for place, quantities in ADMISSIBLE.items() for quantity, parity in quantities
          if quantity != "run_time"] + [(place, quantity, NEITHER, by) for place, quantity, by in PAIRS]
 
 
-def proposal(place: str, quantity: str, parity: float, by: str = "") -> Proposal:
+def proposal(place: str, quantity: str, parity: float, by: str = "") -> Relation:
     high = RANGE[quantity]
     c = Candidate(place, quantity, parity, 2.0 if quantity == "speed" else -high, high, by)
     heights = np.linspace(-1.0, 2.0, 8)
     at = np.linspace(c.low, c.high, 41)
-    return Proposal(c, heights, at, heights @ c.splines(at), 0.01 + 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001,
+    return Relation(c, heights, at, heights @ c.splines(at), 0.01 + 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001,
                     (0.8, 0.5), {"lap": (0.8, 0.5)}, augment("nonlinear", {"mass": {"factor": 1.1}}),
                     {"side_force over speed": 0.9},
-                    (Reading("linear", "y = 2 u", 0.97, "a cause"),), needless={"mass": 0.004})
+                    (Formula("linear", "y = 2 u", 0.97, "a cause"),), redundant={"mass": 0.004})
 
 
 registry = pytest.fixture(restored)
 LAP = replace(drive(CAR, 10.0, lambda time: 0.05 * np.sin(time), seconds=5.0), name="lap")
 ANSWER = discovery([LAP], [("mass", {"factor": 1.2}, 0.8)], 1.0)
-START = law_told.Start(["my drives/lap.csv"], ["--car", "leaf", "--offset", "0.1"], ["--car", "leaf"], "out")
+START = CommandLine(["my drives/lap.csv"], ["--car", "leaf", "--offset", "0.1"], ["--car", "leaf"], "out")
 
 
-def text_of(said: Proposals) -> str:
-    return "\n".join(line for _, lines in law_told.told(said, ANSWER, CAR, START).groups for line in lines)
+def text_of(said: RelationSearch) -> str:
+    return "\n".join(line for _, lines in relation_report(said, ANSWER, CAR, START).groups for line in lines)
 
 
 @pytest.mark.parametrize(("place", "quantity", "parity", "by"), EVERY, ids=[f"{p}-{q}-{b}" for p, q, _, b in EVERY])
 def test_the_file_does_what_the_curve_does(tmp_path, registry, place, quantity, parity, by):
     one = proposal(place, quantity, parity, by)
-    (tmp_path / "law.py").write_text(law_file.effect_file(one, ["lap"], "2026-01-01T00:00:00"))
-    assert load_folder(str(tmp_path)) == (law_file.name_of(one),)
-    written = augment("nonlinear", {law_file.name_of(one): {"share": 1.0}})
+    (tmp_path / "law.py").write_text(effect_file(one, ["lap"], "2026-01-01T00:00:00"))
+    assert load_folder(str(tmp_path)) == (name_of(one),)
+    written = augment("nonlinear", {name_of(one): {"share": 1.0}})
     heights = {f"c{k}": h for k, h in enumerate(one.coefficients)}
     fitted = augment("nonlinear", {one.candidate.effect: heights | one.candidate.constants})
     state, readings = (0.0, 0.0, 12.0, -0.2, 0.1, 0.3), Measured(1.0, 2.0, 0.1, 12.0, 0.1, 0.3, 0.5, 3.6)
@@ -82,49 +91,50 @@ def test_the_file_does_what_the_curve_does(tmp_path, registry, place, quantity, 
 def test_the_file_keeps_the_promises_of_an_effect(tmp_path, registry, place, quantity, parity, by):
     one = proposal(place, quantity, parity, by)
     gentle = replace(one, coefficients=0.3 * one.coefficients)
-    (tmp_path / "law.py").write_text(law_file.effect_file(gentle, ["lap"], "2026-01-01T00:00:00"))
+    (tmp_path / "law.py").write_text(effect_file(gentle, ["lap"], "2026-01-01T00:00:00"))
     load_folder(str(tmp_path))
-    assert [promise for promise in check_effect(EFFECTS[law_file.name_of(one)], CAR) if promise.problem] == []
+    assert [promise for promise in check_effect(EFFECTS[name_of(one)], CAR) if promise.problem] == []
 
 
 def test_the_curve_is_drawn_in_the_units_of_an_engineer():
-    assert set(law_words.AXES) == set(law_words.PLACES) == set(ASKED)
-    assert [law_figure.shown(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
+    assert set(relation_wording.AXES) == set(relation_wording.PLACES) == set(ADMISSIBLE)
+    assert [shown(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
-    assert law_figure.shown("1")[0] == 100.0 and law_figure.shown("rad")[0] == pytest.approx(57.2958)
-    drawn = law_figure.law_figure(proposal("front_grip", "speed", NEITHER), Place(None, ()))
+    assert shown("1")[0] == 100.0 and shown("rad")[0] == pytest.approx(57.2958)
+    drawn = relation_figure(proposal("front_grip", "speed", NEITHER), Place(None, ()))
     assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
-    pushed = law_figure.law_figure(proposal("yaw_moment", "acceleration_x", NEITHER), Place(None, ()))
+    pushed = relation_figure(proposal("yaw_moment", "acceleration_x", NEITHER), Place(None, ()))
     assert "y in rad/s², u in m/s². " in pushed.caption
 
 
 def test_what_comes_and_goes_is_told_and_a_law_of_time_is_no_file(tmp_path, registry):
-    one = replace(proposal("both_grip", "run_time", 0.0), shares=Shares({"lap": (1.2, 0.1), "other": (0.1, 0.1)}, 1e-6))
-    said = Proposals(one, "it takes away 10 %", {})
+    shares = RunShares({"lap": (1.2, 0.1), "other": (0.1, 0.1)}, 1e-6)
+    one = replace(proposal("both_grip", "run_time", 0.0), shares=shares)
+    said = RelationSearch(one, "it takes away 10 %", {})
     lines = text_of(said)
-    assert "comes and goes: hardly there in other (share of it by run, 95 %: lap 1.2 ± 0.2, other 0.1 ± 0.2)" in lines
+    assert "nearly absent in other (its size by run, 95 %: lap 1.2 ± 0.2, other 0.1 ± 0.2)" in lines
     assert "no effect file is written" in lines and "once beginning elsewhere on the course" in lines
-    assert law_told.told(said, ANSWER, CAR, START).commands == []
-    assert proposed.write(said, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
+    assert relation_report(said, ANSWER, CAR, START).commands == []
+    assert write_files(said, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 
 
 def test_what_is_written_says_what_it_is(tmp_path, registry):
     one = proposal("rear_steer", "acceleration_y", -1.0)
-    said = Proposals(one, "it takes away 10 %", {"rear_steer over acceleration_y": (0.1, 0.001)})
-    files = proposed.write(said, CAR, ["lap"], "2026-01-01T00:00:00", {"lap": "0" * 64}, tmp_path)
+    said = RelationSearch(one, "it takes away 10 %", {"rear_steer over acceleration_y": (0.1, 0.001)})
+    files = write_files(said, CAR, ["lap"], "2026-01-01T00:00:00", {"lap": "0" * 64}, tmp_path)
     text = files["effects"].read_text()
     assert text.startswith('"""PROPOSAL') and "m/s^2" in text and "y = 2 u" in text and "lap" in text
     file = ModelFile.from_yaml(files["proposed.yaml"].read_text())
     assert set(file.effects) == {"mass", "proposed_rear_steer"} and "PROPOSAL" in file.provenance.note
     lines = text_of(said)
-    assert "above, 0.500 m with the law as well; noise alone leaves 0.060 m" in lines
-    assert "do not tell it from: side force on the body as a function of the speed (0.90)" in lines
-    assert "mass is stated above, but with this law it has little left to do (without it 0.4% of" in lines
+    assert "above, 0.500 m with the relation as well; noise floor 0.060 m" in lines
+    assert "do not separate it from: side force on the body as a function of the speed (0.90)" in lines
+    assert "mass is stated above, but is redundant with this relation (0.4% of" in lines
     assert "1 of 1 runs" in lines
-    assert "least sure at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
-    assert "y = 2 u (in proportion; has 97% of" in lines and "is caused by: a cause. These drives do not show" in lines
+    assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
+    assert "y = 2 u (in proportion; keeps 97% of" in lines and "textbook causes: a cause. These" in lines
     assert "u: lateral acceleration (left +), m/s²" in lines
-    content = proposed.document(said)
+    content = relation_document(said)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
 
 
@@ -134,10 +144,10 @@ def test_the_next_answer_brings_the_effects_it_needs(tmp_path, registry):
     first.mkdir()
     second.mkdir()
     one = proposal("yaw_moment", "acceleration_x", NEITHER)
-    proposed.write(Proposals(one, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, first)
+    write_files(RelationSearch(one, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, first)
     found = ModelFile.from_yaml((first / "proposed.yaml").read_text()).model()
     after = replace(proposal("yaw_moment", "speed", NEITHER), model=found)
-    proposed.write(Proposals(after, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, second)
+    write_files(RelationSearch(after, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, second)
     loads = ("import sys; from st_core.effects import load_folder; from st_core.model_file import ModelFile; "
              "load_folder(sys.argv[1] + '/effects'); "
              "print(*ModelFile.from_yaml(open(sys.argv[1] + '/proposed.yaml').read()).model().values)")
@@ -148,30 +158,33 @@ def test_the_next_answer_brings_the_effects_it_needs(tmp_path, registry):
 def test_a_law_is_looked_for_where_much_is_left():
     found = discovery([LAP], (), 1.0)
     nothing, much = replace(found, outcome="none", signature=()), ("errors are 4.0 times the noise",)
-    assert not wanted(nothing)
-    assert wanted(replace(nothing, outcome="unknown")) and wanted(replace(nothing, outcome="named", signature=much))
+    assert not indicated(nothing)
+    assert indicated(replace(nothing, outcome="unknown"))
+    assert indicated(replace(nothing, outcome="named", signature=much))
 
 
 def test_without_a_proposal_the_reason_is_told(tmp_path):
-    said = Proposals(None, "no law is sure", {})
-    assert proposed.write(said, CAR, [], "", {}, tmp_path) == {} and not list(tmp_path.iterdir())
-    assert law_told.told(said, ANSWER, CAR, START) == law_told.Told([("proposal", ["none: no law is sure"])])
-    said = Proposals(None, "the curve of side_force over speed runs into its bound",
+    said = RelationSearch(None, "no relation is significant", {})
+    assert write_files(said, CAR, [], "", {}, tmp_path) == {} and not list(tmp_path.iterdir())
+    groups = [("proposal", ["none: no relation is significant"])]
+    assert relation_report(said, ANSWER, CAR, START) == RelationReport(groups)
+    said = RelationSearch(None, "the curve of side_force over speed runs into its bound",
                      {"side_force over speed": (0.1, 0.2)})
     assert "none: the curve of side force on the body as a function of the speed runs into its bound" in text_of(said)
-    assert proposed.document(said)["proposal"] is None and proposed.document(None) == {}
+    assert relation_document(said)["proposal"] is None and relation_document(None) == {}
 
 
 def test_the_error_of_every_run_and_both_sizes_of_a_value_are_tabled():
-    by_run, values = law_told.told(Proposals(proposal("rear_steer", "acceleration_y", -1.0), "", {}), ANSWER, CAR,
-                                   START).tables
+    found = RelationSearch(proposal("rear_steer", "acceleration_y", -1.0), "", {})
+    by_run, values = relation_report(found, ANSWER, CAR, START).tables
     assert by_run.rows == [("lap", "1.000", "0.800", "0.500", "−0.300 (−38 %)"),
                            ("all windows", "1.000", "0.800", "0.500", "−0.300 (−38 %)")]
     assert values.rows == [("mass", "× 1.20; mass 1590 → 1908 kg", "× 1.10; mass 1590 → 1749 kg")]
 
 
 def test_commands_can_be_copied():
-    told = law_told.told(Proposals(proposal("rear_steer", "acceleration_y", -1.0), "", {}), ANSWER, CAR, START)
+    found = RelationSearch(proposal("rear_steer", "acceleration_y", -1.0), "", {})
+    told = relation_report(found, ANSWER, CAR, START)
     commands = dict(told.commands)
     assert commands["test the file"] == "./st effects check out/effects/proposed_rear_steer.py --car leaf"
     assert commands["search for more"] == ("./st discover 'my drives/lap.csv' --car leaf --offset 0.1 --base "
@@ -187,21 +200,28 @@ def test_what_to_drive_next_is_said_with_what_it_brings():
                         [Option(brake, 0.5 * one.deviation, {rival: 6.0}, (4.0, 0.0)),
                          Option(sweep, 0.8 * one.deviation, {rival: 1.5}, (0.0, 0.1))])
     one = replace(one, drives=drives)
-    assert "y = 1 rad/s² is a moment of 2925 N m, by the yaw inertia of the" in text_of(Proposals(one, "", {}))
-    told = "\n".join(next_drive_words.sentences(one))
+    assert "y = 1 rad/s² is a moment of 2925 N m, by the yaw inertia of the" in text_of(RelationSearch(one, "", {}))
+    told = "\n".join(next_drive_sentences(one))
     assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in told
-    assert "The two then differ 6.0 times as clearly" in told
-    assert "for a surer curve: brake_in_turn. The largest 95 % interval then falls" in told
+    assert "difference is then 6.0 times as large" in told
+    assert "for a narrower interval: brake_in_turn. The widest 95 % interval then falls" in told
     assert "from ± 0.02 to ± 0.0098 rad/s²" in told
     assert "for -3 to -2 m/s²: brake_in_turn" in told and "no manoeuvre of the catalogue stays at 1 to 1.5 m/s²" in told
-    assert next_drive_words.named(one) == ["brake_in_turn"]
-    content = proposed.document(Proposals(one, "", {}))["proposal"]["next_drives"]
+    assert suggested_manoeuvres(one) == ["brake_in_turn"]
+    content = relation_document(RelationSearch(one, "", {}))["proposal"]["next_drives"]
     assert content["tells_apart"] == {"manoeuvre": "brake_in_turn", "from": rival}
     assert content["pins_down"] == "brake_in_turn" and len(content["options"]) == 2
     weak = replace(one, drives=replace(drives, options=drives.options[1:]))
-    assert "no manoeuvre of the catalogue tells it much better from" in "\n".join(next_drive_words.sentences(weak))
+    assert "no manoeuvre of the catalogue separates it much better from" in "\n".join(next_drive_sentences(weak))
     hardly = replace(one, drives=replace(drives, options=[Option(brake, 0.9 * one.deviation, {}, (0.0, 0.0))]))
-    assert "for a surer curve" not in "\n".join(next_drive_words.sentences(hardly))
+    assert "for a narrower interval" not in "\n".join(next_drive_sentences(hardly))
     of_a_place = replace(one, others={"side_force over position_x": 0.9}, drives=replace(drives, now={}, options=[]))
-    told = "\n".join(next_drive_words.sentences(of_a_place))
-    assert "from what depends on place, course or time: drive the same again" in told and "much better" not in told
+    told = "\n".join(next_drive_sentences(of_a_place))
+    assert "from effects of place, course or time: drive the same again" in told and "much better" not in told
+
+
+def test_a_run_that_becomes_much_worse_is_in_the_first_line():
+    one = replace(proposal("rear_steer", "acceleration_y", -1.0), runs={"lap": (0.8, 0.5), "rain": (0.20, 0.26)})
+    report = relation_report(RelationSearch(one, "", {}), ANSWER, CAR, START)
+    assert "WORSE by a quarter or more in rain (0.20 → 0.26 m)" in report.headline
+    assert report.groups[0][1][0].startswith("WORSE by a quarter or more in rain")

@@ -1,4 +1,4 @@
-"""Where a law may act and what it may depend on."""
+"""Candidate model terms: where an empirical relation may act and which quantity it may depend on."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,19 +22,19 @@ QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "accel
 LEAST = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "acceleration_y": 0.5, "acceleration_x": 0.3,
          "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5, "north": 0.1,
          "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
-"""Width of a range below which noise and unevenness are most of what varies: nothing is asked over it."""
+"""Smallest driven range of a quantity; narrower ones are mostly noise and unevenness, and have no candidates."""
 MEMORY = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
           "lean": ("acceleration_y", "lagging", 0.15)}
-"""Quantity -> what it is made of, how, and the lag [s]."""
+"""Quantity -> (source, kind, lag [s]) of a quantity with memory."""
 WHERE = {**PLACES, "both_grip": ("1", "of the lateral force of both axles, as a share of it")}
 USUAL = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
          "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
          "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
-"""Usual size of a law, by place, in its unit."""
-SLOPE_NS = 400_000_000  # the forward speed is smoothed over before its slope: shorter is the noise of the INS
+"""Usual size of a relation, by place, in its unit."""
+SLOPE_NS = 400_000_000  # smoothing of the forward speed before its derivative; shorter leaves INS noise
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
-"""What a curve may be multiplied with, and a usual size of that."""
-ASKED: Mapping[str, tuple[tuple[str, float], ...]] = {
+"""Quantities that a curve may be multiplied by, with their usual sizes."""
+ADMISSIBLE: Mapping[str, tuple[tuple[str, float], ...]] = {
     "front_steer": (("steering", ODD), ("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER),
                     ("steering_rate", ODD), ("lagging_steering", ODD), ("lean", ODD), ("run_time", NEITHER)),
     "rear_steer": (("acceleration_y", ODD), ("steering", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER),
@@ -52,16 +52,16 @@ ASKED: Mapping[str, tuple[tuple[str, float], ...]] = {
     "sensor_velocity_y": (("yaw_rate", ODD), ("acceleration_y", ODD), ("speed", NEITHER)),
     "sensor_heading": (("acceleration_y", ODD), ("speed", NEITHER)),
 }
-"""What a law at each place may depend on, and whether left and right are mirror images there."""
+"""Quantities a relation at each place may depend on, and the symmetry of its curve."""
 PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "steering"),
          ("rear_steer", "speed", "acceleration_y"), ("yaw_moment", "acceleration_x", "steering"))
-"""Place, quantity of the curve, and what that is multiplied with: for where one quantity does not do."""
+"""(place, quantity of the curve, factor): relations of two quantities."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """place: of WHERE; quantity: of QUANTITIES; parity -1 for an odd curve, 0 for any. low, high: range driven [unit
-    of the quantity]. by: of FACTORS, what the curve is multiplied with; "" for nothing."""
+    """A candidate term. place: of WHERE; quantity: of QUANTITIES; parity: -1 for an odd curve, 0 for any. low, high:
+    driven range [unit of the quantity]. by: of FACTORS, the curve is multiplied by it; "" for none."""
 
     place: str
     quantity: str
@@ -76,24 +76,24 @@ class Candidate:
 
     @property
     def effect(self) -> str:
-        """The kind of law it is."""
+        """Name of the effect that implements it."""
         if self.quantity == "run_time":
             return LawTimed.name
         return LawMemory.name if self.quantity in MEMORY or self.by in MEMORY else Law.name
 
     @property
     def of_sensor(self) -> bool:
-        """Whether it is about what a sensor shows, not about how the car moves."""
+        """Whether it is a sensor error, not a motion of the car."""
         return self.place.startswith("sensor_")
 
     @property
     def changes_sides(self) -> bool:
-        """Whether its mirror image has the other sign: a push to one side whichever way the car turns."""
+        """Whether its mirror image has the other sign: an action to one side in left and right turns alike."""
         return self.parity == NEITHER and not self.by and not self.place.endswith("_grip")
 
     @property
     def unit(self) -> str:
-        """Of the curve."""
+        """Unit of the curve."""
         unit = WHERE[self.place][0]
         return f"{unit} per {QUANTITIES[self.by]}" if self.by else unit
 
@@ -103,7 +103,7 @@ class Candidate:
 
     @property
     def constants(self) -> dict[str, float]:
-        """Of the effect."""
+        """Fixed parameters of the effect."""
         known = {"low": self.low, "spacing": (self.high - self.low) / INTERVALS, "parity": self.parity}
         places = ("front_grip", "rear_grip") if self.place == "both_grip" else (self.place,)
         known |= {f"to_{place}": self.usual for place in places}
@@ -116,7 +116,7 @@ class Candidate:
         return known | ({"by_one": 0.0} if self.by else {})
 
     def splines(self, u: np.ndarray) -> np.ndarray:
-        """(COUNT, ...) what each coefficient adds at u [unit of the curve]."""
+        """(COUNT, ...) contribution of each unit coefficient at u [unit of the curve]."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * INTERVALS / (self.high - self.low) for v in (u, -u))
         return self.usual * np.stack([bump(t - k) + self.parity * bump(s - k) for k in range(-1, COUNT - 1)])
 
@@ -131,7 +131,7 @@ def run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
 
 
 def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
-    """Every quantity at the samples of the INS, where the car is not nearly standing; slip angles as measured."""
+    """Every quantity at the INS samples above SLOWEST; slip angles as measured."""
     log = windows.joined
     moving = log.velocity_x > SLOWEST
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
@@ -152,12 +152,12 @@ def driven(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray
 
 
 def candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
-    """What these drives can ask: not of a channel that was not measured, nor over a quantity that hardly moves, nor of
-    places where there are several sites, whose maps may have different origins."""
+    """Candidates that these drives excite: channels that were measured, quantities with a range above LEAST, positions
+    only with a single site, because maps of several sites may have different origins."""
     values, found = driven(windows, vehicle), []
     one_site = int(sites(windows).max()) == 0
-    asked = [(p, q, parity, "") for p, quantities in ASKED.items() for q, parity in quantities]
-    for place, quantity, parity, by in [*asked, *((p, q, NEITHER, by) for p, q, by in PAIRS)]:
+    admissible = [(p, q, parity, "") for p, quantities in ADMISSIBLE.items() for q, parity in quantities]
+    for place, quantity, parity, by in [*admissible, *((p, q, NEITHER, by) for p, q, by in PAIRS)]:
         channel = place.removeprefix("sensor_")
         if place.startswith("sensor_") and channel != "heading" and channel not in windows.columns:
             continue

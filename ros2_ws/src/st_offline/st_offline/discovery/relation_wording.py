@@ -1,8 +1,8 @@
-"""A law in the words of a vehicle engineer."""
+"""Names, axes and signs of relations in terms of vehicle dynamics."""
 
 from collections.abc import Iterable
 
-from st_core.proposals import Candidate
+from st_core.relations import Candidate
 from st_core.vehicle import VehicleParameters
 
 PLACES = {
@@ -25,7 +25,7 @@ AXES = {
     "sensor_acceleration_y": "lateral acceleration is shown too large by",
     "sensor_velocity_y": "lateral velocity is shown too large by", "sensor_heading": "heading is shown too large by",
 }
-"""What is drawn upwards; left +."""
+"""The vertical axis of the curve; left +."""
 QUANTITIES = {
     "slip_front": "slip angle of the front axle", "slip_rear": "slip angle of the rear axle",
     "steering": "road-wheel angle", "acceleration_y": "lateral acceleration", "acceleration_x": "forward acceleration",
@@ -40,9 +40,9 @@ SIGNS = {"acceleration_x": " (derivative of the forward speed, also where a bend
          "acceleration_y": " (left +)", "lean": " (left +)", "yaw_rate": " (left +)",
          "steering_rate": " (to the left +)", "slip_front": " (axle moving to its left +)",
          "slip_rear": " (axle moving to its left +)"}
-"""Which way a quantity is positive."""
+"""Positive direction of a quantity."""
 SHAPES = {"linear": "in proportion", "straight line": "straight line with an offset"}
-"""Where the name of a shape says too little."""
+"""Longer names of shapes."""
 
 
 def place(c: Candidate) -> str:
@@ -54,12 +54,12 @@ def quantity(c: Candidate) -> str:
 
 
 def axis(c: Candidate) -> str:
-    """What the curve is, upwards."""
+    """Label of the vertical axis."""
     return f"{AXES[c.place]}{f', for each unit of {QUANTITIES[c.by]}' if c.by else ''}"
 
 
 def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
-    """What y is as a force or moment of that car, "" for what is none."""
+    """y as a force or moment of that car; "" for other places."""
     sizes = {"yaw_moment": f"1 rad/s² is a moment of {vehicle.yaw_inertia:.4g} N m, by the yaw inertia",
              "side_force": f"1 m/s² is a force of {vehicle.mass:.4g} N, by the mass",
              "front_force": f"1 is a force of {2.0 * vehicle.static_tyre_load_front:.4g} N, by the axle load",
@@ -67,7 +67,7 @@ def in_newtons(c: Candidate, vehicle: VehicleParameters) -> str:
     return f"y = {sizes[c.place]} of the vehicle file" if c.place in sizes and not c.by else ""
 
 
-def law(c: Candidate, constant: bool = False) -> str:
+def title(c: Candidate, constant: bool = False) -> str:
     by = f", for each {QUANTITIES[c.by]}" if c.by else ""
     if constant:
         return f"{place(c)}{by}, the same at every {quantity(c)}"
@@ -75,7 +75,7 @@ def law(c: Candidate, constant: bool = False) -> str:
 
 
 def named(name: str) -> str:
-    """A law by its name, as `Candidate.name` makes it, in the same words."""
+    """A relation by `Candidate.name`, written out."""
     where, _, rest = name.partition(" over ")
     what, _, by = rest.partition(" times ")
     if where not in PLACES or what not in QUANTITIES:
@@ -84,7 +84,7 @@ def named(name: str) -> str:
 
 
 def in_words(text: str, names: Iterable[str]) -> str:
-    """A sentence with the names of laws in it in the same words."""
+    """A sentence with the names of relations written out."""
     for name in sorted(names, key=len, reverse=True):  # the name of one may begin with that of another
         text = text.replace(name, named(name))
     return text

@@ -1,0 +1,7 @@
+"""Empirical relations beyond the library of effects: a smooth curve at one place of the model, fitted by simulation."""
+
+from .candidates import Candidate, candidates
+from .formulas import Formula
+from .relation_search import Relation, RelationSearch, find_relation, indicated
+
+__all__ = ["Candidate", "Formula", "Relation", "RelationSearch", "candidates", "find_relation", "indicated"]

@@ -1,0 +1,283 @@
+"""Formulas of a fitted curve: simple shapes that can replace it in the simulation, and textbook causes."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..discovery.loss import Quadratic
+from .candidates import NEITHER, Candidate
+from .relation_fit import RelationFit, RelationFits
+
+MAX_FORMULAS, POINTS = 3, 61
+MIN_EXPLAINED = 0.5  # of what the curve explains, by its quadratic: a shape that explains less is not considered
+SAME = 1e-3  # of what the curve explains: a shape with more numbers must explain that much more
+FULLY, NEARLY = 0.98, 0.9  # of what the best shape explains: a simpler one is preferred; at least NEARLY is needed
+MIN_KEPT_GAIN = 0.9  # of the curve's held-out gain that a printed formula keeps, simulated in the curve's place
+MAX_RANGE = 2.0  # largest formula over the largest curve within the driven range
+
+ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Formula:
+    """shape: its name. text: with its numbers, y the relation and u the quantity, SI. kept [1]: share of the curve's
+    held-out gain that it keeps, simulated in the curve's place. causes: from textbooks."""
+
+    shape: str
+    text: str
+    kept: float
+    causes: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedShape:
+    """A shape by the quadratic about the curve. numbers, by_fold: those fitted to all blocks, and without each fold.
+    explained [1]: share of what the curve takes off the loss. held_out: (b,) loss by the quadratic."""
+
+    shape: str
+    text: str
+    function: ShapeFunction
+    numbers: np.ndarray
+    by_fold: Mapping[int, np.ndarray]
+    explained: float
+    held_out: np.ndarray
+
+
+SHAPES: dict[str, tuple[str, int, ShapeFunction]] = {
+    "constant": ("y = {0:.3g}", 1, lambda u, p: p[0] + 0.0 * u),
+    "linear": ("y = {0:.3g} u", 1, lambda u, p: p[0] * u),
+    "cubic": ("y = {0:.3g} u^3", 1, lambda u, p: p[0] * u**3),
+    "square": ("y = {0:.3g} u |u|", 1, lambda u, p: p[0] * u * np.abs(u)),
+    "saturating": ("y = {0:.3g} tanh(u / {1:.3g})", 2, lambda u, p: p[0] * np.tanh(u / _nonzero(p[1]))),
+    "dead zone": ("y = {0:.3g} (|u| - {1:.3g}) sign u beyond {1:.3g}, 0 within", 2,
+                  lambda u, p: p[0] * np.sign(u) * np.maximum(np.abs(u) - np.abs(p[1]), 0.0)),
+    "linear and cubic": ("y = {0:.3g} u + {1:.3g} u^3", 2, lambda u, p: p[0] * u + p[1] * u**3),
+}
+ONE_SIDED: dict[str, tuple[str, int, ShapeFunction]] = {
+    "constant": SHAPES["constant"], "linear": SHAPES["linear"],
+    "straight line": ("y = {0:.3g} + {1:.3g} u", 2, lambda u, p: p[0] + p[1] * u),
+    "square": ("y = {0:.3g} + {1:.3g} u |u|", 2, lambda u, p: p[0] + p[1] * u * np.abs(u)),
+    "dead zone": SHAPES["dead zone"],
+    "inverse": ("y = {0:.3g} + {1:.3g} / u", 2, lambda u, p: p[0] + p[1] / np.where(np.abs(u) < 1e-9, 1e-9, u)),
+    "saturating": ("y = {0:.3g} + {1:.3g} tanh(u / {2:.3g})", 3,
+                   lambda u, p: p[0] + p[1] * np.tanh(u / _nonzero(p[2]))),
+}
+"""Of a curve without odd symmetry."""
+
+CAUSES = {
+    ("front_steer", "acceleration_y"): "roll steer or compliance of the front suspension",
+    ("rear_steer", "acceleration_y"): "roll steer or compliance of the rear suspension",
+    ("front_steer", "steering"): "a steering ratio that depends on the angle, play, or a wrong angle sensor",
+    ("rear_steer", "steering"): "rear-wheel steering, or a twist of the car under steering",
+    ("front_steer", "speed"): "toe that changes with speed; a steering offset under load",
+    ("front_steer", "acceleration_x"): "brake or drive steer of the front axle, torque steer",
+    ("rear_steer", "acceleration_x"): "brake or drive steer of the rear axle",
+    ("rear_steer", "speed"): "lift that raises the rear and changes its toe",
+    ("front_force", "slip_front"): "another curve of the front tyres, camber thrust",
+    ("rear_force", "slip_rear"): "another curve of the rear tyres, camber thrust",
+    ("front_grip", "speed"): "lift or downforce at the front axle (with v^2), tyres that change with speed",
+    ("rear_grip", "speed"): "lift or downforce at the rear axle (with v^2), tyres that change with speed",
+    ("front_grip", "acceleration_x"): "load transfer, combined slip of a driven or braked front axle",
+    ("rear_grip", "acceleration_x"): "load transfer, combined slip of a driven or braked rear axle",
+    ("yaw_moment", "acceleration_x"): "torque steer, unequal brakes, a differential",
+    ("yaw_moment", "speed"): "aerodynamic yaw moment (with v^2), unequal drag of the wheels",
+    ("yaw_moment", "yaw_rate"): "yaw damping, scrub of twin wheels, a locked differential",
+    ("yaw_moment", "acceleration_y"): "load transfer on steered or driven wheels, a differential",
+    ("side_force", "speed"): "aerodynamic side force (with v^2), wind, banked road",
+    ("side_force", "acceleration_x"): "thrust or brake force that is not along the car",
+    ("side_force", "acceleration_y"): "camber thrust of both axles, roll of the body",
+    ("sensor_yaw_rate", "acceleration_y"): "g-sensitivity of the gyroscope",
+    ("sensor_yaw_rate", "yaw_rate"): "a gyroscope whose scale is not constant",
+    ("sensor_acceleration_y", "acceleration_y"): "an accelerometer that rolls with the body",
+    ("sensor_velocity_y", "acceleration_y"): "a velocity taken at another point, or turned axes under roll",
+    ("sensor_velocity_y", "yaw_rate"): "a lever arm of the unit along the car",
+    ("sensor_velocity_y", "speed"): "a unit mounted askew",
+    ("sensor_heading", "speed"): "a heading that depends on speed: an antenna baseline askew",
+    ("sensor_heading", "acceleration_y"): "a heading that leans with the body",
+    ("front_steer", "steering_rate"): "a damper or play in the steering, a late or early angle",
+    ("front_steer", "lagging_steering"): "a steering map with a lag, give in the column",
+    ("front_steer", "lean"): "roll steer of the front suspension",
+    ("front_steer", "run_time"): "an angle sensor that drifts, a linkage that settles",
+    ("rear_steer", "lagging_steering"): "rear-wheel steering with a lag, a body that twists",
+    ("rear_steer", "lean"): "roll steer of the rear suspension",
+    ("both_grip", "run_time"): "tyres that warm up or wear, a road that dries",
+    ("both_grip", "position_x"): "a road whose grip changes from place to place",
+    ("both_grip", "position_y"): "a road whose grip changes from place to place",
+    ("side_force", "north"): "wind or a slope, by the course", ("side_force", "east"): "wind or a slope, by the course",
+    ("side_force", "position_x"): "a banked road or wind at a place",
+    ("side_force", "position_y"): "a banked road or wind at a place",
+}
+
+PAIRED = {
+    ("front_steer", "speed", "steering_rate"): "a delay of the steering that changes with speed (- later)",
+    ("front_steer", "speed", "steering"): "a steering ratio that changes with speed, power steering, an active rack",
+    ("rear_steer", "speed", "acceleration_y"): "roll steer or compliance of the rear that changes with speed",
+    ("yaw_moment", "acceleration_x", "steering"): "torque steer of turned wheels, a differential",
+}
+CONSTANT = {
+    "front_steer": "a steering offset, toe", "rear_steer": "a rear axle askew", "yaw_moment": "unequal drag or brakes",
+    "side_force": "steady wind, a banked road", "sensor_yaw_rate": "a bias of the sensor",
+    "sensor_acceleration_y": "a bias or tilt of the sensor", "sensor_velocity_y": "a unit mounted askew",
+    "sensor_heading": "a unit mounted askew",
+}
+
+
+def fitted_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
+                  fold: np.ndarray) -> Sequence[FittedShape]:
+    """Up to three shapes, the preferred one first. profile: of the loss about the coefficients (8,), by block, all
+    other parameters profiled out; fold: (b,).
+
+    The numbers of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED are considered; the best is the one
+    of least held-out loss. A shape with fewer numbers is preferred to it where it explains FULLY as much; or NEARLY as
+    much with a held-out loss within one standard error of the paired differences of blocks (Breiman et al. 1984).
+    """
+    at = np.linspace(candidate.low, candidate.high, POINTS)
+    into, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
+
+    def lost(away: np.ndarray) -> np.ndarray:
+        """(b,) loss beyond that of the curve, at a distance from its coefficients."""
+        return np.einsum("i,bij,j->b", away, profile.hessian, away) - 2.0 * profile.gradient @ away
+
+    total = float(lost(-coefficients).sum())
+    if total <= 1e-20:
+        return ()
+    found = []
+    for shape, (text, count, function) in (SHAPES if candidate.parity != NEITHER else ONE_SIDED).items():
+        if shape == "inverse" and np.abs(at).min() < 0.05 * np.abs(at).max():
+            continue
+
+        def numbers(known: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
+            h, g = profile.hessian[known].sum(axis=0), profile.gradient[known].sum(axis=0)
+            h = h + (1e-6 * np.trace(h) / len(h) + 1e-9) * np.eye(len(h))
+            root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
+            return _least_squares(lambda x: (into @ function(at, x) - target) @ root, count, at, value)
+
+        def away(p: np.ndarray, function: ShapeFunction = function) -> np.ndarray:
+            return into @ function(at, p) - coefficients
+
+        best = numbers(np.ones(len(fold), bool))
+        if shape == "dead zone":
+            best[1] = abs(best[1])
+        explained = min(1.0 - float(lost(away(best)).sum()) / total, 1.0)
+        if explained >= MIN_EXPLAINED:
+            by_fold = {int(k): numbers(fold != k) for k in np.unique(fold)}
+            held_out = np.zeros(len(fold))
+            for k, others in by_fold.items():
+                held_out[fold == k] = lost(away(others))[fold == k]
+            found.append(FittedShape(shape, text, function, best, by_fold, explained, held_out))
+    return _ordered(found)
+
+
+def _ordered(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
+    """The preferred shape first, the others by held-out loss."""
+    order = sorted((one for one in found if not any(
+        len(o.numbers) < len(one.numbers) and o.explained > one.explained - SAME for o in found)),
+        key=lambda one: float(one.held_out.sum()))
+    if not order:
+        return ()
+    best = order[0]
+
+    def as_good(one: FittedShape) -> bool:
+        worse, share = one.held_out - best.held_out, one.explained / best.explained
+        alike = float(worse.sum()) <= float(worse.std(ddof=1)) * np.sqrt(len(worse))
+        return share >= FULLY or (share >= NEARLY and alike)
+
+    first = min(filter(as_good, order), key=lambda one: len(one.numbers))
+    return (first, *(one for one in order if one is not first))[:MAX_FORMULAS]
+
+
+def simulated_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit) -> tuple[Formula, ...]:
+    """Formulas that keep MIN_KEPT_GAIN of the curve's held-out gain when simulated in its place.
+
+    Each fold is simulated with the numbers fitted to the others, the parameters of the answer refitted by one step.
+    A curve without odd symmetry is known but for a constant where a parameter of the vehicle file acts the same; its
+    formula therefore gets a constant of its own if it fails without one. Within the driven range a formula must have
+    the sign of the curve and stay below MAX_RANGE times its largest value, and it must not raise the held-out position
+    error of the answer.
+    """
+    assert fit.candidate is not None
+    candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
+    found = []
+    for shape in fitted_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
+        offsets = (False, True) if candidate.parity == NEITHER and shape.shape != "constant" else (False,)
+        for with_offset in offsets:
+            kept, offset = _simulated(fits, fit, without, shape, with_offset)
+            if kept >= MIN_KEPT_GAIN * gain:
+                text = shape.text.format(*shape.numbers)
+                text += f" {'-' if offset < 0.0 else '+'} {abs(offset):.3g}" if with_offset else ""
+                found.append(Formula(shape.shape, text, kept / gain, _causes(candidate, shape.shape)))
+                break
+    return tuple(found)
+
+
+def _simulated(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
+               with_offset: bool) -> tuple[float, float]:
+    """(held-out gain of a shape over the answer, its offset); gain -inf for a wrong sign, range or path."""
+    candidate = fit.candidate
+    assert candidate is not None
+    at = np.linspace(candidate.low, candidate.high, POINTS)
+    splines = candidate.splines(at)
+    loss, into = fits.of(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
+
+    def refitted(numbers: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
+        """The vector with a shape in place of the curve, everything else fitted to the known blocks; the offset."""
+        scale = fits.space.scale[fit.which]
+        count = len(fit.coefficients)
+        fixed = np.zeros(len(scale))
+        fixed[-count:] = (into @ shape.function(at, numbers) - fit.coefficients) / scale[-count:]
+        basis = np.eye(len(scale))[:, :len(scale) - count]
+        if with_offset:
+            constant = np.concatenate([np.zeros(len(scale) - count), (into @ np.ones(POINTS)) / scale[-count:]])
+            basis = np.column_stack([basis, constant])
+        h, g = fit.q.hessian[known].sum(axis=0), fit.q.gradient[known].sum(axis=0)
+        own = basis.T @ h @ basis
+        own = own + (1e-6 * np.trace(own) / max(len(own), 1) + 1e-9) * np.eye(len(own))
+        step = np.linalg.solve(own, basis.T @ (g - h @ fixed)) if len(own) else np.zeros(0)
+        vector = fit.vector.copy()
+        vector[fit.which] += (fixed + basis @ step) * scale
+        return loss.space.inside(vector), float(step[-1]) if with_offset else 0.0
+
+    _, offset = refitted(shape.numbers, np.ones(fits.blocks, bool))
+    value, curve = shape.function(at, shape.numbers) + offset, fit.coefficients @ splines
+    if value @ curve <= 0.0 or np.abs(value).max() > MAX_RANGE * np.abs(curve).max():
+        return -np.inf, offset
+    held_out, position = np.zeros(fits.blocks), np.full(len(fits.block), np.nan)
+    for k, numbers in shape.by_fold.items():
+        in_fold = fits.fold == k
+        vector, _ = refitted(numbers, ~in_fold)
+        held_out[in_fold] = np.bincount(fits.block, loss.by_window(vector), fits.blocks)[in_fold]
+        windows = in_fold[fits.block]
+        position[windows] = fits.problem.position(loss.errors.at(vector))[windows]
+    before = fits.problem.position(without.rows)
+    if np.isfinite(position).any() and np.nanmean(position) > np.nanmean(before):
+        return -np.inf, offset
+    return float((without.held_out - held_out).sum()), offset
+
+
+def _causes(candidate: Candidate, shape: str) -> str:
+    if candidate.by:
+        return PAIRED.get((candidate.place, candidate.quantity, candidate.by), "")
+    if shape == "constant":
+        return CONSTANT.get(candidate.place, "")
+    return CAUSES.get((candidate.place, candidate.quantity), "")
+
+
+def _nonzero(number: float) -> float:
+    return number if abs(number) > 1e-9 else 1e-9
+
+
+def _least_squares(residual: Callable[[np.ndarray], np.ndarray], count: int, at: np.ndarray,
+                   value: np.ndarray) -> np.ndarray:
+    """Numbers of a shape, from several starts where it is nonlinear in them. value: the curve at `at`."""
+    size, reach = float(np.abs(value).max()), float(np.abs(at).max())
+    sign = float(np.sign(np.sum(value * np.sign(at)))) or 1.0
+    best = None
+    for share in (0.15, 0.4, 0.8):
+        start = np.array([sign * size / max(reach, 1e-9), share * reach, share * reach][:count])
+        done = least_squares(residual, start, x_scale=np.abs(start) + 1e-9)
+        if best is None or done.cost < best.cost:
+            best = done
+    assert best is not None
+    return best.x

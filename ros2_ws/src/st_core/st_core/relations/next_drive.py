@@ -1,0 +1,130 @@
+"""Next drive for a relation: the manoeuvres that narrow its curve or separate it from its rivals most."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..discovery.following import TIMES, TOLD, simulated
+from ..discovery.loss import Errors, Loss
+from ..discovery.windows import Windows
+from ..effects._law import COUNT
+from ..manoeuvres import Manoeuvre
+from .candidates import ODD, Candidate, driven
+from .relation_fit import RIDGE, RelationFit, RelationFits
+
+MIN_IMPROVEMENT = 1.3  # factor on separation or precision; a manoeuvre below it is not suggested
+SPARSE = 0.1  # of the density of uniform driving: less is sparse
+OF_A_PLACE = ("run_time", "position_x", "position_y", "north", "east")  # independent of the manoeuvre
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Option:
+    """One manoeuvre, driven TIMES times and added to the runs. deviation: (k,) expected standard deviation of the curve
+    [its unit]. apart: by rival, separation from it in standard deviations. seconds: of one drive in each thin range."""
+
+    manoeuvre: Manoeuvre
+    deviation: np.ndarray
+    apart: Mapping[str, float]
+    seconds: Sequence[float]
+
+
+@dataclass(frozen=True, eq=False)
+class NextDrives:
+    """thin: sparsely driven ranges of the quantity. now: `apart` in the existing runs. options: all simulated
+    manoeuvres; none for a relation of time or place."""
+
+    thin: Sequence[Range] = ()
+    now: Mapping[str, float] = field(default_factory=dict)
+    options: Sequence[Option] = ()
+
+    def most_precise(self, deviation: np.ndarray) -> Option | None:
+        """The option of least maximum deviation; None without MIN_IMPROVEMENT. deviation: (k,) of the existing runs."""
+        best = min(self.options, key=lambda o: float(o.deviation.max()), default=None)
+        return best if best is not None and MIN_IMPROVEMENT * best.deviation.max() <= deviation.max() else None
+
+    def most_separating(self) -> tuple[Option, str] | None:
+        """The option of largest minimum separation over the rivals, and that rival; None below TOLD or without
+        MIN_IMPROVEMENT."""
+        weakest = [(option, min(option.apart, key=option.apart.__getitem__)) for option in self.options if option.apart]
+        best = max(weakest, key=lambda pair: pair[0].apart[pair[1]], default=None)
+        if best is None:
+            return None
+        option, rival = best
+        return best if option.apart[rival] >= max(TOLD, MIN_IMPROVEMENT * self.now[rival]) else None
+
+
+def thin_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
+    """Sparsely driven ranges, by the mean over a point and its two neighbours. at, density: (k,) as in `Relation`. For
+    an odd curve, the side of positive values."""
+    if parity == ODD:
+        density = 0.5 * (density + density[::-1])
+    around = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")
+    thin = (around < SPARSE / len(at)) & ((at >= 0.0) | (parity != ODD))
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], thin, [False]]).astype(int)))
+    half = 0.5 * (at[1] - at[0])
+    return [(float(at[first] - half), float(at[last - 1] + half)) for first, last in ends.reshape(-1, 2)]
+
+
+def next_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
+                design: float, at: np.ndarray, deviation: np.ndarray, thin: Sequence[Range]) -> NextDrives:
+    """Expected value of each manoeuvre, by simulation. rivals: equally good relations. design: design effect. at,
+    deviation: (k,) of the curve. Expected deviations follow from the curvature of the loss about the fit."""
+    if candidate.quantity in OF_A_PLACE:
+        return NextDrives(thin)
+    splines = candidate.splines(at)
+    rivals = {name: other for name, other in rivals.items()
+              if other.candidate is not None and other.candidate.quantity not in OF_A_PLACE}
+    recorded = {name: _joint(fits.loss, fit.rows, fit.slopes, other.slopes[-COUNT:], fit)
+                for name, other in rivals.items()}
+    curvature = fit.q.hessian.sum(axis=0)
+    variance = _variance(curvature + fit.penalty, splines)
+    options = []
+    for manoeuvre, windows in simulated(fits.windows, fits.answer.base):
+        loss = _loss(fits, windows, candidate, fit)
+        rows = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
+        slopes = loss.slopes(fit.vector, fit.which)
+        more = TIMES * loss.quadratic(rows, slopes).hessian.sum(axis=0)
+        narrower = np.sqrt(_variance(curvature + more + fit.penalty, splines) / np.maximum(variance, 1e-30))
+        apart = {}
+        for name, other in rivals.items():
+            assert other.candidate is not None
+            theirs = _loss(fits, windows, other.candidate, other).slopes(other.vector, fits.relation)
+            apart[name] = _strength(recorded[name] + TIMES * _joint(loss, rows, slopes, theirs, fit), fit, other,
+                                    design)
+        u = driven(windows, windows.vehicle)[candidate.quantity]
+        size = np.abs(u) if candidate.parity == ODD else u
+        seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in thin]
+        options.append(Option(manoeuvre, deviation * np.minimum(narrower, 1.0), apart, seconds))
+    return NextDrives(thin, {name: _strength(h, fit, rivals[name], design) for name, h in recorded.items()}, options)
+
+
+def _loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: RelationFit) -> Loss:
+    """Loss of other windows, at the scale of the runs."""
+    loss = Loss(Errors(windows, fits.space_of(candidate), fits.threads), fit.vector)
+    loss.scale = fits.loss.scale
+    return loss
+
+
+def _joint(loss: Loss, rows: np.ndarray, slopes: np.ndarray, theirs: np.ndarray, fit: RelationFit) -> np.ndarray:
+    """Curvature in the other parameters, the coefficients of a rival, and the size of the relation."""
+    own = np.einsum("p,pnm->nm", fit.coefficients, np.nan_to_num(slopes[-COUNT:], posinf=0.0, neginf=0.0))
+    return loss.quadratic(rows, np.concatenate([slopes[:-COUNT], theirs, own[None]])).hessian.sum(axis=0)
+
+
+def _strength(h: np.ndarray, fit: RelationFit, other: RelationFit, design: float) -> float:
+    """Separation of a relation from a rival, in standard deviations. h: of `_joint`."""
+    others = len(fit.which) - COUNT
+    penalty = np.zeros((len(h) - 1, len(h) - 1))
+    penalty[others:, others:] = other.penalty[-COUNT:, -COUNT:]
+    free = h[:-1, :-1] + penalty
+    free = free + (RIDGE * np.trace(free) / len(free) + 1e-9) * np.eye(len(free))
+    left = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(free, h[:-1, -1]))
+    return float(np.sqrt(max(2.0 * left / design, 0.0)))
+
+
+def _variance(h: np.ndarray, splines: np.ndarray) -> np.ndarray:
+    """(k,) variance of the curve, up to a factor."""
+    inverse = np.linalg.inv(h + RIDGE * np.eye(len(h)))[-COUNT:, -COUNT:]
+    return np.einsum("ik,ij,jk->k", splines, inverse, splines)

@@ -1,0 +1,254 @@
+"""Search for one empirical relation that an answer of `discover` lacks, at one place of the model."""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..augmented import AugmentedModel
+from ..discovery.limits import Limits
+from ..discovery.result import Discovery
+from ..discovery.settings import DiscoverySettings
+from ..log import DriveLog
+from ..vehicle import VehicleParameters
+from .candidates import FACTORS, USUAL, Candidate, driven
+from .formulas import Formula, simulated_formulas
+from .next_drive import NextDrives, next_drives, thin_ranges
+from .relation_fit import RelationFit, RelationFits, RunWindows
+from .screening import POINTS, Screened, p_values, screen
+from .selection import (
+    RunShares,
+    best_of,
+    cosine,
+    equally_good,
+    gain_text,
+    harmful,
+    held_out_positions,
+    redundant_effects,
+    rejected_curve,
+    run_shares,
+    to_fit,
+    too_small,
+)
+
+MIN_BLOCKS = 10  # a curve of eight coefficients needs as many blocks to be held out
+UNSEEN = 3.0  # usual sizes: a place whose smallest detectable relation is larger was not seen
+MUCH_WORSE = 1.25  # held-out error of a run with the relation over without it, from which it is stated first
+MEASURED_BY = {"sensor_yaw_rate": ("yaw_rate",), "sensor_acceleration_y": ("acceleration_y",),
+               "sensor_velocity_y": ("velocity_y",), "sensor_heading": ("yaw",)}
+STEERING_TIMING = ("steering_rate", "lagging_steering")
+"""Quantities by which a relation of the front steering imitates a steering signal that is late or early."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relation:
+    """An empirical relation that lowers the held-out loss.
+
+    candidate: where it acts, and on which quantity it depends. coefficients: (8,) of the splines. at: (k,) values of
+    the quantity; value, deviation: (k,) the curve there and its standard deviation [unit of the place]; density: (k,)
+    share of the driving near each. gain [1]: held-out fall of the loss for each scored error. chance [1]: p-value that
+    any candidate gains as much without a real effect. position_5s [m]: held-out (without, with); runs: the same by run.
+    model: everything else, at the values fitted with the relation. others: equally good relations, with the cosine
+    similarity of their effects [1]. formulas: that keep the curve's gain in simulation, preferred first. shares: its
+    size by run. redundant: effects of the answer that it makes redundant, with the residual [1] that returns without
+    each. drives: sparsely driven ranges, and manoeuvres to drive next.
+    """
+
+    candidate: Candidate
+    coefficients: np.ndarray
+    at: np.ndarray
+    value: np.ndarray
+    deviation: np.ndarray
+    density: np.ndarray
+    gain: float
+    chance: float
+    position_5s: tuple[float, float]
+    runs: Mapping[str, tuple[float, float]]
+    model: AugmentedModel
+    others: Mapping[str, float] = field(default_factory=dict)
+    formulas: Sequence[Formula] = ()
+    shares: RunShares = field(default_factory=lambda: RunShares({}, 1.0))
+    redundant: Mapping[str, float] = field(default_factory=dict)
+    drives: NextDrives = field(default_factory=NextDrives)
+
+    def much_worse(self) -> dict[str, tuple[float, float]]:
+        """Runs whose held-out position error rises by a quarter or more: (without, with) [m]."""
+        return {name: pair for name, pair in self.runs.items() if pair[1] >= MUCH_WORSE * pair[0]}
+
+
+@dataclass(frozen=True)
+class RelationSearch:
+    """Result of a search. relation: None if none is significant and large enough; why: the reason, or its gain in
+    figures. tried: held-out gain [1] and p-value [1] of every candidate, best first. visible: by candidate the smallest
+    detectable size at the end of the range of a straight line [unit of the curve]."""
+
+    relation: Relation | None
+    why: str
+    tried: Mapping[str, tuple[float, float]]
+    visible: Mapping[str, float] = field(default_factory=dict)
+
+    def unseen(self) -> list[str]:
+        """Places whose smallest detectable relation is larger than UNSEEN usual sizes."""
+        size: dict[str, float] = {}
+        for name, visible in self.visible.items():
+            place, _, rest = name.partition(" over ")
+            usual = USUAL[place] / FACTORS.get(rest.partition(" times ")[2], 1.0)
+            size[place] = min(size.get(place, np.inf), visible / usual)
+        return [place for place, least in size.items() if least > UNSEEN]
+
+
+def indicated(found: Discovery) -> bool:
+    """Whether an answer leaves enough unexplained for a search: outcome unknown, or errors beyond `limits.left` times
+    the noise."""
+    return found.outcome == "unknown" or bool(found.signature)
+
+
+def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
+                  settings: DiscoverySettings | None = None, threads: int = 1, tick: Callable[[], None] = lambda: None,
+                  reported: Collection[tuple[str, str]] = ()) -> RelationSearch:
+    """The relation that an answer of `discover` lacks, or the reason for none.
+
+    Every candidate is added to the answer and fitted together with it; effects that a parameter of the vehicle file can
+    reproduce are projected out as evidence. A relation is reported if its p-value over all candidates is below
+    `limits.false_alarm`, if its held-out gain reaches `limits.worth` of the residual or `limits.worth_position`
+    significantly, if the predicted path improves at level `limits.false_alarm` (not required of a sensor relation), and
+    if it harms no run. Relations that the drives do not separate from it are listed, and redundant effects of the
+    answer. reported: (finding, channel) of `st check`; a relation that only imitates a late or wrong sensor that a
+    finding reports is not proposed.
+    Raises StCoreError for drives in which nothing can be predicted.
+    """
+    settings = settings or DiscoverySettings()
+    limits = settings.limits
+    settings = _channels(found, settings)
+    model = found.model or found.base
+    without_axles = _without_axles(model)
+    if without_axles:
+        return RelationSearch(None, without_axles, {})
+    windows = RunWindows(runs, vehicle, settings)
+    too_little = _too_little(windows, settings)
+    if too_little:
+        return RelationSearch(None, too_little, {})
+    names = [e.name for e in (*found.effects, *found.minor)]
+    fits = RelationFits(windows, model, found.acceleration_gain, names, settings, threads)
+    tick()
+    without = fits.without()
+    screened = screen(fits, without, vehicle, settings.seed, tick)
+    if not screened:
+        return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
+                              "accelerate and brake, at several speeds", {})
+    chances = p_values(screened, fits.blocks)
+    number = fits.loss.number
+    tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
+             for s in sorted(screened, key=lambda s: -s.gain)}
+    visible = {s.candidate.name: s.detectable(limits.false_alarm / len(screened), fits.blocks) for s in screened}
+    significant = sorted((s for s in screened if chances[s.candidate.name] <= limits.false_alarm),
+                         key=lambda s: -s.gain)
+    if not significant:
+        name, (gain, chance) = next(iter(tried.items()))
+        return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
+                              f"{gain:.3f} for each error, p = {chance:.2g} over all candidates; "
+                              f"p < {limits.false_alarm:g} is required", tried, visible)
+    explained = {one: finding for one in significant if (finding := _reported(one.candidate, reported))}
+    fitted, accepted, against = _fitted([s for s in significant if s not in explained], fits, without, vehicle, limits,
+                                        tick)
+    against |= {one: f"{one.candidate.name} is significant, but st check reports the sensor itself: {finding}. Correct "
+                     "that first and search again" for one, finding in explained.items()}
+    if not accepted:
+        first = next(one for one in significant if one in against)
+        return RelationSearch(None, against[first], tried, visible)
+    best = best_of(accepted, limits.worth * number)
+    relation, why = _described(best, fitted, without, fits, chances, settings, vehicle, [e.name for e in found.effects])
+    return RelationSearch(relation, why, tried, visible)
+
+
+Fitted = dict[Screened, RelationFit]
+
+
+def _fitted(significant: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
+            limits: Limits, tick: Callable[[], None]) -> tuple[Fitted, Fitted, dict[Screened, str]]:
+    """Candidates fitted through the simulator: those not rejected, those of them large enough, and the reasons against
+    the others."""
+    fitted: Fitted = {}
+    accepted: Fitted = {}
+    against: dict[Screened, str] = {}
+    before = held_out_positions(fits, without)
+    for one in to_fit(significant):
+        tick()
+        fit = fits.fit(one.candidate, without, one.smooth)
+        name, after = one.candidate.name, held_out_positions(fits, fit)
+        wrong = rejected_curve(fits, fit, vehicle) or harmful(fits, name, before, after, limits)
+        little = too_small(fits, one.candidate, without.held_out - fit.held_out, before - after, limits)
+        if wrong or little:
+            against[one] = wrong or little
+        else:
+            accepted[one] = fit
+        if not wrong:
+            fitted[one] = fit  # a possible rival, though too small to be proposed
+    return fitted, accepted, against
+
+
+def _without_axles(model: AugmentedModel) -> str:
+    """Why a model has no axles for a relation to act on; "" for a dynamic one."""
+    if model.base.axles is not None or any(e.lifts and e.lifts[0] == "kinematic" for e in model.active):
+        return ""
+    return ("the model is kinematic without tyre slip, and has no axle forces and accelerations for a relation to act "
+            "on: use --base linear or --base nonlinear")
+
+
+def _reported(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
+    """Name of a finding of the checks that a candidate imitates; "" for none."""
+    if candidate.place == "front_steer" and {candidate.quantity, candidate.by} & set(STEERING_TIMING):
+        return next((name for name, _ in reported if name == "steering_lag"), "")
+    return next((name for name, channel in reported if channel in MEASURED_BY.get(candidate.place, ())), "")
+
+
+def _too_little(windows: RunWindows, settings: DiscoverySettings) -> str:
+    """Why these drives are too short for any relation; "" if they are not."""
+    if len(set(windows.run)) == 1:
+        return "one run was driven; whether a relation holds in another drive cannot be tested: give two or more"
+    blocks = int(windows.block.max()) + 1 if len(windows) else 0
+    if len(windows) < 3 or blocks < MIN_BLOCKS:
+        return (f"{blocks} blocks of {settings.block:g} s were driven; a curve needs {MIN_BLOCKS}: drive longer, or "
+                "give more runs")
+    return ""
+
+
+def _described(best: Screened, fitted: Fitted, without: RelationFit, fits: RelationFits, chances: Mapping[str, float],
+               settings: DiscoverySettings, vehicle: VehicleParameters,
+               stated: Sequence[str]) -> tuple[Relation, str]:
+    """The relation with everything that is reported of it, and its gain in figures."""
+    fit, limits, c = fitted[best], settings.limits, best.candidate
+    falls = without.held_out - fit.held_out
+    before, after = (held_out_positions(fits, f) for f in (without, fit))
+    rivals = [one for one in fitted if one is not best]
+    alike = equally_good(np.array([fitted[one].held_out - fit.held_out for one in rivals]), limits.doubt, settings.seed)
+    equal = {one.candidate.name: fitted[one] for one, near in zip(rivals, alike, strict=True) if near}
+    u = driven(fits.windows, vehicle)[c.quantity]
+    at = np.linspace(c.low, c.high, POINTS)
+    splines = c.splines(at)
+    deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.covariance(), splines), 0.0))
+    edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
+    density = np.histogram(np.clip(u, c.low, c.high), edges)[0] / max(len(u), 1)
+    runs = {name: (float(np.nanmean(before[of_run])), float(np.nanmean(after[of_run])))
+            for k, name in enumerate(fits.windows.names) if (of_run := fits.windows.run == k).any()
+            and np.isfinite(before[of_run]).any() and np.isfinite(after[of_run]).any()}
+    relation = Relation(
+        c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
+        float(falls.sum()) / fits.loss.number, chances[c.name],
+        (float(np.nanmean(before)), float(np.nanmean(after))), runs, _other_effects(fits, fit),
+        {name: cosine(fits, fit, other) for name, other in equal.items()}, simulated_formulas(fits, fit, without),
+        run_shares(fits, fit), redundant_effects(fits, c, fit, without, stated, limits),
+        next_drives(fits, c, fit, equal, best.design, at, deviation, thin_ranges(at, density, c.parity)))
+    return relation, f"it {gain_text(fits, falls, before - after, limits)}"
+
+
+def _other_effects(fits: RelationFits, fit: RelationFit) -> AugmentedModel:
+    """The model without the relation, at the values fitted together with it."""
+    assert fit.candidate is not None
+    whole = fits.space_of(fit.candidate).at(fit.vector)
+    return whole.only(e for e in whole.effects if e.name != fit.candidate.effect)
+
+
+def _channels(found: Discovery, settings: DiscoverySettings) -> DiscoverySettings:
+    used = tuple(c for c in settings.channels if c in found.noise)
+    return replace(settings, channels=used or settings.channels)

@@ -1,0 +1,210 @@
+"""Which significant relation is reported: reasons to reject one, equally good rivals, redundant effects."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ..contract import unsteady
+from ..discovery.limits import Limits
+from ..effects import get_effect
+from ..effects._law import COUNT, HIGHEST
+from ..models import get_model
+from ..vehicle import VehicleParameters
+from .candidates import Candidate
+from .relation_fit import RelationFit, RelationFits
+from .screening import Screened
+
+REFITTED = 10  # candidates fitted through the simulator
+DRAWS = 999  # random signs of the blocks
+BOUND_MARGIN = 0.02  # share of the bound of the coefficients: a curve that near is at the bound
+MIN_INFORMATION = 0.02  # share of the relation's information a run must hold for an estimate of its own
+TWO_SIDED_95 = 1.96
+
+
+@dataclass(frozen=True)
+class RunShares:
+    """Size of the relation in each run, 1: as fitted. by_run: (share, standard deviation). p_equal: p-value of equal
+    shares in all runs."""
+
+    by_run: Mapping[str, tuple[float, float]]
+    p_equal: float
+
+    def absent(self) -> list[str]:
+        """Runs whose share is significantly below one half."""
+        return [name for name, (share, deviation) in self.by_run.items() if share + TWO_SIDED_95 * deviation < 0.5]
+
+
+def to_fit(significant: Sequence[Screened]) -> list[Screened]:
+    """The best candidate of every place, then the best of all; `significant`: best first."""
+    first = {one.candidate.place: one for one in reversed(significant)}
+    return list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:REFITTED]
+
+
+def best_of(fits: Mapping[Screened, RelationFit], min_gain: float) -> Screened:
+    """The smallest held-out loss; a candidate of two quantities must be better by `min_gain`."""
+    return min(fits, key=lambda s: float(fits[s].held_out.sum()) + (min_gain if s.candidate.by else 0.0))
+
+
+def lower_bound(falls: np.ndarray, p: float) -> float:
+    """One-sided lower confidence bound of a sum over blocks (b,), Student's t, at level 1 - p."""
+    spread = float(falls.std(ddof=1)) * np.sqrt(len(falls))
+    return float(falls.sum() - stats.t.isf(p, len(falls) - 1) * spread)
+
+
+def by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
+    """(b,) mean over the windows of each block of (n,) values; NaN without a finite one."""
+    known = np.isfinite(values)
+    count = np.bincount(fits.block[known], minlength=fits.blocks)
+    with np.errstate(invalid="ignore"):
+        return np.bincount(fits.block[known], values[known], fits.blocks) / np.where(count, count, np.nan)
+
+
+def rejected_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParameters) -> str:
+    """Why a curve is rejected whatever it gains: at its bound, or an unstable car; "" for an accepted one."""
+    assert fit.candidate is not None
+    name = fit.candidate.name
+    if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * HIGHEST:
+        return (f"the curve of {name} reaches its bound of {HIGHEST * fit.candidate.usual:.3g} {fit.candidate.unit}, "
+                "beyond any physical relation: see the findings of st check, and the vehicle file")
+    model = fits.space_of(fit.candidate).at(fit.vector)
+    low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])
+    slow = max(float(low), vehicle.minimum_slip_speed)
+    problem = unsteady(get_model(model.base), model, vehicle, np.linspace(slow, max(float(high), slow), 4))
+    return f"with {name} the simulated car is unstable and cannot predict: {problem}" if problem else ""
+
+
+def harmful(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
+    """Why a relation increases held-out errors, "" if it does not: the mean position error after 5 s rises, or that of
+    one run rises significantly. before, after: (n,) [m]."""
+    rise = after - before
+    if not np.isfinite(rise).any():
+        return ""
+    if np.nanmean(rise) > 0.0:
+        return (f"{name} is significant, but raises the held-out position error after 5 s from "
+                f"{np.nanmean(before):.3f} to {np.nanmean(after):.3f} m")
+    blocks, run = by_block(fits, rise), np.zeros(fits.blocks, int)
+    run[fits.block] = fits.windows.run
+    names = fits.windows.names
+    for k in np.unique(run):
+        of_run = blocks[(run == k) & np.isfinite(blocks)]
+        # Bonferroni: of so many runs one rises by chance.
+        if len(of_run) > 2 and lower_bound(of_run, limits.doubt / len(names)) > 0.0:
+            here = fits.windows.run == k
+            return (f"{name} is significant, but raises the held-out error of {names[k]}: "
+                    f"{np.nanmean(before[here]):.3f} to {np.nanmean(after[here]):.3f} m after 5 s")
+    return ""
+
+
+def gain_text(fits: RelationFits, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
+    """The held-out gain in a phrase. falls: (b,) of the loss. closer: (n,) fall of the position error [m]."""
+    gain, low = (-np.expm1(-total / fits.loss.number) for total in (falls.sum(), lower_bound(falls, limits.doubt)))
+    return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
+            f"and the position error after 5 s by {100 * mean_of(closer):.1f} cm")
+
+
+def too_small(fits: RelationFits, candidate: Candidate, falls: np.ndarray, closer: np.ndarray, limits: Limits) -> str:
+    """Why the effect size is below the thresholds, "" if it is not: too little held-out gain, perhaps none, or no
+    significant gain (`limits.false_alarm`) in the predicted path.
+
+    The path is not asked of sensor relations, nor with fewer than two blocks with a position.
+    """
+    little = falls.sum() < limits.worth * fits.loss.number and mean_of(closer) < limits.worth_position
+    if little or lower_bound(falls, limits.doubt) <= 0.0:
+        return f"{candidate.name} is significant, but {gain_text(fits, falls, closer, limits)}"
+    blocks = by_block(fits, closer)
+    blocks = blocks[np.isfinite(blocks)]
+    if not candidate.of_sensor and len(blocks) > 1 and lower_bound(blocks, limits.false_alarm) <= 0.0:
+        return (f"{candidate.name} is significant, but the gain in the predicted path is not: it "
+                f"{gain_text(fits, falls, closer, limits)}")
+    return ""
+
+
+def mean_of(values: np.ndarray) -> float:
+    """Mean of the finite values; 0 without one."""
+    return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+
+
+def equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
+    """(k,) whether the data do not separate each rival from the best. worse: (k, b) held-out loss beyond the best.
+
+    Paired differences of blocks over their standard error, t; a rival is separated where t exceeds the quantile
+    1 - p of the largest t under random signs of whole blocks, common to all rivals (Romano and Wolf 2005).
+    """
+    if not len(worse):
+        return np.zeros(0, bool)
+    count = worse.shape[1]
+    centred = worse - worse.mean(axis=1, keepdims=True)
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, count))
+    drawn = signs @ centred.T / count
+    spread = np.sqrt(np.maximum(np.square(centred).mean(axis=1) - np.square(drawn), 1e-30) / (count - 1))
+    largest = (drawn / spread).max(axis=1)
+    t = worse.mean(axis=1) / np.maximum(worse.std(axis=1, ddof=1) / np.sqrt(count), 1e-30)
+    return t <= np.quantile(largest, 1.0 - p)
+
+
+def run_shares(fits: RelationFits, fit: RelationFit) -> RunShares:
+    """Factor on the relation that each run alone would estimate, everything else refitted: from the quadratic."""
+    h = fit.q.hessian.sum(axis=0)
+    others, own = h[:-COUNT, :-COUNT], fit.coefficients
+    ridge = (1e-6 * np.trace(others) / max(len(others), 1) + 1e-9) * np.eye(len(others))
+    turn = np.concatenate([-np.linalg.solve(others + ridge, h[:-COUNT, -COUNT:] @ own), own])
+    g, hh = fit.q.gradient @ turn, np.einsum("i,bij,j->b", turn, fit.q.hessian, turn)
+    run = np.zeros(fits.blocks, int)
+    run[fits.block] = fits.windows.run
+    informative = [k for k in np.unique(run) if hh[run == k].sum() > MIN_INFORMATION * hh.sum()]
+    if len(informative) < 2:
+        return RunShares({}, 1.0)
+    more = {k: g[run == k].sum() / hh[run == k].sum() for k in informative}
+    scatter = sum(float(np.square(g - more[k] * hh)[run == k].sum()) for k in informative)
+    known = np.isin(run, informative)
+    design = max(2.0 * scatter / hh[known].sum() * known.sum() / max(known.sum() - len(informative), 1), 1.0)
+    weight = {k: 2.0 * hh[run == k].sum() / design for k in informative}
+    mean = sum(more[k] * w for k, w in weight.items()) / sum(weight.values())
+    square = sum(w * (more[k] - mean) ** 2 for k, w in weight.items())
+    shares = {fits.windows.names[k]: (1.0 + float(more[k]), float(weight[k] ** -0.5)) for k in informative}
+    return RunShares(shares, float(stats.chi2.sf(square, len(informative) - 1)))
+
+
+def held_out_positions(fits: RelationFits, fit: RelationFit) -> np.ndarray:
+    """(n,) position error at the end of the horizon under values fitted to other driving [m]."""
+    rows = fit.rows.copy()
+    for k, d in fit.steps.items():
+        in_fold = fits.fold[fits.block] == k
+        rows[in_fold] -= np.einsum("p,pnm->nm", d, fit.slopes[:, in_fold])
+    return fits.problem.position(rows)
+
+
+def cosine(fits: RelationFits, one: RelationFit, other: RelationFit) -> float:
+    """Cosine similarity of two relations' effects on the predictions, all other parameters projected out."""
+    effects = []
+    for fit in (one, other):
+        change = np.einsum("p,pnm->nm", fit.coefficients, fit.slopes[-COUNT:]) / fits.loss.scale
+        # Without a named effect and an accelerometer there are no other parameters.
+        others = (fit.slopes[:-COUNT] / fits.loss.scale).reshape(len(fit.slopes) - COUNT, change.size)
+        change = np.where(fits.loss.known, change, 0.0).ravel()
+        others = np.nan_to_num(others * fits.loss.known.ravel())
+        effects.append(change - np.linalg.lstsq(others.T, change, rcond=None)[0] @ others)
+    return float(effects[0] @ effects[1] / max(np.linalg.norm(effects[0]) * np.linalg.norm(effects[1]), 1e-30))
+
+
+def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit, without: RelationFit,
+                      names: Sequence[str], limits: Limits) -> dict[str, float]:
+    """Effects of the answer that the relation makes redundant: residual [1] that returns without each, all refitted.
+
+    An effect is kept if its held-out gain next to the relation passes the test of a relation. It is redundant if it
+    does not, and the relation alone explains significantly more than the effect alone did.
+    """
+    found = {}
+    with_both = held_out_positions(fits, fit)
+    # An effect that lifts the kinematic model carries the relation itself.
+    for name in (n for n in names if not get_effect(n).lifts):
+        alone = fits.without_effect(candidate, fit, name)
+        more = alone.held_out - fit.held_out
+        position = float(np.nanmean(held_out_positions(fits, alone) - with_both))
+        relevant = more.sum() >= limits.worth * fits.loss.number or position >= limits.worth_position
+        kept = relevant and lower_bound(more, limits.doubt) > 0.0
+        if not kept and lower_bound(without.held_out - alone.held_out, limits.doubt) > 0.0:
+            found[name] = max(float(-np.expm1(-more.sum() / fits.loss.number)), 0.0)
+    return found

@@ -1,0 +1,245 @@
+"""Files of a proposed relation: an effect file, a model file that uses it, and its part of discovery.json."""
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from st_core.discovery.following import TIMES
+from st_core.effects import Effect, load_file, source_file
+from st_core.model_file import Estimate, ModelFile, Provenance
+from st_core.relations import Candidate, Relation, RelationSearch
+from st_core.relations.candidates import MEMORY, QUANTITIES, WHERE
+from st_core.vehicle import VehicleParameters
+
+from . import relation_wording
+
+LIBRARY = Path(source_file(Effect)).parent
+KNOTS = 21  # straight lines between; the curve has eight numbers, so that nothing is lost
+SLOT = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
+        "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
+        "side_force": "body",
+        "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration", "sensor_velocity_y": "velocity",
+        "sensor_heading": "heading"}
+OF_MOTION = {"steering": "at.road_wheel_angle", "acceleration_y": "at.velocity_x * at.yaw_rate",
+             "acceleration_x": "at.velocity_x_dot", "speed": "at.velocity_x", "yaw_rate": "at.yaw_rate",
+             "slip_front": "slip_front", "slip_rear": "slip_rear", "north": "sin(at.yaw)", "east": "cos(at.yaw)",
+             "position_x": "at.x", "position_y": "at.y"}
+OF_READINGS = {"acceleration_y": "measured.velocity_x * measured.yaw_rate", "speed": "measured.velocity_x",
+               "yaw_rate": "measured.yaw_rate"}
+FIELD = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y", "sensor_velocity_y": "velocity_y",
+         "sensor_heading": "yaw"}
+MAPPED = ("north", "east", "position_x", "position_y")  # fixed to the map
+OPS = {"east": "absolute, cos, maximum, minimum", "north": "absolute, maximum, minimum, sin"}
+SLIPS = "slip_angles(slip_front, slip_rear, extra, at, given, theta)"
+FORCES = "axle_forces(forces, slip_front, slip_rear, at, given, theta)"
+AS_BEFORE = "front, rear = forces(slip_front, slip_rear, at)\n        "
+HOOKS = {
+    # A wheel turned to the left slides less to the left.
+    "front_steer": (SLIPS, "return slip_front - {y}, slip_rear"),
+    "rear_steer": (SLIPS, "return slip_front, slip_rear - {y}"),
+    "front_force": (FORCES, f"{AS_BEFORE}return front + theta.car * {{y}}, rear"),
+    "rear_force": (FORCES, f"{AS_BEFORE}return front, rear + theta.car * {{y}}"),
+    "front_grip": (FORCES, f"{AS_BEFORE}return front * (1.0 + {{y}}), rear"),
+    "rear_grip": (FORCES, f"{AS_BEFORE}return front, rear * (1.0 + {{y}})"),
+    "both_grip": (FORCES, f"{AS_BEFORE}y = 1.0 + {{y}}\n        return front * y, rear * y"),
+    "yaw_moment": ("acceleration(at, given, theta)", "y = {y}\n        return 0.0 * y, 0.0 * y, y"),
+    "side_force": ("acceleration(at, given, theta)", "y = {y}\n        return 0.0 * y, y, 0.0 * y"),
+}
+LOAD = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}
+FILE = '''"""PROPOSAL, not an established effect: {title}.
+
+Fitted by st discover --propose to {count} drives, {created}: {runs}.
+Over {low:.3g} to {high:.3g} {quantity_unit} of {quantity}; constant beyond. {meaning}
+Held-out position error after 5 s: {before:.2f} -> {after:.2f} m; p = {chance:.2g} over all candidates.
+{formulas}
+Keep it, rename it, or delete it.
+"""
+
+from st_core.effects import DYNAMIC, Effect, Parameter, register
+from st_core.ops import {ops}
+
+LOW, STEP, HIGH = {low!r}, {step!r}, {high!r}  # {quantity_unit}
+
+
+def hat(t):
+    """1 at 0, 0 from +-1 on, straight between."""
+    return maximum(1.0 - absolute(t), 0.0 * t)
+
+
+def relation(u):
+    """[{unit}] at u [{quantity_unit}]: straight lines between the heights fitted."""
+    t = (minimum(maximum(u, LOW + 0.0 * u), HIGH + 0.0 * u) - LOW) / STEP
+    return ({heights})
+
+
+@register
+class {cls}(Effect):
+    name = "{name}"
+    physics = "{physics}"
+    excited_by = "{quantity} from {low:.3g} to {high:.3g} {quantity_unit}"
+    kind, slot = "{kind}", "{slot}"
+    applies_to = DYNAMIC
+    order = 90{memory}
+    parameters = (
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="of the curve as it was fitted",
+                  source="st discover --propose"{odd}),
+    )
+{body}
+'''
+
+
+def name_of(one: Relation) -> str:
+    """Name of the effect; numbered if the model has a relation at that place already."""
+    name = f"proposed_{one.candidate.place}"
+    before = sum(e.name == name or e.name.startswith(f"{name}_") for e in one.model.effects)
+    return f"{name}_{before + 1}" if before else name
+
+
+def title_of(one: Relation) -> str:
+    """Place and quantity, written out."""
+    return relation_wording.title(one.candidate, bool(one.formulas) and one.formulas[0].shape == "constant")
+
+
+def _title_with_causes(one: Relation) -> str:
+    causes = f" (in textbooks: {one.formulas[0].causes})" if one.formulas and one.formulas[0].causes else ""
+    return f"{title_of(one)}{causes}"
+
+
+def effect_file(one: Relation, runs: Sequence[str], created: str) -> str:
+    """Text of an effect file; straight lines between KNOTS heights of the fitted curve."""
+    c = one.candidate
+    meaning = WHERE[c.place][1] + (f", for each {QUANTITIES[c.by]} of {c.by.replace('_', ' ')}" if c.by else "")
+    knots = np.linspace(c.low, c.high, KNOTS)
+    heights = one.coefficients @ c.splines(knots)
+    terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))
+    formulas = "\n".join(f"Formula {k}: {r.text} ({r.shape}, keeps {r.kept:.0%} of the curve's held-out gain)"
+                         for k, r in enumerate(one.formulas, 1)) or "No simple formula can replace the curve."
+    return FILE.format(
+        title=_title_with_causes(one), count=len(runs), runs=", ".join(runs), created=created, low=c.low, high=c.high,
+        step=(c.high - c.low) / (KNOTS - 1), quantity=c.quantity.replace("_", " "),
+        quantity_unit=QUANTITIES[c.quantity],
+        unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.", before=one.position_5s[0], after=one.position_5s[1],
+        chance=one.chance, formulas=formulas, heights=terms, cls="".join(w.title() for w in name_of(one).split("_")),
+        odd=", odd=True" if c.changes_sides else "", name=name_of(one),
+        ops=OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory(c),
+        physics=f"y = curve of {c.quantity}: {meaning}", body=_body(one),
+        kind=_kind(c), slot=SLOT[c.place])
+
+
+def _body(one: Relation) -> str:
+    c = one.candidate
+    if c.place in FIELD:
+        field, u = FIELD[c.place], OF_READINGS[c.quantity]
+        return "".join(f"\n    @staticmethod\n    def {hook}(measured, theta):\n"
+                       f"        y = theta.share * relation({u})\n"
+                       f"        return measured._replace({field}=measured.{field} {sign} y)\n"
+                       for hook, sign in (("observe", "+"), ("correct", "-"))).rstrip("\n")
+    hook, text = HOOKS[c.place]
+    before = ""
+    if c.place in LOAD:
+        before = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
+                  f"        return 9.81 * vehicle.mass * vehicle.{LOAD[c.place]} / vehicle.wheelbase\n")
+    y = f"theta.share * relation({_quantity(c.quantity)})" + (f" * {_quantity(c.by)}" if c.by else "")
+    return f"{before}\n    @staticmethod\n    def {hook}:\n        {text.format(y=y)}{_lagging(c)}"
+
+
+def _remembered(c: Candidate) -> str:
+    """The quantity with memory of a candidate; "" for none."""
+    return next((q for q in (c.quantity, c.by) if q in MEMORY), "")
+
+
+def _quantity(name: str) -> str:
+    """Its formula in a hook of the slip angles or of the motion."""
+    if name not in MEMORY:
+        return OF_MOTION[name]
+    source, kind, tau = MEMORY[name]
+    return "extra[0]" if kind == "lagging" else f"({OF_MOTION[source]} - extra[0]) / {tau!r}"
+
+
+def _memory(c: Candidate) -> str:
+    if not _remembered(c):
+        return ""
+    unit = QUANTITIES[MEMORY[_remembered(c)][0]]
+    return f'\n    extra_states = ("lagging",)\n    extra_units = ("{unit}",)'
+
+
+def _lagging(c: Candidate) -> str:
+    """Hooks of a relation with memory."""
+    if not _remembered(c):
+        return ""
+    source, _, tau = MEMORY[_remembered(c)]
+    now = OF_MOTION[source]
+    return (f"\n\n    @staticmethod\n    def start(slips, at, given, theta):\n        return ({now},)\n\n"
+            "    @staticmethod\n    def rates(extra, slips, forces, at, given, theta):\n"
+            f"        return (({now} - extra[0]) / {tau!r},)")
+
+
+def _kind(c: Candidate) -> str:
+    if c.quantity in MAPPED:
+        return "surroundings"
+    return "sensors" if c.of_sensor else "physics"
+
+
+def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
+                digests: dict[str, str], folder: Path) -> dict[str, Path]:
+    """Write the effect file and the model file that uses it; paths by kind, none without a relation.
+
+    A relation of the time in the run is not written: it predicts nothing of another drive. The user's effects in the
+    model are copied along, so that one folder of effects is enough for every command.
+    """
+    one = found.relation
+    if one is None or one.candidate.quantity == "run_time":
+        return {}
+    effects = folder / "effects"
+    effects.mkdir()
+    file = effects / f"{name_of(one)}.py"
+    file.write_text(effect_file(one, runs, created), encoding="utf-8")
+    load_file(str(effects.absolute()), name_of(one))
+    for user_folder in {Path(source_file(e)).parent for e in one.model.effects} - {LIBRARY}:
+        for module in user_folder.glob("*.py"):
+            if not (effects / module.name).exists():
+                shutil.copyfile(module, effects / module.name)
+    about = Provenance(created[:10], data=digests, note=f"PROPOSAL of st discover: {_title_with_causes(one)}")
+    plain = ModelFile.of(one.model, vehicle, about, source="fitted together with the relation")
+    active = {name: parts for name, parts in plain.effects.items()
+              if any(parts[p.name].value != p.null for e in one.model.effects if e.name == name
+                     for p in e.parameters if p.fit)}
+    share = {"share": Estimate(1.0, None, "st discover --propose")}
+    model = ModelFile(plain.base, {**active, name_of(one): share}, plain.vehicle, plain.vehicle_name,
+                      plain.vehicle_hash, about)
+    (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")
+    return {"effects": file, "proposed.yaml": folder / "proposed.yaml"}
+
+
+def relation_document(found: RelationSearch | None) -> dict:
+    """The part `law` of discovery.json (schema in docs/manual/discovery.md)."""
+    if found is None:
+        return {}
+    one = found.relation
+    tried = [{"law": name, "gain": gain, "chance": chance, "visible": found.visible.get(name)}
+             for name, (gain, chance) in found.tried.items()]
+    if one is None:
+        return {"proposal": None, "why": found.why, "tried": tried}
+    c = one.candidate
+    return {"why": found.why, "tried": tried, "proposal": {
+        "place": c.place, "quantity": c.quantity, "by": c.by, "unit": c.unit, "quantity_unit": QUANTITIES[c.quantity],
+        "range": [c.low, c.high], "curve": {"at": one.at.tolist(), "value": one.value.tolist(),
+                                            "deviation": one.deviation.tolist(), "density": one.density.tolist()},
+        "gain": one.gain, "chance": one.chance, "position_5s": list(one.position_5s),
+        "runs": {name: list(pair) for name, pair in one.runs.items()}, "others": dict(one.others),
+        "needless": dict(one.redundant), "next_drives": _drives(one),
+        "shares": {name: list(pair) for name, pair in one.shares.by_run.items()}, "differ": one.shares.p_equal,
+        "readings": [{"shape": r.shape, "text": r.text, "explained": r.kept, "causes": r.causes}
+                     for r in one.formulas]}}
+
+
+def _drives(one: Relation) -> dict:
+    drives, apart = one.drives, one.drives.most_separating()
+    precise = drives.most_precise(one.deviation)
+    return {"thin": [list(between) for between in drives.thin],
+            "tells_apart": {"manoeuvre": apart[0].manoeuvre.name, "from": apart[1]} if apart else None,
+            "pins_down": precise.manoeuvre.name if precise else None, "apart_now": dict(drives.now), "options": [
+                {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed, "lateral": o.manoeuvre.lateral,
+                 "duration": o.manoeuvre.duration, "times": TIMES, "largest_deviation": float(o.deviation.max()),
+                 "apart": dict(o.apart), "seconds_in_thin": list(o.seconds)} for o in drives.options]}

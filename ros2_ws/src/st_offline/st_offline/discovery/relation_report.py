@@ -1,0 +1,284 @@
+"""Report of a proposed relation, for terminal and page: statements by question, tables, commands, next drives."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from st_core.discovery import Discovery
+from st_core.discovery.following import TIMES
+from st_core.relations import Relation, RelationSearch
+from st_core.relations.candidates import ODD, QUANTITIES
+from st_core.relations.next_drive import OF_A_PLACE, Option
+from st_core.vehicle import VehicleParameters
+
+from . import quantities, relation_wording, report_text
+from .relation_figure import shown
+from .relation_files import name_of, title_of
+from .vehicle_update import changed
+
+P_DIFFERENT = 0.01  # p-value of equal shares below which the relation varies between runs
+SQUARES = str.maketrans({"^": None, "2": "²"})
+ELSEWHERE = ("drive the same again, once beginning elsewhere on the course and once in the other direction, and add "
+             "these runs: only then can the place, the course and the time in the run be separated")
+MIN_SECONDS = 0.5  # of a drive: a sparse range in which less is spent is not reached
+Groups = list[tuple[str, list[str]]]
+
+
+@dataclass(frozen=True)
+class Table:
+    """rows: as many texts as the head has."""
+
+    title: str
+    note: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class RelationReport:
+    """groups: (question, sentences). commands: (purpose, command line). headline: the proposal in a line, "" without
+    one."""
+
+    groups: Groups
+    tables: Sequence[Table] = ()
+    commands: Sequence[tuple[str, str]] = ()
+    headline: str = ""
+
+
+@dataclass(frozen=True)
+class CommandLine:
+    """The discovery as typed. runs, options: its words; options name the source of the recordings. vehicle: the part of
+    them that every verb takes. folder: of the results."""
+
+    runs: Sequence[str]
+    options: Sequence[str]
+    vehicle: Sequence[str]
+    folder: str
+
+
+def relation_report(found: RelationSearch, answer: Discovery, vehicle: VehicleParameters,
+                    typed: CommandLine) -> RelationReport:
+    """Everything that is reported of a search for a relation."""
+    one = found.relation
+    unseen = ", ".join(relation_wording.PLACES[name] for name in found.unseen())
+    excluded: Groups = [("not excluded", [f"a relation at these places, which the drives could not show: {unseen}"]
+                         )] if unseen else []
+    if one is None:
+        return RelationReport([("proposal", [f"none: {relation_wording.in_words(found.why, found.tried)}"]), *excluded])
+    groups: Groups = [("proposal", _proposal(one)), ("effect size", _effect_size(one, answer, found.why)),
+                      ("formula", _formula(one, vehicle)), ("uncertainty of the curve", _uncertainty(one)),
+                      ("alternatives", _alternatives(one)), ("next drive", next_drive_sentences(one)), *excluded,
+                      ("files", _files(one, answer.model is not None))]
+    filled = [(question, lines) for question, lines in groups if lines]
+    tables = [_errors_by_run(one, answer), *_values_with_and_without(one, answer, vehicle)]
+    return RelationReport(filled, tables, _commands(one, typed), _headline(one))
+
+
+def _headline(one: Relation) -> str:
+    without, with_it = one.position_5s
+    worse = _much_worse(one)
+    return (f"PROPOSAL, not established: {title_of(one)}; {without:.2f} m → {with_it:.2f} m (held-out)"
+            f"{f'; {worse}' if worse else ''}")
+
+
+def _much_worse(one: Relation) -> str:
+    """Runs that the relation makes worse by a quarter or more; "" for none."""
+    runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in one.much_worse().items())
+    return f"WORSE by a quarter or more in {runs}" if runs else ""
+
+
+def _proposal(one: Relation) -> list[str]:
+    causes, worse = one.formulas[0].causes if one.formulas else "", _much_worse(one)
+    return [f"{f'{worse}. ' if worse else ''}{title_of(one)}. A proposal is not established: try it, then keep or "
+            "delete it",
+            *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
+
+
+def _effect_size(one: Relation, answer: Discovery, why: str) -> list[str]:
+    without, with_it = one.position_5s
+    worse = [name for name, (before, after) in one.runs.items() if after >= before]
+    but = f", not in {', '.join(worse)}" if worse else ""
+    noise = f"; noise floor {answer.gap['position_5s'].floor:.3f} m" if "position_5s" in answer.gap else ""
+    return [f"held-out mean position error after 5 s: {without:.3f} m with what is stated above, {with_it:.3f} m with "
+            f"the relation as well{noise}", why,
+            f"smaller errors in {len(one.runs) - len(worse)} of {len(one.runs)} runs{but}"]
+
+
+def _formula(one: Relation, vehicle: VehicleParameters) -> list[str]:
+    c = one.candidate
+    lines = [f"{'or ' if k else ''}{r.text.replace('^2', '²').replace('^3', '³')} "
+             f"({relation_wording.SHAPES.get(r.shape, r.shape)}; keeps {r.kept:.0%} of the curve's held-out gain when "
+             "simulated in its place)" for k, r in enumerate(one.formulas)
+             ] or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
+    return [*lines, f"y: {relation_wording.axis(c)}, {c.unit.translate(SQUARES)}; u: {relation_wording.quantity(c)}"
+            f"{relation_wording.SIGNS.get(c.quantity, '')}, {QUANTITIES[c.quantity].translate(SQUARES)}",
+            *filter(None, [relation_wording.in_newtons(c, vehicle)])]
+
+
+def _uncertainty(one: Relation) -> list[str]:
+    """Driven range, the widest interval, sparse ranges, variation between runs."""
+    c, widest = one.candidate, int(one.deviation.argmax())
+    (up, unit), (across, across_unit) = shown(c.unit), shown(QUANTITIES[c.quantity])
+    lines = [f"driven: {relation_wording.quantity(c)} from {across * c.low:.3g} to {across * c.high:.3g} {across_unit}"
+             "; the curve is constant beyond",
+             f"widest interval at {across * one.at[widest]:.3g} {across_unit}: {up * one.value[widest]:.2g} ± "
+             f"{up * report_text.SURE * one.deviation[widest]:.2g} {unit} (95 %)"]
+    if one.drives.thin:
+        mirrored = ", to either side" if c.parity == ODD else ""
+        lines.append(f"sparsely driven: {_ranges(one, one.drives.thin)}{mirrored}. There the curve is interpolated, "
+                     "and its interval holds only if the true relation is as smooth")
+    absent = one.shares.absent() if one.shares.p_equal < P_DIFFERENT else []
+    if absent:
+        shares = ", ".join(f"{name} {share:.1f} ± {report_text.SURE * deviation:.1f}" for name, (share, deviation) in
+                           one.shares.by_run.items())
+        lines.append(f"varies between runs: nearly absent in {', '.join(absent)} (its size by run, 95 %: {shares})")
+    return lines
+
+
+def _alternatives(one: Relation) -> list[str]:
+    lines = []
+    if one.others:
+        names = "; ".join(f"{relation_wording.named(name)} ({cosine:.2f})" for name, cosine in one.others.items())
+        lines.append(f"these drives do not separate it from: {names}. In brackets the cosine similarity of the two "
+                     "effects on the predictions: 1 the same, 0 unrelated")
+    for name, share in one.redundant.items():
+        lines.append(f"{quantities.plain(name)} is stated above, but is redundant with this relation ({share:.1%} of "
+                     "the residual returns without it): it may have imitated the relation")
+    return lines
+
+
+def _files(one: Relation, corrected: bool) -> list[str]:
+    """corrected: whether the answer without the relation has files of its own."""
+    if one.candidate.quantity == "run_time":
+        return ["no effect file is written: the time in a run predicts nothing of another drive"]
+    lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_of(one)}.py"]
+    if corrected:
+        lines += ["without the relation: vehicle.yaml and model.yaml",
+                  "never proposed.yaml with vehicle.yaml: it holds the corrections of the vehicle file itself, "
+                  "refitted with the relation, which would count twice; it is refused"]
+    return lines
+
+
+def _commands(one: Relation, typed: CommandLine) -> list[tuple[str, str]]:
+    if one.candidate.quantity == "run_time":
+        return []
+    folder = typed.folder
+    model = [f"{folder}/proposed.yaml", "--effects", f"{folder}/effects"]
+    listed = [
+        ("test the file", ["effects", "check", f"{folder}/effects/{name_of(one)}.py", *typed.vehicle]),
+        ("predict drives with it",
+         ["evaluate", *typed.runs, *typed.options, "--model", "nonlinear", "--model", *model]),
+        ("for a controller, once another drive has confirmed it", ["export", *model, *typed.vehicle]),
+        ("search for more", ["discover", *typed.runs, *typed.options, "--base", *model]),
+        *(("see a next drive", ["demo", "--scenario", name]) for name in suggested_manoeuvres(one))]
+    return [(what, shlex.join(["./st", *command])) for what, command in listed] + [
+        ("delete it", shlex.join(["rm", f"{folder}/effects/{name_of(one)}.py", f"{folder}/proposed.yaml"]))]
+
+
+def _errors_by_run(one: Relation, answer: Discovery) -> Table:
+    first: Mapping[str, tuple[float, float]] = answer.steps[0].runs if answer.steps else {}
+    rows = []
+    for name, (without, with_it) in sorted(one.runs.items(), key=lambda item: item[1][1] - item[1][0]):
+        before = first.get(name)
+        rows.append((name, *_row(before[0] if before else None, without, with_it)))
+    start = answer.steps[0].position_5s.base if answer.steps else None
+    rows.append(("all windows", *_row(start, *one.position_5s)))
+    return Table("Held-out mean position error after 5 s, by run, m",
+                 "Every run is predicted with values fitted to other driving. Sorted by the change; + is a larger "
+                 "error.",
+                 ("run", answer.start, "with what is stated", "with the relation as well", "change"), rows)
+
+
+def _row(start: float | None, without: float, with_it: float) -> tuple[str, ...]:
+    change = f"{with_it - without:+.3f} ({100.0 * (with_it / max(without, 1e-9) - 1.0):+.0f} %)".replace("-", "−")
+    return "-" if start is None else f"{start:.3f}", f"{without:.3f}", f"{with_it:.3f}", change
+
+
+def _values_with_and_without(one: Relation, answer: Discovery, vehicle: VehicleParameters) -> list[Table]:
+    """The same quantities fitted without and with the relation: which value belongs to which file."""
+    if answer.model is None:
+        return []
+    rows = []
+    for effect in one.model.effects:
+        stated, refitted = answer.model.values.get(effect.name), one.model.values[effect.name]
+        free = [p for p in effect.parameters if p.fit]
+        if stated is None or all(refitted[p.name] == p.null == stated[p.name] for p in free):
+            continue
+        rows.append((quantities.plain(effect.name), *(
+            "; ".join(filter(None, (quantities.fitted_shortly(effect.name, {p.name: v[p.name] for p in free}),
+                                    report_text.keys(changed(vehicle, effect, v))))) for v in (stated, refitted))))
+    return [Table("Values without and with the relation",
+                  "Two fits of the same car: the relation explains a part of what the values had to explain. Without "
+                  "the relation: the values stated above, for vehicle.yaml and model.yaml. With it: the values in "
+                  "proposed.yaml only. A factor and the key after it are the same correction, starting from the value "
+                  "of the original vehicle file.",
+                  ("quantity", "without the relation", "with the relation"), rows)] if rows else []
+
+
+def next_drive_sentences(one: Relation) -> list[str]:
+    """What to drive to separate the relation from rivals, to narrow its curve, and to cover sparse ranges."""
+    c, drives = one.candidate, one.drives
+    if c.quantity in OF_A_PLACE:
+        return [ELSEWHERE]
+    lines: list[str] = []
+    separating = drives.most_separating()
+    if separating is not None:
+        option, rival = separating
+        lines.append(f"to separate it from {relation_wording.named(rival)}: {_manoeuvre(option, lines)}. Their "
+                     f"difference is then {option.apart[rival] / max(drives.now[rival], 1e-9):.1f} times as large")
+    elif drives.now:
+        lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for the "
+                     "cause on the car")
+    if len(drives.now) < len(one.others):
+        lines.append(f"to separate it from effects of place, course or time: {ELSEWHERE}")
+    precise = drives.most_precise(one.deviation)
+    if precise is not None:
+        up, unit = shown(c.unit)
+        lines.append(f"for a narrower interval: {_manoeuvre(precise, lines)}. The widest 95 % interval then falls from "
+                     f"± {up * report_text.SURE * one.deviation.max():.2g} to ± "
+                     f"{up * report_text.SURE * precise.deviation.max():.2g} {unit}")
+    return [*lines, *_sparse(one, lines)]
+
+
+def suggested_manoeuvres(one: Relation) -> list[str]:
+    """Names of the manoeuvres in `next_drive_sentences`."""
+    drives, separating = one.drives, one.drives.most_separating()
+    chosen = [separating[0] if separating else None, drives.most_precise(one.deviation),
+              *(_covering(one, k) for k in range(len(drives.thin)))]
+    return list(dict.fromkeys(option.manoeuvre.name for option in chosen if option))
+
+
+def _covering(one: Relation, k: int) -> Option | None:
+    """The option with most time in a sparse range, None below MIN_SECONDS."""
+    best = max(one.drives.options, key=lambda o: o.seconds[k], default=None)
+    return best if best is not None and best.seconds[k] >= MIN_SECONDS else None
+
+
+def _sparse(one: Relation, before: Sequence[str]) -> list[str]:
+    """The manoeuvre with most time in each sparse range. before: lines written already."""
+    lines: list[str] = []
+    missed = []
+    for k, between in enumerate(one.drives.thin):
+        best = _covering(one, k)
+        if best is None:
+            missed.append(between)
+            continue
+        lines.append(f"for {_ranges(one, [between])}: {_manoeuvre(best, (*before, *lines))}; {best.seconds[k]:.1f} s "
+                     "of each drive are in that range")
+    if missed:
+        lines.append(f"no manoeuvre of the catalogue stays at {_ranges(one, missed)} of the "
+                     f"{relation_wording.quantity(one.candidate)}: drive some seconds there by hand, turning to both "
+                     "sides")
+    return lines
+
+
+def _ranges(one: Relation, of: Sequence[tuple[float, float]]) -> str:
+    across, unit = shown(QUANTITIES[one.candidate.quantity])
+    return ", ".join(f"{across * low:.2g} to {across * high:.2g} {unit}" for low, high in of)
+
+
+def _manoeuvre(option: Option, before: Sequence[str]) -> str:
+    """A manoeuvre, with its description unless a line before has it."""
+    m = option.manoeuvre
+    whole = f"{m.name}, {TIMES} times {m.duration:.0f} s ({m.meaning.replace('^2', '²')}, from {m.speed:.1f} m/s)"
+    return m.name if any(whole in line for line in before) else whole
