@@ -66,6 +66,8 @@ def test_the_vehicle_file_gathers_values_with_their_provenance(chain):
     assert note.uncertainty == read(base, "scales")["mass"]["standard_uncertainty"]
     assert note.method.startswith("four wheel scales") and note.data == "scales.csv:1, scales.csv:2, scales.csv:3"
     assert len(note.date) == 10
+    written = (base / "tyre" / "vehicle.yaml").read_text()
+    assert all(line in written for line in LEAF.read_text().splitlines() if line.startswith("#"))
     assert LEAF.read_text() == (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
 
 

@@ -147,3 +147,12 @@ def test_a_bound_opens_the_interval_and_takes_the_parameter_out_of_the_covarianc
     assert fit.at_bound(1) and fit.deviations[1] == 0.0
     interval = profile_interval(line(x, y), fit, 1)
     assert interval.upper_open and interval.high == 0.45
+
+
+@pytest.mark.parametrize(("parameter", "interval", "status"), [
+    ("cornering_stiffness_front", (-1e4, 2e5), "unidentifiable"), ("steering_wheel_offset", (-0.01, 0.02), "doubtful"),
+    ("steering_wheel_offset", (0.01, 0.02), "identified"), ("tyre_front.p_ey1", (-0.3, 0.2), "identified")])
+def test_a_value_whose_interval_holds_zero_is_not_identified(parameter, interval, status):
+    one = Estimate(parameter, sum(interval) / 2, "1", 1.0, interval, "", (), "Fixed.")
+    (found,) = Identification("stiffness", (one,), ()).estimates
+    assert found.status == status and ("zero" in found.verdict) == (status != "identified")

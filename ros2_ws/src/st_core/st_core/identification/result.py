@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -97,6 +97,9 @@ def require(coverages: Sequence[Coverage], advice: str) -> None:
 class Identification:
     """Outcome of one experiment.
 
+    An estimate whose 95 % interval holds zero is doubtful at most, and unidentifiable where the quantity is positive by
+    nature; parameters of the tyres' formula, for which zero is a value like others, are left as they are.
+
     what: name of the experiment, as `st identify` calls it. used: data that entered. rejected: (data, why).
     correlation: matrix over the estimates, in their order, or None. coverage: excitation, one entry per signal.
     warnings: sentences. figure: plain arrays (and numbers, texts) that its picture is drawn from. findings: of the
@@ -113,6 +116,9 @@ class Identification:
     figure: Mapping[str, Any] = field(default_factory=dict)
     findings: "Mapping[str, tuple[Finding, ...]]" = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "estimates", tuple(_without_sign(one) for one in self.estimates))
+
     def __getitem__(self, parameter: str) -> Estimate:
         for estimate in self.estimates:
             if estimate.parameter == parameter:
@@ -128,6 +134,18 @@ class Identification:
             "value": _plain(e.value), "unit": e.unit, "standard_uncertainty": _plain(e.standard_uncertainty),
             "interval95": [_plain(end) for end in e.interval95], "method": e.method, "runs": list(e.runs),
             "verdict": e.verdict} for e in self.estimates}
+
+
+def _without_sign(estimate: Estimate) -> Estimate:
+    """The estimate with the status that an interval holding zero allows."""
+    low, high = estimate.interval95
+    if not low <= 0.0 <= high or estimate.status == "unidentifiable" or "." in estimate.parameter:
+        return estimate
+    known = quantity(estimate.parameter)
+    if known is not None and known.minimum > 0.0:
+        return replace(estimate, status="unidentifiable",
+                       verdict=f"Not identifiable: the interval holds zero. {estimate.verdict}")
+    return replace(estimate, status="doubtful", verdict=f"{estimate.verdict} Not distinguishable from zero.")
 
 
 def symmetric_interval(value: float, standard_uncertainty: float, freedom: float = math.inf) -> tuple[float, float]:

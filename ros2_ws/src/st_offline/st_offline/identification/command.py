@@ -1,19 +1,24 @@
 """What `st identify` does: compute, say it, write it down."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import yaml
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from st_core.checks import Finding
+from st_core.errors import ConfigurationError
 from st_core.handling import objections
-from st_core.identification.apply import against_file, apply, stale_scales
-from st_core.identification.result import Identification, IdentificationError
-from st_core.vehicle import VehicleParameters
+from st_core.identification.apply import against_file, apply, stale_scales, value_of
+from st_core.identification.result import Identification, IdentificationError, quantity
+from st_core.provenance import Provenance
+from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters
+from st_core.yaml_text import number, quoted
 from st_recordings.output import new_folder
 from st_recordings.plain_json import as_text
 from st_recordings.results import versions
@@ -21,6 +26,7 @@ from st_recordings.runs.load import file_hashes
 
 from ..checking.document import documents
 from ..checking.shown import say
+from ..discovery.vehicle_update import edited
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
 from ..terminal import line, list_files
@@ -29,6 +35,8 @@ from .experiments import EXPERIMENTS
 from .shown import HEADS, rows
 
 FORMATS = ("png", "pdf")
+KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
+"""Of the numbers of a vehicle file."""
 STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "red"}
 
 
@@ -124,12 +132,40 @@ def write(job: Job, found: Sequence[Identification], car: VehicleParameters, fac
     texts = {
         "identification.json": as_text({key: entry for one in found for key, entry in one.document().items()}),
         "details.json": as_text({**facts, "experiments": [details(one) for one in found]}),
-        "vehicle.yaml": car.to_yaml(),
+        "vehicle.yaml": vehicle_text(Path(job.vehicle_file), car, found),
         "report.html": page(found, figures, job.setup.vehicle, facts),
     }
     for name, text in texts.items():
         (job.folder / name).write_text(text, encoding="utf-8")
     return {name: job.folder / name for name in texts}
+
+
+def vehicle_text(file: Path, car: VehicleParameters, found: Sequence[Identification]) -> str:
+    """The user's vehicle file with the identified entries in place; its comments and other entries are kept.
+
+    Where it cannot be edited so that it reads as `car`, as when a derived scale would come out otherwise, the car is
+    written as a whole.
+    """
+    keys = [e.parameter for one in found for e in one.estimates
+            if quantity(e.parameter) is not None and e.status != "unidentifiable"]
+    try:
+        text = edited(file.read_text(encoding="utf-8"), {key: _entry(car, key) for key in keys})
+        again = VehicleParameters.from_yaml(text)
+        if all(math.isclose(value_of(again, key), value_of(car, key), rel_tol=1e-12, abs_tol=1e-15) for key in KEYS):
+            return text
+    except (OSError, ConfigurationError, yaml.YAMLError):
+        pass
+    return car.to_yaml()
+
+
+def _entry(car: VehicleParameters, key: str) -> Callable[[str, float], str]:
+    """From the unit of the file and its factor to SI to the text of the entry."""
+    def text(unit: str, factor: float) -> str:
+        about = car.provenance.get(key, Provenance())
+        about = replace(about, uncertainty=None if about.uncertainty is None else about.uncertainty / factor)
+        return (f"{{value: {number(value_of(car, key) / factor)}, unit: {quoted(unit)}, "
+                f"source: {quoted(car.sources[key])}{about.words()}}}")
+    return text
 
 
 def details(found: Identification) -> dict[str, Any]:
