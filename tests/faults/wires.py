@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import can
 import msgpack
 from can.interfaces.udp_multicast.utils import pack_message
-from canedge_bridge.loopback_bus import parse_channel
+from canedge_bridge.transport import parse_channel
 
 LOOPBACK = "127.0.0.1"
 OTHER_UNIT = "127.0.0.2"  # an address of its own for a second INS

@@ -12,7 +12,7 @@ import can
 import numpy as np
 import pytest
 from canedge_bridge.decode import Decoder
-from canedge_bridge.log_decode import EXTENDED, decode_log
+from canedge_bridge.extraction import EXTENDED, decode_log
 from canedge_bridge.signals import load_dbc
 from support import ROOT, SETS, vectors
 

@@ -6,7 +6,7 @@ import time
 
 import can
 import pytest
-from canedge_bridge.error_frames import BusState, describe
+from canedge_bridge.receiver import BusState, describe
 from canedge_bridge.transport import id_filters, open_bus
 from ros_processes import wait_for
 from vcan import EXTENDED_FLAG, REMOTE_FLAG

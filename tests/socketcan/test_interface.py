@@ -8,7 +8,7 @@ from pathlib import Path
 
 import can
 import pytest
-from canedge_bridge.error_frames import BusState
+from canedge_bridge.receiver import BusState
 from canedge_bridge.transport import id_filters, link_is_up, open_bus
 from ros_processes import wait_for
 

@@ -4,7 +4,7 @@ from contextlib import suppress
 
 import can
 import pytest
-from canedge_bridge.error_frames import BusState
+from canedge_bridge.receiver import BusState
 from canedge_bridge.transport import id_filters, open_bus
 from ros_processes import wait_for
 

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import can
 from cantools.database.can import Signal as DbcSignal
+from st_core import vehicle
+from st_core.types import Number
 
-from . import gps_time
-from .checks import CounterCheck, Mode, checksum_of
-from .extraction import Extractor
-from .plausibility import Plausibility
+from .checks import CounterCheck, Mode, Plausibility, checksum_of
+from .extraction import Extractor, without_padding
+from .ins_time import to_parts, with_unix_time
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
 
@@ -104,9 +105,10 @@ class Decoder:
             return None
         return self._decode(row, bytes(frame.data), round(frame.timestamp * 1e9) if time_ns is None else time_ns)
 
-    def _decode(self, row: _Row, data: bytes, time_ns: int) -> Decoded | None:
+    def _decode(self, row: _Row, received: bytes, time_ns: int) -> Decoded | None:
         spec, statistics = row.spec, row.statistics
-        if len(data) != spec.dbc.length:
+        data = without_padding(received, spec.dbc.length)
+        if data is None:
             statistics.wrong_length += 1
             return None
         fault, dropped = self._check(row, data, time_ns)
@@ -119,17 +121,15 @@ class Decoder:
             return None
         if row.plausibility and not self._plausible(row, values, time_ns):
             return None
-        if "gps_time" in values:
-            values["ins_unix_time"] = gps_time.from_milli_time(values)
-        elif "gps_century" in values:
-            values["ins_unix_time"] = gps_time.from_date_time(values)
         statistics.good += 1
+        if not values:  # a multiplexed frame with other signals
+            return None
         statistics.last_seen_ns = time_ns
-        return Decoded(spec.name, time_ns, values, not fault, fault)
+        return Decoded(spec.name, time_ns, with_unix_time(values), not fault, fault)
 
     def _plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
         """False as well while a signal as a whole is nonsense: then a possible value is possible by chance only."""
-        possible = [check.accepts(values[name], time_ns) for name, check in row.plausibility]
+        possible = [check.accepts(values[name], time_ns) for name, check in row.plausibility if name in values]
         if not all(possible):
             row.statistics.implausible += 1
             return False
@@ -174,9 +174,7 @@ class Decoder:
         if spec is not None:
             raw.update(spec.fill)
             if "ins_unix_time" in given and "ins_unix_time" in spec.gives:
-                names = {s.name for s in spec.signals}
-                to_parts = gps_time.to_milli_time if "gps_time" in names else gps_time.to_date_time
-                given.update(to_parts(given.pop("ins_unix_time")))
+                given.update(to_parts(given.pop("ins_unix_time"), frozenset(s.name for s in spec.signals)))
         ours = {s.name: s for s in spec.signals} if spec is not None else {}
         by_name = {s.name: s for s in dbc.signals}
         for name, value in given.items():
@@ -184,6 +182,8 @@ class Decoder:
                 raise ValueError(f"{message}.{name}: {value} cannot be sent")
             if name in ours:
                 raw[ours[name].dbc.name] = _raw_of(ours[name], value)
+                if ours[name].sign_signal is not None:
+                    raw[ours[name].sign_signal.name] = int(ours[name].to_physical(value) < 0)
             elif name in by_name:
                 raw[name] = _to_raw(by_name[name], value)
             else:
@@ -200,12 +200,14 @@ class Decoder:
 def _row(spec: MessageSpec) -> _Row:
     counter = CounterCheck(spec.counter.field, int(spec.timeout * 1e9)) if spec.counter else None
     judged = [s for s in spec.signals if math.isfinite(s.maximum) or math.isfinite(s.max_rate)]
-    extractor = Extractor(spec.dbc.length, spec.signals)
+    extractor = Extractor(spec.dbc, spec.signals)
     return _Row(spec, extractor, counter, tuple((s.name, Plausibility(s, spec.period, spec.timeout)) for s in judged))
 
 
 def _raw_of(spec: SignalSpec, si: float) -> float:
     physical = spec.to_physical(si)
+    if spec.sign_signal is not None:
+        physical = abs(physical)
     if spec.name in ANGLES and spec.dbc.minimum is not None:
         turn = 2 * math.pi / abs(spec.gain)
         step = abs(spec.dbc.scale)
@@ -236,3 +238,33 @@ def _modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[
         for name in [kind] if kind else ["counter", "checksum"]:
             modes[message][name] = Mode(text)
     return {message: (m["counter"], m["checksum"]) for message, m in modes.items()}
+
+
+@dataclass(frozen=True)
+class SteeringCalibration:
+    """road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio
+
+    steering_sign: +1 where the sensor, as decoded, counts left turns positive, -1 where right turns; applied first.
+    steering_wheel_offset [rad, left +]: what the signed sensor reads when driving straight. steering_ratio [1].
+    Source: paper, section on the vehicle; offset and ratio of the Leaf are -2.7 deg and 17.3.
+    """
+
+    steering_sign: int
+    steering_wheel_offset: float
+    steering_ratio: float
+
+    def steering_wheel_angle(self, sensor: Number) -> Number:
+        """[rad], left +, offset not removed."""
+        return self.steering_sign * sensor
+
+    def road_wheel_angle(self, sensor: Number) -> Number:
+        """[rad], left +, mean of the front axle."""
+        angle = self.steering_wheel_angle(sensor)
+        return vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
+
+    def formula(self) -> str:
+        """The equation with its numbers, for people."""
+        offset = math.degrees(self.steering_wheel_offset)
+        return (f"road_wheel_angle = ({self.steering_sign:+d} * sensor - ({self.steering_wheel_offset:.6f} rad)) / "
+                f"{self.steering_ratio:g}, left +; steering_wheel_offset = {offset:.3f} deg, so a sensor at 0 gives "
+                f"{math.degrees(self.road_wheel_angle(0.0)):.4f} deg")

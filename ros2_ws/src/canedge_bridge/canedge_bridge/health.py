@@ -7,8 +7,7 @@ from typing import Any
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
 from .decode import Decoder
-from .error_frames import BusState
-from .receiver import ReceiverStatus
+from .receiver import BusState, ReceiverStatus
 
 _LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN, BusState.BUS_OFF: ERROR,
            BusState.DOWN: ERROR, BusState.GONE: ERROR}

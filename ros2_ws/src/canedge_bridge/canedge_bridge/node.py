@@ -20,11 +20,9 @@ from st_ros.parameters import ConfigurationError, Parameter
 from st_ros.polling import OnDemandPublisher
 
 from .convert import serialised_frame, serialised_frames, to_ins_on_can, to_steering, to_wheel_speeds
-from .decode import Decoded, Decoder
-from .error_frames import BusState
+from .decode import Decoded, Decoder, SteeringCalibration
 from .health import Health
-from .receiver import Receiver
-from .steering import SteeringCalibration
+from .receiver import BusState, Receiver
 from .table_reader import TableError
 from .transport import check_channel, id_filters, open_bus
 

@@ -1,6 +1,7 @@
 """The table that maps DBC signals to our names, sign and SI unit, read from YAML and checked against the DBC."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,12 +11,12 @@ import cantools
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 
-from . import gps_time
 from .checks import RULES, Field, Mode, Rule
+from .ins_time import DATE_TIME_PARTS, MILLI_TIME_PARTS
 from .table_reader import Entry, TableError, read_document, words
 
 # Our signal names and their SI unit. Angles named in ANGLES are wrapped to [-pi, pi).
-OUR_SIGNALS = {
+CANONICAL_SIGNALS = {
     "steering_wheel_angle": "rad",
     "wheel_speed_front_left": "m/s", "wheel_speed_front_right": "m/s",
     "wheel_speed_rear_left": "m/s", "wheel_speed_rear_right": "m/s", "vehicle_speed": "m/s",
@@ -27,13 +28,29 @@ OUR_SIGNALS = {
 ANGLES = frozenset({"ins_yaw"})
 # Factors and offsets beyond cannot be meant.
 LARGEST = 1e12
+# rad to each side that a sensor of the steering wheel must reach where the table gives no range.
+MIN_STEERING_SPAN = math.radians(180)
 
-# DBC unit -> (our unit, factor).
+_BLOCK = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
+_EXTRA = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
+# Unit of a DBC -> (SI unit, factor), and the ways in which DBC files write it. Case does not count.
 UNITS = {
     "": ("", 1.0), "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "deg/s": ("rad/s", math.pi / 180),
-    "rad/s": ("rad/s", 1.0), "km/h": ("m/s", 1 / 3.6), "m/s": ("m/s", 1.0), "s": ("s", 1.0), "ms": ("s", 1e-3),
-    "min": ("min", 1.0), "h": ("h", 1.0),
+    "rad/s": ("rad/s", 1.0), "km/h": ("m/s", 1 / 3.6), "m/s": ("m/s", 1.0), "mph": ("m/s", 0.44704), "s": ("s", 1.0),
+    "ms": ("s", 1e-3), "min": ("min", 1.0), "h": ("h", 1.0),
 }
+_SPELLINGS = {
+    "": ("-", "none", "unitless", "1"), "deg": ("degree", "degrees", "degs", "°"), "rad": ("rads", "radian", "radians"),
+    "deg/s": ("deg/sec", "degree/s", "degrees/s", "degrees/sec", "°/s", "dps"), "rad/s": ("rad/sec", "radians/s"),
+    "km/h": ("kph", "kmh", "kmph", "km/hr", "kilometers/hour"), "m/s": ("mps", "m/sec"), "mph": ("mi/h", "mile/h"),
+    "s": ("sec", "seconds"), "ms": ("msec",), "min": ("minutes",), "h": ("hours",),
+}
+_UNIT_OF = {text: unit for unit, others in _SPELLINGS.items() for text in (unit, *others)}
+
+
+def unit_of(text: str | None) -> str | None:
+    """The key of UNITS that a unit of a DBC or a table means, None for one that is not known."""
+    return _UNIT_OF.get((text or "").strip().lower().replace(" ", ""))
 
 
 @dataclass(frozen=True)
@@ -41,7 +58,8 @@ class SignalSpec:
     """One DBC signal and what we make of it: si = gain * physical + bias, physical in the DBC's unit.
 
     minimum, maximum: what is physically possible; max_rate: how fast it can change [per s]. All three are for ours in
-    the DBC's unit: sign * scale * physical + offset.
+    the DBC's unit: sign * scale * physical + offset. sign_signal: 1 in it makes physical negative, for a sensor that
+    sends size and sign apart.
     """
 
     dbc: DbcSignal
@@ -53,6 +71,7 @@ class SignalSpec:
     minimum: float
     maximum: float
     max_rate: float
+    sign_signal: DbcSignal | None = None
 
     def to_physical(self, si: float) -> float:
         return (si - self.bias) / self.gain
@@ -139,10 +158,10 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     something else.
     """
     dbc_path, table_path = Path(dbc_file), Path(signals_file)
-    database = load_dbc(dbc_path)
     root = Entry(str(table_path), "", read_document(table_path))
     root.only("messages")
     rows = root.entry("messages")
+    database = load_dbc(dbc_path, rows)
     wanted = tuple(needed)
     for name in wanted:
         if name not in rows:
@@ -163,23 +182,47 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     return SignalTable(dbc_path, table_path, database, messages, tuple(absent))
 
 
-def load_dbc(path: Path) -> Any:
-    """Raises TableError for a file that cantools, in strict mode, does not take."""
+def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
+    """The database of a DBC file; where it has mistakes, that of the given messages alone.
+
+    Public DBC files of real cars have overlapping signals, identifiers of 29 bits without their mark or names that
+    begin with a digit in messages nobody uses. Raises TableError where these messages cannot be parsed either.
+    """
     try:
-        return cantools.database.load_file(path, strict=True)
+        text = path.read_bytes().decode("cp1252", "replace")  # the encoding that cantools assumes for DBC
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        return cantools.database.load_string(text, "dbc", strict=False)
     except Exception as error:  # cantools lets errors of its parsers through; all of them mean the same to the user.
-        raise TableError(f"{path}: is not a valid DBC: {words(error)}") from None
+        first = error
+    try:
+        reduced = _reduced(text, frozenset(messages))
+        if reduced:
+            return cantools.database.load_string(reduced, "dbc", strict=False)
+    except Exception as error:
+        first = error
+    raise TableError(f"{path}: is not a valid DBC: {words(first)}")
+
+
+def _reduced(text: str, names: frozenset[str]) -> str:
+    """A DBC of the named messages alone, with the lines on float and multiplexed signals; empty for none of them."""
+    kept, ids = [], set()
+    for block in _BLOCK.finditer(text):
+        if block["name"] in names:
+            kept.append(block[0])
+            ids.add(block["id"])
+    extra = [line[0] for line in _EXTRA.finditer(text) if line["id"] in ids]
+    return 'VERSION ""\n\nBS_:\n\nBU_: X\n\n' + "\n".join([*kept, "", *extra, ""]) if kept else ""
 
 
 def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
     row.only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
-    if dbc.is_multiplexed() or dbc.is_container:
-        raise TableError(f"{dbc_path}: {dbc.name} is multiplexed or a container; the table takes plain messages only")
+    if dbc.is_container:
+        raise TableError(f"{dbc_path}: {dbc.name} is a container of other messages, which is not supported")
     _check_layout(dbc, dbc_path)
     rows = row.entry("signals")
-    signals = tuple(_signal(rows.entry(name), _find(dbc, name, dbc_path, row), dbc_path) for name in rows)
+    signals = tuple(_signal(rows.entry(name), dbc, _find(dbc, name, dbc_path, row), dbc_path) for name in rows)
     _check_time_parts(rows, signals)
     counter = row.optional("counter")
     checksum = row.optional("checksum")
@@ -196,7 +239,11 @@ def _message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
 
 
 def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
-    """Raises TableError for what cantools takes and fails on with the first frame."""
+    """Raises TableError for signals that overlap or lie outside their message, or cannot be scaled."""
+    try:
+        dbc.refresh(strict=True)
+    except Exception as error:  # as for load_dbc
+        raise TableError(f"{dbc_path}: {dbc.name}: {words(error)}") from None
     for signal in dbc.signals:
         if signal.start < 0:
             raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start}; 0 or more wanted")
@@ -212,23 +259,39 @@ def _find(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
                      f"it has {', '.join(s.name for s in dbc.signals)}")
 
 
-def _signal(entry: Entry, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
-    entry.only("name", "unit", "sign", "scale", "offset", "range", "max_rate")
-    name = entry.choice("name", OUR_SIGNALS)
-    unit = entry.choice("unit", UNITS)
-    if unit != (dbc.unit or ""):
-        raise TableError(f"{entry.origin}: {entry.path}.unit: {unit!r}, but {dbc_path} gives {dbc.unit or ''!r}")
-    si_unit, factor = UNITS[unit]
-    if si_unit != OUR_SIGNALS[name]:
-        raise TableError(f"{entry.origin}: {entry.path}.unit: {unit!r} cannot become {OUR_SIGNALS[name]!r} ({name})")
+def _signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
+    entry.only("name", "unit", "sign", "sign_signal", "scale", "offset", "range", "max_rate")
+    name = entry.choice("name", CANONICAL_SIGNALS)
+    unit = _unit(entry, name, dbc, dbc_path)
+    factor = UNITS[unit][1]
     sign = entry.choice("sign", (1, -1))
     scale = entry.number("scale", 0.01, 100.0, default=1.0)
     offset = entry.number("offset", -1e6, 1e6, default=0.0)
     low, high = entry.interval("range", default=(-math.inf, math.inf))
+    negative = _find(message, entry.text("sign_signal"), dbc_path, entry) if "sign_signal" in entry else None
     spec = SignalSpec(dbc=dbc, name=name, unit=unit, gain=sign * scale * factor, bias=offset * factor, factor=factor,
-                      minimum=low, maximum=high, max_rate=entry.number("max_rate", 0.0, 1e9, default=math.inf))
+                      minimum=low, maximum=high, max_rate=entry.number("max_rate", 0.0, 1e9, default=math.inf),
+                      sign_signal=negative)
     _check_span(spec, entry, dbc_path)
     return spec
+
+
+def _unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
+    """The unit of the table, which must agree with that of the DBC where the DBC gives a known one."""
+    text = entry.text("unit")
+    unit, given = unit_of(text), unit_of(dbc.unit)
+    origin = f"{entry.origin}: {entry.path}.unit"
+    if unit is None:
+        raise TableError(f"{origin}: {text!r} is not one of {', '.join(o or repr(o) for o in UNITS)}")
+    si_unit = CANONICAL_SIGNALS[name]
+    if UNITS[unit][0] != si_unit:
+        possible = " or ".join(u for u, (si, _) in UNITS.items() if si == si_unit)
+        missing = f", and {dbc_path} gives no unit" if not (dbc.unit or "") and not unit else ""
+        raise TableError(f"{origin}: {text!r} cannot become {si_unit!r} ({name}){missing}; write {possible!r} as it is "
+                         "sent")
+    if given and given != unit:
+        raise TableError(f"{origin}: {text!r}, but {dbc_path} gives {dbc.unit!r}")
+    return unit
 
 
 def _number(value: object) -> float:
@@ -238,28 +301,34 @@ def _number(value: object) -> float:
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """A signal that is given a range must reach both sides of it: an unsigned layout of a wheel cannot turn right."""
-    if not math.isfinite(spec.maximum) or spec.dbc.is_float:
+    """Raises TableError for a layout that cannot reach both sides of its range: unsigned, a wheel never turns right."""
+    low, high = spec.minimum, spec.maximum
+    if not math.isfinite(high) and spec.name == "steering_wheel_angle":
+        low, high = -MIN_STEERING_SPAN / spec.factor, MIN_STEERING_SPAN / spec.factor
+    if not math.isfinite(high) or spec.dbc.is_float:
         return
     raw_low = -(2 ** (spec.dbc.length - 1)) if spec.dbc.is_signed else 0
     raw_high = raw_low + 2**spec.dbc.length - 1
-    ends = [(spec.gain * _number(spec.dbc.conversion.raw_to_scaled(raw, decode_choices=False)) + spec.bias)
-            / spec.factor for raw in (raw_low, raw_high)]
+    physical = [_number(spec.dbc.conversion.raw_to_scaled(raw, decode_choices=False)) for raw in (raw_low, raw_high)]
+    if spec.sign_signal is not None:
+        physical += [-value for value in physical]
+    ends = [(spec.gain * value + spec.bias) / spec.factor for value in physical]
     # Half of the range: some sensors stop short of what is physically possible, none stops at straight ahead.
-    if min(ends) > spec.minimum / 2 or max(ends) < spec.maximum / 2:
+    if min(ends) > low / 2 or max(ends) < high / 2:
         order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
         raise TableError(
             f"{dbc_path}: {spec.dbc.name} can only decode to {min(ends):g} .. {max(ends):g} {spec.unit}, but "
-            f"{entry.origin} ({entry.path}.range) expects {spec.minimum:g} .. {spec.maximum:g}: its layout "
+            f"{entry.origin} ({entry.path}.range) expects {low:g} .. {high:g}: its layout "
             f"({spec.dbc.length} bits, {order}, {'signed' if spec.dbc.is_signed else 'unsigned'}, "
-            f"factor {spec.dbc.scale:g}) makes nonsense of it")
+            f"factor {spec.dbc.scale:g}) decodes it incorrectly; where the sign has a signal of its own, name it as "
+            "sign_signal")
 
 
 def _check_time_parts(rows: Entry, signals: tuple[SignalSpec, ...]) -> None:
     parts = {s.name for s in signals if s.name.startswith("gps_")}
-    if parts and parts not in (set(gps_time.DATE_TIME_PARTS), set(gps_time.MILLI_TIME_PARTS)):
-        raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(gps_time.MILLI_TIME_PARTS)} "
-                         f"or all of {', '.join(gps_time.DATE_TIME_PARTS)}")
+    if parts and parts not in (set(DATE_TIME_PARTS), set(MILLI_TIME_PARTS)):
+        raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(MILLI_TIME_PARTS)} "
+                         f"or all of {', '.join(DATE_TIME_PARTS)}")
 
 
 def _check(entry: Entry, dbc: DbcMessage, dbc_path: Path, row: Entry, with_rule: bool = False) -> CheckSpec:
@@ -293,6 +362,6 @@ def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_
     value = (spec.gain * physical[spec.dbc.name] + spec.bias) / spec.factor
     # The sign is left to steering_sign: which way the sensor counts is a property of the car, byte order is not.
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
-        raise TableError(f"{dbc_path}: {spec.dbc.name} makes nonsense of {shown}: {value:g} {spec.unit} instead of "
+        raise TableError(f"{dbc_path}: {spec.dbc.name} decodes {shown} incorrectly: {value:g} {spec.unit} instead of "
                          f"{expected:g} ({entry.origin}: {entry.path}); its byte order, start bit or factor is wrong")
     return Sample(data, spec.dbc.name, expected)

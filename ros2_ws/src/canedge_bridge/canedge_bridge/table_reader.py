@@ -21,7 +21,7 @@ def read_document(path: Path) -> Any:
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from None
     except (ConfigurationError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: is not YAML as wanted here: {error}") from None
+        raise TableError(f"{path}: invalid YAML: {error}") from None
 
 
 def words(error: object, limit: int = 300) -> str:
@@ -50,6 +50,9 @@ class Entry:
         if key not in self._value:
             raise self._fail(key, "missing")
         return self._value[key]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._value
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._value)

@@ -1,14 +1,27 @@
 """Opening a CAN bus: live SocketCAN, the loopback bus of the simulation, or any other python-can interface."""
 
+import select
+import socket
+import struct
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import can
-
-from .loopback_bus import LoopbackMulticastBus, parse_channel
+import msgpack
+from can.interfaces.udp_multicast.utils import pack_message
 
 _IFF_UP = 1
+DEFAULT_PORT = 43113  # python-can's
+_LOOPBACK = socket.inet_aton("127.0.0.1")
+_SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
+_IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
+_TIMESPEC = struct.Struct("@ll")
+_LARGEST_DATAGRAM = 4096
+# can.Message takes anything that looks like a number as one, and a list for a flag.
+_KINDS = {"arbitration_id": int, "dlc": int, "data": bytes, **dict.fromkeys(
+    ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"), bool)}
+_RECEIVE_BUFFER = 1 << 20
 
 
 def check_channel(interface: str, channel: str) -> None:
@@ -47,3 +60,128 @@ def link_is_up(name: str) -> bool | None:
         return bool(int(Path("/sys/class/net", name, "flags").read_text(), 16) & _IFF_UP) if name else None
     except (OSError, ValueError):
         return None
+
+
+class LoopbackMulticastBus(can.BusABC):
+    """Processes of this machine on one multicast group form a bus; nothing leaves the machine.
+
+    A class of its own because python-can's joins the group on whatever interface the routing table names, takes
+    datagrams of every group that shares the port, hands senders their own frames, and builds a message object before
+    looking at the filter. The datagrams are python-can's.
+    """
+
+    def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):
+        """channel: IPv4 "group" or "group:port"; ValueError for anything else, OSError if it cannot be opened."""
+        group, port = parse_channel(channel)
+        self.channel_info = f"udp_multicast {group}:{port} on loopback"
+        self._destination = (group, port)
+        self._accepted: frozenset[tuple[int, bool]] | None = None
+        self.filtered = 0
+        self.malformed = 0
+        self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        # A separate socket for sending has a port of its own, by which own frames are told from others.
+        self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._set_up(group, port)
+        except OSError:
+            self._receiver.close()
+            self._sender.close()
+            raise
+        self._own_port = self._sender.getsockname()[1]
+        self._can_protocol = can.CanProtocol.CAN_FD
+        super().__init__(channel=channel, can_filters=can_filters, **kwargs)
+
+    def _set_up(self, group: str, port: int) -> None:
+        receiver, sender = self._receiver, self._sender
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        receiver.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        receiver.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+        # Bound to the group, not to all addresses: unicast from outside cannot reach it either.
+        receiver.bind((group, port))
+        receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + _LOOPBACK)
+        receiver.setblocking(False)
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, _LOOPBACK)
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+        sender.bind(("127.0.0.1", 0))
+
+    def _apply_filters(self, filters: Any) -> None:
+        """Exact identifiers are looked up in a set; any other mask is left to python-can's own matching."""
+        self._accepted = None
+        if filters and all("extended" in f and f["can_mask"] in (0x7FF, 0x1FFFFFFF) for f in filters):
+            self._accepted = frozenset((f["can_id"], bool(f["extended"])) for f in filters)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        # Reading first saves the select() of every frame of a burst.
+        datagram = self._read()
+        if datagram is None:
+            ready, _, _ = select.select([self._receiver], [], [], timeout)
+            datagram = self._read() if ready else None
+        if datagram is None:
+            return None, False
+        data, timestamp = datagram
+        if data is None:
+            return None, True
+        message = self._unpack(data, timestamp)
+        return message, self._accepted is not None
+
+    def _read(self) -> tuple[bytes | None, float] | None:
+        """(datagram, kernel receive time); (None, 0) for one's own; None when nothing waits."""
+        try:
+            data, ancillary, _, address = self._receiver.recvmsg(_LARGEST_DATAGRAM, socket.CMSG_SPACE(_TIMESPEC.size))
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise can.CanOperationError(f"receive: {error.strerror}", error.errno) from error
+        if address[1] == self._own_port:
+            return None, 0.0
+        seconds, nanoseconds = _TIMESPEC.unpack(ancillary[0][2])
+        return data, seconds + nanoseconds * 1e-9
+
+    def _unpack(self, data: bytes, timestamp: float) -> can.Message | None:
+        """None for a frame that the filter holds back or that is not one; anybody can send anything to a group."""
+        try:
+            fields = msgpack.unpackb(data, raw=False)
+            if any(type(fields.get(name, kind())) is not kind for name, kind in _KINDS.items()):
+                raise TypeError("not what python-can sends")
+            if (self._accepted is not None and not fields["is_error_frame"]
+                    and (fields["arbitration_id"], fields["is_extended_id"]) not in self._accepted):
+                self.filtered += 1
+                return None
+            fields["timestamp"] = timestamp
+            fields["channel"] = self._destination[0]
+            return can.Message(check=True, **fields)
+        except Exception:  # msgpack and Message raise a dozen types for malformed input; all mean the same here.
+            self.malformed += 1
+            return None
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        try:
+            self._sender.sendto(pack_message(msg), self._destination)
+        except OSError as error:
+            raise can.CanOperationError(f"send: {error.strerror}", error.errno) from error
+
+    def fileno(self) -> int:
+        return self._receiver.fileno()
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self._receiver.close()
+        self._sender.close()
+
+
+def parse_channel(channel: str) -> tuple[str, int]:
+    """("239.74.163.2", 43113) from "239.74.163.2" or "239.74.163.2:43113". Raises ValueError naming the limit."""
+    group, _, port_text = channel.partition(":")
+    try:
+        multicast = 224 <= socket.inet_aton(group)[0] <= 239 and group.count(".") == 3
+    except OSError:
+        multicast = False
+    if not multicast:
+        raise ValueError(f"{channel!r} is not an IPv4 multicast group (224.0.0.0 to 239.255.255.255, :port may follow)")
+    port = DEFAULT_PORT if not port_text else int(port_text) if port_text.isdigit() else 0
+    if not 1 <= port <= 65535:
+        raise ValueError(f"{channel!r}: the port is outside 1 to 65535")
+    return group, port

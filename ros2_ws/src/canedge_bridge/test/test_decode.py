@@ -82,9 +82,9 @@ def test_what_is_not_ours_is_counted_and_ignored(decoder, frame):
     assert (decoder.frames.unknown, decoder.frames.error, decoder.frames.remote) == (2, 1, 1)
 
 
-@pytest.mark.parametrize("length", [0, 1, 4, 6, 8])
-def test_wrong_length_updates_nothing(length, decoder, frame):
-    assert decoder.decode(frame(0x002, bytes(length)), 7) is None
+@pytest.mark.parametrize("data", [b"", bytes(1), bytes(4), bytes(5) + b"\1", bytes(range(8))])
+def test_wrong_length_updates_nothing(data, decoder, frame):
+    assert decoder.decode(frame(0x002, data), 7) is None
     statistics = decoder.statistics("Leaf_Steering")
     assert (statistics.wrong_length, statistics.good, statistics.last_seen_ns) == (1, 0, None)
 

@@ -2,7 +2,7 @@
 
 import can
 import pytest
-from canedge_bridge.error_frames import BusState, describe
+from canedge_bridge.receiver import BusState, describe
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -23,7 +23,7 @@ def same(ours, theirs):
 def test_every_message_of_the_leaf(decoder):
     chance = random.Random(5)
     for spec in decoder.table.messages.values():
-        extract = Extractor(spec.dbc.length, spec.signals)
+        extract = Extractor(spec.dbc, spec.signals)
         for data in [bytes(spec.dbc.length), b"\xff" * spec.dbc.length,
                      *(chance.randbytes(spec.dbc.length) for _ in range(300))]:
             assert same(extract.si(data), by_cantools(spec.dbc, spec.signals, data)), (spec.name, data.hex())
@@ -62,6 +62,6 @@ def test_every_layout(name):
     message = cantools.database.load_string(LAYOUTS, "dbc").get_message_by_name(name)
     signals = [SignalSpec(s, "ins_yaw" if k == 0 and not s.is_float else s.name, "", 1.1, 0.2, 1.0, -math.inf, math.inf,
                           math.inf) for k, s in enumerate(message.signals)]
-    extract, chance = Extractor(message.length, signals), random.Random(7)
+    extract, chance = Extractor(message, signals), random.Random(7)
     for data in (chance.randbytes(message.length) for _ in range(500)):
         assert same(extract.si(data), by_cantools(message, signals, data)), data.hex()

@@ -305,5 +305,5 @@ def test_a_dbc_that_swaps_the_bytes_is_refused_at_start(changed_dbc, signals_fil
                       "signals_file": signals_file, "steering_ratio": 17.3, "steering_wheel_offset": 0.0}, tmp_path)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 2
-    assert "SteeringWheelAngle makes nonsense of the recorded frame 1D 00 00 07 B0" in err
+    assert "SteeringWheelAngle decodes the recorded frame 1D 00 00 07 B0" in err
     assert len(err.strip().splitlines()) == 1

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from canedge_bridge.plausibility import Plausibility
+from canedge_bridge.checks import Plausibility
 from canedge_bridge.signals import load_table
 
 STEP = 10_000_000

@@ -11,7 +11,7 @@ import time
 
 import can
 import pytest
-from canedge_bridge.error_frames import BusState
+from canedge_bridge.receiver import BusState
 from canedge_bridge.transport import open_bus
 
 DOWN = can.CanOperationError("Error receiving: Network is down", errno.ENETDOWN)

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from canedge_bridge.steering import SteeringCalibration
+from canedge_bridge.decode import SteeringCalibration
 
 
 @pytest.mark.parametrize(("sign", "sensor_deg", "steering_wheel_deg", "road_wheel_deg"), [

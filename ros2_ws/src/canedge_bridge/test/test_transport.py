@@ -8,8 +8,7 @@ from pathlib import Path
 import can
 import msgpack
 import pytest
-from canedge_bridge.loopback_bus import parse_channel
-from canedge_bridge.transport import check_channel, id_filters, link_is_up, open_bus
+from canedge_bridge.transport import check_channel, id_filters, link_is_up, open_bus, parse_channel
 
 GROUP = "239.74.13.11"
 

@@ -158,8 +158,8 @@ def test_a_new_car_that_is_filled_in_can_be_used(new):
     ("signals.yaml", "unit: deg, sign: 1, range", "unit: rad, sign: 1, range", ["signals.yaml", "SteerAngle.unit"]),
     ("signals.yaml", "sign: 1, range", "sign: 2, range", ["signals.yaml", "SteerAngle.sign"]),
     ("can.dbc", "MyCar_Steering", "OtherName", ["can.dbc: has no message MyCar_Steering"]),
-    ("can.dbc", " SG_ SteerAngle : 0", ' SG_ Page M : 56|8@1+ (1,0) [0|255] "" CAR\n SG_ SteerAngle m0 : 0',
-     ["can.dbc: MyCar_Steering is multiplexed"]),
+    ("can.dbc", " SG_ SteerAngle : 0|16", ' SG_ Other : 8|8@1+ (1,0) [0|255] "" CAR\n SG_ SteerAngle : 0|16',
+     ["can.dbc: MyCar_Steering: The signals", "are overlapping"]),
     ("car.yaml", "steering_sign: 1", "steering_sign: 0", ["car.yaml: steering_sign: 0 is neither 1 nor -1"]),
     ("car.yaml", "steering_latency: 0.0", "steering_latency: 30", ["car.yaml: steering_latency: 30 is not 0 to 1 s"]),
 ])

@@ -55,7 +55,8 @@ messages:
     # counter: {signal: NAME, check: warn}                # if the message has them
     # checksum: {signal: NAME, rule: sum8_id, check: drop}
     signals:
-      # unit as in the DBC. Leave sign at 1: the sign of the sensor is steering_sign in car.yaml.
+      # unit: as in the DBC, or the true one where the DBC gives none. Leave sign at 1: the sign of the sensor is
+      # steering_sign in car.yaml. sign_signal: NAME of the signal that is 1 for negative, if size and sign are apart.
       FILL_IN_signal: {name: steering_wheel_angle, unit: deg, sign: 1, range: [-900, 900], max_rate: 2000}
 
 """
@@ -68,8 +69,7 @@ BU_: CAR RT LOGGER
 // BO_ 37 MyCar_Steering: 8 CAR
 //  SG_ SteerAngle : 0|16@1- (0.1,0) [-3276.8|3276.7] "deg" LOGGER
 // start bit | length @ 1: low byte first, 0: high byte first; - signed, + unsigned; (factor,offset) [least|greatest].
-// Multiplexed messages (m0, M) are refused. Declare the message as a plain one if the bits you need never carry
-// anything else.
+// A multiplexed signal (m0 beside a selector M) is read from the frames that carry it.
 // If the OxTS RT sends on the same bus, append its messages: cat rt.dbc >> can.dbc
 """
 CAR = """\

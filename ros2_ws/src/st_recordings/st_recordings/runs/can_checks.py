@@ -6,7 +6,7 @@ import numpy as np
 from canedge_bridge.checks import RULES, Field, Mode, checksum_of
 from canedge_bridge.signals import CheckSpec, MessageSpec, SignalSpec
 
-WINDOW, TOLERATED = 100, 10  # frames, impossible ones among them: as canedge_bridge.plausibility judges a signal
+WINDOW, TOLERATED = 100, 10  # frames, impossible ones among them: as canedge_bridge.checks judges a signal
 
 
 def check_frames(spec: MessageSpec, payload: np.ndarray, time_ns: np.ndarray,

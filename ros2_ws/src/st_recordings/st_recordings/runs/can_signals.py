@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from canedge_bridge import gps_time
-from canedge_bridge.log_decode import MessageColumns, decode_log
+from canedge_bridge.extraction import MessageColumns, decode_log
+from canedge_bridge.ins_time import with_unix_time
 from canedge_bridge.signals import ANGLES, MessageSpec, SignalTable, load_table
-from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps
 
 from .can_checks import check_frames
-from .errors import RunError
+from .errors import RunError, share
 from .frames import ERROR, EXTENDED, REMOTE, Frames
 
 
@@ -61,16 +60,25 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
         key = identifier | (EXTENDED if extended else 0)
         rows = order[slice(*np.searchsorted(sorted_ids, (key, key + 1)).tolist())]
         rows = rows[frames.flags[rows] & (REMOTE | ERROR) == 0]
-        payload = np.ascontiguousarray(frames.payload[rows, :8])
-        decoded = decode_log(table.database, frames.id[rows], payload, frames.length[rows], [name]).get(name)
-        if decoded is None:
+        if not len(rows):
+            other = key ^ EXTENDED
+            count = int(np.subtract(*np.searchsorted(sorted_ids, (other + 1, other))))
+            if spec.needed and count:
+                faults[name] = (f"its identifier 0x{identifier:X} has {29 if extended else 11} bits in the DBC, and "
+                                f"{count} frames of the log have it with {11 if extended else 29} bits")
             continue
-        rows, payload = rows[decoded.rows], payload[decoded.rows]
+        payload, lengths = frames.payload[rows], frames.length[rows]
+        decoded = decode_log(table.database, frames.id[rows], payload, lengths, [name]).get(name)
+        wrong_length = _wrong_length(spec, lengths, 0 if decoded is None else len(decoded.rows))
+        if decoded is None:
+            faults[name] = wrong_length
+            continue
+        rows, payload = rows[decoded.rows], payload[decoded.rows, : max(spec.dbc.length, 8)]
         time_ns = frames.time_ns[rows]
-        ours = _ours(spec, decoded)
+        ours = _canonical(spec, decoded)
         keep, valid, fault = check_frames(spec, payload, time_ns, ours)
-        if fault:
-            faults[name] = fault
+        if fault or wrong_length:
+            faults[name] = "; ".join(filter(None, (wrong_length, fault)))
         keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
         for our, values in with_unix_time(ours).items():
             good = keep & np.isfinite(values)
@@ -79,16 +87,29 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     return CanSignals(signals, faults)
 
 
+def _wrong_length(spec: MessageSpec, lengths: np.ndarray, decoded: int) -> str:
+    """Frames of another length than in the DBC, in words; empty for none. decoded: number of frames that were."""
+    found = [f"{share(int(count), len(lengths), 'frames')} have {size} bytes"
+             for size, count in zip(*np.unique(lengths, return_counts=True), strict=True) if size != spec.dbc.length]
+    if not found:
+        return ""
+    lost = len(lengths) - decoded
+    what = f"{lost} are not used" if lost else "the bytes behind are padding and were ignored"
+    return f"{', '.join(found)}, the DBC gives {spec.dbc.length}; {what}"
+
+
 def steering_of(signals: CanSignals, file: Path | str, table: SignalTable) -> Signal:
-    """The steering wheel angle. Raises RunError that says which message was looked for and what is there instead."""
+    """The steering wheel angle. Raises RunError with the message expected and the messages found."""
     steering = signals.first_of("steering_wheel_angle")
     if steering is not None:
         return steering
     source = table.source_of("steering_wheel_angle")
-    wanted = f"{source[0].name} (0x{source[0].dbc.frame_id:03X})" if source else "a steering message"
-    there = sorted({message for _, message in signals.signals})
-    raise RunError(file, f"the steering message {wanted} is not in the log; "
-                   + (f"it has {', '.join(there)}" if there else "none of the known messages is"),
+    expected = f"{source[0].name} (0x{source[0].dbc.frame_id:03X})" if source else "with the steering angle"
+    if source and (fault := signals.faults.get(source[0].name)):
+        raise RunError(file, f"the steering message {expected} cannot be used: {fault}", "correct the DBC or the table")
+    found = sorted({message for _, message in signals.signals})
+    raise RunError(file, f"the steering message {expected} is not in the log; "
+                   + (f"it has {', '.join(found)}" if found else "none of the known messages is"),
                    "log the bus that carries it (Car-CAN), or give the DBC and table of this car")
 
 
@@ -100,41 +121,12 @@ def load_signal_table(dbc: Path, table: Path) -> SignalTable:
         raise RunError(table, str(error).removeprefix(f"{table}: ")) from None
 
 
-def _ours(spec: MessageSpec, columns: MessageColumns) -> dict[str, np.ndarray]:
+def _canonical(spec: MessageSpec, columns: MessageColumns) -> dict[str, np.ndarray]:
     values = {}
     for signal in spec.signals:
-        value = signal.gain * columns.signals[signal.dbc.name] + signal.bias
+        physical = columns.signals[signal.dbc.name]
+        if signal.sign_signal is not None:
+            physical = np.where(columns.signals[signal.sign_signal.name] != 0, -physical, physical)
+        value = signal.gain * physical + signal.bias
         values[signal.name] = (value + np.pi) % (2 * np.pi) - np.pi if signal.name in ANGLES else value
     return values
-
-
-def with_unix_time(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The parts of GPS time put together to UTC [s], NaN where they make none: canedge_bridge.gps_time in columns."""
-    if "gps_time" in values:
-        gps, offset = values["gps_time"], np.abs(values["gps_utc_offset"])
-        as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
-        unix = np.where(offset > 0, as_unix - offset, _to_utc(as_unix))
-    elif "gps_century" in values:
-        part = {name: values[name].astype(np.int64) for name in gps_time.DATE_TIME_PARTS[:6]}
-        day = _day_number(part["gps_century"] * 100 + part["gps_year_of_century"], part["gps_month"], part["gps_day"])
-        clock = (part["gps_hour"] < 24) & (part["gps_minute"] < 60)
-        seconds = day * 86400.0 + part["gps_hour"] * 3600 + part["gps_minute"] * 60
-        fraction = values["gps_second"] + values["gps_second_fraction"]
-        unix = _to_utc(np.where(clock, seconds + fraction, np.nan))
-    else:
-        return values
-    return {**{name: v for name, v in values.items() if not name.startswith("gps_")}, "ins_unix_time": unix}
-
-
-def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
-    """GPS seconds on the Unix scale to UTC."""
-    return gps_as_unix - at_all_gps(gps_as_unix - GPS_EPOCH_UNIX)
-
-
-def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndarray:
-    """Days since 1970-01-01, NaN where there is no such day."""
-    possible = (year >= 1) & (year <= 9999) & (month >= 1) & (month <= 12) & (day >= 1)
-    months = (np.where(possible, year, 1970) - 1970) * 12 + np.where(possible, month, 1) - 1
-    first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
-    following = (months + 1).astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
-    return np.where(possible & (day <= following - first), first + day - 1.0, np.nan)

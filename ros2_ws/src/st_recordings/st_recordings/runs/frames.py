@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-EXTENDED = 0x8000_0000  # in an id, as in canedge_bridge.log_decode and in Linux
+EXTENDED = 0x8000_0000  # in an id, as in canedge_bridge.extraction and in Linux
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 
 

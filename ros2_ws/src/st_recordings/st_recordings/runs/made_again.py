@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from canedge_bridge.steering import SteeringCalibration
+from canedge_bridge.decode import SteeringCalibration
 from oxts_bridge.motion import FIRST_FIX, GIVEN, Origin, reconstruct_odometry
 from rosbags.typesys.store import Typestore
 from st_core.checks import Series

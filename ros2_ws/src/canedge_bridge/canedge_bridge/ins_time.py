@@ -1,0 +1,74 @@
+"""GPS time to UTC for the two time frames an OxTS unit can send on CAN (0x600 and 0x630), single frames or columns."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+from st_core.leap_seconds import GPS_EPOCH_UNIX, at_all_gps, at_unix
+
+DATE_TIME_PARTS = ("gps_year_of_century", "gps_century", "gps_month", "gps_day", "gps_hour", "gps_minute", "gps_second",
+                   "gps_second_fraction")
+MILLI_TIME_PARTS = ("gps_time", "gps_utc_offset")
+
+
+def with_unix_time(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The signals of a time frame with `ins_unix_time`, UTC [s since 1970], in place of the parts of GPS time.
+
+    values: name -> number or array. NaN where the parts make no time (the unit has none yet). Frames without parts of
+    GPS time are returned as they are.
+    """
+    if "gps_time" in values:
+        unix = _from_milli_time(np.asarray(values["gps_time"]), np.abs(np.asarray(values["gps_utc_offset"])))
+    elif "gps_century" in values:
+        unix = _from_date_time({name: np.asarray(values[name]) for name in DATE_TIME_PARTS})
+    else:
+        return dict(values)
+    rest = {name: value for name, value in values.items() if not name.startswith("gps_")}
+    return {**rest, "ins_unix_time": unix if unix.ndim else float(unix)}
+
+
+def _from_milli_time(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """UTC [s] of GPS time [s since 1980-01-06]; NaN at 0.
+
+    The unit's own offset takes precedence over the table of leap seconds when it is sent. Only its size is used: GPS
+    is ahead of UTC, and the sign in a real frame is not known.
+    """
+    as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
+    return np.where(offset > 0, as_unix - offset, _to_utc(as_unix))
+
+
+def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
+    """UTC [s] of a date and time in GPS time; NaN where the parts are no date."""
+    whole = {name: np.nan_to_num(part, nan=-1).astype(np.int64) for name, part in parts.items()}
+    day = _day_number(whole["gps_century"] * 100 + whole["gps_year_of_century"], whole["gps_month"], whole["gps_day"])
+    clock = (whole["gps_hour"] < 24) & (whole["gps_minute"] < 60)
+    seconds = day * 86400.0 + whole["gps_hour"] * 3600 + whole["gps_minute"] * 60
+    return _to_utc(np.where(clock, seconds + (parts["gps_second"] + parts["gps_second_fraction"]), np.nan))
+
+
+def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
+    """GPS seconds on the Unix scale to UTC."""
+    return gps_as_unix - at_all_gps(gps_as_unix - GPS_EPOCH_UNIX)
+
+
+def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndarray:
+    """Days since 1970-01-01, NaN where there is no such day."""
+    possible = (year >= 1) & (year <= 9999) & (month >= 1) & (month <= 12) & (day >= 1)
+    months = (np.where(possible, year, 1970) - 1970) * 12 + np.where(possible, month, 1) - 1
+    first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
+    following = (months + 1).astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
+    return np.where(possible & (day <= following - first), first + day - 1.0, np.nan)
+
+
+def to_parts(unix_time: float, names: frozenset[str]) -> dict[str, float]:
+    """The parts of GPS time that a time frame with these signals carries, to a hundredth of a second in a date."""
+    leap = at_unix(unix_time)
+    if "gps_time" in names:
+        return {"gps_time": unix_time + leap - GPS_EPOCH_UNIX, "gps_utc_offset": float(-leap)}  # as NCOM, UTC - GPS
+    hundredths = round((unix_time + leap) * 100)
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=hundredths // 100)
+    century, year = divmod(moment.year, 100)
+    values = (year, century, moment.month, moment.day, moment.hour, moment.minute, moment.second,
+              hundredths % 100 / 100)
+    return dict(zip(DATE_TIME_PARTS, values, strict=True))
