@@ -10,9 +10,8 @@ from pathlib import Path
 
 import can
 from canedge_bridge.decode import Decoder, FrameStatistics, _row
-from canedge_bridge.receiver import describe
+from canedge_bridge.receiver import Receiver, describe
 from canedge_bridge.transport import LoopbackMulticastBus, pack_message, parse_channel
-from canedge_bridge.receiver import Receiver
 from oxts_bridge import ncom
 from oxts_bridge.channels import FIELDS, encode_channel
 from oxts_bridge.file_decoder import decode_file

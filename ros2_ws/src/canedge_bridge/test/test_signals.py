@@ -91,7 +91,8 @@ ANGLE = 'SG_ SteeringWheelAngle : 0|16@1- (-0.1,0) [-3276.7|3276.8] "deg"'
     ('SG_ SteeringWheelAngle : 0|16@1+ (0.1,0) [0|6553.5] "deg"', "16 bits, low byte first, unsigned"),
     ('SG_ SteeringWheelAngle : 0|8@1- (-0.1,0) [-12.8|12.7] "deg"', "can only decode to -12.7 .. 12.8 deg"),
     # Signed and wide enough, so only the recorded frame shows it: 742.4 deg at rest.
-    ('SG_ SteeringWheelAngle : 7|16@0- (-0.1,0) [-3276.7|3276.8] "deg"', "1D 00 00 07 B0 of Leaf_Steering incorrectly: -742.4 deg"),
+    ('SG_ SteeringWheelAngle : 7|16@0- (-0.1,0) [-3276.7|3276.8] "deg"',
+     "1D 00 00 07 B0 of Leaf_Steering incorrectly: -742.4 deg"),
     ('SG_ SteeringWheelAngle : 0|16@1- (-0.2,0) [-3276.7|3276.8] "deg"', "-5.8 deg instead of -2.9"),
 ])
 def test_a_dbc_that_makes_nonsense_of_the_wheel_is_refused(layout, message, changed_dbc, signals_file):

@@ -12,7 +12,7 @@ from st_recordings.paths import config
 if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
     from st_recordings.runs import ReadSettings
-    from st_recordings.runs.foreign import SteeringField
+    from st_recordings.runs.external_topics import SteeringField
 
 
 def _sign(value: int | None) -> int | None:
@@ -105,7 +105,7 @@ def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
 
 def foreign_steering(topic: str | None, path: str, quantity: str) -> "SteeringField | None":
     """Where the angle is in a bag of another make; None where no topic was named."""
-    from st_recordings.runs.foreign import SteeringField
+    from st_recordings.runs.external_topics import SteeringField
 
     if quantity not in ("road", "wheel"):
         raise typer.BadParameter(f"--steering-is {quantity}: road or wheel is wanted")

@@ -14,7 +14,7 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
-from st_recordings.runs.foreign import SteeringField
+from st_recordings.runs.external_topics import SteeringField
 
 from . import words
 from .document import documents

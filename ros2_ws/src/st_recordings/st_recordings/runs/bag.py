@@ -15,15 +15,24 @@ from st_core.log import DriveLog
 
 from ..paths import project_root
 from .bag_extras import bag_extras, extra_fields
-from .bag_storage import Storage, Topic, information, open_storage
-from .cdr import typestore
-from .errors import RunError, check_readable
-from .foreign import SteeringField, steering_columns, steering_topic, unknown
-from .made_again import WHERE, MadeAgain
+from .bag_storage import (
+    EXTENSIONS,
+    Storage,
+    Topic,
+    information,
+    missing_files,
+    open_storage,
+    storage_files,
+)
+from .cdr import typestore, with_definitions
+from .errors import RunError, check_readable, share
+from .external_topics import SteeringField, steering_columns, steering_topic, unknown
+from .ins_log import InsLog, planar
 from .mcap_columns import DAMAGE, summary_of
 from .messages import CAN_FRAMES, NCOM, ODOMETRY, STEERING
+from .reconstruct import RECONSTRUCTED, Reconstruction
+from .times import usable_rows
 
-EXTENSIONS = (".mcap", ".db3")
 OURS = {"recording", "configuration"}  # records that recorder and evaluator begin with
 CLOSING = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
 # Where several topics have the type: the one whose name ends like this.
@@ -78,52 +87,130 @@ def _is_a_drive(types: set[str]) -> bool:
     return ODOMETRY in types or {NCOM, CAN_FRAMES} <= types
 
 
-def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None) -> BagDrive:
-    """Odometry and steering of a recording, or what its raw packets and frames make of them; topics of other types,
-    known or not, are passed over.
+def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None, odometry: str | None = None,
+             splits: Sequence[Path] = ()) -> BagDrive:
+    """Odometry and steering of a recording, or their reconstruction from its raw packets and frames; topics of other
+    types are passed over.
 
-    steering: where the steering angle is in a recording of another make; default st_msgs/Steering. Raises RunError for
-    what is no bag, was not closed, or lacks one of the two.
+    steering: where the steering angle is in a recording of another make; default st_msgs/Steering. odometry: its
+    topic, where several are of type nav_msgs/Odometry. splits: files of one recording in order; default those of path.
+    Raises RunError for what is no bag, was not closed, or lacks one of the two.
     """
-    storage, store, records = open_bag(path), typestore(definitions()), records_of(path)
-    there = storage.topics()
-    again = MadeAgain(path, storage, records, store)
+    storage, records = open_bag(path, splits), records_of(path)
+    topics_there = storage.topics()
+    store = _store_of(storage, topics_there, steering)
+    again = Reconstruction(path, storage, records, store)
     needed: dict[Topic, tuple[str, ...]] = {}
-    if has_odometry := _is_there(there, ODOMETRY) or not again.has(NCOM):
-        needed[_topic(path, there, ODOMETRY)] = _ODOMETRY_FIELDS
-    if steering is None and (_is_there(there, STEERING) or not again.has(CAN_FRAMES)):
-        needed[_topic(path, there, STEERING)] = _STEERING_FIELDS
-    others = extra_fields(there)
+    if has_odometry := bool(odometry) or _is_there(topics_there, ODOMETRY) or not again.has(NCOM):
+        needed[_odometry_topic(path, topics_there, odometry)] = _ODOMETRY_FIELDS
+    if steering is None and (_is_there(topics_there, STEERING) or not again.has(CAN_FRAMES)):
+        needed[_topic(path, topics_there, STEERING)] = _STEERING_FIELDS
+    others = extra_fields(topics_there)
     quick = storage.columns({**needed, **others}, store)
     columns = {topic.type_name: quick.get(topic.name) or _one_by_one(path, storage, topic, fields, store)
                for topic, fields in needed.items()}
     topics = {topic.type_name: topic.name for topic in needed}
     if not has_odometry:
-        columns[ODOMETRY], topics[ODOMETRY] = again.odometry(_ODOMETRY_FIELDS), again.topic(NCOM).name + WHERE
+        columns[ODOMETRY], topics[ODOMETRY] = again.odometry(_ODOMETRY_FIELDS), again.topic(NCOM).name + RECONSTRUCTED
     if steering is not None:
-        named = steering_topic(path, there, steering, store)
+        named = steering_topic(path, topics_there, steering, store)
         columns[STEERING], topics[STEERING] = steering_columns(path, storage, named, steering, store), named.name
     elif STEERING not in columns:
-        columns[STEERING], topics[STEERING] = again.steering(), again.topic(CAN_FRAMES).name + WHERE
-    log, missing, notes = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
+        columns[STEERING], topics[STEERING] = again.steering(), again.topic(CAN_FRAMES).name + RECONSTRUCTED
+    notes = [note for note in [missing_files(path) if path.is_dir() else ""] if note]
+    notes += _set_stamps(storage, topics, columns)
+    log, missing, more = _drive(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
-    extras = bag_extras(storage, there, {topic: quick[topic.name] for topic in others if topic.name in quick},
+    extras = bag_extras(storage, topics_there, {topic: quick[topic.name] for topic in others if topic.name in quick},
                         stamps, missing, store, again)
-    passed_over = tuple(f"{t.name} ({t.type_name})" for t in unknown(there, tuple(topics.values())))
+    passed_over = tuple(f"{t.name} ({t.type_name})" for t in unknown(topics_there, tuple(topics.values())))
     frame = again.map_frame()
     if has_odometry:
         first: Any = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
         frame = first.header.frame_id
-    return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in notes), extras, frame, passed_over)
+    return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in (*notes, *more)), extras, frame,
+                    passed_over)
+
+
+def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
+    """The INS part of a bag, for a run whose steering is in a CAN log. Raises RunError."""
+    storage = open_bag(path)
+    store = _store_of(storage, storage.topics(), None)
+    topic = _odometry_topic(path, storage.topics(), odometry)
+    columns = storage.columns({topic: _ODOMETRY_FIELDS}, store).get(topic.name) or _one_by_one(
+        path, storage, topic, _ODOMETRY_FIELDS, store)
+    notes = _set_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
+    ins_ns, values, _, more = _odometry_rows(columns)
+    return planar(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *more)))
+
+
+def lacks_steering(path: Path) -> bool:
+    """Whether a bag holds odometry and nothing that the suite knows as steering: its steering may be in a CAN log."""
+    try:
+        types = {t.type_name for t in open_bag(path).topics() if t.count}
+    except RunError:
+        return False
+    return ODOMETRY in types and not types & {STEERING, CAN_FRAMES}
+
+
+def _store_of(storage: Storage, topics: Sequence[Topic], steering: SteeringField | None) -> Typestore:
+    names = {ODOMETRY} | {t.type_name for t in topics if steering and t.name.lstrip("/") == steering.topic.lstrip("/")}
+    return with_definitions(typestore(definitions()), storage.definitions(), names)
+
+
+def _odometry_topic(path: Path, topics: Sequence[Topic], name: str | None) -> Topic:
+    if name is None:
+        return _topic(path, topics, ODOMETRY)
+    found = next((t for t in topics if t.name.lstrip("/") == name.lstrip("/") and t.count), None)
+    if found is None or found.type_name != ODOMETRY:
+        of_type = ", ".join(sorted(t.name for t in topics if t.type_name == ODOMETRY and t.count)) or "none"
+        what = f"is of type {found.type_name}" if found else "is not in the recording"
+        raise RunError(path, f"--odometry-topic: {name} {what}", f"topics of type {ODOMETRY}: {of_type}")
+    return found
+
+
+def _set_stamps(storage: Storage, topics: Mapping[str, str], columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
+    """Replaces stamps that say nothing by the times of receipt, and reports it.
+
+    A driver or simulator that leaves header.stamp at 0, or at one value, or stamps two topics with clocks that have
+    nothing in common, still has its messages recorded at the right moments.
+    """
+    notes = []
+    for kind, topic in topics.items():
+        stamps = columns[kind]["header.stamp"]
+        if len(stamps) > 1 and (stamps == stamps[0]).all():
+            _take_log_times(storage, topic, columns[kind])
+            notes.append(f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s; the times of receipt are "
+                         "used")
+    if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
+        (a, b), names = (columns[kind]["header.stamp"] for kind in topics), list(topics.values())
+        if len(a) > 1 and len(b) > 1 and max(a.min(), b.min()) > min(a.max(), b.max()):
+            kept = {kind: columns[kind]["header.stamp"] for kind in topics}
+            for kind, topic in topics.items():
+                _take_log_times(storage, topic, columns[kind])
+            a, b = (columns[kind]["header.stamp"] for kind in topics)
+            if max(a.min(), b.min()) > min(a.max(), b.max()):
+                for kind, stamps in kept.items():
+                    columns[kind]["header.stamp"] = stamps
+            else:
+                notes.append(f"the stamps of {names[0]} and {names[1]} have no time in common; the times of receipt "
+                             "are used for both")
+    return notes
+
+
+def _take_log_times(storage: Storage, topic: str, columns: dict[str, np.ndarray]) -> None:
+    times = np.array([log_ns for log_ns, _ in storage.timed(topic)], np.int64)
+    if len(times) == len(columns["header.stamp"]):
+        columns["header.stamp"] = times
 
 
 def _is_there(topics: Sequence[Topic], type_name: str) -> bool:
     return any(t.type_name == type_name and t.count for t in topics)
 
 
-def open_bag(path: Path) -> Storage:
-    """The storage of a directory or a bare file. Raises RunError."""
-    files = [path] if path.is_file() else storage_files(path)
+def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
+    """The storage of a directory or a bare file, or of the files of one recording in order. Raises RunError."""
+    files = splits or ([path] if path.is_file() else storage_files(path))
     for file in files:
         check_readable(file)
     return open_storage(path, files, typestore(definitions()))
@@ -161,13 +248,9 @@ def _records(path: Path) -> dict[str, dict[str, str]]:
                 with file.open("rb") as stream:
                     records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
             except (McapError, *DAMAGE) as error:
-                what = f"what it says about itself is damaged ({type(error).__name__})"
-                raise RunError(file, what, "mend the bag with `st recover`") from None
+                what = f"its metadata records are damaged ({type(error).__name__})"
+                raise RunError(file, what, "repair the bag with `st recover`") from None
     return records
-
-
-def storage_files(directory: Path) -> list[Path]:
-    return sorted(f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS)
 
 
 def _topic(path: Path, topics: Sequence[Topic], type_name: str) -> Topic:
@@ -193,7 +276,7 @@ def _one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str
             message = store.deserialize_cdr(raw, topic.type_name)
         except Exception as error:  # rosbags lets through what struct and numpy run into
             raise RunError(path, f"a message of {topic.name} is damaged ({type(error).__name__})",
-                           "record it again, or mend the bag with `st recover`") from None
+                           "record it again, or repair the bag with `st recover`") from None
         rows.append([_value(message, field) for field in fields])
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
@@ -204,10 +287,9 @@ def _value(message: Any, path: str) -> Any:
     return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
 
 
-def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
-           ) -> tuple[DriveLog, dict[str, int], list[str]]:
-    """The log, rows without a usable value by channel, and what is to be said."""
-    notes: list[str] = []
+def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int],
+                                                               list[str]]:
+    """(times, channels of the INS in the rows used, rows without a usable value by channel, notes)."""
     qx, qy, qz, qw = (odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")
     values = {
         "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],
@@ -217,31 +299,37 @@ def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: 
     }
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     good = np.isfinite(np.stack(list(values.values()))).all(axis=0)
-    ins_ns, rows = _rising(odometry["header.stamp"], good, "odometry", notes)
+    time_ns, rows, notes = _rising(odometry["header.stamp"], good, "odometry messages")
+    return time_ns, {k: np.unwrap(v[rows]) if k == "yaw" else v[rows] for k, v in values.items()}, missing, notes
+
+
+def _drive(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
+           ) -> tuple[DriveLog, dict[str, int], list[str]]:
+    """The log, rows without a usable value by channel, and notes for the user."""
+    ins_ns, values, missing, notes = _odometry_rows(odometry)
     good = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
     missing["road_wheel_angle"] = int((~good).sum())
-    steering_ns, steering_rows = _rising(steering["header.stamp"], good, "steering", notes)
+    steering_ns, steering_rows, more = _rising(steering["header.stamp"], good, "steering messages")
     wheel = steering["steering_wheel_angle"][steering_rows]
     try:
         log = DriveLog(
-            name, ins_time_ns=ins_ns, **{k: np.unwrap(v[rows]) if k == "yaw" else v[rows] for k, v in values.items()},
-            steering_time_ns=steering_ns, road_wheel_angle=steering["road_wheel_angle"][steering_rows],
+            name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
+            road_wheel_angle=steering["road_wheel_angle"][steering_rows],
             steering_wheel_angle=wheel if np.isfinite(wheel).all() else None,
         )
     except StCoreError as error:
         raise RunError(path, str(error)) from None
-    return log, missing, notes
+    return log, missing, [*notes, *more]
 
 
-def _rising(time_ns: np.ndarray, good: np.ndarray, what: str, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """(times that rise strictly, their rows); as live, what is not newer than the newest before is refused."""
-    rows = np.nonzero(good)[0]
-    time = np.asarray(time_ns, np.int64)[rows]
-    keep = np.ones(len(time), dtype=bool)
-    if len(time) > 1:
-        keep[1:] = time[1:] > np.maximum.accumulate(time)[:-1]
-    if not good.all():
-        notes.append(f"{int((~good).sum())} {what} messages hold no usable value; they were left out")
-    if not keep.all():
-        notes.append(f"{int((~keep).sum())} {what} messages are not newer than the one before; they were left out")
-    return time[keep], rows[keep]
+def _rising(time_ns: np.ndarray, good: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """(times that rise strictly, their rows, notes)."""
+    time = np.asarray(time_ns, np.int64)
+    usable = good & (time != 0)
+    rows = np.flatnonzero(usable)
+    notes = []
+    if (lost := len(time) - len(rows)):
+        why = "a usable value" if (time[good] != 0).all() else "a usable value or a stamp"
+        notes.append(f"{share(lost, len(time), what)} hold no {why.removeprefix('a ')}; they were left out")
+    kept, more = usable_rows(time[rows], what)
+    return time[rows[kept]], rows[kept], [*notes, *more]

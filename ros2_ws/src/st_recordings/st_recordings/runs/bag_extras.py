@@ -11,9 +11,9 @@ from st_core.checks import Extras, InsQuality, Series
 from .bag_storage import Storage, Topic
 from .cdr import Layouts
 from .extras import car_speed, series
-from .made_again import MadeAgain
 from .messages import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS
 from .ncom import to_body
+from .reconstruct import Reconstruction
 from .status_channels import ins_quality
 
 _FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"), INS_ON_CAN: ("header.stamp", "velocity_x"),
@@ -33,7 +33,7 @@ def extra_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
 
 def bag_extras(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
                stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
-               again: MadeAgain) -> Extras:
+               again: Reconstruction) -> Extras:
     """columns: of the topics of `extra_fields` that could be read. stamps, missing: of odometry and steering. again: of
     the same recording, for the speeds where no topic has them.
     """

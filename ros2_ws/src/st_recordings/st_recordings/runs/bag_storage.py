@@ -4,11 +4,12 @@ MCAP and sqlite3 are read here, because a library that looks at every definition
 one it does not understand; what else rosbag2 can write (compressed files and messages) goes through rosbags.
 """
 
+import re
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,9 +23,10 @@ from rosbags.rosbag2 import ReaderError
 from rosbags.typesys.store import Typestore
 
 from .cdr import Layout
-from .errors import RunError
+from .errors import RunError, share
 from .mcap_columns import DAMAGE, Block, blocks, summary_of
 
+EXTENSIONS = (".mcap", ".db3")
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 NOT_CLOSED = "if it was cut off while recording, repair it with `st recover`"
 
@@ -47,8 +49,11 @@ class Storage(Protocol):
     def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
         """(log time [ns], message), in the order of the file."""
 
-    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        """The quick way to some numbers of all messages (cdr.Layout), by topic; without those it cannot be gone for."""
+    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        """Some numbers of all messages (cdr.Layout) by topic, without the topics whose messages differ in layout."""
+
+    def definitions(self) -> dict[str, tuple[str, str]]:
+        """Type -> (ros2msg or ros2idl, definition), as far as the recording holds them."""
 
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
@@ -73,6 +78,47 @@ def information(path: Path) -> dict[str, Any]:
     return about if isinstance(about, dict) else {}
 
 
+def storage_files(directory: Path) -> list[Path]:
+    """Storage files of a bag directory in the order of recording: that of metadata.yaml, else by their numbers."""
+    files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural)
+    listed = information(directory).get("relative_file_paths")
+    names = [Path(str(name)).name for name in listed] if isinstance(listed, list) else []
+    order = {name: k for k, name in enumerate(names)}
+    return sorted(files, key=lambda f: order.get(f.name, -1)) if {f.name for f in files} <= order.keys() else files
+
+
+def missing_files(directory: Path) -> str:
+    """What metadata.yaml lists and the directory does not hold, in words; empty where all is there."""
+    listed = information(directory).get("relative_file_paths")
+    if not isinstance(listed, list):
+        return ""
+    missing = [str(name) for name in listed if not (directory / Path(str(name)).name).is_file()]
+    if not missing:
+        return ""
+    return f"{share(len(missing), len(listed), 'files')} of metadata.yaml are missing: {', '.join(missing)[:200]}"
+
+
+def time_span(file: Path) -> tuple[int, int] | None:
+    """Log times of the first and last message of a storage file [ns]; None for one that cannot be read."""
+    try:
+        if file.suffix.lower() == ".db3":
+            ((first, last),) = Sqlite([file]).query(file, "SELECT MIN(timestamp), MAX(timestamp) FROM messages")
+            return None if first is None else (first, last)
+        summary = summary_of(file)
+        if summary is not None and summary.statistics is not None:
+            return summary.statistics.message_start_time, summary.statistics.message_end_time
+        times = [message.log_time for _, _, message in Mcap([file]).stream(file)]
+        return (min(times), max(times)) if times else None
+    except (RunError, OSError):
+        return None
+
+
+def natural(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
+    """Sort key of a file name by its numbers: drive_9 comes before drive_10."""
+    parts = re.split(r"(\d+)", path.stem)
+    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts], path.suffix
+
+
 class Mcap:
     def __init__(self, files: Sequence[Path]):
         self._files: list[tuple[Path, Summary | None]] = []
@@ -87,25 +133,43 @@ class Mcap:
             if summary is None and tail != MCAP_MAGIC:
                 raise RunError(file, "cannot be read as a bag (it was not closed)", NOT_CLOSED)
             self._files.append((file, summary))
+        self._refuse_other_encodings()
+
+    def _refuse_other_encodings(self) -> None:
+        encodings = {c.message_encoding for _, summary in self._files if summary for c in summary.channels.values()}
+        for file, summary in self._files:
+            if summary is None:
+                encodings |= {channel.message_encoding for _, channel, _ in islice(self.stream(file), 1000)}
+        if encodings and "cdr" not in encodings:
+            raise RunError(self._files[0][0], f"its messages are encoded as {', '.join(sorted(map(str, encodings)))}, "
+                           "and only CDR of ROS 2 can be read", "convert it to a ROS 2 bag (ROS 1: rosbags-convert)")
+
+    def definitions(self) -> dict[str, tuple[str, str]]:
+        found: dict[str, tuple[str, str]] = {}
+        for file, summary in self._files:
+            schemas = summary.schemas.values() if summary else (s for s, _, _ in islice(self.stream(file), 1000) if s)
+            found |= {s.name: (s.encoding, s.data.decode("utf-8", "replace")) for s in schemas}
+        return found
 
     def topics(self) -> list[Topic]:
         counts: dict[tuple[str, str], int] = {}
         for file, summary in self._files:
-            if summary is not None and summary.statistics is not None:
+            if summary is not None:
+                assert summary.statistics is not None  # summary_of
                 for channel in summary.channels.values():
                     schema = summary.schemas.get(channel.schema_id)
                     key = channel.topic, schema.name if schema else ""
                     counts[key] = counts.get(key, 0) + summary.statistics.channel_message_counts.get(channel.id, 0)
             else:
-                for schema, channel, _ in self._stream(file):
+                for schema, channel, _ in self.stream(file):
                     key = channel.topic, schema.name if schema else ""
                     counts[key] = counts.get(key, 0) + 1
         return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
 
     def messages(self, topic: str) -> Iterator[bytes]:
         for file, summary in self._files:
-            if summary is None or summary.statistics is None:
-                yield from (message.data for _, channel, message in self._stream(file) if channel.topic == topic)
+            if summary is None:
+                yield from (message.data for _, channel, message in self.stream(file) if channel.topic == topic)
                 continue
             channels = [number for number, channel in summary.channels.items() if channel.topic == topic]
             for _, block in chain.from_iterable(self._blocks(file, summary, [number]) for number in channels):
@@ -114,7 +178,7 @@ class Mcap:
 
     def timed(self, topic: str) -> Iterator[tuple[int, bytes]]:
         for file, _ in self._files:
-            yield from ((message.log_time, message.data) for _, channel, message in self._stream(file)
+            yield from ((message.log_time, message.data) for _, channel, message in self.stream(file)
                         if channel.topic == topic)
 
     @staticmethod
@@ -125,18 +189,19 @@ class Mcap:
             raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
 
     @staticmethod
-    def _stream(file: Path) -> Iterator[Any]:
+    def stream(file: Path) -> Iterator[Any]:
         try:
             with file.open("rb") as stream:
                 yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
         except (McapError, *DAMAGE) as error:
             raise RunError(file, f"cannot be read as a bag ({_short(error)})", NOT_CLOSED) from None
 
-    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        gathered = {topic.name: _Gathered(topic.type_name, fields, store) for topic, fields in wanted.items()}
+    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        gathered = {topic.name: _Gathered(topic.type_name, names, store) for topic, names in fields.items()}
+        if any(summary is None for _, summary in self._files):
+            return _one_by_one(self, fields, store)
         for file, summary in self._files:
-            if summary is None or summary.statistics is None:
-                return {}
+            assert summary is not None and summary.statistics is not None  # summary_of
             channels = {number: gathered[channel.topic] for number, channel in summary.channels.items()
                         if channel.topic in gathered and channel.message_encoding == "cdr"}
             left = {number: summary.statistics.channel_message_counts.get(number, 0) for number in channels}
@@ -153,7 +218,7 @@ class Sqlite:
         self._files = list(files)
         self.topics()
 
-    def _query(self, file: Path, text: str, *values: Any) -> Iterator[tuple[Any, ...]]:
+    def query(self, file: Path, text: str, *values: Any) -> Iterator[tuple[Any, ...]]:
         try:
             with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
                 yield from database.execute(text, values)
@@ -165,7 +230,7 @@ class Sqlite:
         for file in self._files:
             text = ("SELECT topics.name, topics.type, COUNT(messages.id) FROM topics "
                     "LEFT JOIN messages ON messages.topic_id = topics.id GROUP BY topics.id")
-            for name, type_name, count in self._query(file, text):
+            for name, type_name, count in self.query(file, text):
                 counts[name, type_name] = counts.get((name, type_name), 0) + count
         return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
 
@@ -176,19 +241,34 @@ class Sqlite:
         text = ("SELECT messages.timestamp, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
                 "WHERE topics.name = ? ORDER BY messages.timestamp")
         for file in self._files:
-            yield from self._query(file, text, topic)
+            yield from self.query(file, text, topic)
 
-    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        found = {}
-        for topic, fields in wanted.items():
-            rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
-            one = _Gathered(topic.type_name, fields, store)
-            if rows:
-                sizes = np.array([len(row) for row in rows])
-                one.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
-            if one.alike and one.parts:
-                found[topic.name] = one.columns()
+    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+        return _one_by_one(self, fields, store)
+
+    def definitions(self) -> dict[str, tuple[str, str]]:
+        found: dict[str, tuple[str, str]] = {}
+        for file in self._files:
+            if any(self.query(file, "SELECT name FROM sqlite_master WHERE name = 'message_definitions'")):
+                rows = self.query(file, "SELECT topic_type, encoding, encoded_message_definition "
+                                         "FROM message_definitions")
+                found |= {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
         return found
+
+
+def _one_by_one(storage: Storage, fields: Mapping[Topic, Sequence[str]],
+                store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+    """`Storage.columns` of a storage that hands over messages only."""
+    found = {}
+    for topic, names in fields.items():
+        rows = [np.frombuffer(data, np.uint8) for data in storage.messages(topic.name)]
+        one = _Gathered(topic.type_name, names, store)
+        if rows:
+            sizes = np.array([len(row) for row in rows])
+            one.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
+        if one.alike and one.parts:
+            found[topic.name] = one.columns()
+    return found
 
 
 class Rosbags:
@@ -210,8 +290,12 @@ class Rosbags:
         chosen = [c for c in self._reader.connections if c.topic == topic]
         return ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=chosen))
 
-    def columns(self, wanted: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
         return {}
+
+    def definitions(self) -> dict[str, tuple[str, str]]:
+        forms = {1: "ros2msg", 2: "ros2idl"}  # rosbags.interfaces.MessageDefinitionFormat
+        return {c.msgtype: (forms.get(int(c.msgdef.format), ""), c.msgdef.data) for c in self._reader.connections}
 
 
 class _Gathered:

@@ -226,3 +226,15 @@ FORMATS = (
     Format("PEAK trace", (".trc",), _is_trc, _by_line(_trc)),
 )
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *MAKERS_CONTAINERS}
+
+
+def is_can_log(file: Path) -> bool:
+    """Whether a file found in a folder is a CAN log: other programs write .log files too. True in case of doubt."""
+    if file.suffix.lower() != ".log":
+        return True
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(4096)
+    except OSError:
+        return True
+    return head[:4] in (b"MDF ", b"UnFi") or any(kind.mark(head) for kind in FORMATS)

@@ -5,7 +5,7 @@ in it follows from the definition and one example, so a changed definition moves
 """
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 _DTYPE = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "uint64": "<u8", "int32": "<i4", "uint32": "<u4",
@@ -32,6 +32,36 @@ def typestore(definitions: Path) -> Typestore:
         types.update(get_types_from_msg(file.read_text(), f"{package}/msg/{file.stem}"))
     store.register(types)
     return store
+
+
+def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
+    """A store in which some types, and the types they use, are as a recording defines them.
+
+    definitions: of the recording (bag_storage.Storage.definitions). The store given where nothing differs from it.
+    A definition that cannot be parsed is ignored: the type is then that of the store, or unknown.
+    """
+    own: dict[str, Any] = {}
+    for name in types:
+        encoding, text = definitions.get(name, ("", ""))
+        try:
+            if text:
+                own |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
+        except Exception:  # rosbags lets through what its parser runs into
+            continue
+    different = {name for name, (_, fields) in own.items()
+                 if name not in store.fielddefs or _plain(store.fielddefs[name][1]) != _plain(fields)}
+    if not different:
+        return store
+    mixed = get_typestore(Stores.EMPTY)
+    try:
+        mixed.register({**store.fielddefs, **own})
+    except Exception:  # as above: a definition that contradicts itself
+        return store
+    return mixed
+
+
+def _plain(fields: Any) -> list[tuple[str, Any]]:
+    return [(field[0].lower(), field[1]) for field in fields]
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,12 @@ COLUMNS: Mapping[str, Channel] = {
     "y": Channel("length", "position of the INS point, north or along the map's y", _words(
         "y pos_y position_y y_pos y_position py north northing n_pos y_north y_enu y_map local_y utm_y utm_n "
         "utm_northing pose_y pose_position_y pose_pose_position_y")),
+    "latitude": Channel("latitude or longitude", "north +; with the longitude, read where there is no x and y", _words(
+        "latitude lat gps_latitude gps_lat latitude_deg")),
+    "longitude": Channel("latitude or longitude", "east +; origin of the map is the first row", _words(
+        "longitude long lon lng gps_longitude gps_long gps_lon")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
-        "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta")),
+        "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi")),
     "compass_heading": Channel("angle", "clockwise from north; read where there is no yaw: yaw = 90° - heading", _words(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned")),
@@ -91,25 +95,25 @@ _CHANNEL_OF = {plain(name): (channel, rank) for channel, about in COLUMNS.items(
 
 @dataclass(frozen=True)
 class Layout:
-    """What a run.yaml says of the columns. columns: channel -> name of the column. units: channel -> unit.
+    """Columns as a run.yaml or an option names them. columns: channel -> name of the column. units: channel -> unit.
 
-    said_by: the file to name where the columns are not there.
+    source: the file or option to name in an error about them.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-    said_by: Path | None = field(default=None, repr=False)
+    source: Path | str | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a channel is: number and name of the column, its unit, and whether anything says that unit."""
+    """Where a channel is: number and name of the column, its unit, and whether header or run.yaml state that unit."""
 
     column: int
     name: str
     kind: str
     unit: str
-    said: bool
+    stated: bool
 
     @property
     def factor(self) -> float:
@@ -134,9 +138,9 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         places.pop("yaw", None)
     for channel, unit in layout.units.items():
         if channel not in places:
-            raise RunError(layout.said_by or file, f"units: {channel}: {file.name} has no column for it",
+            raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for it",
                            f"it has one for {', '.join(places)}")
-        places[channel] = replace(places[channel], unit=unit, said=True)
+        places[channel] = replace(places[channel], unit=unit, stated=True)
     return places
 
 
@@ -155,7 +159,7 @@ def _number_of(file: Path, names: Sequence[str], wanted: str, channel: str, layo
         alike = [number for number, name in enumerate(names) if same(name) == same(wanted)]
         if alike:
             return alike[0]
-    raise RunError(layout.said_by or file, f"columns: {channel}: {file.name} has no column {wanted[:60]!r}",
+    raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {wanted[:60]!r}",
                    f"it has {', '.join(names)[:300]}")
 
 

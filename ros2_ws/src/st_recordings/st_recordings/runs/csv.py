@@ -1,7 +1,7 @@
-"""Drives as CSV: the columns of columns.py, or an INS log with speed and yaw rate only (for clock alignment)."""
+"""Drives as tables: the columns of columns.py, or an INS log with speed and yaw rate only (for clock alignment)."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +11,24 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
 
 from .columns import Layout, doubtful_steering, find_columns
-from .csv_table import Table, header_of, read_table
-from .errors import RunError
+from .csv_table import Table, header_of, known, read_table
+from .errors import RunError, share
+from .external_topics import SteeringField
 from .extras import SPEEDS, car_speed, mostly_known
-from .ins_log import Motion
+from .ins_log import InsLog, Motion, planar
+from .ncom import enu
 
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
 ADVICE = "name the columns as in docs/manual/recordings.md, or say in a run.yaml which they are, as columns: {%s: NAME}"
+HELD_SHARE = 0.3
+"""Of the rows in which the car moves by several steps of the position's resolution and the position stays the same:
+with more, the position is slower than the rows."""
 
 
 @dataclass(frozen=True)
 class CsvDrive:
-    """columns: channel -> column and unit, as they were taken."""
+    """columns: channel -> column and unit, as they were used."""
 
     log: DriveLog
     columns: Mapping[str, str]
@@ -32,46 +37,74 @@ class CsvDrive:
 
 
 def read_drive(file: Path) -> tuple[DriveLog, tuple[str, ...]]:
-    """A drive that says all by itself, and warnings; see `read_csv`."""
+    """A drive that needs no vehicle file, and warnings; see `read_csv`."""
     drive = read_csv(file)
     return drive.log, drive.warnings
 
 
 def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None,
-             yaw_scale: float = 1.0) -> CsvDrive:
-    """A drive with INS and steering columns.
+             yaw_scale: float = 1.0, steering: SteeringField | None = None) -> CsvDrive:
+    """A drive with INS and steering columns; see `drive_of`. Raises RunError."""
+    return drive_of(read_table(file, with_steering(layout or Layout(), steering)), vehicle, yaw_scale, steering)
+
+
+def with_steering(layout: Layout, steering: SteeringField | None) -> Layout:
+    """The layout with the steering column that an option names, unless that option is about a topic."""
+    if steering is None or steering.topic:
+        return layout
+    channel = ROAD if steering.quantity == "road" else WHEEL
+    units = {channel: steering.unit} if steering.unit else {}
+    return replace(layout, columns={**layout.columns, channel: steering.field}, units={**layout.units, **units},
+                   source=layout.source or "--steering-field")
+
+
+def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: float = 1.0,
+             steering: SteeringField | None = None) -> CsvDrive:
+    """The drive in a table.
 
     A row in which a channel holds no number is no sample of the INS, or of the steering, and still one of the other;
     an acceleration is NaN there. vehicle: for a file with the hand wheel alone. yaw_scale: on the yaw as recorded; it
-    comes before unwrapping, which takes jumps of 2 pi for turns and must see radians. Raises RunError.
+    comes before unwrapping, which takes jumps of 2 pi for turns and must see radians. steering: its sign is applied.
+    Raises RunError.
     """
-    table = read_table(file, layout or Layout())
+    file = table.file
     _check_columns(table, (*INS_SIGNALS, ROAD))
     notes = list(table.warnings)
-    columns = dict(table.columns)
-    if "yaw" not in columns:
-        columns["yaw"] = np.pi / 2 - columns[COMPASS]
-    steering = _steering(table, columns, vehicle, notes)
-    missing = _missing(table, columns, steering, notes)
-    ins = table.rising & _known(columns, INS_SIGNALS)
-    steered = table.rising & _known(columns, steering)
+    columns = _with_derived(table, notes)
+    used = _steering(table, columns, vehicle, steering, notes)
+    missing = _missing(table, columns, used, notes)
+    ins = table.used & known(columns, INS_SIGNALS)
+    steered = table.used & known(columns, used)
     if min(ins.sum(), steered.sum()) < 2:
-        raise RunError(file, f"fewer than two usable rows are in it{_blame(missing, table)}", "take it off the list")
-    if not table.rising.all():
-        notes.append(f"{file}: time does not rise in {int((~table.rising).sum())} rows; they were left out")
+        raise RunError(file, f"fewer than two usable rows are in it{_blame(missing, table)}",
+                       "remove it from the command")
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if mostly_known(columns.get(name))}
-    values |= {name: columns[name][steered] for name in {ROAD, *steering}}
+    values |= {name: columns[name][steered] for name in {ROAD, *used}}
     try:
         log = DriveLog(file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered], **values)
     except StCoreError as error:
         raise RunError(file, str(error)) from None
-    speeds = {name: (table.time_ns[table.rising], columns[name][table.rising]) for name in SPEEDS if name in columns}
-    extras = Extras({"INS": table.time_ns}, missing, car_speed(speeds))
-    taken = {channel: f"{place.name} [{place.unit}{'' if place.said else ', assumed'}]"
+    speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
+    extras = Extras({"INS": _judged_stamps(table)}, missing, car_speed(speeds))
+    taken = {channel: f"{place.name} [{place.unit}{'' if place.stated else ', assumed'}]"
              for channel, place in table.places.items()}
     return CsvDrive(log, taken, extras, tuple(notes))
+
+
+def ins_of(table: Table) -> InsLog:
+    """The INS part of a table, for a run whose steering is in a CAN log. Raises RunError."""
+    _check_columns(table, INS_SIGNALS)
+    notes = list(table.warnings)
+    columns = _with_derived(table, notes)
+    rows = table.used & known(columns, INS_SIGNALS)
+    if rows.sum() < 2:
+        raise RunError(table.file, "fewer than two usable rows are in it", "remove it from the command")
+    _missing(table, columns, (), notes)
+    values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
+    values["yaw"] = np.unwrap(values["yaw"])
+    return planar(table.file, table.time_ns[rows], values, tuple(notes), table.absolute)
 
 
 def read_motion(file: Path) -> tuple[Motion, tuple[str, ...]]:
@@ -83,12 +116,11 @@ def read_motion(file: Path) -> tuple[Motion, tuple[str, ...]]:
     if "yaw" not in columns and COMPASS in columns:
         columns["yaw"] = np.pi / 2 - columns[COMPASS]
     used = tuple(name for name in (*MOTION, "yaw") if name in MOTION or _any_known(columns, name))
-    rows = table.rising & _known(columns, used)
+    rows = table.used & known(columns, used)
     if rows.sum() < 2:
-        raise RunError(file, "fewer than two usable rows are in it", "take it off the list")
-    if not rows.all():
-        notes.append(f"{file}: {int((~rows).sum())} rows hold no number somewhere, or are out of order; "
-                     "they were left out")
+        raise RunError(file, "fewer than two usable rows are in it", "remove it from the command")
+    if (lost := int((table.used & ~rows).sum())):
+        notes.append(f"{file}: {share(lost, len(rows), 'rows')} hold no number somewhere; they were left out")
     values = {name: columns[name][rows] for name in used}
     return Motion(table.time_ns[rows], values["velocity_x"], values["yaw_rate"], values.get("yaw"),
                   table.absolute), tuple(notes)
@@ -100,11 +132,20 @@ def has_drive_columns(file: Path) -> bool:
     return not _lacking(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD))
 
 
+def lacks_steering(file: Path) -> bool:
+    """Whether the header names all columns of an INS and none of a steering angle."""
+    names = header_of(file)
+    lacking = _lacking(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD))
+    return lacking == [ROAD]
+
+
 def _lacking(places: Iterable[str], names: Iterable[str], needed: Iterable[str]) -> list[str]:
-    there = {*places, *({"yaw"} if COMPASS in places else ()), *({ROAD} if WHEEL in places else ())}
+    found = set(places)
+    found |= ({"yaw"} if COMPASS in found else set()) | ({ROAD} if WHEEL in found else set())
+    found |= {"x", "y"} if {"latitude", "longitude"} <= found else set()
     if doubtful_steering(list(names)):
-        there.add(ROAD)
-    return [name for name in needed if name not in there]
+        found.add(ROAD)
+    return [name for name in needed if name not in found]
 
 
 def _check_columns(table: Table, needed: tuple[str, ...]) -> None:
@@ -115,12 +156,65 @@ def _check_columns(table: Table, needed: tuple[str, ...]) -> None:
     doubtful = doubtful_steering(table.names)
     if ROAD in needed and ROAD not in table.places and WHEEL not in table.places:
         raise RunError(table.file, f"column {doubtful} may be of the steering wheel or of the road wheels",
-                       f"say which in a run.yaml, as columns: {{{WHEEL}: {doubtful}}} or {{{ROAD}: {doubtful}}}")
+                       f"say which: --steering-field {doubtful} --steering-is wheel (or road); or in a run.yaml, as "
+                       f"columns: {{{WHEEL}: {doubtful}}} or {{{ROAD}: {doubtful}}}")
+
+
+def _with_derived(table: Table, notes: list[str]) -> dict[str, np.ndarray]:
+    """The columns with yaw of a compass heading, x and y of latitude and longitude, and positions at every row."""
+    columns = dict(table.columns)
+    if "yaw" not in columns:
+        columns["yaw"] = np.pi / 2 - columns[COMPASS]
+    if not {"x", "y"} <= columns.keys():
+        latitude, longitude = columns["latitude"], columns["longitude"]
+        found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
+        origin = (latitude[found[0]], longitude[found[0]], 0.0) if len(found) else (0.0, 0.0, 0.0)
+        columns["x"], columns["y"], _ = enu(origin, latitude, longitude, np.zeros(len(latitude)))
+    _spread_held_positions(table, columns, notes)
+    return columns
+
+
+def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
+    """Positions that come slower than the rows and are repeated until the next: interpolated between the new ones."""
+    rows = np.flatnonzero(table.used & known(columns, ("x", "y", "velocity_x")))
+    if len(rows) < 3:
+        return
+    x, y = columns["x"][rows], columns["y"][rows]
+    step = np.hypot(np.diff(x), np.diff(y))
+    new = step > 0
+    if not new.any():
+        return
+    seconds = table.time_ns[rows] * 1e-9
+    resolution = max(float(step[new].min()), 1e-9)
+    moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > np.median(step[new]) / 20 + resolution / 20
+    held = moving & ~new
+    if held.sum() <= HELD_SHARE * max(moving.sum(), 1):
+        return
+    fresh = np.concatenate(([True], new))
+    for name in ("x", "y"):
+        values = columns[name].copy()
+        values[rows] = np.interp(seconds, seconds[fresh], columns[name][rows][fresh])
+        # Behind the last new position nothing is known.
+        values[rows[np.flatnonzero(fresh)[-1] + 1 :]] = np.nan
+        columns[name] = values
+    rate = (fresh.sum() - 1) / max(seconds[fresh][-1] - seconds[0], 1e-9)
+    notes.append(f"{table.file}: positions are new in {share(int(fresh.sum()), len(rows), 'rows')}, about {rate:.0f} "
+                 "Hz; they were interpolated between")
+
+
+def _judged_stamps(table: Table) -> np.ndarray:
+    """Stamps of the stretch that is used: what was left out of the others is a warning of its own."""
+    rows = np.flatnonzero(table.used)
+    return table.time_ns[rows[0] : rows[-1] + 1] if len(rows) else table.time_ns
 
 
 def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
-              notes: list[str]) -> tuple[str, ...]:
+              steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
     """The steering channels that are used; the road wheel angle is added where only the hand wheel is there."""
+    if steering is not None and not steering.topic:
+        named, other = (ROAD, WHEEL) if steering.quantity == "road" else (WHEEL, ROAD)
+        columns[named] = steering.sign * columns[named]
+        columns.pop(other, None)
     if ROAD not in columns:
         if vehicle is None:
             raise RunError(table.file, f"it has the steering wheel angle only (column {table.places[WHEEL].name}): the "
@@ -136,19 +230,21 @@ def _steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehiclePara
 
 def _missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
              notes: list[str]) -> dict[str, int]:
-    """Channel -> rows without a usable number, each said."""
+    """Channel -> rows without a usable number, each reported."""
     lost = {"time": table.timeless, **{
         name: int(np.isnan(columns[name]).sum()) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering)
         if name in columns}}
     lost = {name: count for name, count in lost.items() if count}
     total = len(table.time_ns) + table.timeless
+    sources = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
     for name, count in lost.items():
-        place = table.places.get({"time": "t"}.get(name, name)) or table.places[COMPASS]
+        place = table.places.get(name) or table.places.get(sources.get(name, ""))
         half = count > total / 2
         follows = ("these rows were left out" if name == "time" else
                    ("it is not used" if half else "it is not known there") if name in OPTIONAL_INS_SIGNALS else
                    f"these samples of the {'steering' if name in steering else 'INS'} were left out")
-        notes.append(f"{table.file}: {name} (column {place.name}): {count} of {total} rows hold no number"
+        column = f" (column {place.name})" if place else ""
+        notes.append(f"{table.file}: {name}{column}: {share(count, total, 'rows')} hold no number"
                      f"{', more than half' if half else ''}; {follows}")
     return lost if ROAD in steering else {ROAD if name == WHEEL else name: count for name, count in lost.items()}
 
@@ -158,10 +254,6 @@ def _blame(missing: Mapping[str, int], table: Table) -> str:
         return ""
     worst = max(missing, key=lambda name: missing[name])
     return f": {worst} holds no number in {missing[worst]} of {len(table.time_ns) + table.timeless}"
-
-
-def _known(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
-    return np.isfinite(np.stack([columns[name] for name in names])).all(axis=0)
 
 
 def _any_known(columns: Mapping[str, np.ndarray], name: str) -> bool:

@@ -1,26 +1,34 @@
-"""A CSV file as numbers: header, units and rows, whatever delimiter, decimal sign and holes it has."""
+"""A CSV file as numbers: header, units and rows, with any delimiter, decimal mark, encoding and missing values."""
 
 import csv
 import io
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from .columns import COLUMNS, Layout, Place, find_columns
-from .errors import RunError, check_readable
-from .units import unit_named
+from .errors import RunError, check_readable, share
+from .times import usable_rows
+from .units import UNITS, unit_named
 
 LATEST = 9.0e9  # s, year 2255; whole nanoseconds since 1970 do not reach much further
+HEADER_WITHIN = 60  # lines; exports of loggers have some lines of their own before the header
+MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
+_GROUPS = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
+_GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
+_SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
+_SPACES = re.compile(r"(?<=\d)[\u00a0\u202f\u2009'](?=\d{3}(?!\d))")
 
 
 @dataclass(frozen=True)
 class Table:
     """names: of all columns. places: of the channels. columns: channel -> values in SI, NaN where there is no number.
 
-    time_ns: of all rows that have a time, in the order of the file; rows without one are nowhere, and counted in
-    `timeless`. rising: of these rows, those newer than all before. warnings name the file.
+    time_ns: of all rows that have a time, in the order of the file; rows without one are left out and counted in
+    `timeless`. used: of these rows, those whose time rises (times.usable_rows). warnings name the file.
     """
 
     file: Path
@@ -29,7 +37,7 @@ class Table:
     columns: Mapping[str, np.ndarray]
     time_ns: np.ndarray
     timeless: int
-    rising: np.ndarray
+    used: np.ndarray
     warnings: tuple[str, ...]
 
     @property
@@ -38,30 +46,51 @@ class Table:
         return len(self.time_ns) > 0 and int(self.time_ns[0]) > 10**18
 
 
+def text_of(file: Path, size: int = -1) -> str:
+    """The text of a file in UTF-8, UTF-16 (as spreadsheets write it) or Windows-1252. Raises RunError for no text."""
+    with file.open("rb") as stream:
+        raw = stream.read(size)
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", "replace")
+    try:
+        return raw.decode("utf-8-sig", "strict" if size < 0 else "ignore")
+    except UnicodeDecodeError:
+        if b"\0" in raw[:4096]:
+            raise RunError(file, "this is not a text file", "give it the extension of what it is") from None
+        return raw.decode("cp1252", "replace")
+
+
 def header_of(file: Path) -> list[str]:
     """Names of the columns; empty for what is no text."""
     try:
-        with file.open(encoding="utf-8-sig") as stream:
-            return _parted(stream.readline())[0]
-    except (OSError, UnicodeDecodeError):
+        lines = text_of(file, 1 << 16).splitlines()
+        return _parted(lines[_header_line(lines)])[0] if lines else []
+    except (OSError, RunError):
         return []
 
 
 def read_table(file: Path, layout: Layout) -> Table:
     """Raises RunError for what is no text, has no time, or has a row that does not fit its header."""
     check_readable(file)
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise RunError(file, "this is not a text file", "give it the extension of what it is") from None
+    text = text_of(file).replace("\r\n", "\n")
+    warnings: list[str] = []
+    at = _header_line(text.split("\n", HEADER_WITHIN + 1)[:HEADER_WITHIN], layout)
+    if at:
+        before, text = text, text.split("\n", at)[at]
+        if at > 1 or not _SEPARATOR.match(before):
+            warnings.append(f"{file}: the header is in line {at + 1}; the {at} before it were skipped")
     header, _, body = text.partition("\n")
     names, delimiter = _parted(header)
-    places = find_columns(file, names, layout)
-    if delimiter != ",":
-        body = body.replace(",", ".")  # decimal commas
-    places, body = _with_unit_row(places, body, delimiter, layout)
-    warnings: list[str] = []
-    rows = _rows(file, body, delimiter, len(names), warnings)
+    return table_of(file, names, body, delimiter, layout, warnings)
+
+
+def table_of(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
+             places: dict[str, Place] | None = None) -> Table:
+    """A table out of its rows as text. places: of the channels; default those that the names mean. Raises RunError."""
+    if places is None:
+        places = find_columns(file, names, layout)
+        places, body = _with_unit_row(file, places, body, delimiter, layout)
+    rows = _rows(file, _with_points(file, body, delimiter), delimiter, len(names), warnings)
     with np.errstate(over="ignore"):
         columns = {channel: rows[:, place.column] * place.factor for channel, place in places.items()}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
@@ -74,14 +103,28 @@ def read_table(file: Path, layout: Layout) -> Table:
                        f"{places['t'].unit}", "declare their unit in a run.yaml, as units: {t: ns}")
     # Microseconds: what decimal seconds since 1970 still carry as a float.
     time_ns = np.round(seconds[timed] * 1e6).astype(np.int64) * 1000
-    rising = np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[:1] - 1) > 0
+    kept, notes = usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
+    used = np.zeros(len(time_ns), dtype=bool)
+    used[kept] = True
+    warnings += [f"{file}: {note}" for note in notes]
     columns = {channel: values[timed] for channel, values in columns.items()}
-    return Table(file, tuple(names), places, columns, time_ns, int((~timed).sum()), rising, tuple(warnings))
+    return Table(file, tuple(names), places, columns, time_ns, int((~timed).sum()), used, tuple(warnings))
+
+
+def _header_line(lines: list[str], layout: Layout | None = None) -> int:
+    """Index of the line that names most channels; the first of several, and 0 where none names two."""
+    counts = []
+    for line in lines[:HEADER_WITHIN]:
+        names, _ = _parted(line)
+        own = {name for name in (layout.columns.values() if layout else ()) if name in names}
+        counts.append(len(find_columns(Path(), names, Layout())) + len(own) if len(names) > 1 else 0)
+    best = max(counts, default=0)
+    return counts.index(best) if best >= 2 else 0
 
 
 def _parted(header: str) -> tuple[list[str], str]:
     """(names, delimiter)."""
-    delimiter = next((mark for mark in (";", "\t") if mark in header), ",")
+    delimiter = next((mark for mark in (";", "\t", "|") if mark in header), ",")
     try:
         names = next(csv.reader([header.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
@@ -89,49 +132,115 @@ def _parted(header: str) -> tuple[list[str], str]:
     return [name.strip() for name in names], delimiter
 
 
-def _with_unit_row(places: dict[str, Place], body: str, delimiter: str,
+def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: str,
                    layout: Layout) -> tuple[dict[str, Place], str]:
-    """Some write the units below the names: then the first row holds no number, and units of its columns."""
+    """Places with the units of a row below the names, and the rest of the body.
+
+    A first row without any number is a row of units, unless its cells only say that a value is missing. Raises
+    RunError for a cell that is no unit of its channel, as a unit in brackets behind a name would not be one either.
+    """
     first, _, rest = body.partition("\n")
     cells = [cell.strip(' \r"') for cell in first.split(delimiter)]
-    if any(np.isfinite(_number(cell)) for cell in cells):
+    texts = {channel: cells[place.column].strip("[]()") for channel, place in places.items()
+             if place.column < len(cells) and cells[place.column].lower() not in MISSING}
+    if not texts or any(np.isfinite(_number(cell.replace(",", "."))) for cell in cells):
         return places, body
-    said = {channel: unit_named(COLUMNS[channel].kind, cells[place.column].strip("[]()"))
-            for channel, place in places.items() if place.column < len(cells)}
-    if not any(said.values()):
-        return places, body
-    units = {channel: unit for channel, unit in said.items() if unit and channel not in layout.units}
-    return {channel: replace(place, unit=units[channel], said=True) if channel in units else place
-            for channel, place in places.items()}, rest
+    found = dict(places)
+    for channel, text in texts.items():
+        if channel in layout.units:
+            continue
+        kind = COLUMNS[channel].kind
+        unit = unit_named(kind, text)
+        if unit is None:
+            raise RunError(file, f"unit row: {text[:40]!r} of column {places[channel].name} is no unit of {kind}",
+                           f"known are {', '.join(UNITS[kind])}; or say it in a run.yaml, as units: {{{channel}: ...}}")
+        found[channel] = replace(places[channel], unit=unit, stated=True)
+    return found, rest
+
+
+def _with_points(file: Path, body: str, delimiter: str) -> str:
+    """The body with decimal points and without thousands separators.
+
+    Which of comma and point is the decimal mark is decided over the whole file. Raises RunError where both readings of
+    a cell remain possible: 1,234 is 1.234 or 1234.
+    """
+    body = _SPACES.sub("", body)
+    quoted = delimiter == "," and '"' in body
+    if not quoted and (delimiter == "," or "," not in body) and not re.search(r"\d\.\d{3}\.\d{3}(?!\d)", body):
+        return body
+    if not quoted and "." not in body and not _GROUPED_CELL.search(body):
+        return body.replace(",", ".")
+    cells = {cell.strip(' \r"') for row in csv.reader(io.StringIO(body), delimiter=delimiter) for cell in row}
+    commas = {cell for cell in cells if "," in cell}
+    points = {cell for cell in cells if "." in cell}
+    marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
+    for mark, with_it, other in ((",", commas, "."), (".", points, ",")):
+        single = {cell for cell in with_it if other not in cell}
+        if any(cell.count(mark) == 1 and not _GROUPS[mark].fullmatch(cell) and _is_number(cell) for cell in single):
+            marks.add(mark)
+        elif any(cell.count(mark) > 1 for cell in single if _GROUPS[mark].fullmatch(cell)):
+            marks.add(other)
+    doubtful = sorted(c for m, with_it in ((",", commas), (".", points)) for c in with_it if _GROUPS[m].fullmatch(c))
+    if doubtful and (len(marks) > 1 or not marks):
+        why = "both commas and points are decimal marks in it" if marks else "nothing in it tells which"
+        raise RunError(file, f"{doubtful[0]} may be a number with a decimal mark or with a thousands separator: {why}",
+                       "export it without thousands separators")
+    if len(marks) > 1:  # every cell has one mark, and it is a decimal mark
+        return "\n".join(delimiter.join(cell.replace(",", ".") for cell in row)
+                         for row in csv.reader(io.StringIO(body), delimiter=delimiter))
+    decimal = next(iter(marks), ",")
+    separator = "." if decimal == "," else ","
+    return "\n".join(delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _looks_numeric(cell) else cell
+                                    for cell in row) for row in csv.reader(io.StringIO(body), delimiter=delimiter))
+
+
+def _looks_numeric(cell: str) -> bool:
+    return bool(re.fullmatch(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*', cell))
+
+
+def _is_number(cell: str) -> bool:
+    return np.isfinite(_number(cell.replace(",", ".")))
 
 
 def _rows(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
+    lines = [line for line in body.splitlines() if line.strip() and not _is_comment(line, delimiter)]
     try:
-        return _parsed(body, delimiter, width)
+        return _parsed(lines, delimiter, width)
     except ValueError as first:
         error = first
-    whole, _, rest = body.rpartition("\n")
-    if rest:
+    cells = [len(row) for row in csv.reader(lines, delimiter=delimiter or " ", skipinitialspace=not delimiter.strip())]
+    whole = [line for line, count in zip(lines, cells, strict=False) if count in (width, width + 1)]
+    lost = len(lines) - len(whole)
+    if whole and 2 * lost < len(lines):
         try:
             rows = _parsed(whole, delimiter, width)
-            warnings.append(f"{file}: the last row is cut; it was left out")
+            what = "the last row is cut; it was left out" if lost == 1 and cells[-1] != width else (
+                f"{share(lost, len(lines), 'rows')} have another number of cells than the header; they were left out")
+            warnings.append(f"{file}: {what}")
             return rows
         except ValueError as second:
             error = second
     raise RunError(file, f"a row cannot be read ({' '.join(str(error).split())[:120]})",
-                   "mend or remove that row (rows count from 0 behind the header)") from None
+                   "correct or remove that row (rows count from 0 behind the header)") from None
 
 
-def _parsed(body: str, delimiter: str, width: int) -> np.ndarray:
-    if all(not line or line.isspace() or line.lstrip().startswith("#") for line in io.StringIO(body)):
+def _parsed(lines: list[str], delimiter: str, width: int) -> np.ndarray:
+    if not lines:
         return np.zeros((0, width))
     try:
-        rows = np.loadtxt(io.StringIO(body), delimiter=delimiter, ndmin=2)
+        rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None)
     except ValueError:  # a hole or a word somewhere: cell by cell, which takes three times as long
-        rows = np.loadtxt(io.StringIO(body), delimiter=delimiter, ndmin=2, quotechar='"', converters=_number)
+        rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, quotechar='"', converters=_number, comments=None)
+    if rows.shape[1] == width + 1 and all(line.rstrip().endswith(delimiter) for line in lines):
+        rows = rows[:, :width]  # a delimiter behind the last cell of every row
     if rows.shape[1] != width:
         raise ValueError(f"{rows.shape[1]} columns instead of {width}")
     return rows
+
+
+def _is_comment(line: str, delimiter: str) -> bool:
+    text = line.lstrip()
+    return text.startswith("#") and text.split(delimiter, 1)[0].strip().lower() not in MISSING
 
 
 def _number(text: str) -> float:
@@ -139,3 +248,8 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return float("nan")
+
+
+def known(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
+    """Rows in which all of some channels hold a number."""
+    return np.isfinite(np.stack([columns[name] for name in names])).all(axis=0)

@@ -1,6 +1,7 @@
 """A run read into a DriveLog: decoded, its clocks aligned, and where every part of it came from."""
 
 import hashlib
+import logging
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -12,9 +13,12 @@ from st_core.corrections import Correction, corrected, in_words
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 
-from .errors import RunError
+from .errors import RunError, printable
 from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
+
+_LOGGER = logging.getLogger("st_recordings")
+_reported: set[str] = set()
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None = None,
@@ -32,7 +36,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     # Hashing does not hold the interpreter; it is done when the rest is.
     with ThreadPoolExecutor(1) as beside:
         digests = beside.submit(hashes, source)
-        loaded = READERS[source.kind].read(source, vehicle, settings)
+        loaded = _read(source, vehicle, settings)
     start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
     log, implausible = plausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
@@ -40,7 +44,25 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     extras = replace(loaded.extras, implausible=tuple(implausible), start_ns=start_ns)
     loaded = treated(source, replace(loaded, log=log, extras=extras), vehicle)
     check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
+    report(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
+
+
+def report(warnings: Iterable[str]) -> None:
+    """Logs each warning once per process: on the terminal of every command, whatever else it prints."""
+    for warning in warnings:
+        if warning not in _reported:
+            _reported.add(warning)
+            _LOGGER.warning("warning: %s", printable(warning))
+
+
+def _read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
+    reader = READERS[source.kind]
+    if source.can and not reader.needs_can and reader.read_ins and not settings.steering:
+        from .raw import read_raw_run  # see readers/ncom.py
+
+        return read_raw_run(source, vehicle, settings, reader.read_ins)
+    return reader.read(source, vehicle, settings)
 
 
 def _left_to_correct(source: RunSource) -> dict[str, Correction]:
@@ -75,7 +97,8 @@ def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None
 def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.ndarray) -> None:
     """Raises RunError where INS and steering have no time in common."""
     if len(ins_ns) < 2 or len(steering_ns) < 2:
-        raise RunError(source.where, "fewer than two measurements of INS or steering are in it", "take it off the list")
+        raise RunError(source.where, "fewer than two measurements of INS or steering are in it",
+                       "remove it from the command")
     if min(ins_ns[-1], steering_ns[-1]) <= max(ins_ns[0], steering_ns[0]):
         raise RunError(source.where, "INS and steering were not recorded at the same time",
                        "check that the files belong to one drive (and the offset, if it was given by hand)")

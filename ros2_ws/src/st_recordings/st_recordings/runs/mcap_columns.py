@@ -35,13 +35,21 @@ class Block:
 
 
 def summary_of(path: Path) -> Summary | None:
-    """Channels, schemas and chunks of a file that was closed; None for one without an index (cut, or not MCAP)."""
+    """Channels, schemas and chunks of a file that was closed; None for one without an index of its messages (cut, not
+    MCAP, or written without message index, or without channels and schemas behind the data)."""
     try:
         with path.open("rb") as stream:
             summary = make_reader(stream).get_summary()
     except (McapError, *DAMAGE):
         return None
-    return summary if summary is not None and summary.chunk_indexes else None
+    if summary is None or not summary.chunk_indexes or summary.statistics is None:
+        return None
+    counts = summary.statistics.channel_message_counts
+    indexed = set().union(*(chunk.message_index_offsets for chunk in summary.chunk_indexes))
+    known = all(number in summary.channels for number, count in counts.items() if count)
+    named = all(c.schema_id in summary.schemas or not c.schema_id for c in summary.channels.values())
+    whole = known and named and indexed >= {number for number, count in counts.items() if count}
+    return summary if whole and sum(counts.values()) == summary.statistics.message_count else None
 
 
 def blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:

@@ -8,9 +8,10 @@ from oxts_bridge import file_decoder, packet_time
 from oxts_bridge.geometry import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS
 from oxts_bridge.ncom import BY_STATUS, NcomError
 
-from .errors import RunError, check_readable
+from .errors import RunError, check_readable, share
 from .ins_log import InsLog
 from .status_channels import ins_quality
+from .times import usable_rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +45,10 @@ def read_ncom(file: Path, origin: tuple[float, float, float] | None = None) -> N
     if not timed.any():
         raise RunError(file, "no packet says what minute it is (status channel 0 is missing)",
                        "record for more than a few seconds; the unit sends it every 200 packets")
-    rows, note = _one_time(np.nonzero(timed)[0], columns.utc_ns)
-    warnings += [f"{file}: {note}"] if note else []
+    found = np.flatnonzero(timed)
+    used, notes = usable_rows(columns.utc_ns[found], "packets")
+    rows = found[used]
+    warnings += [f"{file}: {note}" for note in notes]
     return _in_our_axes(file, columns, rows, origin, tuple(warnings))
 
 
@@ -96,26 +99,11 @@ def ecef(latitude: np.ndarray, longitude: np.ndarray, altitude: np.ndarray) -> n
     return np.stack([across * np.cos(longitude), across * np.sin(longitude), up])
 
 
-def _one_time(rows: np.ndarray, utc_ns: np.ndarray) -> tuple[np.ndarray, str]:
-    """Rows whose time rises strictly; where the clock was set back, the longest stretch, and a sentence about it."""
-    time = utc_ns[rows]
-    back = np.nonzero(np.diff(time) <= 0)[0] + 1
-    if not len(back):
-        return rows, ""
-    edges = [0, *back.tolist(), len(rows)]
-    lengths = np.diff(edges)
-    longest = int(np.argmax(lengths))
-    step = (time[back[0]] - time[back[0] - 1]) * 1e-9
-    note = (f"the time of the packets goes back {len(back)} times (first by {-step:.3f} s): only the longest stretch, "
-            f"{lengths[longest]} of {len(rows)} packets, is used; split the file to use the others")
-    return rows[edges[longest] : edges[longest + 1]], note
-
-
 def _damage(columns: file_decoder.Columns, file: Path) -> list[str]:
     counters = columns.counters
     lost = []
     if counters.skipped_bytes:
-        lost.append(f"{counters.skipped_bytes} bytes belong to no packet")
+        lost.append(f"{share(counters.skipped_bytes, file.stat().st_size, 'bytes')} belong to no packet")
     if counters.checksum_errors:
         lost.append(f"{counters.checksum_errors} packets have a wrong checksum")
     if counters.duplicates:

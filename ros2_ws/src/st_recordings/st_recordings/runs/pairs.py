@@ -45,8 +45,8 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> Pair:
         motion, warnings = csv.read_motion(source.where)
     else:
         read_ins = READERS[source.kind].read_ins
-        assert read_ins is not None  # what has CAN logs beside it has an INS
-        ins = read_ins(source.where)
+        assert read_ins is not None  # only such kinds have CAN logs beside them
+        ins = read_ins(source, settings)
         motion, warnings = ins.motion, ins.warnings
     can = read_can_logs(source.can)
     dbc, table = signal_files(source, settings)
@@ -66,7 +66,7 @@ def _source(files: Sequence[Path]) -> RunSource:
     for run in runs:
         if run.problem is not None:
             raise run.problem
-    raw = [run for run in runs if READERS[run.kind].with_can]
+    raw = [run for run in runs if run.can]
     if len(raw) != 1:
         what = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
         raise RunError(", ".join(map(str, files)), f"{what} of an INS recording and CAN logs is in there",

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from ..plain_json import finite
 from .can_logs import CanLog, read_can_logs
 from .can_signals import CanSignals, Signal, decode_signals, load_signal_table, steering_of
 from .clocks import INS_ON_CAN, align_clocks
-from .errors import RunError, check_readable
+from .errors import RunError, check_readable, share
 from .extras import SPEEDS, car_speed, mostly_known, series
 from .frames import empty
 from .ins_log import InsLog
@@ -36,7 +35,10 @@ class RawRun:
     warnings: tuple[str, ...]
 
 
-def read_raw(source: RunSource, settings: ReadSettings, read_ins: Callable[[Path], InsLog],
+ReadIns = Callable[[RunSource, ReadSettings], InsLog]
+
+
+def read_raw(source: RunSource, settings: ReadSettings, read_ins: ReadIns,
              keep_frames: bool = True) -> RawRun:
     """INS recording and CAN logs of a run.
 
@@ -53,14 +55,14 @@ def read_raw(source: RunSource, settings: ReadSettings, read_ins: Callable[[Path
     steering = steering_of(signals, can.files[0], table)
     if not keep_frames:
         can = replace(can, frames=empty())
-    ins = read_ins(source.where)
+    ins = read_ins(source, settings)
     alignment, shared = align_clocks(ins.motion, signals, **clock_settings(source, settings))
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(ins, can, signals, steering, alignment, shared, (*ins.warnings, *can.warnings, *faults))
 
 
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
-                 read_ins: Callable[[Path], InsLog]) -> LoadedRun:
+                 read_ins: ReadIns) -> LoadedRun:
     """See `load.read`."""
     if vehicle is None:
         raise RunError(source.where, "the steering of a CAN log needs the steering ratio and offset of the car",
@@ -77,7 +79,7 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
     ins = run.ins
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
-    warnings += [f"{source.where}: {name}: {count} of {len(ins.time_ns)} packets hold no value; "
+    warnings += [f"{source.where}: {name}: {share(count, len(ins.time_ns), 'samples')} hold no value; "
                  f"it is not {'known there' if mostly_known(accelerations[name]) else 'used'}"
                  for name, count in missing.items() if 0 < count < len(ins.time_ns)]
     missing["road_wheel_angle"] = int((~run.steering.valid).sum())

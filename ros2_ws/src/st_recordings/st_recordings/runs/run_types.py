@@ -11,7 +11,7 @@ from st_core.log import DriveLog
 
 from ..paths import config
 from .errors import RunError
-from .foreign import SteeringField
+from .external_topics import SteeringField
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Label:
 
 @dataclass(frozen=True)
 class RunSource:
-    """The files of one run. kind: that of its reader ("bag", "ncom", "csv"), or "" where `problem` says why it is none.
+    """The files of one run. kind: that of its reader ("bag", "ncom", "csv", "vbo"), or "" where there is a `problem`.
 
     settings: from run.yaml: offset [s], ins_can_latency (value and deviation [s]), dbc, signals (paths), layout
     (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]). where: the file or folder to name
@@ -54,7 +54,7 @@ class ReadSettings:
     given by hand. search: bounds of that offset [s] when it is looked for. ins_can_latency: from the instant an INS
     value is true to its CAN frame in the log, and the standard deviation of that [s]; None: assumed (clocks.py).
     doubtful: whether an alignment that is doubtful may be used (with a warning); a refused one never is. steering:
-    where the angle is in bags without st_msgs/Steering.
+    where the angle is in bags without st_msgs/Steering, or in tables. odometry: topic of a bag that has several.
     """
 
     dbc: Path | None = None
@@ -66,6 +66,7 @@ class ReadSettings:
     ins_can_latency: tuple[float, float] | None = None
     doubtful: bool = True
     steering: SteeringField | None = None
+    odometry: str | None = None
 
 
 @dataclass(frozen=True)

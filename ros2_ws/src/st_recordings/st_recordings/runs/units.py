@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Mapping
 
-# Kind of quantity -> unit -> (factor to SI, other ways to write it). The first is what is taken where nothing is said.
+# Kind of quantity -> unit -> (factor to SI, other ways to write it). The first is the default.
 UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
     "time": {"s": (1.0, ("sec", "secs", "second", "seconds")),
              "ms": (1e-3, ("msec", "millis", "milliseconds")),
@@ -14,6 +14,8 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
                "km": (1e3, ()), "ft": (0.3048, ("feet", "foot"))},
     "angle": {"rad": (1.0, ("rads", "radian", "radians")), "deg": (math.pi / 180, ("°", "degs", "degree", "degrees")),
               "mrad": (1e-3, ())},
+    "latitude or longitude": {"deg": (math.pi / 180, ("°", "degs", "degree", "degrees")),
+                              "min": (math.pi / 10800, ("arcmin", "minute", "minutes")), "rad": (1.0, ("radian",))},
     "speed": {"m/s": (1.0, ("mps", "m s-1", "m per s", "m per sec", "ms-1")),
               "km/h": (1 / 3.6, ("kph", "kmh", "kmph", "km per h")),
               "mph": (0.44704, ("mi/h",)), "kn": (1852 / 3600, ("kt", "kts", "knot", "knots")),

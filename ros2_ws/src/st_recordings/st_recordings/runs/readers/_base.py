@@ -1,4 +1,4 @@
-"""What a kind of recording says of itself, and the list of all kinds."""
+"""What a kind of recording declares, and the registry of all kinds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,6 +14,10 @@ def _always(path: Path) -> bool:
     return True
 
 
+def _never(path: Path) -> bool:
+    return False
+
+
 @dataclass(frozen=True)
 class Reader:
     """One kind of recording.
@@ -21,21 +25,28 @@ class Reader:
     kind: its name. key: names its file in a run.yaml. extensions: of its files, lower case. read: the whole drive of a
     run; raises RunError for what cannot be used. read_ins: the INS alone, where the steering is in CAN logs beside it.
     is_folder: whether a folder is one recording. holds_drive: a quick look into one that nobody named, found in a
-    folder; True where it cannot be told. scales_yaw: whether `read` applies a corrected scale of yaw itself.
+    folder; True where it cannot be decided. lacks_steering: whether a recording is an INS alone, so that CAN logs
+    beside it belong to it; None for a kind that never has a steering angle. scales_yaw: whether `read` applies a
+    corrected scale of yaw itself.
     """
 
     kind: str
     key: str
     extensions: tuple[str, ...]
     read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun]
-    read_ins: Callable[[Path], InsLog] | None = None
+    read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None
     is_folder: Callable[[Path], bool] | None = None
     holds_drive: Callable[[Path], bool] = _always
+    lacks_steering: Callable[[Path], bool] | None = _never
     scales_yaw: bool = False
 
     @property
-    def with_can(self) -> bool:
-        return self.read_ins is not None
+    def needs_can(self) -> bool:
+        """Whether a recording of this kind is no drive without CAN logs."""
+        return self.lacks_steering is None
+
+    def is_ins_only(self, path: Path) -> bool:
+        return self.lacks_steering is None or self.lacks_steering(path)
 
     def takes(self, path: Path) -> bool:
         if path.is_dir():
@@ -55,6 +66,6 @@ def register(reader: Reader) -> Reader:
 
 
 def reader_of(path: Path, key: str | None = None) -> Reader | None:
-    """Who reads a file or folder; with a key of a run.yaml, the one of those under it that fits best."""
+    """The reader of a file or folder; with a key of a run.yaml, the best match among those of the key."""
     named = [reader for reader in READERS.values() if key in (None, reader.key)]
     return next((reader for reader in named if reader.takes(path)), named[0] if key else None)

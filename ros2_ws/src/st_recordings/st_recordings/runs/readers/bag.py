@@ -6,16 +6,24 @@ from collections.abc import Mapping
 from st_core.vehicle import VehicleParameters
 
 from .. import bag
+from ..bag_storage import EXTENSIONS
+from ..ins_log import InsLog
 from ..run_types import Label, LoadedRun, ReadSettings, RunSource
 from ._base import Reader, register
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-    drive = bag.read_bag(source.where, source.name, settings.steering)
+    steering = settings.steering if settings.steering and settings.steering.topic else None
+    splits = source.files if len(source.files) > 1 else ()
+    drive = bag.read_bag(source.where, source.name, steering, settings.odometry, splits)
     recorded = {name: dict(record) for name, record in drive.records.items()}
     about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
     labels = source.labels or _recorded_labels(drive.records)
     return LoadedRun(drive.log, about, labels, drive.warnings, extras=drive.extras)
+
+
+def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
+    return bag.read_odometry(source.where, settings.odometry)
 
 
 def _recorded_labels(records: Mapping[str, Mapping[str, str]]) -> tuple[Label, ...]:
@@ -23,4 +31,5 @@ def _recorded_labels(records: Mapping[str, Mapping[str, str]]) -> tuple[Label, .
     return tuple(Label(*entry) for entry in json.loads(records.get("import", {}).get("labels", "[]")))
 
 
-register(Reader("bag", "bag", bag.EXTENSIONS, read, is_folder=bag.is_bag, holds_drive=bag.holds_odometry))
+register(Reader("bag", "bag", EXTENSIONS, read, read_ins, is_folder=bag.is_bag, holds_drive=bag.holds_odometry,
+                lacks_steering=bag.lacks_steering))

@@ -1,7 +1,5 @@
 """INS recordings in NCOM, with the CAN logs of the same drive."""
 
-from pathlib import Path
-
 from st_core.vehicle import VehicleParameters
 
 from ..ins_log import InsLog
@@ -9,10 +7,10 @@ from ..run_types import LoadedRun, ReadSettings, RunSource
 from ._base import Reader, register
 
 
-def read_ins(file: Path) -> InsLog:
+def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
     from ..ncom import read_ncom
 
-    return read_ncom(file)
+    return read_ncom(source.where)
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
@@ -21,4 +19,4 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     return read_raw_run(source, vehicle, settings, read_ins)
 
 
-register(Reader("ncom", "ins", (".ncom", ".xcom"), read, read_ins))
+register(Reader("ncom", "ins", (".ncom", ".xcom"), read, read_ins, lacks_steering=None))

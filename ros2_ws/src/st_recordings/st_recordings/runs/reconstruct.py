@@ -1,4 +1,4 @@
-"""What the bridges publish, made again from the raw packets and frames of a recording that does not hold it."""
+"""Odometry and steering reconstructed from the raw packets and frames of a recording, as the bridges publish them."""
 
 import math
 import tempfile
@@ -22,10 +22,10 @@ from .messages import CAN_FRAMES, NCOM
 from .recorded_texts import parameters, text_of
 
 ORIGIN = "ins/origin"
-WHERE = " (made again)"  # behind the name of the topic that something was made of
+RECONSTRUCTED = " (reconstructed)"  # behind the name of the topic that it was computed from
 
 
-class MadeAgain:
+class Reconstruction:
     """Of one recording. records: what it says about itself: parameters of the nodes, DBC, table and vehicle."""
 
     def __init__(self, path: Path, storage: Storage, records: Mapping[str, Mapping[str, str]], store: Typestore):
@@ -55,7 +55,7 @@ class MadeAgain:
         columns = self._storage.columns({self.topic(NCOM): ("header.stamp", "raw_packet")}, self._store)
         found = columns.get(self.topic(NCOM).name)
         if found is None:
-            raise RunError(self._path, "its raw packets are not alike", "mend the bag with `st recover`")
+            raise RunError(self._path, "its raw packets are not alike", "repair the bag with `st recover`")
         packets = zip(found["header.stamp"].tolist(), map(bytes, found["raw_packet"]), strict=True)
         rows = [(one.stamp_ns, *one.position, *one.orientation, *one.velocity[:2], one.rate[2])
                 for one in reconstruct_odometry(packets, self._origin(bridge), not bridge.get("replay_file"),
@@ -141,5 +141,5 @@ class MadeAgain:
             frames = read_frames(self._storage.messages(self.topic(CAN_FRAMES).name))
         except ValueError as error:
             raise RunError(self._path, f"its raw CAN frames are damaged: {error}",
-                           "mend the bag with `st recover`") from None
+                           "repair the bag with `st recover`") from None
         return decode_signals(frames, table)

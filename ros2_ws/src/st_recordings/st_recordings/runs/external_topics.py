@@ -1,4 +1,4 @@
-"""Steering of other makes in a bag: one number of a topic of any known type, named by the user."""
+"""Steering angle of any source: a number in a topic of any type, or a column of a table, named by the user."""
 
 import math
 from dataclasses import dataclass
@@ -17,14 +17,23 @@ OURS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifie
 
 @dataclass(frozen=True)
 class SteeringField:
-    """Where the steering angle is [rad, left +]. field: path in the message, as "drive.steering_angle".
+    """Where the steering angle is, in which unit and with which sign.
 
-    quantity: road (mean of the front wheels) or wheel (the hand wheel, offset not removed).
+    topic: of a bag, "" for a table. field: path in its messages, as "drive.steering_angle"; column of a table.
+    quantity: road (mean of the front wheels) or wheel (the hand wheel, offset not removed). unit: rad or deg.
+    sign: 1 where the number is positive to the left, -1 where to the right.
     """
 
     topic: str
     field: str = "data"
     quantity: Literal["road", "wheel"] = "road"
+    unit: Literal["rad", "deg"] = "rad"
+    sign: int = 1
+
+    @property
+    def scale(self) -> float:
+        """What the number is multiplied with to be in rad, left +."""
+        return self.sign * (math.pi / 180.0 if self.unit == "deg" else 1.0)
 
 
 def unknown(topics: list[Topic], played: tuple[str, ...]) -> list[Topic]:
@@ -41,13 +50,16 @@ def steering_topic(where: Any, topics: list[Topic], steering: SteeringField, sto
         raise RunError(where, f"--steering-topic: no message of {steering.topic} is in it; it has {names}",
                        "name one of them")
     if found.type_name not in store.fielddefs:
-        raise RunError(where, f"--steering-topic: the type {found.type_name} of {found.name} is not known",
-                       "known are the types of ROS 2 Jazzy")
+        raise RunError(where, f"--steering-topic: the type {found.type_name} of {found.name} is not known, and the bag "
+                       "holds no definition of it", "record it as MCAP, which holds definitions")
     return found
 
 
 def steering_value(where: Any, message: Any, steering: SteeringField) -> float:
-    """The angle in a message [rad]. Raises RunError, naming the fields there are, where the path ends at no number."""
+    """The angle in a message [rad, left +].
+
+    Raises RunError, naming the fields there are, where the path ends at no number.
+    """
     value = message
     for part in steering.field.split("."):
         fields = [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("__")]
@@ -59,7 +71,7 @@ def steering_value(where: Any, message: Any, steering: SteeringField) -> float:
     if isinstance(value, bool | str) or not isinstance(value, int | float | np.number):
         raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is not a number",
                        "give the path to one number, as drive.steering_angle")
-    return float(value)
+    return steering.scale * float(value)
 
 
 def stamp_of(message: Any, log_ns: int) -> int:
@@ -77,7 +89,7 @@ def steering_columns(where: Any, storage: Storage, topic: Topic, steering: Steer
             message = store.deserialize_cdr(data, topic.type_name)
         except Exception as error:  # rosbags lets through what struct and numpy run into
             raise RunError(where, f"a message of {topic.name} is damaged ({type(error).__name__})",
-                           "record it again, or mend the bag with `st recover`") from None
+                           "record it again, or repair the bag with `st recover`") from None
         stamps.append(stamp_of(message, log_ns))
         angles.append(steering_value(where, message, steering))
     values, missing = np.array(angles), np.full(len(angles), math.nan)

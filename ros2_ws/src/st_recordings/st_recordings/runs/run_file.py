@@ -1,0 +1,194 @@
+"""A run.yaml: which files make a run, and how they are to be read, corrected and labelled."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from st_core import yaml_text
+from st_core.corrections import CHANNELS, Correction, check_corrections
+from st_core.errors import ConfigurationError, StCoreError
+
+from .can_formats import EXTENSIONS as CAN_EXTENSIONS
+from .can_formats import is_can_log
+from .columns import COLUMNS, Layout
+from .errors import RunError
+from .readers import READERS, reader_of
+from .run_types import Label, RunSource
+from .units import UNITS, unit_named
+
+RUN_FILE = "run.yaml"
+RUN_SUFFIX = ".run.yaml"
+_FILES = tuple(dict.fromkeys(reader.key for reader in sorted(READERS.values(), key=lambda one: not one.needs_can)))
+_KEYS = ("name", *_FILES, "can", "offset", "ins_can_latency", "labels", "dbc", "signals", "columns", "units", "correct",
+         "leave_out")
+
+
+def is_run_file(path: Path) -> bool:
+    return path.name == RUN_FILE or path.name.endswith(RUN_SUFFIX)
+
+
+def read_run_file(path: Path) -> RunSource:
+    """The run that a run.yaml describes. Raises RunError."""
+    try:
+        content = yaml_text.load(path.read_text(encoding="utf-8"))
+    except (OSError, ConfigurationError, UnicodeDecodeError) as error:
+        raise RunError(path, f"invalid YAML: {' '.join(str(error).split())[:200]}") from None
+    if not isinstance(content, dict):
+        raise RunError(path, "does not hold keys and values", f"known keys are {', '.join(_KEYS)}")
+    unknown = [key for key in content if key not in _KEYS]
+    if unknown:
+        raise RunError(path, f"key {unknown[0]} is not known", f"known keys are {', '.join(_KEYS)}")
+    keys = [key for key in _FILES if key in content]
+    if len(keys) != 1:
+        what = f"{', '.join(_FILES[:-1])} and {_FILES[-1]}"
+        raise RunError(path, f"one of the keys {what} must name the file of the INS measurements")
+    file = _existing(path, keys[0], content[keys[0]])
+    reader = reader_of(file, keys[0])
+    assert reader is not None  # the key is one of theirs
+    logs: list[Path] = []
+    for text in _listed(path, "can", content.get("can", [])):
+        logs += [f for entry in _matching(path, text) for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
+                 if f.is_file() and f.suffix.lower() in CAN_EXTENSIONS and (f == entry or is_can_log(f))]
+    if reader.needs_can and not logs:
+        raise RunError(path, "no CAN log under the key can", "list the logs, a folder of them, or a pattern")
+    offset = content.get("offset")
+    if offset is not None and (isinstance(offset, bool) or not isinstance(offset, int | float)):
+        raise RunError(path, f"offset: {offset!r} is not a number of seconds")
+    settings: dict[str, Any] = {key: _existing(path, key, content[key]) for key in ("dbc", "signals") if key in content}
+    if offset is not None:
+        settings["offset"] = float(offset)
+    if "ins_can_latency" in content:
+        settings["ins_can_latency"] = _latency(path, content["ins_can_latency"])
+    settings |= _reading(path, content, keys[0])
+    default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
+    name = _plain_name(path, content.get("name", default))
+    return RunSource(name, reader.kind, (file,), tuple(logs), _labels(path, content.get("labels", [])), settings)
+
+
+def _matching(path: Path, text: str) -> list[Path]:
+    if not any(c in text for c in "*?["):
+        return [_existing(path, "can", text)]
+    try:
+        return sorted(path.parent.glob(text))
+    except (ValueError, NotImplementedError, OSError) as error:
+        raise RunError(path, f"can: {text[:100]!r} is no pattern ({error})",
+                       "patterns are relative to the run file; * is a part of a name, **/ are folders") from None
+
+
+def _latency(path: Path, value: Any) -> tuple[float, float]:
+    try:
+        latency, deviation = map(float, value)
+        if 0.0 <= latency <= 1.0 and 0.0 <= deviation <= 1.0:
+            return latency, deviation
+    except (TypeError, ValueError):
+        pass
+    raise RunError(path, f"ins_can_latency: {value!r} is not [latency, standard deviation] in seconds, each 0 to 1")
+
+
+def _plain_name(path: Path, value: Any) -> str:
+    """A name that can be the name of a folder: results are stored under it. Raises RunError."""
+    name = str(value)
+    if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
+        raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder", "leave out slashes")
+    return name
+
+
+def _existing(path: Path, key: str, text: Any) -> Path:
+    try:
+        if isinstance(text, str) and (path.parent / text).exists():
+            return path.parent / text
+    except (OSError, ValueError):  # a name no file can have
+        pass
+    raise RunError(path, f"{key}: there is no {str(text)[:200]!r} in its folder")
+
+
+def _listed(path: Path, key: str, value: Any) -> list[str]:
+    entries = [value] if isinstance(value, str) else value
+    if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
+        raise RunError(path, f"{key}: expected a file or a list of files")
+    return entries
+
+
+def _labels(path: Path, value: Any) -> tuple[Label, ...]:
+    try:
+        labels = tuple(Label(str(entry["name"]), float(entry["start"]), float(entry["end"])) for entry in value)
+    except (KeyError, TypeError, ValueError):
+        raise RunError(path, "labels: expected a list of {name, start, end} in seconds from the start") from None
+    for label in labels:
+        if not label.start < label.end:
+            raise RunError(path, f"labels: {label.name} ends ({label.end:g} s) before it starts ({label.start:g} s)")
+    return labels
+
+
+def _reading(path: Path, content: Mapping[str, Any], kind: str) -> dict[str, Any]:
+    """layout, correct and leave_out, as far as they are given. kind: key of the recording. Raises RunError."""
+    for key in ("columns", "units"):
+        if key in content and kind not in ("csv", "vbo"):
+            raise RunError(path, f"{key}: only a csv or vbo has columns; the units of others are known",
+                           "correct: changes values of every kind of recording")
+    settings: dict[str, Any] = {}
+    if "columns" in content or "units" in content:
+        settings["layout"] = Layout(_columns(path, content.get("columns", {})), _units(path, content.get("units", {})),
+                                    path)
+    if "correct" in content:
+        settings["correct"] = _corrections(path, content["correct"])
+    if "leave_out" in content:
+        settings["leave_out"] = _stretches(path, content["leave_out"])
+    return settings
+
+
+def _columns(path: Path, value: Any) -> dict[str, str]:
+    for channel, name in _mapping(path, "columns", value, COLUMNS).items():
+        if not isinstance(name, str) or not name:
+            raise RunError(path, f"columns: {channel}: {name!r} is not the name of a column", "put it in quotes")
+    return dict(value)
+
+
+def _units(path: Path, value: Any) -> dict[str, str]:
+    units = {}
+    for channel, text in _mapping(path, "units", value, COLUMNS).items():
+        kind = COLUMNS[channel].kind
+        unit = unit_named(kind, text) if isinstance(text, str) else None
+        if unit is None:
+            raise RunError(path, f"units: {channel}: {str(text)[:40]!r} is no unit of {kind}",
+                           f"known are {', '.join(UNITS[kind])}")
+        units[channel] = unit
+    return units
+
+
+def _corrections(path: Path, value: Any) -> dict[str, Correction]:
+    corrections = {}
+    for channel, given in _mapping(path, "correct", value, CHANNELS).items():
+        taken = CHANNELS[channel]
+        entries = _mapping(path, f"correct: {channel}", given, taken)
+        for key, number in entries.items():
+            if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
+                raise RunError(path, f"correct: {channel}: {key}: {str(number)[:40]!r} is not a number")
+        corrections[channel] = Correction(**{key: float(number) for key, number in entries.items()})
+    try:
+        check_corrections(corrections)
+    except StCoreError as error:
+        raise RunError(path, f"correct: {error}") from None
+    return corrections
+
+
+def _stretches(path: Path, value: Any) -> tuple[tuple[float, float], ...]:
+    try:
+        stretches = tuple((float(start), float(end)) for start, end in value)
+    except (TypeError, ValueError):
+        stretches = ((np.nan, np.nan),)
+    for start, end in stretches:
+        if not start < end:
+            raise RunError(path, "leave_out: expected a list of [start, end] in seconds after the first INS "
+                           "measurement, start before end")
+    return stretches
+
+
+def _mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise RunError(path, f"{key}: expected a mapping", f"known keys are {', '.join(known)}")
+    unknown = [name for name in value if name not in known]
+    if unknown:
+        raise RunError(path, f"{key}: {unknown[0]} is not known", f"known are {', '.join(known)}")
+    return value

@@ -1,0 +1,181 @@
+"""Racelogic VBOX files (.vbo): sections of text, a row per sample; position, speed and course of the GNSS, channels of
+the CAN bus.
+
+Source: Racelogic, VBO file format. Latitude and longitude are in minutes of arc, west positive; time is HHMMSS.ss UTC.
+"""
+
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from .columns import COLUMNS, Layout, Place, find_columns
+from .csv_table import Table, table_of, text_of
+from .errors import RunError, check_readable
+from .units import UNITS, plain, unit_named
+
+_SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
+_CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
+_DAY = 86400.0
+# Standard channels by name in [column names]: what they are here, and their unit.
+_STANDARD = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
+             "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
+             "heading": ("compass_heading", "deg"), "time": ("t", "s")}
+# Units of other channels where [channel units] gives none: as the loggers of the maker send them.
+_DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
+TRUE_HEADING = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
+MIN_HEADING_AGREEMENT = 0.5
+"""Correlation of a yaw rate channel with the derivative of the heading below which it is not used."""
+
+
+def read_vbo(file: Path, layout: Layout) -> Table:
+    """A file as a table of the drive's channels (csv.drive_of). Raises RunError.
+
+    GNSS gives the course over ground. Where the file has no heading of two antennas, yaw is that course, the lateral
+    velocity is zero and the yaw rate, without a channel for it, is the derivative of the course: a warning says so.
+    """
+    check_readable(file)
+    text = text_of(file).replace("\r\n", "\n")
+    sections = _sections(text)
+    if not {"column names", "data"} <= sections.keys():
+        raise RunError(file, "this is no VBO file: sections [column names] and [data] are missing",
+                       "give it the extension of what it is")
+    names = sections["column names"].split()
+    places = _places(file, names, sections, layout)
+    warnings: list[str] = []
+    body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", sections["data"]))
+    if "," in body and "." not in body:
+        body = body.replace(",", ".")
+    place = places.pop("t", None)
+    if place is None:
+        raise RunError(file, "[column names] has no time", f"it has {', '.join(names)[:200]}")
+    body = _with_seconds(body, place.column, _midnight(text))
+    table = table_of(file, names, body, " ", layout, warnings, {**places, "t": place})
+    return _with_motion(table, names, warnings)
+
+
+def _sections(text: str) -> dict[str, str]:
+    parts = _SECTION.split(text)
+    return {name.strip().lower(): content for name, content in zip(parts[1::2], parts[2::2], strict=True)}
+
+
+def _places(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, Place]:
+    """Channels of the columns: the standard ones, then those whose names CSV files have as well."""
+    units = _units(names, sections)
+    found = find_columns(file, names, Layout(layout.columns, {}, layout.source))
+    places = {}
+    for channel, place in found.items():
+        kind = COLUMNS[channel].kind
+        stated = unit_named(kind, units.get(place.name, ""))
+        places[channel] = Place(place.column, place.name, kind, stated or _DEFAULT_UNITS.get(kind, place.unit),
+                                stated is not None)
+    for number, name in enumerate(names):
+        if (standard := _STANDARD.get(name.lower())) and standard[0] not in layout.columns:
+            channel, unit = standard
+            kind = COLUMNS[channel].kind
+            places[channel] = Place(number, name, kind, unit_named(kind, units.get(name, "")) or unit, True)
+        if plain(name) in TRUE_HEADING:
+            unit = unit_named("angle", units.get(name, "")) or "deg"
+            places["true_heading"] = Place(number, name, "angle", unit, True)
+    if "yaw" in places and "compass_heading" in places and "yaw" not in layout.columns:
+        places.pop("yaw")
+    for channel, unit in layout.units.items():
+        if channel not in places:
+            raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for it")
+        place = places[channel]
+        places[channel] = Place(place.column, place.name, place.kind, unit, True)
+    return places
+
+
+def _units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
+    """Column -> unit: of [channel units], which belong to the last columns, and of velocity in [header]."""
+    lines = [line.strip() for line in sections.get("channel units", sections.get("units", "")).splitlines()]
+    while lines and not lines[-1]:
+        lines.pop()
+    units = dict(zip(names[-len(lines) :], lines, strict=False)) if lines and len(lines) <= len(names) else {}
+    for line in sections.get("header", "").lower().splitlines():
+        if line.strip().startswith("velocity "):
+            units["velocity"] = line.split(None, 1)[1].strip()
+    return units
+
+
+def _midnight(text: str) -> float:
+    """UTC [s] of the start of the day on which the file was made, 0 where the file does not give it."""
+    match = _CREATED.search(text[:2000])
+    try:
+        day, month, year = map(int, match.groups()) if match else (1, 1, 1970)
+        return datetime(year, month, day, tzinfo=UTC).timestamp()
+    except ValueError:
+        return 0.0
+
+
+def _with_seconds(body: str, column: int, midnight: float) -> str:
+    """The rows with seconds in place of HHMMSS.ss; days go on over midnight."""
+    rows = [line.split(" ") for line in body.split("\n") if line]
+    days, before = 0.0, -1.0
+    for row in rows:
+        if len(row) <= column:
+            continue
+        try:
+            clock = float(row[column])
+        except ValueError:
+            continue
+        seconds = clock // 10000 * 3600 + clock // 100 % 100 * 60 + clock % 100
+        if not 0 <= seconds < _DAY + 1:
+            row[column] = "nan"
+            continue
+        if before - seconds > _DAY / 2:
+            days += _DAY
+        before = seconds
+        row[column] = f"{midnight + days + seconds:.6f}"
+    return "\n".join(map(" ".join, rows))
+
+
+def _with_motion(table: Table, names: list[str], warnings: list[str]) -> Table:
+    """The table with longitude east positive, and with yaw, yaw rate and lateral velocity."""
+    columns = dict(table.columns)
+    if "longitude" in columns:
+        columns["longitude"] = -columns["longitude"]
+    notes = list(table.warnings)
+    if "compass_heading" in columns and "velocity_x" in columns:
+        course = np.pi / 2 - columns.pop("compass_heading")
+        if "yaw" not in columns:
+            columns["yaw"] = np.pi / 2 - columns.pop("true_heading") if "true_heading" in columns else course
+        if "velocity_y" not in columns:
+            speed, slip = columns["velocity_x"], _wrapped(course - columns["yaw"])
+            columns["velocity_x"], columns["velocity_y"] = speed * np.cos(slip), speed * np.sin(slip)
+            if not np.nan_to_num(slip).any():
+                notes.append(f"{table.file}: yaw is the course over ground of the GNSS: no lateral velocity is known, "
+                             "it is taken as zero")
+        _set_yaw_rate(table, columns, notes)
+    derived = {name: Place(-1, "heading", COLUMNS[name].kind, next(iter(UNITS[COLUMNS[name].kind])), False)
+               for name in ("yaw", "velocity_y", "yaw_rate") if name in columns}
+    places = derived | {name: place for name, place in table.places.items() if name != "true_heading"}
+    return Table(table.file, table.names, places, columns, table.time_ns, table.timeless, table.used, tuple(notes))
+
+
+def _set_yaw_rate(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
+    """A yaw rate channel with the sign of the heading; else the derivative of the heading."""
+    rows = np.flatnonzero(table.used & np.isfinite(columns["yaw"]))
+    if len(rows) < 3:
+        return
+    derived = np.full(len(columns["yaw"]), np.nan)
+    derived[rows] = np.gradient(np.unwrap(columns["yaw"][rows]), table.time_ns[rows] * 1e-9)
+    if "yaw_rate" in columns:
+        both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
+        agreement = np.corrcoef(columns["yaw_rate"][both], derived[both])[0, 1] if both.sum() > 10 else 0.0
+        if abs(agreement) >= MIN_HEADING_AGREEMENT:
+            if agreement < 0:
+                columns["yaw_rate"] = -columns["yaw_rate"]
+                notes.append(f"{table.file}: the yaw rate counts right turns positive; its sign was changed")
+            return
+        notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (correlation "
+                     f"{agreement:.2f}); the derivative of the heading is used")
+    else:
+        notes.append(f"{table.file}: no yaw rate channel; the derivative of the heading is used")
+    columns["yaw_rate"] = derived
+
+
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    return (angle + np.pi) % (2 * np.pi) - np.pi
