@@ -16,10 +16,13 @@ from st_recordings.runs.write import import_run
 
 @pytest.fixture
 def another_ins() -> Iterator[Reader]:
-    def read_it(source, vehicle, settings):
-        return read_raw_run(source, vehicle, settings, read_ncom)
+    def read_ins(source, settings):
+        return read_ncom(source.where)
 
-    yield register(Reader("another", "ins", (".other",), read_it, read_ncom))
+    def read_it(source, vehicle, settings):
+        return read_raw_run(source, vehicle, settings, read_ins)
+
+    yield register(Reader("another", "ins", (".other",), read_it, read_ins, lacks_steering=None))
     del READERS["another"]
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from canedge_bridge import log_decode
+from canedge_bridge import extraction
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import ReadSettings, RunSource, find_runs, frames, raw, read
 from st_recordings.runs.errors import RunError
@@ -26,7 +26,7 @@ def by_name(runs: list[RunSource]) -> dict[str, RunSource]:
 
 
 def test_extended_identifiers_are_marked_alike():
-    assert frames.EXTENDED == log_decode.EXTENDED
+    assert frames.EXTENDED == extraction.EXTENDED
 
 
 def test_bounds_the_wrong_way_round_are_refused() -> None:
@@ -59,9 +59,9 @@ def test_what_has_no_partner_says_so(tmp_path: Path) -> None:
     touch(tmp_path, "a.ncom", "b.ncom", "c.log")
     runs = find_runs([tmp_path])
     assert len(runs) == 2
-    assert all("name the files alike, or say which belong together in a run.yaml" in str(run.problem) for run in runs)
+    assert all("give them the same name, or list the files of each run in a run.yaml" in str(run.problem) for run in runs)
     alone = find_runs(touch(tmp_path / "alone", "d.log"))
-    assert "there is no INS recording (.ncom) for this CAN log" in str(alone[0].problem)
+    assert "there is no INS recording (.ncom, CSV, bag) for this CAN log" in str(alone[0].problem)
     lonely = find_runs(touch(tmp_path / "lonely", "e.ncom"))
     assert "there is no CAN log with the same stem" in str(lonely[0].problem)
 
@@ -130,17 +130,17 @@ def test_run_yaml(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("[", "is not YAML"),
+        ("[", "invalid YAML"),
         ("- a", "does not hold keys and values"),
         ("ins: x.ncom\ncan: 1.log\nspeed: 3", "key speed is not known; known keys are name, ins"),
-        ("can: 1.log", "one of the keys ins, bag and csv"),
-        ("ins: y.ncom\ncan: 1.log", "ins: there is no 'y.ncom' beside it"),
-        ("ins: x.ncom", "key can names no CAN log"),
+        ("can: 1.log", "one of the keys ins, bag, csv and vbo"),
+        ("ins: y.ncom\ncan: 1.log", "ins: there is no 'y.ncom' in its folder"),
+        ("ins: x.ncom", "no CAN log under the key can"),
         ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is no pattern"),
         ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is no pattern"),
         ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),
         ("ins: x.ncom\ncan: 1.log\nins_can_latency: 0.002", r"ins_can_latency: 0\.002 is not \[latency"),
-        ("csv: d.csv\nlabels: [{name: a}]", "labels: a list of"),
+        ("csv: d.csv\nlabels: [{name: a}]", "labels: expected a list of"),
         ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends"),
     ],
 )

@@ -295,7 +295,7 @@ class Rosbags:
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         forms = {1: "ros2msg", 2: "ros2idl"}  # rosbags.interfaces.MessageDefinitionFormat
-        return {c.msgtype: (forms.get(int(c.msgdef.format), ""), c.msgdef.data) for c in self._reader.connections}
+        return {c.msgtype: (forms.get(c.msgdef.format.value, ""), c.msgdef.data) for c in self._reader.connections}
 
 
 class _Gathered:

@@ -237,4 +237,4 @@ def is_can_log(file: Path) -> bool:
             head = stream.read(4096)
     except OSError:
         return True
-    return head[:4] in (b"MDF ", b"UnFi") or any(kind.mark(head) for kind in FORMATS)
+    return not head or head[:4] in (b"MDF ", b"UnFi") or any(kind.mark(head) for kind in FORMATS)

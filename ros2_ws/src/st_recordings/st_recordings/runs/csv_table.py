@@ -55,7 +55,7 @@ def text_of(file: Path, size: int = -1) -> str:
     try:
         return raw.decode("utf-8-sig", "strict" if size < 0 else "ignore")
     except UnicodeDecodeError:
-        if b"\0" in raw[:4096]:
+        if b"\0" in raw[:4096] or sum(byte > 0x7F for byte in raw[:4096]) > 0.3 * len(raw[:4096]):
             raise RunError(file, "this is not a text file", "give it the extension of what it is") from None
         return raw.decode("cp1252", "replace")
 
