@@ -5,7 +5,7 @@ import shutil
 import pytest
 from canedge_bridge.signals import load_table
 from st_cli.cli import app
-from st_cli.verbs._options import LEAF, say_whose, whose
+from st_cli.verbs._options import LEAF, report_default_car, resolve_car
 from st_core.vehicle import VehicleParameters
 from st_recordings.car import car_named, names
 from st_recordings.car_skeleton import HINTS, problems, write_skeleton
@@ -34,7 +34,7 @@ def test_every_car_of_the_configuration_can_be_read(name):
 
 
 def test_a_car_says_how_its_recordings_are_read(folder):
-    vehicle, read = whose(str(folder), None)
+    vehicle, read = resolve_car(str(folder), None)
     assert vehicle == folder / "vehicle.yaml"
     assert (read.dbc, read.signals) == (folder / "can.dbc", folder / "signals.yaml")
     assert (read.steering_sign, read.steering_latency) == (-1, 0.03)
@@ -42,22 +42,22 @@ def test_a_car_says_how_its_recordings_are_read(folder):
 
 def test_options_replace_a_part_of_the_car(folder, tmp_path):
     other = tmp_path / "other.yaml"
-    vehicle, read = whose(str(folder), other, None, other, 1, 0.0, offset=1.5)
+    vehicle, read = resolve_car(str(folder), other, None, other, 1, 0.0, offset=1.5)
     assert vehicle == other and read.signals == other and read.dbc == folder / "can.dbc"
     assert (read.steering_sign, read.steering_latency, read.offset) == (1, 0.0, 1.5)
 
 
 def test_without_a_car_options_stand_alone():
-    vehicle, read = whose(None, None, steering_sign=-1)
+    vehicle, read = resolve_car(None, None, steering_sign=-1)
     assert vehicle is None and read.dbc is None
     assert (read.steering_sign, read.steering_latency) == (-1, 0.0)
 
 
 def test_the_leaf_is_not_taken_without_a_word(capsys):
-    say_whose("discover", LEAF)
+    report_default_car("discover", LEAF)
     said = capsys.readouterr().err
     assert "no car was named" in said and "hyundai_genesis" in said and said.count("\n") == 1
-    say_whose("discover", config("car/hyundai_genesis/vehicle.yaml"))
+    report_default_car("discover", config("car/hyundai_genesis/vehicle.yaml"))
     assert not capsys.readouterr().err
 
 

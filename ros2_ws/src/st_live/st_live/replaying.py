@@ -13,11 +13,12 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from st_core.vehicle import VehicleParameters
 from st_recordings.recorded import configuration_of
+from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_cut
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.foreign import SteeringField
-from st_recordings.runs.made_again import WHERE
+from st_recordings.runs.external_topics import SteeringField
 from st_recordings.runs.messages import ODOMETRY, STEERING
+from st_recordings.runs.reconstruct import RECONSTRUCTED
 
 from .configuration import REPLAY_NODES, TRUNCATED, add_bands, replay_parameters
 from .node import Monitor
@@ -31,15 +32,16 @@ PROGRESS_PERIOD = 0.2  # s
 
 def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console,
                view: LiveView | None = None, bands: Path | None = None,
-               steering: SteeringField | None = None) -> tuple[Outcome, str]:
+               settings: ReadSettings | None = None) -> tuple[Outcome, str]:
     """(Outcome, name of the vehicle) of a replay with the configuration of the recording.
 
     The recordings of the nodes are folder/bag and folder/errors. vehicle: file instead of the recorded one. rate: times
-    as fast as recorded; 0: as fast as the nodes follow. steering: source of the angle in external recordings. Raises
+    as fast as recorded; 0: as fast as the nodes follow. settings: topics of external recordings. Raises
     RunError, SuiteError and ConfigurationError.
     """
-    drive = read_bag(bag, steering=steering)
-    reconstructed = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(WHERE)]
+    steering, odometry = (settings.steering, settings.odometry) if settings else (None, None)
+    drive = read_bag(bag, steering=steering, odometry=odometry)
+    reconstructed = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(RECONSTRUCTED)]
     if reconstructed:
         raise RunError(bag, f"without {' and without '.join(reconstructed)} it cannot be played",
                        "st evaluate and st verify reconstruct them from raw packets and frames")
@@ -67,7 +69,8 @@ def player_options(steering: SteeringField | None, car: VehicleParameters) -> li
     if steering is None:
         return []
     wheel = ["--steering-wheel", repr(car.steering_ratio), repr(car.steering_wheel_offset)]
-    return ["--steering-field", steering.field, *(wheel if steering.quantity == "wheel" else [])]
+    return ["--steering-field", steering.field, "--steering-scale", repr(steering.scale),
+            *(wheel if steering.quantity == "wheel" else [])]
 
 
 def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,

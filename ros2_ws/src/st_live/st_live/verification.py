@@ -29,6 +29,7 @@ from st_recordings.recorded import (
     read_predictions,
     read_scores,
 )
+from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_cut
 
 from .configuration import TRUNCATED, recordings_of
@@ -88,7 +89,8 @@ class Verification:
         return sum(c.n_starts for c in self.comparisons)
 
 
-def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = None) -> Verification | None:
+def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = None,
+           read: ReadSettings | None = None) -> Verification | None:
     """Compare every prediction and score in a recording with the library; None without predictions.
 
     vehicle: file instead of the one in the recording. Raises RunError, ConfigurationError.
@@ -97,7 +99,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     predictions = read_predictions(bag, progress)
     if not predictions:
         return None
-    drive = read_bag(bag)
+    drive = read_bag(bag, steering=read.steering, odometry=read.odometry) if read else read_bag(bag)
     car, recorded, source = configuration_of(drive.records, vehicle)
     settings = _settings(recorded)
     scores = read_scores(score_bags, progress)
@@ -181,7 +183,7 @@ def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np
 
 
 def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: bool, output: Path | None,
-                   console: Console) -> int:
+                   console: Console, read: ReadSettings | None = None) -> int:
     """Run `st verify` and print the result.
 
     Returns 0 if no difference exceeds `tolerance` [m] and every score is complete on both sides, 1 if not, 2 if there
@@ -189,12 +191,12 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
     """
     from .replaying import replay_bag  # needs ROS, which comparing does not
 
-    found = None if replayed else _verified(bag, vehicle, console)
+    found = None if replayed else _verified(bag, vehicle, console, read)
     if found is None:
         why = "--replay" if replayed else "it has no predictions"
         folder = new_folder(output, f"verify-{bag.stem}")
         console.print(f"{bag.name} is played through the nodes ({why}); recordings in {folder}", highlight=False)
-        outcome, _ = replay_bag(recordings_of(bag)[0], folder, vehicle, 0.0, console)
+        outcome, _ = replay_bag(recordings_of(bag)[0], folder, vehicle, 0.0, console, settings=read)
         if not outcome.ok:
             failure = f"a node ended with an error: {outcome.statuses}; see {folder / 'logs'}"
             raise SuiteError(outcome.problem or failure)
@@ -213,11 +215,12 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
     return _conclusion(found, tolerance, console)
 
 
-def _verified(path: Path, vehicle: Path | None, console: Console) -> Verification | None:
+def _verified(path: Path, vehicle: Path | None, console: Console,
+              read: ReadSettings | None = None) -> Verification | None:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with ProgressBar(*columns, console=console, transient=True) as progress:
         bar = progress.add_task("reading and comparing")
-        return verify(path, vehicle, lambda done, total: progress.update(bar, completed=done, total=total))
+        return verify(path, vehicle, lambda done, total: progress.update(bar, completed=done, total=total), read)
 
 
 def _table(found: Verification) -> Table:

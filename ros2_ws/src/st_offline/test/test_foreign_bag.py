@@ -98,7 +98,7 @@ def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
 def test_what_is_no_angle_is_refused_by_name(tmp_path, topic, field, said):
     folder = bag(tmp_path / "drive")
     with pytest.raises(RunError) as error:
-        passed_bag(folder, None, True, SteeringField(topic, field))
+        passed_bag(folder, None, True, ReadSettings(steering=SteeringField(topic, field)))
     assert said in str(error.value) and "\n" not in str(error.value)
 
 

@@ -1,8 +1,10 @@
-"""What several verbs share: options, whose recordings these are, how raw logs become runs, and how a verb refuses."""
+"""Shared by the verbs: options, the car and the read settings they stand for, and one-line errors."""
 
-from collections.abc import Iterator
+import inspect
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -72,13 +74,18 @@ SteeringSign = Annotated[int | None, typer.Option(
     callback=_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the right. "
     "Default that of --car, else 1; live: else that of config/nodes.yaml.")]
 SteeringTopic = Annotated[str | None, typer.Option(
-    "--steering-topic", help="For bags of other recorders: the topic with the steering angle, rad, left +, of any type "
-    "of ROS 2 Jazzy. Default: the one of type st_msgs/Steering.")]
-SteeringPath = Annotated[str, typer.Option(
-    "--steering-field", help="The number in its messages: data, drive.steering_angle, ...")]
-SteeringIs = Annotated[str, typer.Option(
-    "--steering-is", help="road: angle of the front wheels; wheel: of the hand wheel, converted with ratio and offset "
-    "of the vehicle file.")]
+    "--steering-topic", help="Bags of other recorders: the topic with the steering angle, of any type whose definition "
+    "is in the bag. Default: the one of type st_msgs/Steering.")]
+SteeringPath = Annotated[str | None, typer.Option(
+    "--steering-field", help="The number in its messages: data (default), drive.steering_angle, ... Without "
+    "--steering-topic: the column of a CSV or VBO.")]
+SteeringIs = Annotated[Literal["road", "wheel"], typer.Option(
+    "--steering-is", help="Of that number: road: angle of the front wheels; wheel: of the steering wheel, converted "
+    "with ratio and offset of the vehicle file.")]
+SteeringUnit = Annotated[Literal["rad", "deg"] | None, typer.Option(
+    "--steering-unit", help="Of that number; default: rad in a topic, as its header says in a table.")]
+OdometryTopic = Annotated[str | None, typer.Option(
+    "--odometry-topic", help="Bags with several topics of type nav_msgs/Odometry: the one of the INS.")]
 Record = Annotated[str, typer.Option(
     "--record", callback=_record, help="needed: raw packets and frames, odometry, status, steering, predictions, "
     "errors, diagnostics. all: also the other topics of the bridges, which can be computed from these.")]
@@ -89,7 +96,7 @@ SteeringLatency = Annotated[float | None, typer.Option(
 
 @contextmanager
 def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
-    """What a verb cannot work with: one line, and exit status 2. more: errors that only this verb has."""
+    """Errors of a verb's inputs become one line and exit status 2. more: errors that only this verb has."""
     # Imported when it runs, see demo.py.
     from st_core.errors import StCoreError
     from st_recordings.output import OutputError
@@ -103,18 +110,84 @@ def refusals(verb: str, *more: type[Exception]) -> Iterator[None]:
         raise typer.Exit(2) from None
 
 
-def foreign_steering(topic: str | None, path: str, quantity: str) -> "SteeringField | None":
-    """Where the angle is in a bag of another make; None where no topic was named."""
-    from st_recordings.runs.external_topics import SteeringField
+@dataclass(frozen=True)
+class ReadOptions:
+    """The options of a verb on how recordings are read, as they were given. One field per option."""
 
-    if quantity not in ("road", "wheel"):
-        raise typer.BadParameter(f"--steering-is {quantity}: road or wheel is wanted")
-    return None if topic is None else SteeringField(topic, path, quantity)  # type: ignore[arg-type]
+    car: CarName = None
+    vehicle: VehicleFile = None
+    offset: Offset = None
+    ins_can_latency: InsCanLatency = None
+    dbc: Dbc = None
+    signals: Signals = None
+    steering_sign: SteeringSign = None
+    steering_latency: SteeringLatency = None
+    steering_topic: SteeringTopic = None
+    steering_field: SteeringPath = None
+    steering_is: SteeringIs = "road"
+    steering_unit: SteeringUnit = None
+    odometry_topic: OdometryTopic = None
+
+    def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
+        """(vehicle file, None where none was named; how recordings are read). others: of ReadSettings.
+
+        Raises RunError for a car that cannot be read.
+        """
+        return resolve_car(self.car, self.vehicle, self.dbc, self.signals, self.steering_sign, self.steering_latency,
+                           offset=self.offset, ins_can_latency=self.ins_can_latency, steering=self.steering,
+                           odometry=self.odometry_topic, **others)
+
+    @property
+    def steering(self) -> "SteeringField | None":
+        """Where the steering angle is in a bag of another make or a table; None where no option names it."""
+        from st_recordings.runs.external_topics import SteeringField
+
+        if self.steering_topic is None and self.steering_field is None:
+            return None
+        return SteeringField(self.steering_topic or "", self.steering_field or "data", self.steering_is,
+                             self.steering_unit, self.steering_sign or 1)
+
+    def words(self, *names: str) -> tuple[str, ...]:
+        """The options that were given, as words of a command line; of these fields only, if any are named."""
+        given = [(f.name, getattr(self, f.name)) for f in fields(self)
+                 if getattr(self, f.name) != f.default and (not names or f.name in names)]
+        return tuple(str(word) for name, value in given
+                     for word in (f"--{name.replace('_', '-')}", *(value if isinstance(value, tuple) else (value,))))
 
 
-def whose(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
-          steering_sign: int | None = None, steering_latency: float | None = None,
-          **others) -> "tuple[Path | None, ReadSettings]":
+BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_field", "steering_is", "steering_unit",
+              "odometry_topic")
+"""The options that concern a bag with odometry and steering."""
+
+
+def reads_recordings(*names: str, **changed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator of a verb: the options of ReadOptions take the place of its parameter `read_options`.
+
+    names: of these fields only, default all. changed: field -> another annotation.
+    """
+    chosen = [f for f in fields(ReadOptions) if not names or f.name in names]
+
+    def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(verb)
+        def called(**given: Any) -> Any:
+            options = {f.name: given.pop(f.name) for f in chosen}
+            return verb(**given, read_options=ReadOptions(**options))
+
+        options = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default,
+                                     annotation=changed.get(f.name, f.type)) for f in chosen]
+        own = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in inspect.signature(verb).parameters.values()]
+        at = next(k for k, p in enumerate(own) if p.name == "read_options")
+        parameters = [*own[:at], *options, *own[at + 1 :]]
+        called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        called.__annotations__ = {p.name: p.annotation for p in parameters}
+        return called
+
+    return decorate
+
+
+def resolve_car(car: str | None, vehicle: Path | None, dbc: Path | None = None, signals: Path | None = None,
+                steering_sign: int | None = None, steering_latency: float | None = None,
+                **others: Any) -> "tuple[Path | None, ReadSettings]":
     """(vehicle file, None where none was named; how raw logs are read). others: of ReadSettings.
 
     Raises RunError for a car that cannot be read.
@@ -127,15 +200,15 @@ def whose(car: str | None, vehicle: Path | None, dbc: Path | None = None, signal
     if car is None:
         return vehicle, ReadSettings(dbc=dbc, signals=signals, **STEERING | given, **others)
     named = car_named(car)
-    its: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
-    return vehicle or named.vehicle, ReadSettings(dbc=dbc or named.dbc, signals=signals or named.signals, **its | given,
+    own: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+    return vehicle or named.vehicle, ReadSettings(dbc=dbc or named.dbc, signals=signals or named.signals, **own | given,
                                                   **others)
 
 
 @dataclass(frozen=True)
-class Wires:
-    """A car for the live nodes. vehicle, dbc, signals: None where nobody named one. steering: of canedge_bridge, only
-    what was said; config/nodes.yaml holds for the rest."""
+class LiveCar:
+    """A car for the live nodes. vehicle, dbc, signals: None where none was named. steering: parameters of
+    canedge_bridge that were given; the others are those of config/nodes.yaml."""
 
     vehicle: Path | None
     dbc: Path | None
@@ -143,29 +216,29 @@ class Wires:
     steering: dict[str, Any]
 
 
-def on_the_wires(car: str | None, vehicle: Path | None, dbc: Path | None, signals: Path | None,
-                 steering_sign: int | None, steering_latency: float | None) -> Wires:
-    """As `whose`, for a bus that is listened to. Raises RunError, also for a car whose bus nobody has described."""
+def resolve_live_car(car: str | None, vehicle: Path | None, dbc: Path | None, signals: Path | None,
+                 steering_sign: int | None, steering_latency: float | None) -> LiveCar:
+    """As `resolve_car`, for a live bus. Raises RunError, also for a car without DBC and signal table."""
     from st_recordings.car import car_named
     from st_recordings.runs.errors import RunError
 
     steering = {"steering_sign": steering_sign, "steering_latency": steering_latency}
     given: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
     if car is None:
-        return Wires(vehicle, dbc, signals, given)
+        return LiveCar(vehicle, dbc, signals, given)
     named = car_named(car)
     for file, option in ((dbc or named.dbc, "--dbc"), (signals or named.signals, "--signals")):
         if not file.is_file():
-            raise RunError(file, "there is no such file: nobody has described the bus of this car",
+            raise RunError(file, "there is no such file: the bus of this car is not described",
                            f"write it, or name another with {option}")
-    its: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
-    return Wires(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, its | given)
+    own: dict[str, Any] = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+    return LiveCar(vehicle or named.vehicle, dbc or named.dbc, signals or named.signals, own | given)
 
 
 LEAF = config("car/leaf/vehicle.yaml")
 
 
-def leaf_or(vehicle: Path | None) -> "tuple[VehicleParameters, Path]":
+def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, Path]":
     """(the car, its file): the Leaf's where none was named. Raises RunError and StCoreError."""
     from st_recordings.car import read_vehicle
 
@@ -173,8 +246,8 @@ def leaf_or(vehicle: Path | None) -> "tuple[VehicleParameters, Path]":
     return read_vehicle(file), file
 
 
-def say_whose(verb: str, file: Path | str) -> None:
-    """One line where nobody named a car and the Leaf was taken."""
+def report_default_car(verb: str, file: Path | str) -> None:
+    """One line where no car was named and the Leaf is used."""
     from st_recordings.car import names
 
     if Path(file).resolve().parent == LEAF.resolve().parent:
@@ -182,11 +255,11 @@ def say_whose(verb: str, file: Path | str) -> None:
                    f"({', '.join(names())}, or a folder)", err=True)
 
 
-def say_whose_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
+def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
     """The same line for a recording that carries no vehicle file. Raises RunError for one that cannot be read."""
     from st_live.configuration import recordings_of
     from st_recordings.recorded import recorded_configuration
     from st_recordings.runs.bag import records_of
 
     if vehicle is None and recorded_configuration(records_of(recordings_of(bag)[0])).vehicle is None:
-        say_whose(verb, LEAF)
+        report_default_car(verb, LEAF)

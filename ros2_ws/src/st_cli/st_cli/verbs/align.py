@@ -5,26 +5,21 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, Dbc, InsCanLatency, Signals, refusals, say_whose, whose
+from ._options import ReadOptions, reads_recordings, refusals, report_default_car
 
 VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 
 
+@reads_recordings()
 def align(
     files: list[Path] = typer.Argument(
         ..., help="INS recording (.ncom, .xcom, or CSV with t, vx, yaw_rate) and CAN logs, a folder, or a run.yaml."
     ),
-    offset: float | None = typer.Option(
-        None, "--offset", help="INS minus CAN clock in seconds, by hand; the picture shows whether it is right."
-    ),
     search: tuple[float, float] | None = typer.Option(
         None, help="Bounds of the offset in seconds, where the log is known to be nearly right already."
     ),
-    ins_can_latency: InsCanLatency = None,
-    car: CarName = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
     output: Path | None = typer.Option(None, help="Folder for alignment.json and alignment.png."),
+    read_options: ReadOptions = ReadOptions(),
 ) -> None:
     """Find offset and drift between the clocks of INS and CAN log, say how sure they are, and draw both signals.
 
@@ -38,14 +33,14 @@ def align(
 
     console = Console()
     with refusals("align"):
-        _, settings = whose(car, None, dbc, signals, offset=offset, search=search, ins_can_latency=ins_can_latency)
+        _, settings = read_options.resolve(search=search)
         with console.status("reading and aligning"):
             pair = read_pair(files, settings)
         folder = new_folder(output, f"align-{pair.name}")
     for warning in pair.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
-    if car is None and dbc is None:
-        say_whose("align", pair.dbc)
+    if read_options.car is None and read_options.dbc is None:
+        report_default_car("align", pair.dbc)
     alignment = pair.alignment
     report(pair, console)
     about = {**about_alignment(alignment), "ins_can_latency": pair.latency}

@@ -9,6 +9,7 @@ from . import _options as shared
 from .evaluate import MODELS, car_of, model_named
 
 
+@shared.reads_recordings()
 def calibrate(
     runs: list[Path] = typer.Argument(
         ..., help="Recordings of one car: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
@@ -16,8 +17,6 @@ def calibrate(
     ),
     model: shared.Models = MODELS,
     effects: shared.EffectsOfFile = None,
-    car: shared.CarName = None,
-    vehicle: shared.VehicleFile = None,
     output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; it must not exist."),
     level: list[float] = typer.Option(
         [0.5, 0.9], "--level", help="Share of whole paths that shall lie inside; repeatable. n runs allow "
@@ -31,12 +30,8 @@ def calibrate(
     horizon: shared.Horizon = 5.0,
     step: shared.Step = 0.05,
     minimum_speed: shared.MinimumSpeed = 0.5,
-    offset: shared.Offset = None,
-    dbc: shared.Dbc = None,
-    signals: shared.Signals = None,
-    steering_sign: shared.SteeringSign = None,
-    steering_latency: shared.SteeringLatency = None,
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
+    read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Learn how far from its predicted path the car will be: bands that hold on drives that were not among these.
 
@@ -54,11 +49,11 @@ def calibrate(
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
         models = tuple(model_named(name) for name in dict.fromkeys(model))
-        vehicle, reading = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
+        vehicle, reading = read_options.resolve()
         parameters, car_from = car_of(vehicle, models, effects)
         task = Task(parameters, models, EvaluationSettings(prediction, acceleration=filtering, inputs=inputs), reading,
                     force=force, effects=effects)
         status = run_command(Job(runs, task, output, tuple(sorted(set(level))), together), Console())
     if vehicle is None:
-        shared.say_whose("calibrate", car_from)
+        shared.report_default_car("calibrate", car_from)
     raise typer.Exit(status)

@@ -7,22 +7,16 @@ import typer
 from . import _options as shared
 
 
+@shared.reads_recordings()
 def check(
     runs: shared.Runs,
-    car: shared.CarName = None,
-    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/check-<time>."),
     json: Path | None = typer.Option(None, "--json", help="File of the numbers; default check.json in that folder.",
                                      dir_okay=False),
     propose_cure: Path | None = typer.Option(
         None, help="Write a run.yaml that corrects the findings; for a single run.", dir_okay=False
     ),
-    offset: shared.Offset = None,
-    ins_can_latency: shared.InsCanLatency = None,
-    dbc: shared.Dbc = None,
-    signals: shared.Signals = None,
-    steering_sign: shared.SteeringSign = None,
-    steering_latency: shared.SteeringLatency = None,
+    read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Find what is wrong with recordings: units, signs, clocks, axes, projections, reference points, sensors.
 
@@ -34,9 +28,8 @@ def check(
     from st_offline.checking.command import Job, run_command
 
     with shared.refusals("check"):
-        vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
-                                     ins_can_latency=ins_can_latency)
-        parameters, file = shared.leaf_or(vehicle)
+        vehicle, read = read_options.resolve()
+        parameters, file = shared.load_vehicle_or_default(vehicle)
         job = Job(runs, parameters, str(file), vehicle is not None, read, output, json, propose_cure)
-        status = run_command(job, Console(), lambda file: shared.say_whose("check", file))
+        status = run_command(job, Console(), lambda file: shared.report_default_car("check", file))
     raise typer.Exit(status)

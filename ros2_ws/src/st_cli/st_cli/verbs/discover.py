@@ -1,6 +1,6 @@
 """`st discover`: name what vehicle file, sensors and model lack."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ def spread(words: Sequence[str]) -> list[str]:
     return found
 
 
+@shared.reads_recordings()
 def discover(
     runs: shared.Runs,
     reference: list[Path] = typer.Option(
@@ -49,8 +50,6 @@ def discover(
         "instead of the vehicle file."
     ),
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
-    car: shared.CarName = None,
-    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(
         ",".join(CHANNELS), help="Measurements to use, separated by commas."
@@ -70,13 +69,9 @@ def discover(
     jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; an empty text for none."),
     report: bool = typer.Option(True, help="Draw figures and report; otherwise write numbers, model and vehicle only."),
-    offset: shared.Offset = None,
-    dbc: shared.Dbc = None,
-    signals: shared.Signals = None,
-    steering_sign: shared.SteeringSign = None,
-    steering_latency: shared.SteeringLatency = None,
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     fresh: bool = typer.Option(False, "--fresh", help="Read and search again; use nothing from an earlier call."),
+    read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Find what is missing from vehicle file, sensors and model, write it into new files, show the error it removes.
 
@@ -89,24 +84,17 @@ def discover(
     from st_offline.discovery.request import Request
 
     with shared.refusals("discover"):
-        whose = _typed({"--car": car, "--vehicle": vehicle})
-        reading = _typed({"--dbc": dbc, "--signals": signals, "--steering-sign": steering_sign,
-                          "--steering-latency": steering_latency, "--offset": offset})
-        vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
-        parameters, file = shared.leaf_or(vehicle)
+        vehicle, read = read_options.resolve()
+        parameters, file = shared.load_vehicle_or_default(vehicle)
         request = Request(
             base, parameters, str(file), file.read_text(encoding="utf-8"),
             DiscoverySettings(channels=tuple(_parts(channels)), seed=seed, certify=certify), runs, reference, read,
-            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose, (*whose, *reading), whose)
+            effects, output, jobs, tuple(_parts(figures)), report, not fresh, force, propose, read_options.words(),
+            read_options.words("car", "vehicle"))
         status = run_command(request, Console())
     if vehicle is None:
-        shared.say_whose("discover", file)
+        shared.report_default_car("discover", file)
     raise typer.Exit(status)
-
-
-def _typed(options: Mapping[str, Any]) -> tuple[str, ...]:
-    """Those that were given, as words of a command line."""
-    return tuple(word for name, value in options.items() if value is not None for word in (name, str(value)))
 
 
 def _parts(text: str) -> list[str]:

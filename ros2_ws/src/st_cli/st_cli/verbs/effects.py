@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from ._options import CarName, VehicleFile, leaf_or, refusals, say_whose, whose
+from ._options import CarName, VehicleFile, load_vehicle_or_default, refusals, report_default_car, resolve_car
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,11 +44,11 @@ def effects(
         if what == "list":
             _listed(Console())
             return
-        named = whose(car, vehicle)[0]
-        parameters, file = leaf_or(named)
+        named = resolve_car(car, vehicle)[0]
+        parameters, file = load_vehicle_or_default(named)
         kept = _checked(files or (), parameters, Console())
         if named is None:
-            say_whose("effects", file)
+            report_default_car("effects", file)
     raise typer.Exit(0 if kept else 1)
 
 

@@ -14,12 +14,11 @@ if TYPE_CHECKING:
 MODELS = ["kinematic", "linear", "nonlinear"]
 
 
+@shared.reads_recordings()
 def evaluate(
     runs: shared.Runs,
     model: shared.Models = MODELS,
     effects: shared.EffectsOfFile = None,
-    car: shared.CarName = None,
-    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
     at: str = typer.Option("", help="Starts drawn in detail, s: 1,10,19,28. Default: four spread over the run."),
     acceleration: shared.Filtering = "causal",
@@ -32,15 +31,6 @@ def evaluate(
     interval: float = typer.Option(0.1, help="Time between starts, s."),
     minimum_speed: shared.MinimumSpeed = 0.5,
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; an empty text for none."),
-    offset: shared.Offset = None,
-    ins_can_latency: shared.InsCanLatency = None,
-    dbc: shared.Dbc = None,
-    signals: shared.Signals = None,
-    steering_sign: shared.SteeringSign = None,
-    steering_latency: shared.SteeringLatency = None,
-    steering_topic: shared.SteeringTopic = None,
-    steering_field: shared.SteeringPath = "data",
-    steering_is: shared.SteeringIs = "road",
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False
@@ -52,6 +42,7 @@ def evaluate(
     force: bool = typer.Option(False, "--force", help="Also evaluate runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
+    read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Predict every 100 ms of each run with each model, score it against the measurement, write tables and figures.
 
@@ -70,9 +61,7 @@ def evaluate(
         filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
         settings = EvaluationSettings(prediction, interval, filtering, inputs)
         models = tuple(model_named(name) for name in dict.fromkeys(model))
-        vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
-                                     ins_can_latency=ins_can_latency,
-                                     steering=shared.foreign_steering(steering_topic, steering_field, steering_is))
+        vehicle, read = read_options.resolve()
         parameters, car_from = car_of(vehicle, models, effects)
         task = Task(
             vehicle=parameters,
@@ -88,7 +77,7 @@ def evaluate(
         load_bands(task, load_models(task))
         status = run_command(runs, task, output, table, car_from, workers, scheduler, Console(), advise)
     if vehicle is None:
-        shared.say_whose("evaluate", car_from)
+        shared.report_default_car("evaluate", car_from)
     raise typer.Exit(status)
 
 
@@ -118,7 +107,7 @@ def car_of(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
             held = ModelFile.from_yaml(text, origin).vehicle
             if held is not None:
                 return held, origin
-    parameters, file = shared.leaf_or(vehicle)
+    parameters, file = shared.load_vehicle_or_default(vehicle)
     return parameters, str(file)
 
 

@@ -6,7 +6,15 @@ from typing import Literal
 
 import typer
 
-from ._options import CarName, EffectsOfFile, VehicleFile, leaf_or, refusals, say_whose, whose
+from ._options import (
+    CarName,
+    EffectsOfFile,
+    VehicleFile,
+    load_vehicle_or_default,
+    refusals,
+    report_default_car,
+    resolve_car,
+)
 
 
 def export(
@@ -33,14 +41,14 @@ def export(
     from st_offline.model_export import load_model
 
     with refusals("export", OSError):
-        named = whose(car, vehicle)[0]
-        parameters, file = leaf_or(named)
+        named = resolve_car(car, vehicle)[0]
+        parameters, file = load_vehicle_or_default(named)
         if effects is not None:
             load_folder(str(effects.absolute()))
         chosen, its = load_model(model, parameters, str(file), named is not None)
         folder = new_folder(output, "export")
         written = write(chosen, its, folder, kind, substeps, free)
     if named is None and its is parameters:
-        say_whose("export", file)
+        report_default_car("export", file)
     for path in written:
         typer.echo(path)

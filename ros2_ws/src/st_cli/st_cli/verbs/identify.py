@@ -7,11 +7,10 @@ import typer
 from . import _options as shared
 
 
+@shared.reads_recordings()
 def identify(
     what: str | None = typer.Argument(None, help="One of the experiments; without it they are listed."),
     files: list[Path] = typer.Argument(None, help="Data of the experiment: tables (CSV) or recordings."),
-    car: shared.CarName = None,
-    vehicle: shared.VehicleFile = None,
     model: Path | None = typer.Option(
         None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.",
         exists=True, dir_okay=False
@@ -19,11 +18,7 @@ def identify(
     effects: shared.EffectsOfModel = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
-    offset: shared.Offset = None,
-    dbc: shared.Dbc = None,
-    signals: shared.Signals = None,
-    steering_sign: shared.SteeringSign = None,
-    steering_latency: shared.SteeringLatency = None,
+    read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Identify parameters: value, uncertainty, verdict; a figure, a report, and a vehicle file with provenance.
 
@@ -51,12 +46,12 @@ def identify(
         typer.echo(f"st identify: no experiment {what!r}; there are {', '.join(EXPERIMENTS)}", err=True)
         raise typer.Exit(2)
     with shared.refusals(f"identify {what}", SuiteError):
-        vehicle, read = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
-        parameters, file = shared.leaf_or(vehicle)
+        vehicle, read = read_options.resolve()
+        parameters, file = shared.load_vehicle_or_default(vehicle)
         folder = new_folder(output, f"identify-{what}", create=False)
         base = load_model(model, effects, parameters, str(file))
         job = Job(EXPERIMENTS[what], tuple(files or ()), Setup(parameters, read, force, base), str(file), folder)
         status = run(job, console)
     if vehicle is None:
-        shared.say_whose("identify", file)
+        shared.report_default_car("identify", file)
     raise typer.Exit(status)

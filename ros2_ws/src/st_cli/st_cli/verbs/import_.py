@@ -7,22 +7,16 @@ import typer
 from . import _options as shared
 
 
+@shared.reads_recordings()
 def import_(
     paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
-    car: shared.CarName = None,
-    vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(
         None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."
     ),
-    offset: shared.Offset = None,
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
-    steering_sign: shared.SteeringSign = None,
-    steering_latency: shared.SteeringLatency = None,
-    ins_can_latency: shared.InsCanLatency = None,
-    dbc: shared.Dbc = None,
-    signals: shared.Signals = None,
     force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
     strict: bool = typer.Option(False, "--strict", help="Refuse runs whose alignment is doubtful."),
+    read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Write INS recording and CAN logs as one rosbag2 MCAP: aligned, in one time base, raw packets and frames kept.
 
@@ -36,9 +30,8 @@ def import_(
 
     console = Console()
     with shared.refusals("import"):
-        vehicle, settings = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset,
-                                         search=search, ins_can_latency=ins_can_latency, doubtful=not strict)
-        parameters, file = shared.leaf_or(vehicle)
+        vehicle, settings = read_options.resolve(search=search, doubtful=not strict)
+        parameters, file = shared.load_vehicle_or_default(vehicle)
     found = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not found:
         typer.echo(f"st import: {', '.join(map(str, paths))}: no raw logs (.ncom with CAN logs) are in there", err=True)
@@ -53,7 +46,7 @@ def import_(
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)
     if vehicle is None:
-        shared.say_whose("import", file)
+        shared.report_default_car("import", file)
     if written < len(found):
         raise typer.Exit(1 if written else 2)
 

@@ -53,7 +53,7 @@ def live(
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     bus = {"interface": can_interface, "channel": can_channel}
     with shared.refusals("live", SuiteError):
-        named = shared.on_the_wires(car, vehicle, dbc, signals, steering_sign, steering_latency)
+        named = shared.resolve_live_car(car, vehicle, dbc, signals, steering_sign, steering_latency)
         vehicle = vehicle_file(named.vehicle)
         further = model_parameters(model, effects, vehicle)
         page = LiveView(view, view_address, view_save)
@@ -61,7 +61,7 @@ def live(
         bridges = bridge_parameters(vehicle, ins, bus | named.steering, named.dbc, named.signals)
         parameters = add_bands(live_parameters(folder, vehicle, bridges, further, record == "all"), bands)
         if named.vehicle is None:
-            shared.say_whose("live", vehicle)
+            shared.report_default_car("live", vehicle)
         outcome = run(folder, parameters, "live", duration, None, console, page, supervised=True,
                       realtime=realtime)
     source = f"{can_interface}:{can_channel}, NCOM port {ncom_port}"

@@ -7,21 +7,18 @@ import typer
 from . import _options as shared
 
 
+@shared.reads_recordings(*shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
 def replay(
     bag: Path = typer.Argument(..., help="A recording with odometry and steering (rosbag2).", exists=True),
-    steering_topic: shared.SteeringTopic = None,
-    steering_field: shared.SteeringPath = "data",
-    steering_is: shared.SteeringIs = "road",
     rate: float = typer.Option(1.0, help="Times as fast as it was recorded.", min=0.05, max=100.0),
     fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator follow."),
-    car: shared.CarName = None,
-    vehicle: shared.VehicleOfBag = None,
     force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
     bands: shared.BandsFile = None,
     view: shared.View = False,
     view_address: shared.ViewAddress = None,
     view_save: shared.ViewSave = None,
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/replay-<time>."),
+    read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Play a recording through predictor, evaluator and recorder on its own clock; record their predictions."""
     # Imported when it runs: the ROS libraries take a second that `st --help` need not wait.
@@ -37,14 +34,13 @@ def replay(
 
     console = Console()
     with shared.refusals("replay", SuiteError):
-        vehicle = shared.whose(car, vehicle)[0]
+        vehicle, read = read_options.resolve()
         page = LiveView(view, view_address, view_save)
-        steering = shared.foreign_steering(steering_topic, steering_field, steering_is)
-        findings = passed_bag(bag, vehicle, force, steering)
+        findings = passed_bag(bag, vehicle, force, read)
         say(bag.name, findings, console)
-        shared.say_whose_bag("replay", bag, vehicle)
+        shared.report_default_car_of_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, bands, steering)
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, bands, read)
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
              "findings": documents(findings)}
     status = conclude(folder, outcome, about, console)

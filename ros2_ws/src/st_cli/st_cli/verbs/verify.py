@@ -4,19 +4,19 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, VehicleOfBag, refusals, say_whose_bag, whose
+from ._options import BAG_INPUTS, ReadOptions, VehicleOfBag, reads_recordings, refusals, report_default_car_of_bag
 
 TOLERANCE = 0.001  # m
 
 
+@reads_recordings(*BAG_INPUTS, vehicle=VehicleOfBag)
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
-    car: CarName = None,
-    vehicle: VehicleOfBag = None,
     tolerance: float = typer.Option(TOLERANCE, help="m; the largest difference that passes.", min=0.0),
     replayed: bool = typer.Option(False, "--replay", help="Play it through the nodes and compare the result."),
     force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
     output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
+    read_options: ReadOptions = ReadOptions(),
 ) -> None:
     """Compare every prediction and score of the nodes with the library on the same measurements, start by start.
 
@@ -31,9 +31,9 @@ def verify(
     from st_offline.checking.shown import say
 
     with refusals("verify", SuiteError):
-        vehicle = whose(car, vehicle)[0]
-        say_whose_bag("verify", bag, vehicle)
+        vehicle, read = read_options.resolve()
+        report_default_car_of_bag("verify", bag, vehicle)
         console = Console()
-        say(bag.name, passed_bag(recordings_of(bag)[0], vehicle, force), console)
-        status = verify_command(bag, vehicle, tolerance, replayed, output, console)
+        say(bag.name, passed_bag(recordings_of(bag)[0], vehicle, force, read), console)
+        status = verify_command(bag, vehicle, tolerance, replayed, output, console, read)
     raise typer.Exit(status)

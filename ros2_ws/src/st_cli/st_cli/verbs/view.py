@@ -4,7 +4,7 @@ from pathlib import Path
 
 import typer
 
-from ._options import CarName, refusals, say_whose_bag, whose
+from ._options import CarName, refusals, report_default_car_of_bag, resolve_car
 
 
 def view(
@@ -31,14 +31,14 @@ def view(
     console = Console()
     with refusals("view", SuiteError), tempfile.TemporaryDirectory(prefix="st-view-") as name:
         check_rerun("st view")
-        vehicle = whose(car, vehicle)[0]
+        vehicle = resolve_car(car, vehicle)[0]
         if save:
             check_new_rerun_file("--save", save)
         file = recording
         if recording.suffix != ".rrd":
             from st_live.view.recorded import draw
 
-            say_whose_bag("view", recording, vehicle)
+            report_default_car_of_bag("view", recording, vehicle)
             file = save or Path(name, "view.rrd")
             with console.status("drawing"):
                 pictures = draw(recording, file, vehicle)

@@ -88,12 +88,14 @@ def issued_at_of(data: bytes) -> int:
 class Translator:
     """Converts messages with a steering angle in one of their fields to Steering."""
 
-    def __init__(self, bag: Path, steering: SteeringField, ratio: float, offset: float):
-        """ratio [1], offset [rad] of the steering wheel; 1 and 0 for an angle of the road wheels."""
-        self._bag, self._steering, self._ratio, self._offset = bag, steering, ratio, offset
+    def __init__(self, bag: Path, steering: SteeringField, scale: float, ratio: float, offset: float):
+        """scale: of the number, to rad and left +. ratio [1], offset [rad] of the steering wheel; 1 and 0 for
+        an angle of the road wheels."""
+        self._bag, self._steering, self._scale = bag, steering, scale
+        self._ratio, self._offset = ratio, offset
 
     def steering(self, message: Any, log_ns: int) -> Steering:
-        value = steering_value(self._bag, message, self._steering)
+        value = self._scale * steering_value(self._bag, message, self._steering)
         wheel = value if self._steering.quantity == "wheel" else math.nan
         translated = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
                               valid=math.isfinite(value))
@@ -111,7 +113,8 @@ class Player:
         if options.steering_field:
             field = SteeringField(options.steering, options.steering_field,
                                   "wheel" if options.steering_wheel else "road")
-            self._translator = Translator(options.bag, field, *(options.steering_wheel or (1.0, 0.0)))
+            self._translator = Translator(options.bag, field, options.steering_scale,
+                                          *(options.steering_wheel or (1.0, 0.0)))
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=DEPTH))
         self._followers = [] if self._rate > 0 else [
@@ -198,6 +201,7 @@ def main() -> int:
     parser.add_argument("--horizon", type=float, required=True, help="of the predictor [s]")
     parser.add_argument("--odometry", required=True, help="its topic in the recording")
     parser.add_argument("--steering", required=True, help="its topic in the recording")
+    parser.add_argument("--steering-scale", type=float, default=1.0, help="of that number, to rad and left +")
     parser.add_argument("--steering-field", default="", help="field of the angle in other messages than Steering")
     parser.add_argument("--steering-wheel", type=float, nargs=2, help="of the steering wheel: ratio, offset [rad]")
     options = parser.parse_args()

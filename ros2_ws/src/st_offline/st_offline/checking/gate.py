@@ -14,7 +14,6 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
-from st_recordings.runs.external_topics import SteeringField
 
 from . import words
 from .document import documents
@@ -64,14 +63,14 @@ def checked_run(where: Path | str, vehicle: VehicleParameters,
     return findings_of
 
 
-def passed_bag(bag: Path, vehicle: Path | None, force: bool,
-               steering: SteeringField | None = None) -> list[Finding]:
+def passed_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
     """Findings of a recording as it is to be played or compared: with the vehicle, the models and the step it carries,
     where it carries them. Raises Refused, and RunError for what cannot be read.
     """
-    run = read(RunSource(bag.stem, "bag", (bag,)), settings=ReadSettings(steering=steering))
+    run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = configuration_of(run.provenance["recorded"], vehicle)
     # What the hand wheel's angle was taken for until the vehicle was known.
+    steering = settings.steering if settings else None
     log = run.log.with_steering(car) if steering is not None and steering.quantity == "wheel" else run.log
     predictor = recorded.nodes.get("predictor", {})
     models = [model for model in predictor.get("models", MODELS) if model in MODELS]
