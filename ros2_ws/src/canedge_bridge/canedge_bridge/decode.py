@@ -1,6 +1,7 @@
 """CAN frames to checked signals under our names in SI, and back to frames for a simulated car."""
 
 import math
+from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,11 +11,15 @@ from cantools.database.can import Signal as DbcSignal
 from st_core import vehicle
 from st_core.types import Number
 
-from .checks import CounterCheck, Mode, Plausibility, checksum_of
+from .checks import CounterCheck, Mode, checksum_of
 from .extraction import Extractor, without_padding
 from .ins_time import to_parts, with_unix_time
 from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
+
+# A verdict needs this many frames, one second of a 100 Hz signal; a stray frame must not condemn a good DBC.
+_WINDOW = 100
+_TOLERATED = 10
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,50 @@ class FrameStatistics:
     unknown: int = 0
     error: int = 0
     remote: int = 0
+
+
+class Plausibility:
+    """Judges the values of one signal, newest frame by newest frame.
+
+    A swapped byte order shows on a turning wheel at once: one step of the low byte becomes a jump of 256 steps.
+    """
+
+    def __init__(self, spec: SignalSpec, period: float, timeout: float):
+        """period: seconds between frames. timeout: seconds after which a value says nothing about the next."""
+        self._spec = spec
+        self._period = period
+        self._remember_ns = int(timeout * 1e9)
+        self._last: tuple[int, float] | None = None
+        self._recent: deque[bool] = deque(maxlen=_WINDOW)
+        self.implausible = 0
+
+    def accepts(self, si: float, time_ns: int) -> bool:
+        """Whether this value [SI] is possible. A jump is judged against the value before it, possible or not."""
+        value = si / self._spec.factor
+        possible = self._spec.minimum <= value <= self._spec.maximum and self._reachable(value, time_ns)
+        self._last = (time_ns, value)
+        self._recent.append(possible)
+        self.implausible += not possible
+        return possible
+
+    def _reachable(self, value: float, time_ns: int) -> bool:
+        if self._last is None or not 0 < time_ns - self._last[0] <= self._remember_ns:
+            return True
+        # Frames can arrive closer together than they were sent: no shorter than the period counts.
+        elapsed = max((time_ns - self._last[0]) * 1e-9, self._period)
+        reach = self._spec.max_rate * elapsed
+        return abs(value - self._last[1]) <= reach
+
+    @property
+    def implausible_signal(self) -> str:
+        """Why the signal is not to be used at present, empty when it is fine; good frames heal it."""
+        bad = self._recent.count(False)
+        if bad <= _TOLERATED:
+            return ""
+        spec = self._spec
+        return (f"{spec.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are outside "
+                f"{spec.minimum:g} .. {spec.maximum:g} {spec.unit} or jump faster than {spec.max_rate:g} {spec.unit}/s;"
+                " check byte order, start bit and factor in the DBC")
 
 
 @dataclass
@@ -128,16 +177,16 @@ class Decoder:
         return Decoded(spec.name, time_ns, with_unix_time(values), not fault, fault)
 
     def _plausible(self, row: _Row, values: Mapping[str, float], time_ns: int) -> bool:
-        """False as well while a signal as a whole is nonsense: then a possible value is possible by chance only."""
+        """False also while too many recent values of a signal are impossible: then a possible one is so by chance."""
         possible = [check.accepts(values[name], time_ns) for name, check in row.plausibility if name in values]
         if not all(possible):
             row.statistics.implausible += 1
             return False
-        return not any(check.nonsense for _, check in row.plausibility)
+        return not any(check.implausible_signal for _, check in row.plausibility)
 
-    def nonsense(self) -> list[str]:
-        """For every signal that at present decodes to nonsense and is held back: a sentence that says so."""
-        return [text for row in self._rows.values() for _, check in row.plausibility if (text := check.nonsense)]
+    def implausible_signals(self) -> list[str]:
+        """A sentence for every signal that is withheld at present because its values are impossible."""
+        return [text for row in self._rows.values() for _, check in row.plausibility if (text := check.implausible_signal)]
 
     def _check(self, row: _Row, data: bytes, time_ns: int) -> tuple[str, bool]:
         """(what is wrong, whether to drop the frame)"""

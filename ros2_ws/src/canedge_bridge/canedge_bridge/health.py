@@ -100,7 +100,7 @@ class Health:
         return Check("frames", OK, f"no bad frame since the last report, {bad} since start", values)
 
     def _plausibility(self) -> Check:
-        nonsense = self._decoder.nonsense()
-        if nonsense:
-            return Check("plausibility", ERROR, "; ".join(nonsense) + "; the signal is held back")
+        implausible = self._decoder.implausible_signals()
+        if implausible:
+            return Check("plausibility", ERROR, "; ".join(implausible) + "; the signal is withheld")
         return Check("plausibility", OK, "decoded signals are possible")

@@ -155,7 +155,7 @@ def test_an_impossible_angle_updates_nothing(decoder):
 
 def test_a_swapped_byte_order_is_found_on_a_turning_wheel(decoder, dbc_file, signals_file):
     """Low byte and high byte exchanged on the wire: what a DBC with the wrong order would see."""
-    assert decoder.nonsense() == []
+    assert decoder.implausible_signals() == []
     passed = 0
     for count in range(200):
         data = bytearray(steering(decoder, count, math.radians(0.5 * count)).data)
@@ -163,10 +163,10 @@ def test_a_swapped_byte_order_is_found_on_a_turning_wheel(decoder, dbc_file, sig
         wrong = can.Message(arbitration_id=2, is_extended_id=False, data=data)
         passed += decoder.decode(wrong, count * STEP) is not None
     assert passed <= 20
-    assert "SteeringWheelAngle decodes to nonsense" in decoder.nonsense()[0]
+    assert "SteeringWheelAngle decodes to implausible values" in decoder.implausible_signals()[0]
     # A second of good frames heals it.
     results = [decoder.decode(steering(decoder, count, 0.0), count * STEP) for count in range(200, 320)]
-    assert decoder.nonsense() == [] and results[-1] is not None and results[10] is None
+    assert decoder.implausible_signals() == [] and results[-1] is not None and results[10] is None
 
 
 @settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])

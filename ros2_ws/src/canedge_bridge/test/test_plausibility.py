@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from canedge_bridge.checks import Plausibility
+from canedge_bridge.decode import Plausibility
 from canedge_bridge.signals import load_table
 
 STEP = 10_000_000
@@ -38,11 +38,11 @@ def test_after_a_gap_any_angle_is_possible(plausibility):
 
 def test_stray_frames_do_not_condemn_a_signal(plausibility):
     judge(plausibility, [0, 0, 0, 0, 1000, 0, 0, 0, 0, 1000, 0, 0])
-    assert plausibility.implausible == 4 and plausibility.nonsense == ""
+    assert plausibility.implausible == 4 and plausibility.implausible_signal == ""
 
 
 def test_nonsense_and_its_end(plausibility):
     judge(plausibility, [0, 1000] * 10)
-    assert "decodes to nonsense: 19 of the last 20 frames" in plausibility.nonsense
+    assert "decodes to implausible values: 19 of the last 20 frames" in plausibility.implausible_signal
     judge(plausibility, [0.0] * 100)
-    assert plausibility.nonsense == ""
+    assert plausibility.implausible_signal == ""
