@@ -185,7 +185,7 @@ def _can_frames(data: bytes, folder: Path) -> str:
     frames = decoder.frames
     assert decoded == sum(row.good for row in rows)
     assert frames.unknown + frames.error + frames.remote <= count
-    assert all(text.isprintable() for text in decoder.nonsense())
+    assert all(text.isprintable() for text in decoder.implausible_signals())
     reasons = {name for row in rows for name, value in vars(row).items() if value and name != "last_seen_ns"}
     return " ".join(sorted(reasons | {name for name, value in vars(frames).items() if value}))
 

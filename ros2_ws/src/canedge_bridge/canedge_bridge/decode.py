@@ -99,8 +99,8 @@ class Plausibility:
         if bad <= _TOLERATED:
             return ""
         spec = self._spec
-        return (f"{spec.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are outside "
-                f"{spec.minimum:g} .. {spec.maximum:g} {spec.unit} or jump faster than {spec.max_rate:g} {spec.unit}/s;"
+        return (f"{spec.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are "
+                f"outside {spec.minimum:g} .. {spec.maximum:g} {spec.unit} or jump faster than {spec.max_rate:g} {spec.unit}/s;"
                 " check byte order, start bit and factor in the DBC")
 
 
@@ -186,7 +186,8 @@ class Decoder:
 
     def implausible_signals(self) -> list[str]:
         """A sentence for every signal that is withheld at present because its values are impossible."""
-        return [text for row in self._rows.values() for _, check in row.plausibility if (text := check.implausible_signal)]
+        checks = [check for row in self._rows.values() for _, check in row.plausibility]
+        return [text for check in checks if (text := check.implausible_signal)]
 
     def _check(self, row: _Row, data: bytes, time_ns: int) -> tuple[str, bool]:
         """(what is wrong, whether to drop the frame)"""
