@@ -100,8 +100,8 @@ class Plausibility:
             return ""
         spec = self._spec
         return (f"{spec.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are "
-                f"outside {spec.minimum:g} .. {spec.maximum:g} {spec.unit} or jump faster than {spec.max_rate:g} {spec.unit}/s;"
-                " check byte order, start bit and factor in the DBC")
+                f"outside {spec.minimum:g} .. {spec.maximum:g} {spec.unit} or jump faster than {spec.max_rate:g} "
+                f"{spec.unit}/s; check byte order, start bit and factor in the DBC")
 
 
 @dataclass
