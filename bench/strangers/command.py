@@ -21,7 +21,7 @@ from .recordings import write
 from .vehicles import CARS, DESCRIPTIONS
 
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
-KEPT = ("outcome", "effects", "minor", "effective", "combinations", "bound", "signature", "gap", "axle_curves",
+KEPT = ("outcome", "effects", "minor", "effective", "combinations", "bound", "signature", "gap", "gap_named", "axle_curves",
         "axle_forces", "axles", "not_named", "refuted", "contradicted", "mended")
 """Parts of discovery.json that the score or a reader of misses uses."""
 
@@ -85,7 +85,7 @@ def answered(case: Case, keep: Path | None = None) -> dict[str, Any]:
         answer = json.loads((found / "discovery.json").read_text())
         result["answer"] = {key: answer[key] for key in KEPT if key in answer}
         result["held_out"] = judge.held_out(folder, found)
-        result["forces"] = judge.implied_forces(result["truth"], folder, found, tuple(score.effective(answer)))
+        result["forces"] = judge.implied_forces(result["truth"], folder, found, answer)
     return result
 
 

@@ -45,18 +45,21 @@ def _error(folder: Path, model: Any, vehicle: VehicleParameters) -> float:
 
 
 def implied_forces(truth: Mapping[str, Any], folder: Path, found: Path,
-                   left_out: tuple[str, ...] = ()) -> dict[str, dict[str, list[float]]]:
-    """By axle: slip [rad], force of the car, of the owner's file, and of the answer [N, opposing the slip], in steady
-    cornering over the driven slip. left_out: effects of model.yaml that are not taken (effective corrections)."""
+                   answer: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
+    """By axle, in steady cornering over the driven slip: slip [rad], force of the car, of the owner's file, of the
+    answer (its named and minor effects at the values stated), and of model.yaml with all corrections [N, opposing the
+    slip]."""
     original = read_vehicle(folder / "car" / "vehicle.yaml")
-    vehicle = read_vehicle(found / "vehicle.yaml") if (found / "vehicle.yaml").exists() else original
+    stated = {one["name"]: {key: p["value"] for key, p in one["parameters"].items()}
+              for one in (*answer.get("effects", ()), *answer.get("minor", ())) if not one.get("effective")}
     file = _model(found)
-    model = file.model() if file else augment("nonlinear", {})
-    answered = _forces(model.only([e for e in model.effects if _is_of_the_car(e) and e.name not in left_out]),
-                       (file.vehicle if file and file.vehicle else vehicle), truth)
-    base = _forces(augment("nonlinear", {}), original, truth)
-    return {axle: {"slip": grid.tolist(), "true": true.tolist(), "file": base[axle].tolist(),
-                   "answer": answered[axle].tolist()}
+    new = read_vehicle(found / "vehicle.yaml") if (found / "vehicle.yaml").exists() else original
+    models = {"file": (augment("nonlinear", {}), original), "answer": (augment("nonlinear", stated), original),
+              "model": (file.model(), file.vehicle or new) if file else (augment("nonlinear", {}), new)}
+    forces = {name: _forces(model.only([e for e in model.effects if _is_of_the_car(e)]), vehicle, truth)
+              for name, (model, vehicle) in models.items()}
+    return {axle: {"slip": grid.tolist(), "true": true.tolist(),
+                   **{name: of[axle].tolist() for name, of in forces.items()}}
             for axle, (grid, true) in _grids(truth).items()}
 
 

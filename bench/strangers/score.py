@@ -37,14 +37,6 @@ def named(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [one for one in answer.get("effects", ()) if not one.get("effective")]
 
 
-def effective(answer: Mapping[str, Any]) -> list[str]:
-    """Names of corrections that help to predict and are no property."""
-    listed = answer.get("effective") or ()
-    listed = list(listed.values()) if isinstance(listed, Mapping) else list(listed)
-    names = [one["name"] if isinstance(one, Mapping) else one for one in listed]
-    return names + [one["name"] for one in answer.get("effects", ()) if one.get("effective")]
-
-
 def alternatives(effect: Mapping[str, Any]) -> set[str]:
     """Effects in the same set: alternatives and joint names."""
     found = set()
@@ -80,13 +72,13 @@ def hidden(result: Mapping[str, Any]) -> dict[str, bool]:
 
 def forces(result: Mapping[str, Any]) -> dict[str, float]:
     """By axle: error of the answer's implied force over that of the file (rms over the driven slip), [1]; and
-    `axle_file`, `axle_answer`: the errors over the largest true force [1]."""
+    `axle_file`, `axle_answer`, `axle_model`: the errors over the largest true force [1]."""
     found = {}
     for axle, curve in (result.get("forces") or {}).items():
         true, peak = np.array(curve["true"]), max(np.abs(curve["true"]))
-        file, answer = (float(np.sqrt(np.mean((np.array(curve[key]) - true) ** 2)) / peak)
-                        for key in ("file", "answer"))
-        found |= {axle: answer / max(file, 1e-6), f"{axle}_file": file, f"{axle}_answer": answer}
+        errors = {key: float(np.sqrt(np.mean((np.array(curve[key]) - true) ** 2)) / peak)
+                  for key in ("file", "answer", "model") if key in curve}
+        found |= {axle: errors["answer"] / max(errors["file"], 1e-6), **{f"{axle}_{k}": v for k, v in errors.items()}}
     return found
 
 
@@ -147,9 +139,17 @@ def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "band points": sum(b for _, b in inside), "inside the band": sum(a for a, _ in inside),
         "implied force over the file's, median": float(np.median(ratios)) if ratios else None,
         "implied force worse than the file's": sum(r > 1.0 for r in ratios), "axles": len(ratios),
+        "implied force, rms over peak: file's": _mean(results, "file"), "stated": _mean(results, "answer"),
+        "model.yaml": _mean(results, "model"),
         "vehicle.yaml written": sum(f["vehicle"] is not None for f in files),
         "vehicle.yaml worse than the original": sum(
             f["vehicle"] is not None and f["vehicle"] > WORSE * f["original"] for f in files),
         "held-out error, original": float(np.mean([f["original"] for f in files])) if files else None,
         "held-out error, model.yaml": float(np.mean([f["model"] or f["original"] for f in files])) if files else None,
         "processor seconds per case": float(np.mean([one["seconds"] for one in results])) if results else None}
+
+
+def _mean(results: Sequence[Mapping[str, Any]], of: str) -> float | None:
+    """Mean over cases and axles of an implied-force error [1]."""
+    values = [value for one in results for key, value in forces(one).items() if key.endswith(f"_{of}")]
+    return float(np.mean(values)) if values else None
