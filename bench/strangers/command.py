@@ -21,8 +21,8 @@ from .recordings import write
 from .vehicles import CARS, DESCRIPTIONS
 
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
-KEPT = ("outcome", "effects", "minor", "effective", "combinations", "bound", "signature", "gap", "gap_named", "axle_curves",
-        "axle_forces", "axles", "not_named", "refuted", "contradicted", "mended")
+KEPT = ("outcome", "effects", "minor", "effective", "combinations", "bound", "signature", "gap", "gap_named",
+        "axle_curves", "axle_forces", "axles", "not_named", "refuted", "contradicted", "mended")
 """Parts of discovery.json that the score or a reader of misses uses."""
 
 
