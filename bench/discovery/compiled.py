@@ -2,7 +2,7 @@
 
 What is written here a second time is how `Plant.step` puts them together: hand wheel -> delay -> play -> ratio -> lag,
 Heun's step. Cars that stop are refused, because standstill is left out.
-Checked by: tests/bench/test_discovery_plant.py.
+Checked by: tests/bench/test_discovery_plants.py.
 """
 
 from dataclasses import dataclass

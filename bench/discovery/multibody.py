@@ -5,7 +5,7 @@
 driven by the same programmes as the virtual car and read by the same sensors. Added in front of its equations is the
 steering chain hand wheel -> delay -> play -> ratio -> lag -> offset, beside them the gravity of a slope and the wind of
 st_sim, which act on the masses and on the body's centre of gravity. Cars that nearly stop or tip over are refused.
-Checked by: tests/bench/test_discovery_multibody.py.
+Checked by: tests/bench/test_discovery_plants.py.
 """
 
 from collections.abc import Mapping

@@ -5,7 +5,7 @@ The package's 29 equations are used as they are. It gives one tyre to all wheels
 
 Axes: its equations are written with y to the right and z down, and hold for y to the left (yaw left +) as their mirror
 image. So its roll is + when the left side goes down, its "left" wheels stand on the right; pitch is + nose up.
-Source: Althoff and Wuersching, CommonRoad: Vehicle Models, 2020. Checked by: tests/bench/test_discovery_multibody.py.
+Source: Althoff and Wuersching, CommonRoad: Vehicle Models, 2020. Checked by: tests/bench/test_discovery_plants.py.
 """
 
 import dataclasses

@@ -14,7 +14,7 @@ WARM = 15.0
 
 
 class Law(NamedTuple):
-    """kind: of the numbers above; size: in the unit of the kind, see `hidden_laws`."""
+    """kind: of the numbers above; size: in the unit of the kind, see `hidden_relations`."""
 
     kind: int = NOTHING
     size: float = 0.0

@@ -1,7 +1,7 @@
 """What the INS and the steering sensor make of a recording: st_sim's sensors for a whole drive at once, as a DriveLog.
 
 The numbers are those of `st_sim.sensors`, noise included, drawn in the same order; then rounded as NCOM and CAN round
-them and turned into the axes of the suite as `st` reads files. Checked by: tests/bench/test_discovery_plant.py.
+them and turned into the axes of the suite as `st` reads files. Checked by: tests/bench/test_discovery_plants.py.
 """
 
 from collections.abc import Sequence

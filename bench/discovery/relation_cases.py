@@ -11,7 +11,7 @@ from st_core.vehicle import VehicleParameters
 from .cars import LEAF, PLANTS, HealthyCar, has, healthy_car
 from .cases import seed_of
 from .effects import alike
-from .hidden_laws import LAWS, REMOVED, Hidden
+from .hidden_relations import LAWS, REMOVED, Hidden
 from .plants import Order, driven, vehicle_of
 from .resimulated import resimulated
 

@@ -12,11 +12,11 @@ from st_core.relations import RelationSearch, find_relation, indicated
 from st_core.relations.relation_fit import RunWindows
 from st_core.vehicle import VehicleParameters
 
-from . import law_baselines
+from . import relation_baselines
 from .effects import SCATTER, members
 from .judge import different
-from .law_cases import LawCase, drives_of
 from .oracle import Oracle
+from .relation_cases import LawCase, drives_of
 
 Record = dict[str, Any]
 FURTHEST = 100.0
@@ -48,7 +48,7 @@ def run_case(case: LawCase, whole: bool = True) -> Record:
                            "proposed": position(judge, after)}}
     if whole and case.hidden:
         record["position"]["oracle"] = _oracle(case, drives.healthy, drives.twin, vehicle)
-        record["baselines"] = law_baselines.compared(drives.suspect, drives.held_out, vehicle, answer, settings)
+        record["baselines"] = relation_baselines.compared(drives.suspect, drives.held_out, vehicle, answer, settings)
     return record
 
 

@@ -9,7 +9,7 @@ from st_core.relations.candidates import WHERE
 
 from .cars import LEAF
 from .effects import SCATTER
-from .hidden_laws import BY_NAME, Hidden
+from .hidden_relations import BY_NAME, Hidden
 from .judge import different
 from .score import wilson
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from st_recordings.paths import source_version
 
-from . import law_score, law_tables
+from . import relation_score, relation_tables
 from .compiled import Stopped
-from .law_cases import COUNTS, LawCase, cases_of
-from .law_run import Record, run_case
+from .relation_cases import COUNTS, LawCase, cases_of
+from .relation_run import Record, run_case
 from .run import key_of, read, read_all
 
 
@@ -29,11 +29,11 @@ def main(arguments: Sequence[str]) -> int:
                         help="run nothing: write the scores into docs/measurements/proposals.md from these files")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
-        law_tables.write(read_all(chosen.tables))
+        relation_tables.write(read_all(chosen.tables))
         return 0
     until = None if chosen.until is None else time.time() + 60 * chosen.until
     records = _run(in_turn(chosen.set)[chosen.skip:], chosen.out, until, not chosen.plain)
-    for name, measured, *_ in law_score.scores(records):
+    for name, measured, *_ in relation_score.scores(records):
         print(f"{name}: {measured}")
     return 0
 

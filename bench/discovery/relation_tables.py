@@ -4,10 +4,10 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
-from . import law_score as score
-from .hidden_laws import BY_NAME
-from .law_cases import COUNTS
+from . import relation_score as score
+from .hidden_relations import BY_NAME
 from .paths import ROOT
+from .relation_cases import COUNTS
 from .tables import table
 
 Record = dict[str, Any]
