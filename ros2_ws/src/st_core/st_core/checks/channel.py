@@ -58,7 +58,7 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
                              {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
     # A scale that is told is divided out before the bias is taken off.
     size, divided = abs(scale.value), scale.value if told else 1.0
-    if lag.sure and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread:
+    if lag.sure and found.late and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread:
         rate = float(np.std(np.gradient(found.derived, found.time)))
         text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag)} s{or_else(found)}"
         told.append(_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},

@@ -18,6 +18,7 @@ from .plausibility import broken_channels, plausible
 from .quality import quality
 from .regression import Estimate, held
 from .steps import steps
+from .trial import tried
 
 SHORTEST = 50  # INS samples; less than a few seconds says nothing but how they were stamped
 ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
@@ -72,6 +73,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
             identities += [shown] if shown else []
         told += with_car.believable(motion)
     told += with_car.standstill(motion.with_(velocity_x=speed))
+    if vehicle is not None:
+        told = tried(told, log, vehicle)
     return Checked(_ordered(told), known, tuple(identities),
                    {name: (one.value, *one.interval) for name, one in estimates.items()})
 
@@ -84,7 +87,7 @@ def _ordered(told: list[Finding]) -> tuple[Finding, ...]:
 
 def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
     """Where yaw lags or leads the yaw rate: is it the yaw? Then positions say so too."""
-    if found is None or not found.lag.sure or abs(found.lag.value) < LIMITS.lag or (
+    if found is None or not (found.lag.sure and found.late) or abs(found.lag.value) < LIMITS.lag or (
             abs(found.correlation) < inertial.GYRO_CORRELATION):
         return motion, []
     late = held("yaw_lag", found.lag.scaled(-1.0))

@@ -44,7 +44,8 @@ class Finding:
     name: stable, a key of docs/manual/checks.md. channels: fields of DriveLog (or time, wheel_speed, ins) it is about.
     value, interval: estimate and its 95 % interval in `unit`; None where there is nothing to estimate. text: one
     sentence. where: stretches in s after the first INS measurement; empty for the whole run. effect: by about how much
-    it moves the predicted or measured position after 5 s [m]; None where that means nothing.
+    it moves the predicted or measured position after 5 s [m]; None where that means nothing. tried: prediction error
+    of the run after 5 s before and after the correction [m]; None where it was not tried.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Finding:
     where: tuple[tuple[float, float], ...] = ()
     effect: float | None = None
     cure: Cure | None = None
+    tried: tuple[float, float] | None = None
 
     @property
     def of_acceleration(self) -> bool:
@@ -72,6 +74,7 @@ class Finding:
             "where": [list(stretch) for stretch in self.where], "effect": self.effect,
             "cure": None if self.cure is None else {"kind": self.cure.kind, "line": self.cure.line,
                                                     "entry": dict(self.cure.entry)},
+            "tried": None if self.tried is None else list(self.tried),
         }
 
 

@@ -47,7 +47,7 @@ def mended_yaw_rate(motion: Motion, found: Agreement) -> Motion:
     """With the lag, scale and bias taken out, where they are known."""
     if found.correlation < GYRO_CORRELATION:
         return motion
-    late = found.lag.value if found.lag.sure else 0.0
+    late = found.lag.value if found.lag.sure and found.late else 0.0
     return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time,
                                            (motion.yaw_rate - found.bias.value) / found.scale.value))
 

@@ -32,7 +32,8 @@ OFF_GRID = 0.1  # share of the variance that half a step beside its place takes 
 class Agreement:
     """lag [s], scale [1] and bias [unit], measured against derived. correlation: at that lag. spread: standard
     deviation of the derived quantity. time, measured, derived: the filtered series at that lag, for the eye.
-    alike: other lags [s] that fit as well but for chance, because the drive repeats itself.
+    alike: other lags [s] that fit as well but for chance, because the drive repeats itself. late: whether no lag, or the
+    usual one, fits significantly worse; a drive that changes slowly carries no lag, whatever the fit returns.
     """
 
     lag: Estimate
@@ -44,14 +45,16 @@ class Agreement:
     measured: np.ndarray
     derived: np.ndarray
     alike: tuple[float, ...] = ()
+    late: bool = True
 
 
 def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray, cutoff: float,
-              seed: int, derived_is_angle: bool = False, biased: bool = True) -> Agreement | None:
+              seed: int, derived_is_angle: bool = False, biased: bool = True, usual: float = 0.0) -> Agreement | None:
     """None where they are known together for less than LEAST seconds or do not vary.
 
     time, measured_time: rising [s]; values NaN where unknown. cutoff [Hz]: of the low-pass on both, so that it shifts
     neither. derived_is_angle: its rate is compared. biased: False where a bias is out of the question.
+    usual: lag of a channel that is in order [s].
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > LONGEST_SPAN:
         return None
@@ -75,7 +78,15 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
     correlation = float(np.corrcoef(derived_there, there)[0, 1]) if float(np.std(there)) > 0.0 else 0.0
     scale, bias = _line(problem, derived_there, correlation, biased)
     return Agreement(lag, scale, bias, correlation, float(np.std(derived_there)), at, there, derived_there,
-                     tuple(-one.offset for one in others))
+                     tuple(-one.offset for one in others), _is_late(pair, solution.offset, -usual, cutoff))
+
+
+def _is_late(pair: Pair, offset: float, usual: float, cutoff: float) -> bool:
+    """Whether the usual offset leaves significantly more unexplained than the best one."""
+    if abs(offset - usual) < 1e-6:
+        return False
+    (best, other), common = _rest(pair, [offset, usual])
+    return other > _chance(common, cutoff) * best
 
 
 def _solutions(pair: Pair, cutoff: float) -> list[Fit]:

@@ -66,10 +66,12 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray, rounding: float)
     spacing = float(np.median(np.diff(motion.time)))
     small = np.abs(away[known]) < 0.15 * spacing
     spread = 1.4826 * float(np.median(np.abs(away[known][small]))) if small.any() else np.inf
-    large = known & (np.abs(away) > max(SIGMAS * spread, 0.15 * spacing))
-    # Along the track, whatever its direction: else positions jump.
     speed = motion.speed[1:]
     crosswise = np.sqrt(np.maximum(np.abs(rest) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
+    # Noise is as large across the track as along it; at low speed its part along is many milliseconds.
+    noise = 1.4826 * float(np.median(crosswise[known]))
+    large = known & (np.abs(away) > max(SIGMAS * spread, 0.15 * spacing)) & (np.abs(away) * speed > SIGMAS * noise)
+    # Along the track, whatever its direction: else positions jump.
     if large.sum() < FEWEST or np.median(crosswise[large]) > CROSSWISE * np.median(np.abs(rest[large])):
         return none, []
     age = float(np.median(np.abs(away[large])))

@@ -36,7 +36,9 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
     moving = motion.velocity_x > SLOW
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
-    found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, seed)
+    speed = float(np.median(motion.velocity_x[moving])) if moving.any() else SLOW
+    response = response_time(vehicle, speed)
+    found = agreement(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, seed, usual=-response)
     scale = _scale(motion, derived, seed)
     own = _understeered(motion.velocity_x, derived, vehicle)
     if found is None or abs(found.correlation) < LIMITS.correlation:
@@ -49,8 +51,6 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
     scale = held("steering_scale", found.scale)
     # Steering that falls where curvature rises is the driver's answer to what else turns the car: of no age.
     answers = found.correlation * scale.value < 0.0
-    speed = float(np.median(motion.velocity_x[moving]))
-    response = response_time(vehicle, speed)
     late = held("steering_lag", found.lag.shifted(response))
     told = [one for one in (_unit(scale, own, vehicle),
                             None if answers else _late(late, found, speed, vehicle, or_else(found, response)),
@@ -131,7 +131,7 @@ def _unit(scale: Estimate, own: float, vehicle: VehicleParameters) -> Finding | 
 
 def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters,
           or_else: str) -> Finding | None:
-    if not late.sure or abs(late.value) < LIMITS.steering_lag:
+    if not late.sure or not found.late or abs(late.value) < LIMITS.steering_lag:
         return None
     # A late input leads the path astray by the turn that is missed meanwhile.
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)

@@ -49,7 +49,8 @@ def _finding(entry: Mapping[str, Any]) -> Finding:
     cure = Cure(**entry["cure"]) if entry["cure"] else None
     interval = tuple(entry["interval"]) if entry["interval"] else None
     return Finding(**{**entry, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
-                      "interval": interval, "where": tuple(map(tuple, entry["where"])), "cure": cure})
+                      "interval": interval, "where": tuple(map(tuple, entry["where"])), "cure": cure,
+                      "tried": tuple(entry["tried"]) if entry.get("tried") else None})
 
 
 def document(good: Sequence[CheckedRun], failed: Sequence[FailedRun]) -> dict[str, Any]:

@@ -1,0 +1,132 @@
+"""Every proposed correction is applied to the run it was found in, and proposed only if predictions do not get worse.
+
+The error is the distance between the measured position and that of the linear single-track model, 5 s after starts that
+lie 5 s apart, so that they share no driving; both come from the drive as corrected. A steering ratio or offset of the
+vehicle file that is wrong would favour corrections that happen to compensate it, so both are fitted before and after:
+
+    e = e_0 + (de/dg) g + (de/do) o,    g, o: gain [1] and offset [rad] of the road wheel angle, least squares
+
+Checked by: test_checks_trial.py.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..corrections import Correction, corrected
+from ..errors import StCoreError
+from ..log import DriveLog
+from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
+from ..vehicle import VehicleParameters
+from .finding import Cure, Finding, Severity
+from .limits import HORIZON
+
+# Factor, and m: less is the noise of positions, and on seventeen real drives what a correct one changed at most (7 %).
+WORSE, NOISE = 1.1, 0.02
+GAIN, OFFSET = 0.03, 0.003  # 1, rad; steps of the derivatives
+LEAST_STARTS = 4
+MOST_STARTS = 100  # spread over the run; more do not change an average by a per cent
+TIMES = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+State = tuple[DriveLog, VehicleParameters]
+
+
+def tried(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
+    """The findings with the error [m] before and after their correction, without the corrections that do harm.
+
+    Corrections of errors are applied together, since one wrong unit hides another; then each warning by itself. A
+    warning that its correction refutes becomes a note. Corrections that no prediction depends on are not tried.
+    """
+    tested = [one for one in findings if _is_tested(one)]
+    if not tested:
+        return findings
+    errors = [one for one in findings if one.severity is Severity.ERROR]
+    state: State = (log, vehicle)
+    replaced: dict[int, Finding] = {}
+    before = _error(state)
+    if errors:
+        together = state
+        for one in errors:
+            together = _applied(together, one.cure) if together else None
+        after = _error(together)
+        replaced |= {id(one): _judged(one, before, after) for one in errors if _is_tested(one)}
+        if together is None or after is None or (before is not None and _worse(before, after)):
+            return [replaced.get(id(one), one) for one in findings]
+        state, before = together, after
+    for one in tested:
+        if one.severity is Severity.WARNING:
+            replaced[id(one)] = _judged(one, before, _error(_applied(state, one.cure)))
+    return [replaced.get(id(one), one) for one in findings]
+
+
+def _is_tested(one: Finding) -> bool:
+    return (one.severity is not Severity.NOTE and one.cure is not None and bool(one.cure.entry)
+            and not one.of_acceleration and "leave_out" not in one.cure.entry)
+
+
+def _judged(one: Finding, before: float | None, after: float | None) -> Finding:
+    if before is None or after is None:
+        return one
+    if not _worse(before, after):
+        return replace(one, tried=(before, after))
+    advice = (f"its correction would raise the prediction error of this run from {before:.2f} to {after:.2f} m and is not "
+              "proposed: look for another cause")
+    severity = Severity.NOTE if one.severity is Severity.WARNING else one.severity
+    return replace(one, severity=severity, cure=Cure("look", advice), tried=(before, after))
+
+
+def _worse(before: float, after: float) -> bool:
+    return after > WORSE * before + NOISE
+
+
+def _error(state: State | None) -> float | None:
+    """Root mean square distance after the horizon [m]; None where nothing can be predicted."""
+    if state is None:
+        return None
+    log, vehicle = state
+    starts = regular_starts(log, HORIZON)
+    starts = starts[::max(len(starts) // MOST_STARTS, 1)]
+    angle = log.road_wheel_angle
+    try:
+        base, gain, offset = (
+            evaluate_log(("linear",), vehicle, replace(log, road_wheel_angle=one), EvaluationSettings(), starts)
+            .errors["linear", "hindsight"].at_seconds[:, -1, :2]
+            for one in (angle, (1.0 + GAIN) * angle, angle + OFFSET))
+    except StCoreError:
+        return None
+    known = np.isfinite(base + gain + offset).all(axis=1)
+    if known.sum() < LEAST_STARTS:
+        return None
+    error = base[known].ravel()
+    slopes = np.stack([(one[known].ravel() - error) / step for one, step in ((gain, GAIN), (offset, OFFSET))], axis=1)
+    left = error - slopes @ np.linalg.lstsq(slopes, error)[0]
+    return float(np.sqrt(2.0 * np.mean(left**2)))
+
+
+def _applied(state: State, cure: Cure | None) -> State | None:
+    """The run as this correction leaves it; None where it cannot be applied here."""
+    log, vehicle = state
+    if cure is None or not cure.entry:
+        return None
+    if cure.kind == "vehicle":
+        car = replace(vehicle, **{name: float(value) for name, value in cure.entry.items()})
+        return (log.with_steering(car) if log.steering_wheel_angle is not None else log), car
+    try:
+        log = _relabelled(log, cure.entry)
+        changes = {name: Correction(**values) for name, values in cure.entry.get("correct", {}).items()}
+        log = corrected(log, changes, vehicle, cure.entry.get("leave_out", ()))
+    except StCoreError:
+        return None
+    return log, vehicle
+
+
+def _relabelled(log: DriveLog, entry: Mapping[str, Any]) -> DriveLog:
+    """With another unit of time, and exchanged columns."""
+    unit = entry.get("units", {}).get("t")
+    if unit:
+        start = log.start_ns
+        log = replace(log, **{name: start + np.round((getattr(log, name) - start) / TIMES[unit]).astype(np.int64)
+                              for name in ("ins_time_ns", "steering_time_ns")})
+    columns = entry.get("columns", {})
+    return replace(log, **{name: getattr(log, source) for name, source in columns.items()}) if columns else log

@@ -1,0 +1,47 @@
+"""A correction is proposed only where it does not make the predictions of its run worse."""
+
+from dataclasses import replace
+
+import pytest
+from exact_drive import exact_drive
+from st_core.checks import Finding, Severity
+from st_core.checks.finding import Cure
+from st_core.checks.trial import tried
+from st_core.corrections import Correction, corrected
+
+FAULTS = {
+    "yaw_rate": {"scale": 20.0}, "yaw": {"add": 0.2}, "velocity": {"scale": 1.05}, "velocity_x": {"scale": 1.05},
+    "position": {"earlier": 0.3}, "x": {"scale": 1.05}, "heading": {"add": 0.2}, "road_wheel_angle": {"earlier": 0.4},
+}
+
+
+def finding(severity, **correct):
+    (channel, values), = correct.items()
+    return Finding("some_fault", severity, (channel,), "a fault", cure=Cure.correct(channel, **values))
+
+
+def inverse(values):
+    return {"scale": 1.0 / values["scale"]} if "scale" in values else {key: -value for key, value in values.items()}
+
+
+@pytest.mark.parametrize("severity", [Severity.ERROR, Severity.WARNING])
+@pytest.mark.parametrize("channel", FAULTS)
+def test_a_right_correction_is_proposed_and_a_wrong_one_is_not(leaf, channel, severity):
+    log = exact_drive(leaf, 60.0)
+    log = replace(log, steering_wheel_angle=None)
+    values = FAULTS[channel]
+    broken = corrected(log, {channel: Correction(**values)}, leaf)
+    right, wrong = (finding(severity, **{channel: one}) for one in (inverse(values), values))
+    (kept,) = tried([right], broken, leaf)
+    assert kept.cure == right.cure and kept.tried[1] < 1.05 * kept.tried[0]
+    (refuted,) = tried([wrong], log, leaf)
+    assert refuted.cure.kind == "look" and not refuted.cure.entry and refuted.tried[1] > refuted.tried[0]
+    assert refuted.severity is (Severity.NOTE if severity is Severity.WARNING else Severity.ERROR)
+
+
+def test_errors_are_tried_together(leaf):
+    log = replace(exact_drive(leaf, 60.0), steering_wheel_angle=None)
+    both = {"yaw": {"scale": -1.0}, "yaw_rate": {"scale": -1.0}}
+    broken = corrected(log, {name: Correction(**one) for name, one in both.items()}, leaf)
+    findings = [finding(Severity.ERROR, **{name: one}) for name, one in both.items()]
+    assert [one.cure for one in tried(findings, broken, leaf)] == [one.cure for one in findings]
