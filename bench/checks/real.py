@@ -1,6 +1,4 @@
-"""What is said of every recorded drive of the shared folders, and of the nine together."""
-
-from collections.abc import Sequence
+"""Findings in every recorded drive of the shared folders, and in the nine together."""
 
 from st_core.checks import Finding, Severity, together
 
@@ -12,34 +10,26 @@ SETS = {"hyundai_genesis_oxts": "The nine drives", "hyundai_genesis_more": "Driv
 
 
 def main() -> str:
-    """Prints every finding; the page's text."""
+    """Prints every finding; the page's text: errors and warnings of each drive, and what several have in common."""
     parts = []
     for folder, title in SETS.items():
         files = [file for file in drives.real_files() if file.parent.name == folder]
-        said = {file.stem: checked(drives.real_drive(file)) for file in files}
-        for name, one in said.items():
+        results = {file.stem: checked(drives.real_drive(file)) for file in files}
+        for name, one in results.items():
             print(f"{folder}/{name}")
             for finding in one.findings:
                 print(f"    {short(finding)}\n        {finding.text}")
-        rows = [(name, _words(one.findings, Severity.ERROR, Severity.WARNING), _words(one.findings, Severity.NOTE))
-                for name, one in said.items()]
+        rows = [(name, "; ".join(_value(f) for f in one.findings if f.severity is not Severity.NOTE) or "-",
+                 str(len(one.of(Severity.NOTE)))) for name, one in results.items()]
         parts.append(f"{title} (`{folder}`):\n\n" + table(("drive", "errors and warnings", "notes"), rows))
+        common = [one for one in together(list(results.values())) if one.alike]
+        lines = [f"- `{one.name}` {one.mean:.3g} ± {0.5 * (one.interval[1] - one.interval[0]):.1g}"
+                 + ("" if one.unit == "1" else f" {one.unit}") for one in common]
+        print("\n".join(lines))
         if folder == "hyundai_genesis_oxts":
-            lines = [f"- {one.text}" for one in together(list(said.values()))]
-            print("\n".join(lines))
-            parts.append("All nine together:\n\n" + "\n".join(lines))
+            parts.append("Consistent across all nine:\n\n" + "\n".join(lines))
     return "\n\n".join(parts)
 
 
-def _words(findings: Sequence[Finding], *severities: Severity) -> str:
-    words = [f"`{one.name}` {_value(one)}".strip() for one in findings if one.severity in severities]
-    return "; ".join(words) or "-"
-
-
 def _value(one: Finding) -> str:
-    if one.value is None:
-        return ""
-    if one.interval is None:
-        return f"{one.value:.3g}"
-    half = 0.5 * (one.interval[1] - one.interval[0])
-    return f"{one.value:.3g} ± {half:.2g}" + ("" if one.unit == "1" else f" {one.unit}")
+    return f"`{one.name}`" + ("" if one.value is None else f" {one.value:.3g}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from . import frames
 
+STANDING = 0.5  # m/s; a car that is never faster stands throughout
 SPREAD = 1.4826  # of a normal distribution: standard deviation over the median of its magnitude
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
 
@@ -50,9 +51,10 @@ class Channel:
             object.__setattr__(self, which, getattr(self, which) or (self.name,))
 
     def is_in(self, log: Any) -> bool:
-        """Whether a DriveLog has it."""
+        """Whether a DriveLog has it. In a car that stands throughout, 0 is the lateral velocity."""
         values = [getattr(log, name) for name in self.signals]
-        return all(v is not None and np.isfinite(v).any() and not (self.zero_is_none and not v.any()) for v in values)
+        zero_is_none = self.zero_is_none and bool((np.abs(log.velocity_x) > STANDING).any())
+        return all(v is not None and np.isfinite(v).any() and not (zero_is_none and not v.any()) for v in values)
 
     def shown(self, shown: Any, true: Any) -> Any:
         """What the sensor would show [unit]."""

@@ -80,12 +80,20 @@ def test_runs_that_differ_say_so_and_by_how_much():
     assert one.interval[0] < 0.0 < one.interval[1] and "differs" in one.text
 
 
-def test_a_difference_that_is_small_beside_the_mean_is_alike():
-    """Of a scale the mean is how far it is from 1, of a bias from 0."""
-    one, = together([measured(v, 1e-5, "x_scale", unit="1") for v in (0.960, 0.964, 0.968)])
-    assert one.alike and one.mean == pytest.approx(0.964, abs=1e-4)
-    other, = together([measured(v, 1e-5, "x_scale", unit="1") for v in (0.998, 1.002, 1.006)])
-    assert not other.alike
+@pytest.mark.parametrize(("half", "alike"), [(0.005, True), (1e-5, False)])
+def test_runs_are_consistent_only_while_their_intervals_hold_the_mean(half, alike):
+    one, = together([measured(v, half, "x_scale", unit="1") for v in (0.960, 0.964, 0.968)])
+    assert one.alike is alike and one.mean == pytest.approx(0.964, abs=1e-4)
+
+
+def test_two_of_four_intervals_that_miss_are_not_consistent():
+    values = ((-1.0, 0.1), (-1.4, 0.1), (-1.2, 0.3), (-1.2, 0.3))
+    found = together([measured(value, half, "measuring_point", unit="m") for value, half in values])
+    assert [one.alike for one in found] == [False]
+
+
+def test_a_mean_whose_interval_holds_zero_is_not_listed():
+    assert together([measured(v, 0.6, "measuring_point", unit="m") for v in (-0.9, 0.0, -0.4)]) == []
 
 
 def test_a_run_counts_by_how_well_it_knows():

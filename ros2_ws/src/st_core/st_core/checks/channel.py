@@ -45,31 +45,52 @@ class Expected:
 def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.0,
            ) -> tuple[list[Finding], dict[str, Estimate]]:
     """(findings, estimates by the name of their finding). scale_before: factor that was taken out already."""
-    if found is None or abs(found.correlation) < expected.correlation:
+    if found is None or abs(found.correlation) < min(expected.correlation, LIMITS.correlation):
         return [], {}
     name, told = expected.channel, []
     scale, lag, bias = (held(f"{name}_{kind}", getattr(found, kind)) for kind in ("scale", "lag", "bias"))
+    if abs(found.correlation) < expected.correlation:  # noise of either makes the scale and the bias wrong, not the lag
+        return ([_lag(found, lag, expected)] if _is_lag(found, lag, expected) else []), (
+            {f"{name}_lag": lag} if found.carries_lag else {})
     factor = _factor(scale.value, expected)
     if factor is not None:
         told.append(_gross(scale, factor, expected))
-    elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).sure:
+    elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).sure and not _diluted(scale, found):
         text = f"{name} is {in_words(scale)} times what {expected.say}"
         told.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
                              {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
     # A scale that is told is divided out before the bias is taken off.
     size, divided = abs(scale.value), scale.value if told else 1.0
-    if lag.sure and found.late and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread:
-        rate = float(np.std(np.gradient(found.derived, found.time)))
-        text = f"{name} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag)} s{or_else(found)}"
-        told.append(_finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
-                             abs(lag.value) >= expected.grave[0]))
+    if _is_lag(found, lag, expected):
+        told.append(_lag(found, lag, expected))
     if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
         side = "high" if bias.value > 0.0 else "low"
         unit = expected.unit.replace("^2", "²")
         text = f"{name} is {size_of(bias)} {unit} too {side} against {expected.against}{expected.why}"
         told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
                              {"add": -bias.value / divided}, abs(bias.value) / size >= expected.grave[2]))
-    return told, {f"{name}_lag": lag, f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
+    return told, {**({f"{name}_lag": lag} if found.carries_lag else {}),
+                  f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
+
+
+def _diluted(scale: Estimate, found: Agreement) -> bool:
+    """Whether noise of the derived quantity explains a scale below 1: regression on a noisy quantity gives between r^2
+    and 1 of the true slope (Fuller 1987, Measurement Error Models, 1.1)."""
+    return scale.value < 1.0 and scale.value / found.correlation**2 + scale.half > 1.0
+
+
+def _is_lag(found: Agreement, lag: Estimate, expected: Expected) -> bool:
+    return lag.sure and found.late and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread
+
+
+def _lag(found: Agreement, lag: Estimate, expected: Expected) -> Finding:
+    rate = float(np.std(np.gradient(found.derived, found.time)))
+    text = (f"{expected.channel} {'lags' if lag.value > 0.0 else 'leads'} {expected.against} by {size_of(lag)} s"
+            f"{or_else(found)}")
+    if abs(found.correlation) < expected.correlation:
+        text += f"; their correlation is only {abs(found.correlation):.2f}, so scale and bias are not judged"
+    return _finding("lag", text, lag, "s", abs(lag.value) * rate, expected, {"earlier": lag.value},
+                    abs(lag.value) >= expected.grave[0])
 
 
 def in_words(one: Estimate) -> str:

@@ -10,10 +10,10 @@ from . import inertial, position, sampling, with_car
 from .channel import identity, judged, size_of
 from .extras import Extras
 from .finding import Checked, Cure, Finding, Identity, Severity
-from .gross import gross, time_unit
+from .gross import gross, nominal_rate, time_unit, yaw_is_late
 from .lag import Agreement
 from .limits import HORIZON, LIMITS
-from .motion import Motion
+from .motion import Motion, is_driven
 from .plausibility import broken_channels, plausible
 from .quality import quality
 from .regression import Estimate, held
@@ -44,6 +44,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
     known = sampling.channels(motion, extras)
     if len(log.ins_time_ns) < SHORTEST:
         return Checked(_ordered([*implausible, *sampling.timing(motion, extras, implausible)]), known, ())
+    if not is_driven(motion):
+        return Checked(_ordered([*implausible, *sampling.timing(motion, extras, implausible),
+                                 *quality(extras.quality, start_ns), *with_car.standstill(motion)]), known, ())
     motion, unit = time_unit(motion)
     told = [*implausible, *sampling.timing(motion, extras, implausible), *quality(extras.quality, start_ns)]
     broken = broken_channels(implausible)
@@ -51,7 +54,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
         return Checked(_ordered([*told, *sampling.stuck(motion, known)]), known, ())
     motion = motion.with_(**dict.fromkeys(broken & {"acceleration_x", "acceleration_y"}, None))
     stuck = sampling.stuck(motion, known)
-    motion, coarse = gross(sampling.unfrozen(motion, stuck))
+    motion, coarse = _gross_aligned(sampling.unfrozen(motion, stuck), seed)
     coarse = [unit, *coarse] if unit else coarse
     told += stuck + sampling.rounded(motion, stuck)
     if not any(one.name == "samples_repeated" and {"x", "y"} & set(one.channels) for one in stuck):
@@ -59,7 +62,13 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
         told += stepping
     before = _factors(coarse)
     speed = motion.velocity_x
-    motion, fine, estimates, identities = _sensors(motion, before, extras, start_ns, seed)
+    compared = _sensors(motion, before, extras, start_ns, seed)
+    rate = None if unit else nominal_rate(compared[1], compared[2])
+    if rate:
+        told.append(rate)
+        scaled = motion.with_(time=motion.time / rate.value, steering_time=motion.steering_time / rate.value)
+        compared = _sensors(scaled, {**before, "time_unit": rate.value}, extras, start_ns, seed)
+    motion, fine, estimates, identities = compared
     told += _once(coarse, fine, estimates)
     if vehicle is not None:
         hand_wheel = log.steering_wheel_angle is not None
@@ -85,10 +94,25 @@ def _ordered(told: list[Finding]) -> tuple[Finding, ...]:
                                                -(one.effect or np.inf))))
 
 
+def _gross_aligned(motion: Motion, seed: int) -> tuple[Motion, list[Finding]]:
+    """As `gross`, of yaw and yaw rate brought to one time: over windows of a second, one that is late by a third of the
+    drive's period has another size and sign. What is returned still has the lag, which is judged later."""
+    lag = inertial.turn_lag(motion, seed)
+    if not lag:
+        return gross(motion)
+    time = motion.time
+    yaw_first = motion.with_(yaw=np.interp(time - lag, time, motion.yaw))
+    if yaw_is_late(motion, yaw_first):
+        aligned, found = gross(yaw_first)
+        return aligned.with_(yaw=np.interp(time + lag, time, aligned.yaw)), found
+    aligned, found = gross(motion.with_(yaw_rate=np.interp(time + lag, time, motion.yaw_rate)))
+    return aligned.with_(yaw_rate=np.interp(time - lag, time, aligned.yaw_rate)), found
+
+
 def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
     """Where yaw lags or leads the yaw rate: is it the yaw? Then positions say so too."""
     if found is None or not (found.lag.sure and found.late) or abs(found.lag.value) < LIMITS.lag or (
-            abs(found.correlation) < inertial.GYRO_CORRELATION):
+            abs(found.correlation) < LIMITS.correlation):
         return motion, []
     late = held("yaw_lag", found.lag.scaled(-1.0))
     earlier = motion.with_(yaw=np.interp(motion.time + late.value, motion.time, motion.yaw))
@@ -146,7 +170,7 @@ def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns:
     found, expected = inertial.yaw_rate(motion, seed)
     motion, late = _late_yaw(motion, found)
     motion, causes, estimates = position.position(motion, seed)
-    if found:
+    if found and found.carries_lag:
         estimates["yaw_lag"] = held("yaw_lag", found.lag.scaled(-1.0))
     told += late + causes
     if late or any(one.name == "yaw_offset" for one in causes):

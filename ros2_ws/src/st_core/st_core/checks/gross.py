@@ -17,9 +17,12 @@ from .finding import Cure, Finding, Severity
 from .limits import LIMITS
 from .motion import Motion, Windows, integral, windows
 from .ratios import LEAST_WAY, LEAST_WINDOWS, near, ratios
+from .regression import Estimate
 
 LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; share of the way by which positions may miss velocity and yaw
 ALONG = 0.1  # of the way, and of what yaw leaves: velocities that miss positions by less are those of the map
+LEAST_RATE = 0.005  # of the time; crystals are wrong by 0.0001, nominal rates by a whole sample
+CLEARLY = 0.8  # factor of the misfit
 DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
 ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
 SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
@@ -83,6 +86,33 @@ def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
     text = f"time runs {factor:g} times too fast for positions and yaw{words}"
     mended = motion.with_(time=motion.time / factor, steering_time=motion.steering_time / factor)
     return mended, _error("time_unit", ("time",), text, factor, cure)
+
+
+def nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
+    """One finding for stamps at a wrong nominal rate: they make velocity and yaw rate too large by one factor, compared
+    with positions and yaw, which is that of the time. None where the two factors differ or one is 1."""
+    velocity, turn = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
+    wrong = {one.name for one in findings}
+    if velocity is None or turn is None or "velocity_scale" not in wrong or turn.shifted(-1.0).covers(0.0):
+        return None
+    apart = abs(velocity.value - turn.value)
+    if apart > float(np.hypot(velocity.half, turn.half)) or abs(velocity.value - 1.0) < LEAST_RATE:
+        return None
+    factor = velocity.value
+    severity = next(one.severity for one in findings if one.name == "velocity_scale")
+    effect = next(one.effect for one in findings if one.name == "velocity_scale")
+    text = (f"time runs {factor:.4f} ± {velocity.half:.4f} times too fast for positions and yaw: are the rows stamped "
+            "at a nominal rate that is not the true one?")
+    scale = float(f"{1.0 / factor:.5g}")
+    cure = Cure("run.yaml", f"correct: {{velocity: {{scale: {scale:g}}}, yaw_rate: {{scale: {scale:g}}}}}"
+                f"  # or divide the time of the rows by {factor:.4f}",
+                {"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
+    return Finding("time_rate", severity, ("time",), text, factor, "1", velocity.interval, (), effect, cure)
+
+
+def yaw_is_late(motion: Motion, earlier: Motion) -> bool:
+    """Whether positions follow velocity and yaw clearly better with `earlier`, the drive with another time of yaw."""
+    return _misfit(earlier) < CLEARLY * _misfit(motion)
 
 
 def _both_turns(motion: Motion) -> tuple[Motion, Finding | None]:

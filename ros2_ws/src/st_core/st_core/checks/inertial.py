@@ -43,13 +43,24 @@ def yaw_rate(motion: Motion, seed: int) -> tuple[Agreement | None, Expected]:
                            (LIMITS.grave_lag, 0.03, 0.01), reach, correlation=GYRO_CORRELATION)
 
 
+def turn_lag(motion: Motion, seed: int) -> float:
+    """By how much the yaw rate lags yaw [s], where that hides how they agree; 0 where they agree without it."""
+    found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, seed, True)
+    if found is None or not (found.late and found.lag.sure) or abs(found.lag.value) < LIMITS.grave_lag:
+        return 0.0
+    # A yaw rate of the other sign fits half a period later, too.
+    now = abs(found.correlation_now)
+    return found.lag.value if found.correlation >= LIMITS.correlation and now < found.correlation - 0.05 else 0.0
+
+
 def mended_yaw_rate(motion: Motion, found: Agreement) -> Motion:
     """With the lag, scale and bias taken out, where they are known."""
-    if found.correlation < GYRO_CORRELATION:
+    if found.correlation < LIMITS.correlation:
         return motion
     late = found.lag.value if found.lag.sure and found.late else 0.0
-    return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time,
-                                           (motion.yaw_rate - found.bias.value) / found.scale.value))
+    known = found.correlation >= GYRO_CORRELATION
+    rate = (motion.yaw_rate - found.bias.value) / found.scale.value if known else motion.yaw_rate
+    return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time, rate))
 
 
 def accelerations(motion: Motion, seed: int) -> list[Told]:

@@ -22,6 +22,7 @@ from .regression import Estimate, Regression
 LONGEST = 1.5  # s of lag that is looked for
 LEAST = 15.0  # s in common
 NOTHING, UNITY = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
+SHIFT = 0.3  # s to both sides of a lag that must fit worse, or the drive carries none
 CLEARLY = 1.25  # factor by which a bias must leave less than a scale before it is told instead
 CERTAIN = 0.98  # correlation from which on noise makes less than 4 % of a scale
 RESAMPLED = 1e-4  # share of the variance; interpolation and filters leave 1 % of a signal, so less tells nothing apart
@@ -32,8 +33,9 @@ OFF_GRID = 0.1  # share of the variance that half a step beside its place takes 
 class Agreement:
     """lag [s], scale [1] and bias [unit], measured against derived. correlation: at that lag. spread: standard
     deviation of the derived quantity. time, measured, derived: the filtered series at that lag, for the eye.
-    alike: other lags [s] that fit as well but for chance, because the drive repeats itself. late: whether no lag, or the
-    usual one, fits significantly worse; a drive that changes slowly carries no lag, whatever the fit returns.
+    alike: other lags [s] that fit as well but for chance, because the drive repeats itself. late: whether no lag (the
+    usual one) fits significantly worse; a drive that changes slowly carries no lag, whatever the fit returns.
+    correlation_now: without a lag. carries_lag: whether other lags fit significantly worse than this one.
     """
 
     lag: Estimate
@@ -46,6 +48,8 @@ class Agreement:
     derived: np.ndarray
     alike: tuple[float, ...] = ()
     late: bool = True
+    correlation_now: float = 0.0
+    carries_lag: bool = True
 
 
 def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray, cutoff: float,
@@ -78,7 +82,9 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
     correlation = float(np.corrcoef(derived_there, there)[0, 1]) if float(np.std(there)) > 0.0 else 0.0
     scale, bias = _line(problem, derived_there, correlation, biased)
     return Agreement(lag, scale, bias, correlation, float(np.std(derived_there)), at, there, derived_there,
-                     tuple(-one.offset for one in others), _is_late(pair, solution.offset, -usual, cutoff))
+                     tuple(-one.offset for one in others), _is_late(pair, solution.offset, -usual, cutoff),
+                     _correlation(pair, 0.0),
+                     all(_is_late(pair, solution.offset, solution.offset + by, cutoff) for by in (-SHIFT, SHIFT)))
 
 
 def _is_late(pair: Pair, offset: float, usual: float, cutoff: float) -> bool:
@@ -87,6 +93,12 @@ def _is_late(pair: Pair, offset: float, usual: float, cutoff: float) -> bool:
         return False
     (best, other), common = _rest(pair, [offset, usual])
     return other > _chance(common, cutoff) * best
+
+
+def _correlation(pair: Pair, offset: float) -> float:
+    rows, derived = _at(pair.reference, pair.other, offset)
+    values = pair.other.values[rows]
+    return float(np.corrcoef(derived, values)[0, 1]) if len(rows) > 2 and np.std(derived) * np.std(values) > 0 else 0.0
 
 
 def _solutions(pair: Pair, cutoff: float) -> list[Fit]:

@@ -12,6 +12,9 @@ from ..log import DriveLog
 
 LONGEST_GAP = 0.25  # s between samples; nothing is integrated across a longer one
 MOVING = 1.0  # m/s; below it a car says little
+FEWEST_WINDOWS = 5  # that must show the car driving
+COHERENT = 0.5  # cosine between the ways of successive windows: 1 straight on, 0 for a random walk
+LEAST_SIGNAL = 10.0  # standard deviations of the velocity's noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,21 @@ class Motion:
         if not len(self.steering_time):
             return np.full(len(self.time), np.nan)
         return np.interp(self.time, self.steering_time, self.steering, left=np.nan, right=np.nan)
+
+
+def is_driven(motion: Motion) -> bool:
+    """Whether the car drives at all, in whatever units: positions go on in the direction they came from, or the forward
+    velocity is far beyond its own noise. Noise and a wandering receiver do neither."""
+    length = max(1.0, 5.0 * float(np.median(np.diff(motion.time)))) if len(motion.time) > 1 else 1.0
+    over = windows(motion.time, length, max(LONGEST_GAP, 0.5 * length))
+    if len(over) < FEWEST_WINDOWS:
+        return True  # too short to judge
+    way = over.change(motion.x) + 1j * over.change(motion.y)
+    product = (way[1:] * np.conj(way[:-1]))[over.last[:-1] == over.first[1:]]
+    speed = over.mean(motion.time, motion.velocity_x)
+    noise = float(np.median(np.abs(np.diff(motion.velocity_x)))) / (0.6745 * np.sqrt(2.0))
+    return bool(np.sum(product.real) > COHERENT * np.sum(np.abs(product)) > 0.0
+                or np.sum(np.abs(speed) > LEAST_SIGNAL * max(noise, 1e-9)) >= FEWEST_WINDOWS)
 
 
 def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:

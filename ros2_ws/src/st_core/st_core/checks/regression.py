@@ -35,6 +35,14 @@ class Estimate:
         low, high = self.interval
         return min(abs(low), abs(high)) > 0.5 * (high - self.value) and low * high > 0.0
 
+    @property
+    def half(self) -> float:
+        """Half the width of the interval."""
+        return 0.5 * (self.interval[1] - self.interval[0])
+
+    def covers(self, value: float) -> bool:
+        return self.interval[0] <= value <= self.interval[1]
+
     def scaled(self, factor: float) -> "Estimate":
         low, high = sorted(factor * end for end in self.interval)
         return Estimate(factor * self.value, abs(factor) * self.deviation, (low, high))

@@ -15,6 +15,8 @@ STEERING = ("road_wheel_angle", "steering_wheel_angle")
 HELD = 0.7  # share of the changes that come at the same interval in a channel held at a lower rate
 FEW = 0.01  # share of rows below which a fault of single rows is a note
 MISSED = 0.05  # share of the time lost in gaps from which on whole conditions may be missing
+SLOWER = 1.5  # rows between two samples of a slower sensor, on average
+SLOWEST = 15.0  # Hz; positions held at a lower rate are half a metre old at 15 m/s, on average a quarter
 FROZEN = 1.5  # s without any change; quieter channels are given ten times their own usual pause
 EXCUSED = 10.0
 SPARED = ("velocity_y", "acceleration_x", "acceleration_y")  # many recordings have none; paths can be scored without
@@ -86,7 +88,7 @@ def timing(motion: Motion, extras: Extras, left_out: Sequence[Finding] = ()) -> 
             slower = 0.0 if channel.startswith("acceleration") else _slower_rate(
                 motion.steering_time if channel in STEERING else motion.time, rows * 1e-9, share)
             told.append(_missing(channel, count, share, slower))
-    return told
+    return merged(told)
 
 
 def _missing(channel: str, count: int, share: float, slower: float) -> Finding:
@@ -103,32 +105,42 @@ def _missing(channel: str, count: int, share: float, slower: float) -> Finding:
 
 
 def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
-    """Hz of samples [s] that are every k-th of all rows [s], k >= 2, but for one in a hundred; else 0.
+    """Hz of samples [s] that are evenly spaced, to a row, among all rows [s], but for one in a hundred; else 0.
 
     missing: share of the rows without one. A hole leaves the others a row apart: that is no slower sensor.
     """
     spacing, between = np.diff(time), np.diff(rows)
     if len(spacing) < 20 or len(between) < 20:
         return 0.0
-    usual = float(np.median(spacing))
-    every = round(usual / max(float(np.median(between)), 1e-9))
-    even = np.mean(np.abs(spacing - usual) > 0.5 * usual) <= FEW
-    return 1.0 / usual if every >= 2 and even and abs((1.0 - missing) * every - 1.0) <= 2 * FEW else 0.0
+    row = float(np.median(between))
+    usual = row / max(1.0 - missing, 1e-9)
+    even = np.mean(np.abs(spacing - usual) > 1.05 * row) <= FEW
+    return 1.0 / usual if usual >= SLOWER * row and even else 0.0
 
 
 def _stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
     if len(stamps) < 2:
         return []
     step = np.diff(stamps)
+    newest = np.maximum.accumulate(stamps)[:-1]
     told = []
-    for name, bad, words in (("time_order", step < 0, "go back"), ("time_duplicates", step == 0, "are there twice")):
-        share = float(bad.mean())
-        if share > 0.0:
-            severity = Severity.WARNING if share > FEW else Severity.NOTE
-            where = tuple((float(t), float(t)) for t in (stamps[1:][bad] - stamps[0])[:20] * 1e-9)
-            told.append(Finding(name, severity, ("time",), f"{int(bad.sum())} of {len(stamps)} stamps of the {signal} "
-                                f"{words}; those rows were left out", share, "1", None, where, None,
-                                Cure("look", "look at how the rows were stamped and merged")))
+    # After one step back, every row is lost until the newest stamp before it is reached again.
+    old = (stamps[1:] <= newest) & (step != 0)
+    for name, back, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
+        if not back.any():
+            continue
+        count, share = int(lost.sum()), float(lost.mean())
+        far = -float(step.min()) * 1e-9
+        reset = name == "time_order" and far > LONGEST_GAP
+        where = tuple((float(t), float(t)) for t in (newest[back] - stamps[0])[:20] * 1e-9)
+        text = (f"the stamps of the {signal} go back {int(back.sum())} time{'s' if back.sum() > 1 else ''}, by up to "
+                f"{far:.4g} s: {count} of {len(stamps)} rows ({100 * share:.2g} %) are not used" if reset else
+                f"{count} of {len(stamps)} stamps of the {signal} "
+                f"{'go back' if name == 'time_order' else 'are there twice'}; those rows were left out")
+        advice = ("look at the logger: its clock was set back, or it restarted; split the recording there into runs"
+                  if reset else "look at how the rows were stamped and merged")
+        told.append(Finding(name, Severity.WARNING if reset or share > FEW else Severity.NOTE, ("time",), text, share,
+                            "1", None, where, None, Cure("look", advice)))
     return told
 
 
@@ -186,8 +198,9 @@ def _held(name: str, time: np.ndarray, row: np.ndarray) -> list[Finding]:
     rate = 1.0 / (usual * float(np.median(np.diff(time))))
     share = 1.0 - len(lengths) / len(row)
     text = f"{name} changes only at every {usual:g}th sample: it was recorded at {rate:.3g} Hz and held"
-    return [Finding("samples_repeated", Severity.WARNING if rate < 20.0 else Severity.NOTE, (name,), text, share, "1",
-                    None, (), None, Cure("look", f"log {name} at its own rate, or interpolate it before"))]
+    severity = Severity.WARNING if rate < SLOWEST else Severity.NOTE
+    return [Finding("samples_repeated", severity, (name,), text, share,
+                    cure=Cure("look", f"log {name} at its own rate, or interpolate it before"))]
 
 
 def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion, step: float) -> list[Finding]:
@@ -279,10 +292,10 @@ def unfrozen(motion: Motion, findings: Sequence[Finding]) -> Motion:
 
 
 def merged(findings: Sequence[Finding]) -> list[Finding]:
-    """x and y, or all channels of the INS, held at one and the same rate become one finding."""
+    """x and y, or all channels of the INS, held at one rate or missing in as many rows, become one finding."""
     told: dict[tuple, Finding] = {}
     for one in findings:
-        key = (one.name, one.value if one.name == "samples_repeated" else len(told))
+        key = (one.name, one.value if one.name in ("samples_repeated", "values_missing") else len(told))
         before = told.get(key)
         if before is None:
             told[key] = one

@@ -82,16 +82,24 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray, rounding: float)
     if not alike or not balanced or age > 1.2 * spacing or far < 3.0 * rounding:
         return none, []
     share = float(back.sum() / known.sum())
-    half = 1.96 * float(np.sqrt(share * (1.0 - share) / max(known.sum() * spacing, 1.0)))
+    interval = _wilson(share, max(float(known.sum()) * spacing, 1.0))
     effect = age * float(np.median(speed[known]))
     text = (f"at {100 * share:.2g} % of the rows the position falls back to one measured {age * 1e3:.0f} ms earlier, "
             "and catches up later: in between it is one sample of the receiver old")
     severity = Severity.WARNING if share > LEAST_STALE else Severity.NOTE
     its = (back | forward) & (np.abs(away) < 1.6 * age) & (crosswise < CROSSWISE * np.abs(rest))
     return its, [Finding(
-        "position_stale", severity, ("x", "y"), text, share, "1", (max(share - half, 0.0), min(share + half, 1.0)),
+        "position_stale", severity, ("x", "y"), text, share, "1", interval,
         stretches(motion.time[1:][back], 5.0)[:20], effect,
         Cure("look", "stamp positions with their own time, or leave out rows with an old one"))]
+
+
+def _wilson(share: float, count: float) -> tuple[float, float]:
+    """95 % interval of a share of `count` independent trials (Wilson 1927); count need not be whole."""
+    square = 1.96**2 / count
+    middle = (share + 0.5 * square) / (1.0 + square)
+    half = float(np.sqrt(square * (share * (1.0 - share) + 0.25 * square))) / (1.0 + square)
+    return middle - half, middle + half
 
 
 def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:

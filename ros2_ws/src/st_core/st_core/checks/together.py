@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 
 from ..identification.result import symmetric_interval
 from ..random_effects import random_effects
@@ -56,9 +56,12 @@ def together(runs: Sequence[Checked]) -> list[Together]:
     found = []
     for name, unit in units.items():
         rows = np.array([run.estimates[name] for run in runs if name in run.estimates])
-        if len(rows) >= FEWEST:
-            told = sum(any(one.name == name for one in run.findings) for run in runs)
-            found.append(_pooled(name, unit, rows, told))
+        if len(rows) < FEWEST:
+            continue
+        told = sum(any(one.name == name for one in run.findings) for run in runs)
+        one = _pooled(name, unit, rows, told)
+        if not one.alike or not one.interval[0] <= null_of(name) <= one.interval[1]:
+            found.append(one)
     return sorted(found, key=lambda one: -one.told)
 
 
@@ -74,10 +77,16 @@ def pooled(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[flo
 
 def _pooled(name: str, unit: str, rows: np.ndarray, told: int) -> Together:
     mean, interval, between, excess = _random_effects(rows)
-    null = 1.0 if name.endswith("_scale") else 0.0
-    alike = excess <= chi2.ppf(SURE, len(rows) - 1) or between < ALIKE * abs(mean - null)
+    missed = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
+    alike = missed <= binom.ppf(SURE, len(rows), 0.05) and (
+        excess <= chi2.ppf(SURE, len(rows) - 1) or between < ALIKE * abs(mean - null_of(name)))
     return Together(name, unit, len(rows), told, mean, interval, between, float(rows[:, 0].min()),
                     float(rows[:, 0].max()), bool(alike))
+
+
+def null_of(name: str) -> float:
+    """Value of a quantity that is in order."""
+    return 1.0 if name.endswith("_scale") or name == "steering_sign" else 0.0
 
 
 def _random_effects(rows: np.ndarray) -> tuple[float, tuple[float, float], float, float]:

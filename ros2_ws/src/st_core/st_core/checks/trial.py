@@ -70,8 +70,8 @@ def _judged(one: Finding, before: float | None, after: float | None) -> Finding:
         return one
     if not _worse(before, after):
         return replace(one, tried=(before, after))
-    advice = (f"its correction would raise the prediction error of this run from {before:.2f} to {after:.2f} m and is not "
-              "proposed: look for another cause")
+    advice = (f"its correction would raise the prediction error of this run from {before:.2f} to {after:.2f} m and is "
+              "not proposed: look for another cause")
     severity = Severity.NOTE if one.severity is Severity.WARNING else one.severity
     return replace(one, severity=severity, cure=Cure("look", advice), tried=(before, after))
 

@@ -58,7 +58,8 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
     shown = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
                      "from yaw rate and speed", found.time, found.measured, found.derived,
                      ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
-    estimates = {"steering_scale": scale, "steering_sign": scale, **({} if answers else {"steering_lag": late}),
+    lag = {"steering_lag": late} if found.carries_lag and not answers else {}
+    estimates = {"steering_scale": scale, "steering_sign": scale, **lag,
                  "steering_offset": held("steering_offset", found.bias)}
     return told, estimates, shown
 

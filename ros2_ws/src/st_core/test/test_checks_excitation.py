@@ -1,0 +1,75 @@
+"""Nothing is judged that a drive does not excite: standstill, slow changes, lags in a slalom, rates of the logger."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_drive import SPEED, Noise, Sines, exact_drive, late
+from st_core.checks import Extras, Severity, check, together
+from st_core.log import DriveLog
+
+STAMPS = 1_700_000_000_000_000_000 + 20_000_000 * np.arange(3000)
+SWEEP = Sines(0.0, tuple((0.1, period, period) for period in (8.0, 5.0, 3.0, 2.0, 1.5)))
+SLALOM = Sines(0.0, ((0.3, 2.0, 0.0),))
+
+
+def standing(kind, car):
+    noise = np.random.default_rng(5).standard_normal((9, len(STAMPS)))
+    walk, zero, swing = np.cumsum(noise, axis=1) * 0.14, np.zeros(len(STAMPS)), np.sin(np.arange(len(STAMPS)) / 150.0)
+    x, y, yaw, v_x, v_y, rate, steering = {
+        "zeros": (zero,) * 7,
+        "noise": (*(0.005 * noise[:2]), 0.0005 * noise[2], *(0.01 * noise[3:5]), 0.002 * noise[5], 0.0005 * noise[6]),
+        "wandering": (*(0.5 * walk[:2] + 0.2 * noise[:2]), 0.02 * walk[2], *(0.1 * noise[3:5]), 0.01 * noise[5],
+                      0.2 * np.round(swing)),
+        "turned wheel": (*(0.01 * noise[:2]), 0.001 * noise[2], *(0.02 * noise[3:5]), 0.002 * noise[5], 0.5 * swing),
+        "heading from course": (*(0.3 * noise[:2]), np.unwrap(np.angle(noise[0] + 1j * noise[1])),
+                                *np.abs(0.3 * noise[3:5]), 0.01 * noise[5], zero),
+    }[kind]
+    return DriveLog(kind, STAMPS, x, y, yaw, v_x, v_y, rate, STAMPS, steering, None, 0.1 * noise[7], 0.1 * noise[8])
+
+
+@pytest.mark.parametrize("kind", ["zeros", "noise", "wandering", "turned wheel", "heading from course"])
+def test_a_run_at_standstill_is_not_judged_and_spoils_no_others(leaf, kind):
+    found = check(standing(kind, leaf), leaf)
+    assert not found.findings and not found.estimates
+    wrong = [check(late(exact_drive(leaf, 60.0, seed=seed), 0.2, "yaw_rate"), leaf) for seed in range(3)]
+    assert together([*wrong, found]) == together(wrong) and together(wrong)[0].alike
+
+
+@pytest.mark.parametrize("noise", [0.0005, 0.004, 0.01])
+def test_one_late_sensor_is_one_finding_whatever_is_driven(leaf, noise):
+    runs = [check(late(exact_drive(leaf, 60.0, speed=speed, turning=turning, noise=Noise(yaw=noise)), 0.36, "yaw_rate"),
+                  leaf) for speed, turning in ((SPEED, SLALOM), (SPEED, SWEEP), (Sines(15.0, ()), SWEEP))]
+    for run in runs:
+        assert not run.of(Severity.ERROR)
+        lags = [one for one in run.findings if one.name.endswith("_lag")]
+        assert [one.name for one in lags] == ["yaw_rate_lag"]
+        assert lags[0].value == pytest.approx(0.36, abs=0.015)
+    assert [one.name for one in together(runs) if one.alike] == ["yaw_rate_lag"]
+
+
+@pytest.mark.parametrize("factor", [0.9, 0.97, 1.1, 1.18])
+def test_a_wrong_nominal_rate_is_one_finding(leaf, factor):
+    log = exact_drive(leaf, 60.0)
+    start = log.ins_time_ns[0]
+    wrong = replace(log, **{name: start + np.round((getattr(log, name) - start) * factor).astype(np.int64)
+                            for name in ("ins_time_ns", "steering_time_ns")})
+    (one,) = [one for one in check(wrong).findings if one.severity is not Severity.NOTE]
+    assert one.name == "time_rate" and one.interval[0] < factor < one.interval[1]
+
+
+def test_slow_changes_carry_no_lag(leaf):
+    for seed in range(4):
+        log = exact_drive(leaf, 60.0, speed=Sines(14.0, ((9.0, 17.0, 0.0),)), turning=Sines(0.0, ((0.05, 40.0, 0.0),)),
+                          seed=seed)
+        assert not [one for one in check(log, leaf).findings if one.name.endswith("_lag")]
+
+
+@pytest.mark.parametrize(("back", "share"), [(30.0, 0.5), (5.0, 0.083), (59.0, 0.5)])
+def test_a_clock_set_back_is_a_warning_with_the_rows_it_costs(leaf, back, share):
+    stamps = STAMPS.copy()
+    stamps[1500:] -= round(back * 1e9)
+    (one,) = [one for one in check(exact_drive(leaf), leaf, Extras({"INS": stamps})).findings
+              if one.name == "time_order"]
+    assert one.severity is Severity.WARNING and one.value == pytest.approx(share, abs=0.002)
+    assert f"{round(one.value * (len(stamps) - 1))} of 3000 rows" in one.text
