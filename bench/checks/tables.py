@@ -38,8 +38,9 @@ def as_markdown(document: Record) -> str:
     """Totals, and the kinds in which not every case is right."""
     total = [(r["which"], str(r["cases"]), share(r)) for r in document["total"]]
     missed = [(r["kind"], str(r["cases"]), str(r["right"])) for r in document["kinds"] if r["right"] < r["cases"]]
-    where = (f"Set {document['set']}, version {document['version']}, {document['date']}: {len(document['kinds'])} kinds, "
-             f"{len(document['kinds']) - len(missed)} of them without a miss.")
+    count = len(document["kinds"])
+    where = (f"Set {document['set']}, version {document['version']}, {document['date']}: {count} kinds, "
+             f"{count - len(missed)} of them without a miss.")
     parts = [where, table(("drives", "cases", "right (95 % interval)"), total)]
     return "\n\n".join([*parts, table(("kind", "cases", "right"), missed)] if missed else parts)
 
