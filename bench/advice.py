@@ -1,6 +1,6 @@
 """Which model is good enough for which horizon and speed, on the real drives of the Genesis.
 
-What `st evaluate --advise` says of them, written into docs/manual/mpc.md.
+What `st evaluate --advise` says of them, written into docs/measurements/mpc.md.
 """
 
 import os
@@ -22,7 +22,7 @@ TOLERANCE = 0.3
 MODELS = ("kinematic", "linear", "nonlinear")
 OTHERS = ("wrong_projection", "rear_ref")
 """Genesis drives of another projection, and of another point of the car."""
-PAGE = project_root() / "docs" / "manual" / "mpc.md"
+PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 
 
 def run() -> dict:

@@ -1,4 +1,4 @@
-"""Gates passed by a controller, its constraint as it is and tightened by the band: 50 cars, for docs/manual/mpc.md.
+"""Gates passed by a controller, its constraint as it is and tightened by the band: 50 cars, for docs/measurements/mpc.md.
 
 Two minutes of processor time; ST_CORRIDOR_SEEDS changes the number of cars.
 """
@@ -10,7 +10,7 @@ from _markers import renew, table
 from st_recordings.paths import project_root
 
 MODEL = "linear"
-PAGE = project_root() / "docs" / "manual" / "mpc.md"
+PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 
 
 def run() -> dict:

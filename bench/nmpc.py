@@ -1,4 +1,4 @@
-"""Which model a controller needs and how far ahead it must look: examples/mpc/nmpc.py, for docs/manual/mpc.md.
+"""Which model a controller needs and how far ahead it must look: examples/mpc/nmpc.py, for docs/measurements/mpc.md.
 
 A minute of processor time. The figures of the page are renewed too.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 from _markers import renew, table
 from st_recordings.paths import project_root
 
-PAGE = project_root() / "docs" / "manual" / "mpc.md"
+PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 EXAMPLE = project_root() / "examples" / "mpc"
 
 
