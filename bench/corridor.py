@@ -1,4 +1,4 @@
-"""Gates passed by a controller, its constraint as it is and tightened by the band: 50 cars, for docs/measurements/mpc.md.
+"""Gates passed by a controller, its constraint unchanged and tightened by the band: 50 cars; docs/measurements/mpc.md.
 
 Two minutes of processor time; ST_CORRIDOR_SEEDS changes the number of cars.
 """
