@@ -7,9 +7,22 @@ from .evidence import AgainstFile, Evidence, share_of
 from .limits import Limits
 from .result import Outcome, Reason
 
-STATED, NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, FILE, BOUND, VARIES, MINOR = (
+STATED, NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, FILE, BOUND, VARIES, MINOR, FORCES = (
     "stated", "too small", "may be chance", "not surely there", "not worth it", "refuted by the sensors",
-    "refuted by the vehicle file", "on a bound", "varies", "minor")
+    "refuted by the vehicle file", "on a bound", "varies", "minor", "refuted by the axle forces")
+
+
+@dataclass(frozen=True)
+class Checks:
+    """What an effect is asked once intervals and axle curves are known. null_outside: the interval of one of its values
+    leaves out the null. crossing: parameter whose interval crosses a bound, "" for none. driven [1]: share of the peak
+    force that was driven, of an effect that is a peak. worse_axle: axle whose measured forces the effects that act on
+    it describe less well than the vehicle file does, this one among them; "" for none."""
+
+    null_outside: bool = True
+    crossing: str = ""
+    driven: float = 1.0
+    worse_axle: str = ""
 
 
 @dataclass(frozen=True)
@@ -130,15 +143,26 @@ def _worth(e: Evidence, limits: Limits) -> dict[str, float]:
             "worth_position": limits.worth_position}
 
 
-def worth_a_name(e: Evidence, limits: Limits, surely: bool = True) -> Reason:
-    """Whether an effect that holds is stated, or only kept beside what is, so that it does not bend other values.
-    surely: whether the interval of one of its values leaves out the null."""
-    sure = confirmed(e, limits)
+def worth_a_name(e: Evidence, limits: Limits, checks: Checks | None = None) -> Reason:
+    """Whether an effect that holds is stated, or only kept beside what is, so that it does not bend other values."""
+    sure, checks = confirmed(e, limits), checks or Checks()
+    if checks.worse_axle:
+        return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle are "
+                      "described less well with it than by the vehicle file: it helps to predict, not named")
+    if checks.crossing:
+        return Reason(MINOR, e.name, {"gain": e.gain}, f"the interval of its {checks.crossing.replace('_', ' ')} "
+                      "crosses a bound of what is physical: kept, not named")
+    if checks.driven < limits.peak:
+        return Reason(MINOR, e.name, {"driven": checks.driven, "peak": limits.peak},
+                      f"{checks.driven:.0%} of the peak force was driven: the curve is stated up to there, no peak")
+    if e.position < -limits.worth_position:
+        return Reason(MINOR, e.name, {"position": e.position, "worth_position": limits.worth_position},
+                      f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: kept, not named")
     if e.left > limits.left and e.gain < limits.beside and not sure:
         return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "beside": limits.beside, "limit": limits.left},
                       f"it is sure, but takes away {e.share:.1%} of the errors, and {e.left:.1f} times the noise is "
                       "left with it: it may imitate what no effect describes; kept, not named")
-    if not surely and not sure:
+    if not checks.null_outside and not sure:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it takes away something, but in other sets of effects that are "
                       "nearly as good its value is near its null: kept, not named")
     if worth_it(e, limits):

@@ -12,12 +12,15 @@ from ..log import DriveLog
 from ..models import Model
 from ..vehicle import VehicleParameters
 from . import certificate, noise, waterfall
+from .axles import Axles
 from .decision import (
+    FORCES,
     MINOR,
     STATED,
     VARIES,
     WORDS,
     Answer,
+    Checks,
     alternative,
     comes_and_goes,
     decide,
@@ -131,9 +134,11 @@ class _Work:
         all_free = joint(problem, found.fit) if problem.prior is None else None
         everything = [self._effect(n, found, parts, all_free) for n in found.order]
         # A reference is asked by its own drives instead: what it does not know of the car is in the intervals.
-        named = {e.name: worth_a_name(found.evidence[e.name], limits, bool(self.reference) or surely(e))
-                 for e in everything}
-        effects, minor = ([e for e in everything if named[e.name].rule == rule] for rule in (STATED, MINOR))
+        left_out = waterfall.left_out(problem, found.fit)
+        axles = self._axles(found, all_free)
+        named = self._named(found, everything, axles, left_out)
+        effects, minor, denied = ([e for e in everything if named[e.name].rule == rule]
+                                  for rule in (STATED, MINOR, FORCES))
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
         floor = self._floor(by_column)
         gap, gap_named = (waterfall.gaps(ends, base, each, floor) for each in (fit, found.fit))
@@ -151,7 +156,8 @@ class _Work:
         outcome, why = decide(answer, limits)
         statements = self._where(base, floor) if settings.where else ()
         return Discovery(
-            outcome=outcome, effects=tuple(effects), minor=tuple(minor), effective=self._effective(whole, fit, found),
+            outcome=outcome, effects=tuple(effects), minor=tuple(minor),
+            effective=(*denied, *self._effective(whole, fit, found)),
             bound=tuple(b for b, _ in bound), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
             reasons=(why, *self._reasons(found, named)), candidates=self._candidates(found, named),
             where=statements, not_testable=untestable,
@@ -160,8 +166,10 @@ class _Work:
             signature=self._left(left, statements),
             runs=self._who(), start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None,
-            named=space.at(found.fit.vector) if found.fit.names else None, warnings=tuple(self.warnings),
-            left_out=waterfall.left_out(problem, found.fit),
+            named=space.at(problem.put_back(found.fit, *(e.name for e in denied))) if found.fit.names else None,
+            warnings=tuple(self.warnings),
+            left_out=left_out, axle_curves=axles.curves(space.at(base.vector)) if axles else (),
+            combinations=axles.combinations(space.at(base.vector)) if axles else (),
             acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
@@ -247,6 +255,26 @@ class _Work:
         return FoundEffect(
             name, get_effect(name).kind, {n: by_sensors(p, known.get(f"{name}.{n}")) for n, p in values.items()},
             tuple(r.name for r in others), evidence.position, _values(evidence))
+
+    def _axles(self, found: Found, all_free: Joint | None) -> Axles | None:
+        """Forces of the axles under the answer; None for a base without tyres, or driving without slip."""
+        try:
+            return Axles(self.problem, found.fit, all_free, self.runs, self.vehicle)
+        except StCoreError:
+            return None
+
+    def _named(self, found: Found, everything: Sequence[FoundEffect], axles: Axles | None,
+               left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
+        """The verdict on each effect of the answer. A reference is asked by its own drives instead of intervals: what
+        it does not know of the car is in those."""
+        worse, driven = {}, 1.0
+        if axles is not None and not self.reference:
+            driven = max(axles.driven_shares().values())
+            for axle in axles.worse(self.space.at(self.space.null), left_out):
+                worse |= dict.fromkeys(axles.acting(axle, [e.name for e in everything]), axle)
+        return {e.name: worth_a_name(found.evidence[e.name], self.limits, Checks(
+            bool(self.reference) or surely(e), "" if self.reference else crossing(e),
+            driven if e.name == "friction" else 1.0, worse.get(e.name, ""))) for e in everything}
 
     def _effective(self, whole: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
         ends = waterfall.Ends(whole, self.settings.seed)
@@ -381,6 +409,16 @@ class _Work:
 def _values(evidence: Evidence) -> dict[str, tuple[Value, ...]]:
     return {level: tuple(Value(part, share, deviation) for part, (share, deviation) in a.shares.items())
             for level, a in evidence.agreement.items()}
+
+
+def crossing(effect: FoundEffect) -> str:
+    """Parameter whose interval crosses a bound that is neither its null, nor what theory says, nor one of a curve."""
+    for p in get_effect(effect.name).parameters:
+        fitted = effect.parameters.get(p.name)
+        if fitted is not None and not p.shape and any(
+                edge not in (p.null, p.theory) and fitted.interval[0] < edge < fitted.interval[1] for edge in p.bounds):
+            return p.name
+    return ""
 
 
 def surely(effect: FoundEffect) -> bool:

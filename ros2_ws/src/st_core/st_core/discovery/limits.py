@@ -22,6 +22,7 @@ class Limits:
     negligible [1]: share of the size of the errors below which nothing is looked at, however sure.
     rival [1]: share of an effect's gain another name must reach to be called an alternative.
     file [1]: standard deviations of a quantity of the vehicle file beyond which a value is refused as contradicting it.
+    peak [1]: share of the peak force of an axle that must have been driven for a peak to be stated.
     bound [1]: distance to a bound, as share of the usual size of an effect, below which a value counts as on it.
     beside [1]: where more is left than `left` times the noise, share of that an effect must take away to be named, a
     name be better than another to stand alone, and a set of effects be worse than the answer for its values not to be
@@ -39,6 +40,7 @@ class Limits:
     negligible: float = 0.01
     rival: float = 0.5
     file: float = 3.0
+    peak: float = 0.8
     bound: float = 0.05
     beside: float = 0.2
     left: float = 2.0

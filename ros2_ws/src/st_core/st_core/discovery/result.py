@@ -82,6 +82,33 @@ class FoundEffect:
 
 
 @dataclass(frozen=True)
+class Combination:
+    """Quantities that act together [unit]: value, 95 % interval, and by the vehicle file. effects: names of what acts
+    on it alike; single ones of them are known only as far as the vehicle file knows the others."""
+
+    name: str
+    unit: str
+    value: float
+    interval: Interval
+    file: float
+    effects: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ForceCurve:
+    """Lateral force of an axle over the driven slip, opposing it: slip [rad], force, 90 % band low to high, and the
+    file's [N]; density: share of the driving between two values of slip."""
+
+    axle: str
+    slip: tuple[float, ...]
+    force: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    file: tuple[float, ...]
+    density: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class BoundEffect:
     """Something sure that is not the same everywhere. resembles: the effect of the library that describes it best.
 
@@ -270,6 +297,8 @@ class Discovery:
     named: AugmentedModel | None = None
     effective: tuple[FoundEffect, ...] = ()
     gap_named: Mapping[str, Gap] = field(default_factory=dict)
+    axle_curves: tuple[ForceCurve, ...] = ()
+    combinations: tuple[Combination, ...] = ()
     warnings: tuple[str, ...] = ()
     left_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     acceleration_gain: float = 0.0

@@ -1,0 +1,129 @@
+"""What an answer means for the axles: force curves over the driven slip, combinations that act, measured forces."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..augmented import AugmentedModel
+from ..handling import understeer_coefficient
+from ..identification.axle_curve import axle_curve, axle_force, drawn_models, force_error
+from ..identification.cornering_stiffness import AXLES, AxleRegression, axle_regressions
+from ..log import DriveLog
+from ..readings import corrected_log
+from ..vehicle import VehicleParameters
+from .evidence import Joint
+from .fit import Fit, Problem
+from .result import Combination, ForceCurve
+from .windows import steady_velocity_y
+
+DRAWS = 100  # of the values: ends of a 90 % band and of a 95 % interval
+STEEPEST = 0.35  # rad of slip: beyond every peak of a road tyre
+ACTS = 0.01  # of the force: an effect that changes it by less does not act on an axle
+SLOPE_AT = 0.005  # rad of slip at which the stiffness of an axle is taken
+GAIN_SPEED = 20.0  # m/s of the steady-state yaw gain
+COMBINATIONS = (
+    ("front cornering stiffness over mass", "N/(rad kg)", ("front_stiffness", "steering_compliance", "mass")),
+    ("rear cornering stiffness over mass", "N/(rad kg)", ("rear_stiffness", "mass", "cg_position")),
+    ("yaw inertia over mass", "m^2", ("yaw_inertia", "mass")),
+    ("understeer gradient K", "s^2/m^2", ("front_stiffness", "rear_stiffness", "cg_position")),
+    ("steady-state yaw gain at 20 m/s", "1/s", ("steering_ratio", "front_stiffness", "rear_stiffness")),
+)
+"""Name, unit, and effects that act on it alike: what predictions depend on, whichever single quantity is behind it."""
+
+
+class Axles:
+    """Both axles under an answer. Raises StCoreError for a base model without tyres, or drives without slip."""
+
+    def __init__(self, problem: Problem, fit: Fit, everything: Joint | None, runs: Sequence[DriveLog],
+                 vehicle: VehicleParameters):
+        self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
+        self.model = problem.space.at(fit.vector)
+        self.sideslip = "velocity_y" in problem.errors.windows.settings.channels
+        self.regressions = self._regressions()
+        self.draws: list[AugmentedModel] = []
+        if everything is not None:
+            inside = everything.which < len(problem.space) - 1  # the last number is no parameter of the model
+            which = everything.which[inside]
+            covariance = np.zeros((len(self.model.vector),) * 2)
+            covariance[np.ix_(which, which)] = everything.covariance[np.ix_(inside, inside)] * np.outer(
+                problem.space.scale[which], problem.space.scale[which])
+            self.draws = drawn_models(self.model, covariance, vehicle, DRAWS)
+
+    def _regressions(self) -> tuple[AxleRegression, AxleRegression]:
+        """Slip and force of both axles with steering and sensors corrected as the answer says, body as in the file."""
+        model, logs = self.model, []
+        around = model.only(e for e in model.effects if e.kind == "sensors" or e.slot == "steering")
+        car = around.effective_vehicle(self.vehicle)
+        p = around.parameters(self.vehicle)
+        for run in self.runs:
+            log = corrected_log(around, run)
+            nothing = np.zeros(len(log.road_wheel_angle))
+            angle = around.inputs(log.road_wheel_angle, nothing, p)[0]
+            log = replace(log, road_wheel_angle=np.asarray(angle), steering_wheel_angle=None)
+            logs.append(log if self.sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
+        return axle_regressions(logs, car)
+
+    def curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
+        """Force curves of front and rear axle over the driven slip with a 90 % band, and those of the file."""
+        found = (axle_curve(self.model, self.vehicle, one.axle, one.samples.slip, self.draws, base)
+                 for one in self.regressions)
+        return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
+            c.slip, c.force, c.low, c.high, c.file, c.density))) for c in found)
+
+    def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
+        """What of stiffness, mass, inertia and lengths acts together, with 95 % intervals."""
+        value, file = _combined(self.model, self.vehicle), _combined(base, self.vehicle)
+        drawn = np.array([_combined(one, self.vehicle) for one in self.draws]) if self.draws else value[None]
+        low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+        low, high = np.minimum(low, value).tolist(), np.maximum(high, value).tolist()
+        return tuple(Combination(name, unit, float(value[i]), (low[i], high[i]), float(file[i]), effects)
+                     for i, (name, unit, effects) in enumerate(COMBINATIONS))
+
+    def driven_shares(self) -> dict[str, float]:
+        """Force at the largest driven slip over the largest of the curve, by axle [1]."""
+        found = {}
+        for one in self.regressions:
+            slip = np.linspace(0.0, STEEPEST, 61)
+            force = axle_force(self.model, self.vehicle, one.axle, slip)
+            driven = float(np.quantile(np.abs(one.samples.slip), 0.995))
+            found[one.axle] = float(np.interp(driven, slip, np.maximum.accumulate(force)) / max(force.max(), 1.0))
+        return found
+
+    def acting(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
+        """Those of the effects that change the force of an axle at the slip driven."""
+        slip = next(np.quantile(np.abs(one.samples.slip), (0.5, 0.95)) for one in self.regressions if one.axle == axle)
+        force = axle_force(self.model, self.vehicle, axle, slip)
+        return tuple(n for n in names if np.abs(axle_force(self.problem.space.at(self.problem.put_back(self.fit, n)),
+                                                           self.vehicle, axle, slip) / force - 1.0).max() > ACTS)
+
+    def worse(self, base: AugmentedModel, left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
+        """Axles whose measured forces the answer describes less well than the file does, each run with the values found
+        without it; none where sideslip was not measured or the driving is too thin."""
+        found = []
+        for one in self.regressions if self.sideslip else ():
+            if not one.usable:
+                continue
+            sums = np.zeros(2)
+            for k, run in enumerate(self.runs):
+                mine = np.asarray(one.samples.run_of) == k
+                if mine.sum() < 100:
+                    continue
+                parts = {name: getattr(one.samples, name)[mine] for name in ("slip", "force", "run_of", "time", "used")}
+                samples = replace(one.samples, **parts)
+                without = self.model.with_values(left_out.get(run.name, {}))
+                sums += [force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
+            if sums[0] > sums[1]:
+                found.append(one.axle)
+        return tuple(found)
+
+
+def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
+    """(5,) COMBINATIONS of a model."""
+    front, rear = (float(axle_force(model, vehicle, axle, np.array([SLOPE_AT]))[0]) / SLOPE_AT for axle in AXLES)
+    car = model.effective_vehicle(vehicle)
+    soft = replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear)
+    understeer = understeer_coefficient(soft)
+    gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
+    w = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))
+    return np.array([front / car.mass, rear / car.mass, car.yaw_inertia / car.mass, understeer, gain * float(w[0])])
