@@ -13,11 +13,14 @@ from st_core.discovery import DiscoverySettings
 from st_core.effects import EFFECTS
 from st_core.identification.apply import value_of
 from st_core.model_file import ModelFile
+from st_core.prediction import PredictionSettings
+from st_core.stability import slip_speed_needed
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery.document import model_file
 from st_offline.discovery.drives import Drive, read_drive
 from st_offline.discovery.request import Request
 from st_offline.discovery.vehicle_update import KEYS, edited, folded_update, update_vehicle
+from st_recordings.car_skeleton import SPEEDS
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
 from typer.testing import CliRunner
@@ -54,6 +57,13 @@ def test_file_that_predicts_worse_by_itself_is_not_written(driven):
     written = update_vehicle(found, request(driven))
     assert not written.text and written.vehicle == CAR and written.model.values["mass"]["factor"] == 1.5
     assert written.error == folded.error
+
+
+def test_stiffer_tyres_raise_the_slip_speed_their_models_need(driven):
+    _, one = mended(driven, ("tyre_stiffness", {"factor": 2.0}))
+    assert one.vehicle.minimum_slip_speed > CAR.minimum_slip_speed
+    needed = slip_speed_needed(("linear", "nonlinear"), one.vehicle, SPEEDS, PredictionSettings().step)
+    assert needed == one.vehicle.minimum_slip_speed
 
 
 def test_effective_corrections_stay_in_the_model_and_are_marked(driven):

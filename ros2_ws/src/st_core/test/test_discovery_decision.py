@@ -10,6 +10,7 @@ from st_core.discovery.decision import (
     BOUND,
     CHANCE,
     FILE,
+    FORCES,
     MINOR,
     NEGLIGIBLE,
     NULL,
@@ -19,6 +20,7 @@ from st_core.discovery.decision import (
     VARIES,
     WORDS,
     Answer,
+    Checks,
     Rival,
     alternative,
     comes_and_goes,
@@ -118,10 +120,14 @@ def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
     assert {k: verdict.figures[k] for k in figures} == figures
 
 
-def test_effect_whose_intervals_hold_its_null_is_kept_and_not_named():
-    assert worth_a_name(GOOD, LIMITS, surely=True).rule == STATED
-    assert worth_a_name(GOOD, LIMITS, surely=False).rule == MINOR
-    assert worth_a_name(SEEN, LIMITS, surely=False).rule == STATED
+@pytest.mark.parametrize(("evidence", "checks", "rule"), [
+    (GOOD, Checks(), STATED), (GOOD, Checks(null_outside=False), MINOR), (SEEN, Checks(null_outside=False), STATED),
+    (GOOD, Checks(crossing="factor"), MINOR), (GOOD, Checks(driven=0.5), MINOR),
+    (GOOD, Checks(worse_axle="rear"), FORCES),
+    (replace(GOOD, position=-0.03), Checks(), MINOR)])  # its own step makes the held-out error larger
+def test_what_intervals_and_axles_say_of_an_effect(evidence, checks, rule):
+    verdict = worth_a_name(evidence, LIMITS, checks)
+    assert verdict.rule == rule and verdict.text
 
 
 @pytest.mark.parametrize(("agreement", "level"), [
@@ -223,6 +229,7 @@ TURNED = {
     "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, STATED),
     "rival": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
               "alternative"),
+    "peak": (lambda limits: worth_a_name(GOOD, limits, Checks(driven=0.5)).rule, 1e-9, MINOR, STATED),
     "file": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, STATED),
     "bound": (lambda limits: judge(replace(EDGE, bound=0.001), limits).rule, 1e-9, BOUND, STATED),
     "beside": (lambda limits: alternative(AMONG, limits).rule, 1e-9, "alternative", "explains less"),

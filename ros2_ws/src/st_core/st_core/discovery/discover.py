@@ -37,6 +37,7 @@ from .levels import Level, levels, sites
 from .loss import Errors, Loss
 from .reference import learn
 from .result import (
+    Assumed,
     BoundEffect,
     Candidate,
     Certificate,
@@ -169,7 +170,7 @@ class _Work:
             named=space.at(problem.put_back(found.fit, *(e.name for e in denied))) if found.fit.names else None,
             warnings=tuple(self.warnings),
             left_out=left_out, axle_curves=axles.curves(space.at(base.vector)) if axles else (),
-            combinations=axles.combinations(space.at(base.vector)) if axles else (),
+            assumed=self._assumed(), combinations=axles.combinations(space.at(base.vector)) if axles else (),
             acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
@@ -255,6 +256,11 @@ class _Work:
         return FoundEffect(
             name, get_effect(name).kind, {n: by_sensors(p, known.get(f"{name}.{n}")) for n, p in values.items()},
             tuple(r.name for r in others), evidence.position, _values(evidence))
+
+    def _assumed(self) -> tuple[Assumed, ...]:
+        known = {q.key: Assumed(q.key, q.unit, q.value, q.deviation, q.stated)
+                 for q in self.problem.quantities if q is not None}
+        return tuple(known.values())
 
     def _axles(self, found: Found, all_free: Joint | None) -> Axles | None:
         """Forces of the axles under the answer; None for a base without tyres, or driving without slip."""

@@ -82,6 +82,18 @@ class FoundEffect:
 
 
 @dataclass(frozen=True)
+class Assumed:
+    """A quantity of the vehicle file that binds: its value and standard deviation [unit]. stated: whether the file has
+    that deviation; otherwise it is the default of the quantity."""
+
+    key: str
+    unit: str
+    value: float
+    deviation: float
+    stated: bool
+
+
+@dataclass(frozen=True)
 class Combination:
     """Quantities that act together [unit]: value, 95 % interval, and by the vehicle file. effects: names of what acts
     on it alike; single ones of them are known only as far as the vehicle file knows the others."""
@@ -299,6 +311,7 @@ class Discovery:
     gap_named: Mapping[str, Gap] = field(default_factory=dict)
     axle_curves: tuple[ForceCurve, ...] = ()
     combinations: tuple[Combination, ...] = ()
+    assumed: tuple[Assumed, ...] = ()
     warnings: tuple[str, ...] = ()
     left_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     acceleration_gain: float = 0.0

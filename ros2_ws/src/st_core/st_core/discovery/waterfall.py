@@ -179,8 +179,13 @@ def budget(problem: Problem, base: Fit, final: Fit, whole: Fit, bound: Fit | Non
     def line(part: str, last: tuple[float, float], first: tuple[float, float]) -> BudgetLine:
         return BudgetLine(part, last[0], first[0], last[0] / max(start[0], 1e-9), first[0] / max(start[0], 1e-9),
                           last[1] / max(start[1], 1e-9), first[1] / max(start[1], 1e-9))
+
     def fitted(names: tuple[str, ...]) -> Fit:
-        return problem.renewed(problem.fit(names, final.slopes, iterations=3))  # far from the answer slopes are others
+        """The better of two fits, begun at the answer and at the base, whose slopes are others; the base at the worst.
+        """
+        near = problem.renewed(problem.fit(names, final.slopes, iterations=3))
+        far = problem.renewed(problem.fit(names, problem.everything(base.vector), base.vector, names))
+        return min((near, far, base), key=lambda fit: float(fit.held_out.sum()))
 
     base = problem.about(base.names, base.vector, base.which, base.slopes)
     start, end = size(base), size(final)

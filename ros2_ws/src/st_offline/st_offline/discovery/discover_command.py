@@ -29,11 +29,9 @@ from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
 from . import answers
 from .agreement_figures import agreement, bound
-from .answer_figures import budget, certificate, runs, waterfall
 from .document import document, model_file, write_page
-from .drive_figures import maps, over_time, paths
 from .drives import Drive, cache_folder, read_drives
-from .figures import Scene, candidates, conditions, gap
+from .figures import Scene, axle_curves, gap, maps, waterfall
 from .relation_figure import relation_figure
 from .relation_files import relation_document, write_files
 from .relation_report import CommandLine, RelationReport, relation_report
@@ -201,8 +199,7 @@ def draw(found: Discovery, request: Request, place: Place) -> list[Drawn]:
         return survey(suspect, model, request.vehicle, settings, reference, noise, found.acceleration_gain)
 
     scene = Scene(found, suspect, request.vehicle, look(found.base), look(found.model) if found.model else None, place)
-    makers = (waterfall, budget, runs, agreement, bound, gap, conditions, maps, over_time, paths, candidates,
-              certificate)
+    makers = (waterfall, axle_curves, agreement, bound, gap, maps)
     return [figure for make in makers if (figure := make(scene))]
 
 

@@ -114,7 +114,7 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
     order = {verdict: place for place, verdict in enumerate(VERDICTS)}
     ranked = sorted(found.candidates, key=lambda c: (order.get(c.verdict, len(order)), -c.gain))
     text = template("discovery", "discovery.html.jinja", plain=quantities.plain, channel=quantities.channel).render(
-        title=report_text.title(found), found=found, verdict=report_text.verdict(found, update), content=content,
-        figures=figures, candidates=ranked, words=report_text, law=law, quantities=quantities, size=quantities.size,
-        recordings={**refused, **about["runs"], **about["reference"]})
+        title=report_text.title(found), found=found, update=update, verdict=report_text.verdict(found, update),
+        content=content, figures=figures, candidates=ranked, words=report_text, law=law,
+        quantities=quantities, size=quantities.size, recordings={**refused, **about["runs"], **about["reference"]})
     file.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Figures of a discovery that show numbers: gap before and after, errors by condition, ranking of hypotheses."""
+"""The figures of a discovery: waterfall, axle force curves, gap before and after, errors on the map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,21 +6,19 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator
-from st_core.channels import WORDS
+from matplotlib.patches import Patch
+from st_core.channels import UNITS, WORDS
 from st_core.discovery import Discovery
 from st_core.discovery.where import Survey
-from st_core.discovery.where_bins import EVERYWHERE, BinExcess
 from st_core.log import DriveLog
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 
-from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from ..evaluation.drawing import BAD, TEXT, WIDTH, Drawn, Place, finish, style
 from . import quantities, report_text
 
 AFTER = MODEL_COLOUR["augmented"]
-MOST_CANDIDATES = 14
-LEAST_GAIN = 0.005  # share of the error; less is not drawn
+FLAT = 0.3  # a track narrower than this share of its length is drawn stretched
 
 
 @dataclass(frozen=True)
@@ -47,6 +45,78 @@ class Scene:
         base = Line2D([], [], color=self.colour, marker=marker, ls="", label=f"{self.found.base.base.name} model")
         return [base] + ([Line2D([], [], color=AFTER, marker=marker, ls="", label="with what was found")]
                          if self.after else [])
+
+
+def waterfall(scene: Scene) -> Drawn | None:
+    """Held-out 5 s position error from the base model to the last step."""
+    steps = scene.found.steps
+    if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
+        return None  # without the position there is no such error
+    floor = scene.found.gap["position_5s"].floor if "position_5s" in scene.found.gap else 0.0
+    with style():
+        figure, axes = plt.subplots(figsize=(WIDTH, 1.2 + 0.36 * (len(steps) + 2)))
+        axes.set_axisbelow(True)
+        first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
+        rows = [f"{scene.found.base.base.name} model, {scene.found.start}"]
+        axes.barh(0, first, color=scene.colour, height=0.62)
+        _label(axes, first, 0, quantities.metres(first))
+        for row, step in enumerate(steps, 1):
+            before, after = step.position_5s.base, step.position_5s.augmented
+            axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT, lw=0.6, alpha=0.5)
+            axes.barh(row, before - after, left=after, color=AFTER if after <= before else BAD, height=0.62, alpha=0.65)
+            ends = [before - edge for edge in step.position_5s.interval]
+            axes.plot(ends, [row, row], color=TEXT, lw=1.0)
+            change = f"{after - before:+.2f} m".replace("-", "−")
+            small = abs(after - before) < report_text.LEAST and report_text.other_channel(step)
+            _label(axes, max(before, after, *ends), row, small or change)
+            rows.append(f"{report_text.step_name(step)}  {quantities.short_values(step.parameters)}")
+        axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
+        axes.barh(len(steps) + 1, last, color=AFTER, height=0.62)
+        _label(axes, last, len(steps) + 1, quantities.metres(last))
+        axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
+        axes.set_yticks(range(len(steps) + 2), [*rows, "with all that was found"])
+        axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
+                 xlabel="mean position error after 5 s on held-out driving, m")
+        rises = any(s.position_5s.augmented > s.position_5s.base for s in steps)
+        handles = [Patch(color=scene.colour, label=f"{scene.found.base.base.name} model"),
+                   Patch(color=AFTER, label="with what was found"), Patch(color=AFTER, alpha=0.65, label="taken away"),
+                   *([Patch(color=BAD, alpha=0.65, label="made worse")] if rises else []),
+                   Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
+        figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
+        caption = ("One effect more in each row, all values fitted anew; every error is on driving its values were not "
+                   "fitted to. Line: 95 % of the change.")
+        return finish(figure, scene.place, "waterfall", report_text.title(scene.found), caption)
+
+
+def _label(axes: plt.Axes, x: float, row: int, text: str) -> None:
+    axes.annotate(text, (x, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
+
+
+def axle_curves(scene: Scene) -> Drawn | None:
+    """Force of each axle over the driven slip, with its band, and how often each slip was driven."""
+    curves = scene.found.axle_curves
+    if not curves or not scene.found.model:
+        return None
+    with style():
+        figure, panels = plt.subplots(2, len(curves), figsize=(WIDTH, 3.4), sharex="col", squeeze=False,
+                                      height_ratios=(4.0, 1.0))
+        for (axes, below), one in zip(panels.T, curves, strict=True):
+            slip = np.rad2deg(one.slip)
+            axes.fill_between(slip, 1e-3 * np.array(one.low), 1e-3 * np.array(one.high), color=AFTER, alpha=0.25, lw=0)
+            axes.plot(slip, 1e-3 * np.array(one.force), color=AFTER)
+            axes.plot(slip, 1e-3 * np.array(one.file), color=scene.colour, ls="--")
+            axes.set_title(f"{one.axle} axle: {report_text.force_ratio(one)}", fontsize=9)
+            below.stairs(100.0 * np.array(one.density), slip, color=MEASURED_COLOUR, fill=True)
+            below.set_xlabel("slip angle, °")
+        panels[0][0].set_ylabel("lateral force, kN")
+        panels[1][0].set_ylabel("driven, %")
+        handles = [Line2D([], [], color=scene.colour, ls="--", label="vehicle file"),
+                   Line2D([], [], color=AFTER, label="with what was found"),
+                   Patch(color=AFTER, alpha=0.25, label="90 %")]
+        figure.legend(handles=handles, loc="outside lower left", ncols=3)
+        return finish(figure, scene.place, "axle_curves", "Axle forces over the slip that was driven",
+                      "Nothing is stated beyond the driven slip. The band contains what the other uncertain quantities "
+                      "of the vehicle file may change.")
 
 
 def gap(scene: Scene) -> Drawn | None:
@@ -93,82 +163,55 @@ def _gap_title(found: Discovery) -> str:
             f"{quantities.channel(first)}: {report_text.before_and_after(found.gap[first])}")
 
 
-def conditions(scene: Scene) -> Drawn | None:
-    """Error of the most affected channel by condition, before and after."""
-    channel = scene.channel
-    before = [b for b in scene.before.bins if b.channel == channel and b.range.quantity != EVERYWHERE]
-    sorts = list(dict.fromkeys(b.range.quantity for b in before))
-    if not sorts:
+def maps(scene: Scene) -> Drawn | None:
+    """The track of one run, coloured by the error of the most affected channel, before and after."""
+    run, levels = _worst_run(scene)
+    if run is None:
         return None
-    after = {b.range: b for b in scene.after.bins if b.channel == channel} if scene.after else {}
+    sides = [("before", scene.before)] + ([("after", scene.after)] if scene.after else [])
+    top = quantities.factor(UNITS[scene.channel]) * max(float(np.nanmax(levels)), 1e-12)
+    unit = UNITS[scene.channel]
     with style():
-        figure, panels = plt.subplots(2, 3, figsize=(WIDTH, 5.2), sharey=True)
-        for axes, quantity in zip(panels.flat, sorts, strict=False):
-            mine = [b for b in before if b.range.quantity == quantity]
-            for k, one in enumerate(mine):
-                _bar(axes, k - 0.12, one, scene.colour)
-                if one.range in after:
-                    _bar(axes, k + 0.12, after[one.range], AFTER)
-            axes.axhline(1.0, color=TEXT, lw=0.8, ls=":")
-            axes.set_xticks(range(len(mine)), [_tick(b) for b in mine], fontsize=7, rotation=30, ha="right",
-                            rotation_mode="anchor")
-            unit = "" if mine[0].range.low is None else f", {mine[0].range.label.rsplit(' ', 1)[1]}"
-            axes.set(xlabel=quantity + unit, yscale="log")
-            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.yaxis.set_major_formatter(lambda v, _: f"{v:g}")
-            axes.yaxis.set_minor_formatter(lambda v, _: "")
-        for axes in panels.flat[len(sorts):]:
-            axes.set_visible(False)
-        for axes in panels[:, 0]:
-            axes.set_ylabel(f"{quantities.channel(channel)} error,\ntimes the expected")
-        figure.legend(handles=scene.handles(), loc="outside lower left", ncols=3)
-        said = [w for w in scene.found.where if w.channel == channel and w.condition != EVERYWHERE]
-        title = report_text.statement(said[0]) if said else f"{quantities.channel(channel)}: no condition stands out"
-        expected = "the reference drives' in the same range" if scene.before.reference else "what noise alone leaves"
-        caption = (f"Root mean square over {expected}; 1 = as expected. Filled: significant over all ranges together "
-                   "(false discovery rate 5 %). Bars: 95 %, whole blocks of time resampled.")
-        return finish(figure, scene.place, "conditions", title[0].upper() + title[1:], caption)
+        log = scene.runs[run]
+        shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if _flatness(log) > FLAT else 0.5
+        size = (WIDTH, float(np.clip(0.4 * WIDTH * shape, 1.2, 5.0)) + 1.0)
+        figure, panels = plt.subplots(1, len(sides), figsize=size, sharex=True, sharey=True, squeeze=False)
+        every = max(1, len(log.x) // 600)
+        for axes, (name, survey) in zip(panels[0], sides, strict=True):
+            rows = np.flatnonzero(survey.samples.run == run)
+            rows = rows[:: max(1, len(rows) // 500)]
+            x, y = survey.samples.x[rows], survey.samples.y[rows]
+            level = quantities.factor(unit) * np.sqrt(survey.samples.squares[scene.channel][rows])
+            axes.plot(log.x[::every], log.y[::every], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
+            points = axes.scatter(x, y, c=level, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
+                                  vmin=0.0, vmax=top)
+            if _flatness(log) > FLAT:
+                axes.set_aspect("equal", adjustable="box")
+            axes.set_title("base model" if name == "before" else "with what was found", fontsize=9)
+            axes.set_xlabel("east, m")
+        panels[0][0].set_ylabel("north, m")
+        bar = figure.colorbar(points, ax=list(panels[0]))
+        bar.set_label(f"{quantities.channel(scene.channel)} error, {quantities.shown_unit(unit)}")
+        title = f"{log.name}: where on the track the {quantities.channel(scene.channel)} is missed"
+        return finish(figure, scene.place, "map", title, "Every point is one prediction, coloured by its error; the "
+                      "same colours on both sides.")
 
 
-def _bar(axes: plt.Axes, x: float, one: BinExcess, colour: str) -> None:
-    low, high = one.interval[0], min(one.interval[1], 20.0 * one.excess)
-    axes.plot([x, x], [max(low, 0.05 * one.excess), high], color=colour, lw=1.2)
-    axes.plot(x, one.excess, "o", ms=6, color=colour, mfc=colour if one.significant else "none")
+def _worst_run(scene: Scene) -> tuple[int | None, np.ndarray]:
+    """The run whose error in the channel is largest, of those whose track is no line if there are any, and the errors
+    of all its predictions [SI]."""
+    samples = scene.before.samples
+    squares = samples.squares.get(scene.channel)
+    if squares is None or not len(squares):
+        return None, np.empty(0)
+    runs = np.unique(samples.run)
+    wide = [_flatness(scene.runs[r]) > FLAT for r in runs]
+    runs = runs[wide] if any(wide) else runs
+    run = int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
+    return run, np.sqrt(squares[samples.run == run])
 
 
-def _tick(one: BinExcess) -> str:
-    if one.range.low is None or one.range.high is None:
-        return one.range.label
-    low, high = one.range.low, one.range.high
-    if np.isinf(low):
-        return f"< {high:g}"
-    return f"> {low:g}" if np.isinf(high) else f"{low:g}–{high:g}"
-
-
-def candidates(scene: Scene) -> Drawn | None:
-    """How much of the size of the errors each hypothesis takes away, on top of the answer or as part of it."""
-    ranked = sorted((c for c in scene.found.candidates if c.gain > LEAST_GAIN), key=lambda c: -c.gain)
-    ranked = ranked[:MOST_CANDIDATES]
-    if not ranked:
-        return None
-    chosen = {e.name for e in scene.found.effects}
-    alternatives = {a for e in scene.found.effects for a in e.alternatives}
-    with style():
-        figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.26 * len(ranked)))
-        axes.set_axisbelow(True)
-        for row, one in enumerate(ranked):
-            colour = AFTER if one.name in chosen | alternatives else MEASURED_COLOUR
-            axes.barh(row, 100 * one.gain, color=colour, height=0.62, alpha=1.0 if one.name in chosen else 0.55,
-                      hatch="///" if one.name in alternatives else None, edgecolor=TEXT, lw=0)
-            axes.annotate(one.verdict, (max(100 * one.gain, 0.0), row), xytext=(5, 0), textcoords="offset points",
-                          va="center", fontsize=8)
-        axes.set_yticks(range(len(ranked)), [quantities.plain(c.name) for c in ranked])
-        axes.set_ylim(len(ranked) - 0.5, -0.6)
-        top = 100 * max(*(c.gain for c in ranked), 0.01)
-        axes.set_xlim(0.0, 1.5 * top)  # room for the words; there is no share above 100 %
-        axes.set_xticks([tick for tick in axes.get_xticks() if tick <= 100.0])
-        axes.set_xlabel("share of the size of the errors it takes away, %")
-        title = f"Of {len(scene.found.candidates)} effects that were tried, {len(chosen)} are stated"
-        caption = ("Each effect as part of the answer, or on top of it. Dark: stated. Hatched: cannot be told from it. "
-                   f"The {len(scene.found.candidates) - len(ranked)} not shown take away less, or nothing.")
-        return finish(figure, scene.place, "candidates", title, caption)
+def _flatness(log: DriveLog) -> float:
+    """Smaller over larger extent of the track."""
+    width, height = np.ptp(log.x), np.ptp(log.y)
+    return float(min(width, height) / max(width, height, 1e-9))

@@ -7,6 +7,7 @@ from st_core.channels import WORDS
 from st_core.discovery.result import FittedParameter
 from st_core.effects import EFFECTS
 
+MOST_DECIMALS = 6
 _DISPLAY = {"rad": ("°", 57.29577951308232), "rad/s": ("°/s", 57.29577951308232)}
 
 
@@ -48,18 +49,26 @@ def metres(value: float) -> str:
 def digits(p: FittedParameter) -> int:
     """Decimals that the interval bears."""
     half = 0.5 * (p.interval[1] - p.interval[0]) * factor(p.unit)
-    return min(max(1 - math.floor(math.log10(half) + 1e-6), 0), 6) if math.isfinite(half) and half > 0.0 else 3
+    return max(1 - math.floor(math.log10(half) + 1e-6), 0) if math.isfinite(half) and half > 0.0 else 3
+
+
+def decimal(number: float, decimals: int) -> str:
+    """A number with these decimals, with an exponent where they are many."""
+    if decimals <= MOST_DECIMALS:
+        return f"{number:.{decimals}f}"
+    significant = decimals + math.floor(math.log10(abs(number) or 10.0**-decimals)) + 1
+    return f"{number:.{max(significant, 1)}g}"
 
 
 def short_value(p: FittedParameter) -> str:
     """The value alone, one digit less than its interval bears. What changes nothing at 1 is a factor."""
-    number = f"{p.value * factor(p.unit):.{max(digits(p) - 1, 0)}f}"
+    number = decimal(p.value * factor(p.unit), max(digits(p) - 1, 0))
     return f"× {number}" if p.unit == "1" and p.null == 1.0 else with_unit(number, p.unit)
 
 
 def value(p: FittedParameter) -> str:
     """Value and 95 % interval."""
-    number, low, high = (f"{x * factor(p.unit):.{digits(p)}f}" for x in (p.value, *p.interval))
+    number, low, high = (decimal(x * factor(p.unit), digits(p)) for x in (p.value, *p.interval))
     return f"{with_unit(number, p.unit)} ({low} to {high})"
 
 

@@ -1,14 +1,17 @@
 """What a discovery says, in sentences: the same in the terminal and on the page."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 from st_core.channels import WORDS
+from st_core.discovery.decision import FILE
 from st_core.discovery.limits import Limits
 from st_core.discovery.result import (
     PARTS,
     BoundEffect,
     BudgetLine,
     Discovery,
+    ForceCurve,
     FoundEffect,
     Gap,
     Power,
@@ -26,6 +29,7 @@ MOST_PARTS = 6
 MOST_BLIND = 8  # told in a sentence; all are in the table
 LEAST = 0.005  # m; a step that changes the position by less is told by the channel it changes most
 MOST_WORST = 2
+MOST_TIMES = 1000.0  # the expected error: beyond that predictions diverge
 SURE = 1.96
 SHOWN = Limits().shown
 
@@ -248,9 +252,54 @@ def following(found: Discovery) -> str:
             f"by {n.strength:.1f} standard deviations of the noise; these drives: {now:.1f}; {plain(n.reason)}")
 
 
+def summary(found: Discovery, update: VehicleUpdate | None) -> list[str]:
+    """The answer in three sentences: what was found, what to do first, what remains."""
+    return [title(found), to_do(found, update)[0], left(found)]
+
+
+def assumed(found: Discovery) -> list[str]:
+    """Which quantities of the vehicle file bind, how firmly, and what contradicts them."""
+    told = [f"{a.key} {a.value:.4g} ± {a.deviation:.2g} {a.unit.removesuffix('1')}".rstrip()
+            + ("" if a.stated else " (default)") for a in found.assumed if not a.key.startswith("tyre_")]
+    lines = [f"{', '.join(told)}; `uncertainty` in an entry of the file changes that"] if told else []
+    refuted = {r.subject: r.text for r in found.reasons if r.rule == FILE}
+    return [*lines, *(f"{plain(name)}: {text}" for name, text in refuted.items())]
+
+
+def properties(found: Discovery) -> list[str]:
+    """What is known of stiffness, mass, inertia and lengths together, where that differs from the vehicle file; and the
+    force of each axle at the largest driven slip."""
+    told = [f"{one.name} × {one.value / one.file:.3g} of the file's ({one.interval[0] / one.file:.3g} to "
+            f"{one.interval[1] / one.file:.3g})" for one in found.combinations
+            if one.file and not one.interval[0] <= one.file <= one.interval[1]]
+    told += [f"{c.axle} axle force {force_ratio(c)}" for c in found.axle_curves
+             if found.model and not c.low[-1] <= c.file[-1] <= c.high[-1]]
+    return told
+
+
+def force_ratio(curve: ForceCurve) -> str:
+    """Force at the largest driven slip over the file's, with its 90 % band."""
+    force, low, high = (values[-1] / curve.file[-1] for values in (curve.force, curve.low, curve.high))
+    return f"× {force:.2f} ({low:.2f} to {high:.2f}) of the file's at {math.degrees(curve.slip[-1]):.1f}°"
+
+
+def corrections(found: Discovery) -> list[str]:
+    """What is in the model to predict and is no property of the car."""
+    if not found.effective:
+        return []
+    gap, named = (one.get("position_5s") for one in (found.gap, found.gap_named))
+    fall = f" ({metres(named.augmented)} → {metres(gap.augmented)} after 5 s)" if gap and named else ""
+    told = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effective)
+    return [f"{told}{fall}: helps to predict, is no property; in model.yaml, marked effective"]
+
+
 def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     """What the user may do with the answer."""
     told = []
+    if update is not None and not update.text and update.error[1] > update.error[0]:
+        told.append(f"vehicle.yaml is not written: by itself it would make the position error after 5 s "
+                    f"{metres(update.error[0])} → {metres(update.error[1])} on held-out drives; use model.yaml")
+    told += update.objections if update is not None else ()
     if update is not None and update.folded:
         same = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effects
                          if e.name in update.folded)
@@ -300,7 +349,9 @@ def _unit(key: str) -> str:
 def verdict(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(question, lines of the answer) of what is told first; empty answers are left out."""
     lines = [*((role, [text]) for role, text in drives(found)), ("what", what(found)), ("how sure", sure(found)),
-             ("what to do", to_do(found, update)), ("not named", list(map(tied, found.bound))),
+             ("what to do", to_do(found, update)), ("properties", properties(found)),
+             ("effective corrections", corrections(found)), ("taken from the vehicle file", assumed(found)),
+             ("not named", list(map(tied, found.bound))),
              ("parts of the error", [parts(found.budget)]), ("what remains", [left(found)]),
              ("the base fails most", misses(found)), ("these drives", blind(found)),
              ("next drive", [following(found)])]
@@ -322,7 +373,9 @@ def condition(w: WhereStatement) -> str:
     before = {"everywhere": "", "within": "", "speed": "at ", "lateral": "at ", "steering": "at ", "forward": "at "}
     where = before.get(w.condition.split()[0], "in ") + w.condition.replace("^2", "²")
     low, high = w.interval
-    return f"{where}: {w.excess:.1f} times the expected error ({low:.1f} to {high:.1f})"
+    if w.excess > MOST_TIMES:
+        return f"{where}: more than {MOST_TIMES:g} times the expected error"
+    return f"{where}: {w.excess:.1f} times the expected error ({low:.1f} to {min(high, MOST_TIMES):.1f})"
 
 
 def surely_changed(gap: Mapping[str, Gap]) -> list[str]:

@@ -18,9 +18,12 @@ from st_core.identification.result import quantity
 from st_core.log import DriveLog
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.log_signals import LogSignals
+from st_core.prediction import PredictionSettings
 from st_core.provenance import Provenance
+from st_core.stability import slip_speed_needed
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters
 from st_core.yaml_text import number, quoted
+from st_recordings.car_skeleton import SPEEDS
 
 from .request import Request
 
@@ -29,6 +32,7 @@ SLOWEST = 1.5  # m/s
 SAME = 1e-3  # m, rad; at every start, at the end of the horizon
 NEARLY_SAME = 0.02  # m, mean: two models of which one has corrections that have no meaning
 DIGITS = 6
+SLIP_SPEED = "minimum_slip_speed"
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
 Values = Mapping[str, Mapping[str, float]]
 
@@ -93,16 +97,24 @@ def folded_update(found: Discovery, request: Request) -> VehicleUpdate | None:
             kept[effect.name] = _changes(request.vehicle, fold(request.vehicle, (effect,), found.named.values))
     if not folded:
         return VehicleUpdate(request.vehicle, "", found.model, (), {}, kept)
-    car = fold(request.vehicle, folded, found.named.values)
+    car = _stable(fold(request.vehicle, folded, found.named.values))
     error = _held_out_error(found, request.vehicle, folded, drives)
     model = _remaining(found, car, folded, drives, request.vehicle)
     changes = {key: (*change, *_interval(found, request.vehicle, folded, key))
                for key, change in _changes(request.vehicle, car).items()}
+    if SLIP_SPEED in changes:  # it follows from the others
+        changes[SLIP_SPEED] = (*changes[SLIP_SPEED][:2], car.minimum_slip_speed, car.minimum_slip_speed)
     text = updated_text(request, car, changes, *_source(found, folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     shown = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), shown, kept, error,
                          objections(vehicle, request.vehicle))
+
+
+def _stable(car: VehicleParameters) -> VehicleParameters:
+    """The car with the minimum_slip_speed at which its models are stable: stiffer tyres need more."""
+    needed = slip_speed_needed(("linear", "nonlinear"), car, SPEEDS, PredictionSettings().step)
+    return car if needed is None or needed <= car.minimum_slip_speed else replace(car, minimum_slip_speed=needed)
 
 
 def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
