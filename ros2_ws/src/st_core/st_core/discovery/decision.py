@@ -74,16 +74,28 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     if e.bound < limits.bound:
         return Reason(BOUND, e.name, {"distance": e.bound, "bound": limits.bound},
                       "its value is on a bound: nothing physical was found")
+    return _varying(e, limits) or Reason(
+        STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
+        f"it takes away {e.share:.1%} of the size of the errors and {100 * e.position:.1f} cm after 5 s, by chance "
+        f"with probability {e.chance:.2g}, and does not vary between parts of the driving")
+
+
+def predicts(e: Evidence, limits: Limits) -> Reason:
+    """The verdict on one effect as a correction that only has to help, everywhere: what it means is not asked."""
+    return _by_chance(e, limits) or _varying(e, limits) or Reason(
+        STATED, e.name, {"gain": e.gain, "chance": e.chance}, f"it takes away {e.share:.1%} of the size of the errors")
+
+
+def _varying(e: Evidence, limits: Limits) -> Reason | None:
+    """Why an effect is not the same everywhere; None where it may be."""
     level = varies_over(e, limits)
-    if level:
-        a = e.agreement[level]
-        return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.doubt,
-                                       "false_alarm": limits.false_alarm},
-                      f"it is not the same over {WORDS[level]} (p = {a.differ:.1g} if it were), and another of them "
-                      f"would show none of it, or the opposite, with probability {a.absent:.2g}")
-    return Reason(STATED, e.name, {"gain": e.gain, "chance": e.chance, "position": e.position},
-                  f"it takes away {e.share:.1%} of the size of the errors and {100 * e.position:.1f} cm after "
-                  f"5 s, by chance with probability {e.chance:.2g}, and does not come and go")
+    if not level:
+        return None
+    a = e.agreement[level]
+    return Reason(VARIES, e.name, {"differ": a.differ, "absent": a.absent, "doubt": limits.doubt,
+                                   "false_alarm": limits.false_alarm},
+                  f"it is not the same over {WORDS[level]} (p = {a.differ:.1g} if it were), and another of them "
+                  f"would show none of it, or the opposite, with probability {a.absent:.2g}")
 
 
 def _of(known: AgainstFile, number: float) -> str:

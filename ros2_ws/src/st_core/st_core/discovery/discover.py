@@ -25,6 +25,7 @@ from .decision import (
     comes_and_goes,
     decide,
     judge,
+    predicts,
     varies_over,
     worth_a_name,
     worth_it,
@@ -133,7 +134,11 @@ class _Work:
         ends = waterfall.Ends(whole, settings.seed)
         bound = self._bound(found, parts)
         all_free = joint(problem, found.fit) if problem.prior is None else None
-        everything = [self._effect(n, found, parts, all_free) for n in found.order]
+        floor = self._floor(by_column)
+        position = problem.position(problem.held_out_rows(found.fit, problem.apart))
+        unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
+                       if np.isfinite(position).any() else 1.0)
+        everything = [self._effect(n, found, parts, all_free, unexplained) for n in found.order]
         # A reference is asked by its own drives instead: what it does not know of the car is in the intervals.
         left_out = waterfall.left_out(problem, found.fit)
         axles = self._axles(found, all_free)
@@ -141,7 +146,6 @@ class _Work:
         effects, minor, denied = ([e for e in everything if named[e.name].rule == rule]
                                   for rule in (STATED, MINOR, FORCES))
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
-        floor = self._floor(by_column)
         gap, gap_named = (waterfall.gaps(ends, base, each, floor) for each in (fit, found.fit))
         lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in bound), None), ends)
         told = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
@@ -180,8 +184,8 @@ class _Work:
         if problem.prior is not None:
             return problem, found.fit
         free = problem.without_file()
-        fit = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._tick("correcting")).corrections(
-            found.fit)
+        search = Search(free, self.limits, parts, self.sensors, self.settings.seed, self._tick("correcting"), predicts)
+        fit = search.corrections(found.fit)
         problem.loss.scale = scale
         fit = free.about(fit.names, fit.vector, fit.which, fit.slopes)
         gain = float((free.held_out_apart(found.fit) - free.held_out_apart(fit)).sum()) / problem.number
@@ -247,11 +251,12 @@ class _Work:
 
     # What comes out
 
-    def _effect(self, name: str, found: Found, parts: Mapping[str, Level], everything: Joint | None) -> FoundEffect:
+    def _effect(self, name: str, found: Found, parts: Mapping[str, Level], everything: Joint | None,
+                unexplained: float) -> FoundEffect:
         evidence = found.evidence[name]
         others = sorted((r for r in found.rivals.get(name, ()) if alternative(r, self.limits).rule == "alternative"),
                         key=lambda r: -r.share)
-        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, everything)
+        values = waterfall.parameters(self.problem, found.fit, name, parts, found.near, everything, unexplained)
         known = {} if self.reference else self.sensors
         return FoundEffect(
             name, get_effect(name).kind, {n: by_sensors(p, known.get(f"{name}.{n}")) for n, p in values.items()},
@@ -292,15 +297,19 @@ class _Work:
         """What is sure but not the same everywhere: effects that were refused for that, or else the one that comes and
         goes most."""
         said: list[tuple[BoundEffect, Fit | None]] = []
+        # One fact is not both named and "not named": not what is in the answer, nor what could stand in its place.
+        taken = [*found.fit.names, *(r.name for others in found.rivals.values() for r in others
+                                     if alternative(r, self.limits).rule == "alternative")]
         for name, (evidence, verdict, fit) in found.refused.items():
-            if verdict.rule == VARIES and worth_it(evidence, self.limits) and not said:
+            if (verdict.rule == VARIES and not self.space.overlaps(name, taken)
+                    and worth_it(evidence, self.limits) and not said):
                 level = varies_over(evidence, self.limits)
                 said.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
                                          _values(evidence)[level], evidence.position), fit))
         if not said:
             for v in varying(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
-                if comes_and_goes(evidence, self.limits):
+                if comes_and_goes(evidence, self.limits) and not self.space.overlaps(v.name, taken):
                     said.append((self._coming(v, evidence.position), None))
                     break
         for bound, _ in said:

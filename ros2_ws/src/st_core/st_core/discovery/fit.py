@@ -1,8 +1,8 @@
 """Sets of effects fitted jointly through the simulator, and what they lose on driving they were not fitted to."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ SETTLED = 2e-4  # fall of the loss for each scored number: a step that gains les
 FOLDS = 8  # of the blocks, each held out once
 MOST = 5.0  # scales of the start: a larger error counts as that, or a few lost windows were all that counts
 FAR = 100.0  # m: a prediction that diverges is that far off
+TRUSTED = 0.05  # for each scored error: a fold that costs more by the quadratic is simulated
 RIDGE = 1e-6  # of the mean curvature: keeps solutions finite where driving shows nothing
 
 
@@ -307,7 +308,8 @@ class Problem:
     def about(self, names: tuple[str, ...], vector: np.ndarray, which: np.ndarray, slopes: Slopes) -> Fit:
         q = self.loss.quadratic(self.errors.at(vector), slopes.of(which))
         folds, held_out = self.leave_out(q.summed(self.block, self.blocks), names, vector, which, self.fold, True)
-        return Fit(names, vector, which, slopes, q, folds, held_out)
+        fit = Fit(names, vector, which, slopes, q, folds, held_out)
+        return replace(fit, held_out=self._simulated(fit, self.fold, folds, held_out))
 
     def leave_out(self, q: Quadratic, names: Iterable[str], vector: np.ndarray, which: np.ndarray,
                   fold: np.ndarray, settled: bool = False) -> tuple[dict[int, np.ndarray], np.ndarray]:
@@ -339,14 +341,39 @@ class Problem:
                 d[own] = bounded(rest[np.ix_(own, own)] + flat, gradient[~mine].sum(axis=0)[own],
                                  np.minimum(low, 0.0)[own], np.maximum(high, 0.0)[own])
             steps[int(k)] = d = from_ + d
-            held_out[mine] = q.cost[mine] - 2.0 * q.gradient[mine] @ d + np.einsum(
-                "i,bij,j->b", d, q.hessian[mine], d) + (away + d) @ held @ (away + d) / len(q.cost)
+            rise = np.einsum("i,bij,j->b", d, q.hessian[mine], d) - 2.0 * q.gradient[mine] @ d
+            held_out[mine] = q.cost[mine] + self._robust(rise, mine) + (away + d) @ held @ (away + d) / len(q.cost)
         return steps, held_out
+
+    def _robust(self, rise: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+        """A rise of the quadratic as the loss would rise: beyond 1 for each scored error as its logarithm."""
+        number = np.maximum(self._numbers[blocks], 1)
+        return np.where(rise > number, number * (1.0 + np.log(np.maximum(rise / number, 1.0))), rise)
+
+    @cached_property
+    def _numbers(self) -> np.ndarray:
+        """(b,) scored errors of each block."""
+        return np.bincount(self.block, self.loss.known.sum(axis=1), self.blocks)
+
+    def _simulated(self, fit: Fit, fold: np.ndarray, steps: Mapping[int, np.ndarray],
+                   held_out: np.ndarray) -> np.ndarray:
+        """(b,) held-out loss: `held_out`, by the quadratic; where that promises little of it, simulated. fold: (b,)."""
+        if held_out.sum() - fit.quadratic.cost.sum() < TRUSTED * self.number:
+            return held_out
+        held, away = self.held(fit.names, fit.which), ((fit.vector - self.start) / self.space.scale)[fit.which]
+        result = np.zeros(self.blocks)
+        for k, d in steps.items():
+            there = self.loss.by_window(self.moved(fit.vector, fit.which, d))
+            mine = fold == k
+            result[mine] = np.bincount(self.block, there, self.blocks)[mine] + (away + d) @ held @ (
+                away + d) / self.blocks
+        return np.minimum(held_out, result)
 
     def held_out_apart(self, fit: Fit) -> np.ndarray:
         """(b,) loss of each block under values fitted to the other runs."""
         q = fit.quadratic.summed(self.block, self.blocks)
-        return self.leave_out(q, fit.names, fit.vector, fit.which, self.apart, True)[1]
+        steps, held_out = self.leave_out(q, fit.names, fit.vector, fit.which, self.apart, True)
+        return self._simulated(fit, self.apart, steps, held_out)
 
     def held_out_rows(self, fit: Fit, fold: np.ndarray | None = None) -> np.ndarray:
         """(n, m) errors of each window under values fitted to other driving. fold: (b,); None: those of the search."""

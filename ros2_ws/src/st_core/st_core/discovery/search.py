@@ -47,11 +47,14 @@ class Found:
 
 class Search:
     """levels: ways to divide the driving. sensors: what the sensors say among themselves, (value, low, high) by
-    "effect.parameter". tick: called now and then as the search goes on."""
+    "effect.parameter". tick: called now and then as the search goes on. judge: the
+    verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, levels: Mapping[str, Level], sensors: Mapping,
-                 seed: int = 0, tick: Callable[[], None] = lambda: None):
+                 seed: int = 0, tick: Callable[[], None] = lambda: None,
+                 judge: Callable[[Evidence, Limits], Reason] = judge):
         self.problem, self.limits, self.levels, self.sensors, self.tick = problem, limits, levels, sensors, tick
+        self._judge = judge
         self.seed = seed
         self._seen: set[frozenset[str]] = set()
         self._fixed: frozenset[str] = frozenset()  # of every set
@@ -153,7 +156,7 @@ class Search:
         self.tick()
         found.known = found.known or self._scores(found.fit)
         gains = found.scores.gains
-        least = max(limits.negligible * p.number, NEAR * max(g.sum() for g, _ in gains.values()))
+        least = max(limits.negligible * p.number, NEAR * max((g.sum() for g, _ in gains.values()), default=0.0))
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum()) if gains[e][0].sum() > NEAR * least]
         # What is sure goes first: where much is noise, something gains more by chance.
         surely = [e for e in ranked if chance(found.scores.own[e], gains[e][0], found.scores, len(p.space.hypotheses))
@@ -170,7 +173,7 @@ class Search:
             if gain < NEAR * best:
                 break
             e = self._evidence(without, fits[effect], effect, found.scores)
-            verdict = judge(e, limits)
+            verdict = self._judge(e, limits)
             if verdict.rule == STATED:
                 return fits[effect]
             found.refused[effect] = e, verdict, fits[effect]
@@ -185,7 +188,7 @@ class Search:
             if self.problem.prior is not None or shown is None or shown > self.limits.false_alarm:
                 continue
             fit = self._more(without, effect, found.scores.gains[effect][1])
-            if judge(self._evidence(without, fit, effect, found.scores), self.limits).rule == STATED:
+            if self._judge(self._evidence(without, fit, effect, found.scores), self.limits).rule == STATED:
                 return fit
         return None
 
@@ -237,7 +240,7 @@ class Search:
             if promised[weakest] > 3.0 * self.limits.worth * p.number:
                 return fit
             without = self._less(fit, weakest)
-            if judge(self._evidence(without, fit, weakest, scores), self.limits).rule == STATED:
+            if self._judge(self._evidence(without, fit, weakest, scores), self.limits).rule == STATED:
                 return fit
             fit = without
         return fit
@@ -301,7 +304,7 @@ class Search:
         """With what fails the test left out; evidence filled in."""
         while weakest := self._measured(found):
             fit = self._renewed(found.without[weakest])
-            refused = {weakest: (found.evidence[weakest], judge(found.evidence[weakest], self.limits), found.fit)}
+            refused = {weakest: (found.evidence[weakest], self._judge(found.evidence[weakest], self.limits), found.fit)}
             found = Found(fit, [n for n in found.order if n != weakest], refused={**found.refused, **refused})
         return found
 
@@ -320,7 +323,7 @@ class Search:
                 continue
             without = found.without[name] = self._less(found.fit, name)
             found.evidence[name] = self._evidence(without, found.fit, name, found.scores)
-        failing = [n for n, e in found.evidence.items() if judge(e, self.limits).rule != STATED]
+        failing = [n for n, e in found.evidence.items() if self._judge(e, self.limits).rule != STATED]
         return min(failing, key=lambda n: found.evidence[n].gain, default="")
 
     def _exchanged(self, found: Found) -> Fit | None:
@@ -344,7 +347,7 @@ class Search:
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
                 surely = rival.worse > 1.0 - self.limits.doubt
-                if surely and frozenset(fit.names) not in self._seen and judge(
+                if surely and frozenset(fit.names) not in self._seen and self._judge(
                         rival.evidence, self.limits).rule == STATED and (
                         better is None or fit.held_out.sum() < better.held_out.sum()):
                     better = fit

@@ -69,12 +69,14 @@ class Ends:
 
 def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Level],
                near: Sequence[tuple[Sequence[str], np.ndarray]] = (),
-               everything: Joint | None = None) -> dict[str, FittedParameter]:
+               everything: Joint | None = None, unexplained: float = 1.0) -> dict[str, FittedParameter]:
     """Values with 95 % intervals: the widest of blocks taken as independent, of what the parts of any level differ by,
     and of a fit with `everything` else free; and from there to the values in `near`, sets of effects that are nearly as
-    good: so that what the equations of the model are not those of the car is in it too."""
+    good: so that what the equations of the model are not those of the car is in it too. unexplained: errors that are
+    left over those of noise, which widens what the fit alone says (Birge, Phys. Rev. 40, 1932)."""
     space, result = problem.space, {}
     own = space.indices(effect)
+    model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
     place = np.searchsorted(fit.which, own)
     spread = np.sqrt(np.maximum(np.diag(covariance(problem, fit))[place], 0.0)) * space.scale[own]
     if problem.prior is not None:  # the reference does not know the healthy car exactly either
@@ -83,7 +85,8 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     reach = quantile * spread
     if everything is not None:
         wide, shift = everything.of(own)
-        reach = np.maximum(reach, np.hypot(quantile * wide, shift) * space.scale[own])
+        alone = np.hypot(quantile * wide, shift) * space.scale[own] * max(unexplained, 1.0)
+        reach = np.maximum(reach, np.hypot(alone, TWO_SIDED * model_error))
     change = np.abs(fit.vector - space.null)[own]
     for name, level in levels.items():
         if name != "place":

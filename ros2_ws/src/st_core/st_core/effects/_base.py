@@ -34,7 +34,9 @@ class Parameter:
     without a fit to the car, same value, sign and unit; "" where there is none. theory: what physics says it is in any
     car; None where that is of the single car. quantity: key of the vehicle file that it is a difference from, same
     unit and sign, where neither `vehicle` nor `fold` of the effect shows that. shape: a coordinate of a curve; its
-    bounds are those of the family of curves, and a value on one is a curve as any other.
+    bounds are those of the family of curves, and a value on one is a curve as any other. model_error: standard
+    deviation of the values that models of other equations find for the same car; from `bench/strangers`, the
+    development cars.
     Raises ConfigurationError when these contradict each other.
     """
 
@@ -51,6 +53,7 @@ class Parameter:
     theory: float | None = None
     quantity: str = ""
     shape: bool = False
+    model_error: float = 0.0
 
     def __post_init__(self):
         low, high = self.bounds

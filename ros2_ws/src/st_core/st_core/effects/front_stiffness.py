@@ -14,7 +14,8 @@ class FrontStiffness(Effect):
     twins = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
     parameters = (
         Parameter("factor", "1", null=1.0, initial=0.9, bounds=(0.3, 3.0), meaning="true stiffness over the file's",
-                  source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together"),
+                  source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together",
+                  model_error=0.04),
     )
 
     @staticmethod

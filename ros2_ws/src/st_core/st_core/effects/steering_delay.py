@@ -18,7 +18,8 @@ class SteeringDelay(Effect):
     order = 10
     parameters = (
         Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5), meaning="wheels after the measured angle",
-                  source="buses and filters add up to 0.2 s; half a second is no steering"),
+                  source="buses and filters add up to 0.2 s; half a second is no steering",
+                  model_error=0.004),
     )
 
     @staticmethod
