@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from st_core.identification.cg_height import Lift
-from st_core.identification.magic_formula import force
+from st_core.identification.magic_formula import FlatPlank, force
 from st_core.identification.mass_and_cg import Weighings
-from st_core.identification.plank_table import FlatPlank
 from st_core.identification.steering_ratio import Turntable
 from st_core.vehicle import VehicleParameters
 

@@ -73,7 +73,7 @@ def test_a_car_that_says_nonsense_is_refused(folder, text, said):
 
 
 def test_a_car_nobody_knows_is_refused_with_those_that_are_known():
-    with pytest.raises(RunError, match=r"no vehicle\.yaml.*hyundai_genesis, leaf"):
+    with pytest.raises(RunError, match=r"vehicle\.yaml is missing.*hyundai_genesis, leaf"):
         car_named("unknown_car")
 
 
@@ -177,7 +177,7 @@ def test_faults_of_several_files_are_said_together(new):
     (new / "car.yaml").write_text("steering_sign: 0\n")
     (new / "can.dbc").unlink()
     said = problems(str(new))
-    assert len(said) == 2 and "car.yaml" in said[0] and "can.dbc: there is no such file" in said[1]
+    assert len(said) == 2 and "car.yaml" in said[0] and "can.dbc: the file does not exist" in said[1]
 
 
 def test_a_table_without_steering_is_refused(new):

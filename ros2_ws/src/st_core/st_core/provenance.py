@@ -1,4 +1,4 @@
-"""How an identified value of a vehicle file came about: uncertainty, method, data, date."""
+"""Provenance of an identified value of a vehicle file: uncertainty, method, data, date."""
 
 import math
 from collections.abc import Mapping

@@ -74,7 +74,7 @@ def test_exchanged_axles_are_noticed_beside_the_vehicle_file(leaf):
     data = weighings(leaf, 0)
     found = mass_and_cg(replace(data, readings=data.readings[:, [2, 3, 0, 1]]), leaf.wheelbase)
     said = swapped_axles(found, leaf.wheelbase, leaf.cg_to_front_axle)
-    assert "the vehicle file says 1.176 m; with front and rear columns exchanged it would be 1.17" in said
+    assert "the vehicle file has 1.176 m; with front and rear columns exchanged it would be 1.17" in said
     right = mass_and_cg(data, leaf.wheelbase)
     assert swapped_axles(right, leaf.wheelbase, leaf.cg_to_front_axle) == ""
 
@@ -252,7 +252,7 @@ def test_a_tyre_that_never_slides_leaves_its_peak_open(leaf):
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    (lambda d: replace(d, slip=np.degrees(d.slip)), "limit 40 deg: if the column holds degrees"),
+    (lambda d: replace(d, slip=np.degrees(d.slip)), "limit 40 deg: if the column is in degrees"),
     (lambda d: replace(d, slip=np.radians(d.slip)), "slip angle reaches 0.209 deg only"),
     (lambda d: replace(d, slip=0.0 * d.slip), "slip angle reaches 0 deg only"),
     (lambda d: replace(d, load=d.force, force=d.load), "are load and lateral force exchanged?"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from st_core.errors import ConfigurationError
 from st_core.identification.apply import against_file, apply, stale_scales
-from st_core.identification.curve_fit import fit_curve, profile_interval
+from st_core.identification.bounded_fit import fit_curve, profile_interval
 from st_core.identification.lambda_ky import TableStiffness, lambda_ky
 from st_core.identification.result import Coverage, Estimate, Identification, IdentificationError, bound_hit
 from st_core.provenance import Provenance

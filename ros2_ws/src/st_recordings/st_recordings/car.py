@@ -10,12 +10,12 @@ from .paths import config
 from .runs.errors import RunError, check_readable
 
 STEERING = {"steering_sign": 1, "steering_latency": 0.0}
-"""What car.yaml may hold, and what holds without it."""
+"""Keys of car.yaml and their defaults."""
 
 
 @dataclass(frozen=True)
 class Car:
-    """vehicle, dbc, signals: files of the folder; a car whose bus nobody has described has no dbc and no signals there.
+    """vehicle, dbc, signals: files of the folder; a car without a described bus has no dbc and no signals.
     steering_sign: +1 where the decoded sensor is left positive. steering_latency: from the turn of the wheel to the
     frame [s]."""
 
@@ -39,19 +39,19 @@ class Car:
 def car_named(text: str) -> Car:
     """A car by the name of its folder in config/car, or by any folder.
 
-    Raises RunError for a folder that is not there or has no vehicle file, and for a car.yaml that says something else
+    Raises RunError for a folder that is not there or has no vehicle file, and for a car.yaml with anything else
     than steering_sign (1 or -1) and steering_latency (0 to 1 s).
     """
     folder = Path(text) if "/" in text or Path(text).is_dir() else config("car") / text
     if not (folder / "vehicle.yaml").is_file():
-        raise RunError(folder, "no car: there is no vehicle.yaml in it", f"there are {', '.join(names())}; or name the "
+        raise RunError(folder, "no car: vehicle.yaml is missing in it", f"there are {', '.join(names())}; or name the "
                        "folder of a car")
     file = folder / "car.yaml"
-    said = read_table(file) if file.exists() else {}
-    strange = set(said) - set(STEERING)
+    table = read_table(file) if file.exists() else {}
+    strange = set(table) - set(STEERING)
     if strange:
         raise RunError(file, f"{', '.join(sorted(strange))}: unknown", f"it may hold {', '.join(STEERING)}")
-    values = {**STEERING, **said}
+    values = {**STEERING, **table}
     if values["steering_sign"] not in (1, -1):
         raise RunError(file, f"steering_sign: {values['steering_sign']!r} is neither 1 nor -1")
     latency = values["steering_latency"]
@@ -66,7 +66,7 @@ def names() -> list[str]:
 
 
 def read_vehicle(file: Path) -> VehicleParameters:
-    """The car of a vehicle file. Raises RunError where it cannot be read, ConfigurationError for what it says."""
+    """The car of a vehicle file. Raises RunError where it cannot be read, ConfigurationError for its values."""
     try:
         return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
     except (OSError, UnicodeDecodeError) as error:
@@ -77,11 +77,11 @@ def read_table(file: Path) -> dict:
     """A YAML file of keys and values. Raises RunError."""
     check_readable(file)
     try:
-        said = yaml.safe_load(file.read_text(encoding="utf-8"))
+        table = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise RunError(file, f"not YAML: {' '.join(str(error).split())}") from None
-    if said is None:
+    if table is None:
         return {}
-    if not isinstance(said, dict):
+    if not isinstance(table, dict):
         raise RunError(file, "not a table of keys and values")
-    return said
+    return table

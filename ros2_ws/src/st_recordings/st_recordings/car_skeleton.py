@@ -25,7 +25,7 @@ from .paths import config
 from .runs.errors import RunError
 
 FILL_IN = "FILL_IN"
-"""Stands where only the owner of the car knows; no reader of these files takes it for a value."""
+"""Placeholder of what only the owner of the car can state; no reader of these files accepts it as a value."""
 HINTS = {
     "mass": "four wheel scales, with driver and equipment",
     "yaw_inertia": "at first from a comparable car, later identified",
@@ -81,7 +81,7 @@ steering_latency: 0.0    # s, from the motion of the wheel to the frame in the l
 VEHICLE = """\
 # Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
 # The other values are assumptions to start with. uncertainty: one standard deviation, in the unit of the value;
-# st discover holds the value to it. Without it a default is taken, which st car check prints.
+# st discover keeps the value near it. Without it a default is taken, which st car check prints.
 name: FILL_IN
 """
 
@@ -89,7 +89,7 @@ name: FILL_IN
 def write_skeleton(folder: Path) -> list[Path]:
     """vehicle.yaml, signals.yaml, can.dbc, rt.dbc and car.yaml in a new or empty folder.
 
-    Raises RunError for a folder that holds something, or cannot be written.
+    Raises RunError for a folder that is not empty, or cannot be written.
     """
     texts = {"vehicle.yaml": _vehicle(), "signals.yaml": _signals(), "can.dbc": DBC, "rt.dbc": _rt(), "car.yaml": CAR}
     try:
@@ -104,13 +104,13 @@ def write_skeleton(folder: Path) -> list[Path]:
 
 
 def problems(folder: str) -> list[str]:
-    """One line each, naming file and key, for what keeps the car from being used: empty for a good one.
+    """One line each, naming file and key, for what prevents using the car: empty for a good one.
 
-    Raises RunError where there is no car at all.
+    Raises RunError for a folder without a car.
     """
     path = Path(folder)
     if "/" in folder and not path.is_dir():
-        raise RunError(path, "there is no such folder", f"st car new {folder} writes one")
+        raise RunError(path, "the folder does not exist", f"st car new {folder} writes one")
     try:
         car = car_named(folder)
     except RunError as error:
@@ -127,7 +127,7 @@ def remarks(folder: str) -> list[str]:
     file = car_named(folder).vehicle
     vehicle = read_vehicle(file)
     notes = [f"{file}: unusual: {text}" for text in objections(vehicle)]
-    return [*notes, "uncertainty of each quantity, one standard deviation (st discover holds the value to it):",
+    return [*notes, "uncertainty of each quantity, one standard deviation (st discover keeps the value near it):",
             *(f"  {line}" for line in uncertainties(vehicle))]
 
 
@@ -178,8 +178,8 @@ def _bus_problems(car: Car) -> list[str]:
         return []
     if len(there) == 1:
         missing = car.signals if car.dbc.exists() else car.dbc
-        return [f"{missing}: there is no such file, and {there[0].name} is of no use without it; write it, or delete "
-                "both"]
+        return [f"{missing}: the file does not exist, and {there[0].name} cannot be used without it; write it, or "
+                "delete both"]
     try:
         if any(_places(read_table(car.signals))):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: names in "

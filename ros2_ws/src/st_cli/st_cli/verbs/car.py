@@ -17,7 +17,7 @@ def car(
     new: vehicle.yaml, signals.yaml, can.dbc, rt.dbc (of an OxTS RT on the same bus, to append to can.dbc) and car.yaml.
     check: one line for each mistake and each place that is not filled in; without mistakes what is unusual for a road
     car, and the uncertainty in force for each quantity. Exit status: 0 written, or no mistake; 1
-    mistakes were found; 2 there is no such folder to check, or the folder to write exists.
+    mistakes were found; 2 the folder to check does not exist, or the folder to write does.
     """
     from st_recordings.car_skeleton import problems, remarks, write_skeleton
 

@@ -22,7 +22,7 @@ def identify(
 ) -> None:
     """Identify parameters: value, uncertainty, verdict; a figure, a report, and a vehicle file with provenance.
 
-    The vehicle file given stays as it is; the new one is vehicle.yaml in the output folder. Exit status: 0 something
+    The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 something
     was identified, 1 nothing could be, 2 the data cannot be used.
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
@@ -30,9 +30,8 @@ def identify(
     from rich.table import Table
     from st_live.configuration import load_model
     from st_live.suite import SuiteError
-    from st_offline.identification.command import Job, run
     from st_offline.identification.experiment import Setup
-    from st_offline.identification.experiments import EXPERIMENTS
+    from st_offline.identification.identify_command import EXPERIMENTS, Job, run
     from st_recordings.output import new_folder
 
     console = Console()

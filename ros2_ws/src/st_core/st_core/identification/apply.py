@@ -1,4 +1,4 @@
-"""Identified values into a vehicle: what replaces what, what is said about it, and what depends on it."""
+"""Identified values put into a vehicle with their provenance; warnings about dependent and conflicting values."""
 
 import math
 from collections.abc import Iterable
@@ -41,7 +41,7 @@ def apply(vehicle: VehicleParameters, found: Iterable[Identification], date: str
 
 
 def stale_scales(vehicle: VehicleParameters, found: Iterable[Identification]) -> tuple[str, ...]:
-    """A sentence for each tyre whose lambda_ky stands in the file while something it depends on has changed."""
+    """A sentence for each tyre with a lambda_ky set in the file although a value it depends on has changed."""
     changed = {estimate.parameter for one in found for estimate in one.estimates if estimate.status != "unidentifiable"}
     sentences = []
     for tyre, stiffness in STIFFNESS.items():
@@ -59,8 +59,8 @@ def against_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
     before = vehicle.provenance.get(estimate.parameter)
     if before is None or before.uncertainty is None or estimate.status == "unidentifiable":
         return ""
-    whence = f"the vehicle file ({before.method or vehicle.sources[estimate.parameter]}, {before.date or 'no date'})"
-    return contradiction(estimate, value_of(vehicle, estimate.parameter), before.uncertainty, whence)
+    origin = f"the vehicle file ({before.method or vehicle.sources[estimate.parameter]}, {before.date or 'no date'})"
+    return contradiction(estimate, value_of(vehicle, estimate.parameter), before.uncertainty, origin)
 
 
 def value_of(vehicle: VehicleParameters, parameter: str) -> float:

@@ -85,7 +85,7 @@ def axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven
     """The force curve of one axle with its band over the driven slip.
 
     driven_slip: (n,) slip angles of the axle while driving [rad], either sign. draws: models with other values, as
-    `drawn_models` gives them; the band holds the middle `level` of them point by point. original: what the file
+    `drawn_models` gives them; the band is the middle `level` of them point by point. original: what the file
     predicts, the base model without effects if not given. Raises StCoreError for fewer than two driven slip angles.
     """
     size = np.abs(np.asarray(driven_slip, float))
@@ -108,8 +108,9 @@ def drawn_models(model: AugmentedModel, covariance: np.ndarray, vehicle: Vehicle
                  seed: int = 0) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
-    covariance: (p, p) of `model.vector` [SI]; rows of zeros for what is held. vehicle: draws that are no car are left
-    out. Raises StCoreError where fewer than FEWEST_DRAWS are left: the uncertainty is as wide as the bounds.
+    covariance: (p, p) of `model.vector` [SI]; rows of zeros for what is constant. vehicle: draws outside the limits of
+    a vehicle file are left out. Raises StCoreError where fewer than FEWEST_DRAWS are left: the uncertainty is as wide
+    as the bounds.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(seed).multivariate_normal(model.vector, covariance, count, method="eigh")

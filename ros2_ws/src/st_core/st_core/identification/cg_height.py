@@ -1,6 +1,6 @@
 """Height of the centre of gravity (CG) from the axle-lift test: front axle lifted, rear load against pitch.
 
-The car stands on free-rolling wheels with locked suspension, so each ground force is vertical and passes the centre of
+The car rests on free-rolling wheels with locked suspension, so each ground force is vertical and passes the centre of
 its wheel. Moments about the front wheel centres, pitch theta nose up, l the wheelbase, r the height of the line between
 the wheel centres under the CG when the car is level:
 
@@ -16,7 +16,7 @@ the lift of the front wheels: sin(theta + theta_0) = (lift + r_front - r_rear) /
 
     u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
 
-Source: paper, parameter identification; ISO 10392. Holds for pitch up to 45 deg. Checked by: test_cg_height.py.
+Source: paper, parameter identification; ISO 10392. Valid for pitch up to 45 deg. Checked by: test_cg_height.py.
 """
 
 import math
@@ -134,13 +134,13 @@ def _checked(data: Lift) -> np.ndarray:
     span = float(np.ptp(pitch)) if len(pitch) else 0.0
     if span < SMALLEST_RANGE:
         raise IdentificationError(f"pitch ranges over {math.degrees(span):.3g} deg, at least 3 are needed: lift "
-                                  "further; if the column holds radians, name it pitch_rad")
+                                  "further; if the column is in radians, name it pitch_rad")
     steps = len(np.unique(np.round(np.degrees(pitch[~level]), 1)))
     if not level.any() or steps < 2:
         raise IdentificationError(f"{int(level.sum())} level rows and {steps} lifted pitch angles: one of the former "
                                   "and two of the latter are needed at least")
     if pitch[~level].max() <= 0.0:
-        raise IdentificationError(f"pitch goes down to {math.degrees(pitch.min()):.1f} deg and never up: nose up is "
+        raise IdentificationError(f"pitch falls to {math.degrees(pitch.min()):.1f} deg and never up: nose up is "
                                   "positive, the front axle is lifted")
     return level
 
@@ -164,8 +164,8 @@ def _radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float 
 
 def _single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
                     line: Line) -> tuple[np.ndarray, np.ndarray]:
-    """Height of each row by itself (n,), and which rows give one; the level load is the mean of that lift's level "
-    "rows."""
+    """Height from each row alone (n,), and which rows give one; the level load is the mean of that lift's level
+    rows."""
     groups = np.asarray(data.lifts)
     zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
                      else line.levels[name] for name in data.lifts])
@@ -193,7 +193,7 @@ def _order_warnings(data: Lift) -> list[str]:
             k = int(back[0])
             sentences.append(f"Lift {name}: pitch does not rise row by row, it falls from {pitch[k]:.1f} to "
                              f"{pitch[k + 1]:.1f} deg at row {k + 2}. Rows are taken as they are; on the way down "
-                             "friction holds load back, so note such rows as a lift of their own.")
+                             "friction retains load, so note such rows as a lift of their own.")
     return sentences
 
 

@@ -36,7 +36,7 @@ from .run_samples import LateralAcceleration, RunSamples, prepared, run_samples
 AXLES = ("front", "rear")
 METHOD = "regression of axle force on slip angle (paper)"
 FEWEST = 500
-"""Samples of an axle, below which there is no regression."""
+"""Least samples of an axle for a regression."""
 LARGEST_RELATIVE = 0.1
 """Standard uncertainty over stiffness from which on it is doubtful."""
 
@@ -98,7 +98,7 @@ class AxleSamples:
 
     def _line(self) -> tuple[float, float]:
         """Slope of -force over slip [N/rad] and the slip at zero force [rad], by the samples in the regression's range;
-        a slope that is none leaves the slip as it is."""
+        the slip is not shifted where the slope is not positive."""
         use = self.used if self.used.sum() >= 10 else np.ones(len(self.slip), bool)
         slope, intercept = np.polyfit(self.slip[use], -self.force[use], 1)
         return (float(slope), float(-intercept / slope)) if slope > 0.0 else (0.0, 0.0)
@@ -143,11 +143,11 @@ def slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.nda
 
 def axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                      settings: StiffnessSettings | None = None) -> tuple[AxleRegression, AxleRegression]:
-    """The paper's regression of both axles (front, rear) for drives whose sideslip was measured; never raises for thin
+    """The paper's regression of both axles (front, rear) for drives with measured sideslip; never raises for thin
     or contradicting driving: the reasons are in the result.
 
     vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be right.
-    Raises IdentificationError only where there is nothing to look at: no drive, one named twice, one too short.
+    Raises IdentificationError only for no drive, one named twice, or one too short.
     """
     settings = settings or StiffnessSettings()
     own, _ = prepared(logs, vehicle)
@@ -217,7 +217,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     """Both stiffnesses by the paper's regression, with a covariance over runs (or blocks of few runs).
 
     vehicle: mass, inertia, lengths, lever arm, steering; its stiffnesses do not enter. Offset and ratio must be right.
-    A slope whose interval holds zero is not given: value NaN, unidentifiable, with the reason as its verdict.
+    A slope with zero inside its interval is not given: value NaN, unidentifiable, with the reason as its verdict.
     Raises IdentificationError, with the numbers, for too thin driving.
     """
     settings = settings or StiffnessSettings()

@@ -2,7 +2,7 @@
 
 The problem, loss and fit are those of `discovery`: windows all over the drives are predicted with the measured inputs,
 errors of yaw rate and lateral velocity at the INS are scored under Student's distribution, and the effects that stand
-for the parameters are fitted together. Here nothing else is free and no prior of the file holds them: the drives alone
+for the parameters are fitted together. Here nothing else is free and the file is no prior for them: the drives alone
 decide. Steering, tyres and INS noise enter where they act, so the estimate is not drawn towards zero by noisy slip
 angles as a regression of force on slip is. Checked by: test_driving_fit.py.
 """
@@ -52,7 +52,7 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A quantity [unit, SI] that driving shows, and the effect that stands for it in the fit.
+    """A quantity [unit, SI] that driving shows, and the effect that represents it in the fit.
 
     of: value of the quantity from the vehicle and the values of the effects by "effect.parameter". relative: judged by
     its relative uncertainty; else `usual` is the uncertainty up to which it counts as identified [SI].

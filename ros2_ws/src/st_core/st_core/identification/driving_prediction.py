@@ -1,6 +1,6 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
-In addition to what is asked for, the offset of the steering and the misalignment of the INS are fitted, which would
+The offset of the steering and the misalignment of the INS are always fitted in addition, which would
 otherwise pass for tyres. Stiffness: with the nonlinear model it is the slope at small slip at the static load, and the
 tyre's curve is that of the vehicle file; with the linear one it is the slope that predicts best over the slips driven.
 
@@ -64,7 +64,7 @@ def predict_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     """Both stiffnesses with their uncertainty over runs.
 
     vehicle: everything else, and where the fit starts. base: linear, nonlinear, or either with effects that are known
-    (`augment`: drive force on steered wheels, say). also: further parameters to fit and report, of
+    (`augment`: for example drive force on steered wheels). also: further parameters to fit and report, of
     `driving_fit.FREE` (steering_ratio needs low and high speeds, cg_to_ins_x tight bends). nuisance:
     fitted too, not reported. Raises IdentificationError for too thin driving.
     """

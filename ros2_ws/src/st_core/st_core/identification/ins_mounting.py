@@ -1,6 +1,6 @@
 """Where the INS sits and where it points, from slow driving.
 
-The rear axle of a slow car goes where it points, but for a little slip, so at the INS, d_x ahead of the CG and turned
+The rear axle of a slow car moves where it points, but for a little slip, so at the INS, d_x ahead of the CG and turned
 by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r,    s = m l_f / (L C_r)
@@ -10,7 +10,7 @@ its forward speed in bends to one side against the other:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
-which needs tight bends to both sides. Ratio, offset and understeer of the steering are fitted beside it, and c, what
+which needs tight bends to both sides. Ratio, offset and understeer of the steering are fitted with it, and c, what
 the axle's mean angle differs from the formula in tight bends: driven more often to one side that would pass for d_y.
 Checked by: test_identification_driving.py.
 """
@@ -135,7 +135,7 @@ def _estimate(name: str, value: float, spread: Spread, index: int, factor: float
     uncertainty = float(abs(factor) * spread.deviations[index])
     found: Status = "identified" if uncertainty < acceptable else (
         "doubtful" if uncertainty < 5.0 * acceptable else "unidentifiable")
-    head = {"identified": "", "doubtful": "Poorly fixed: ", "unidentifiable": "The data cannot tell it: "}[found]
+    head = {"identified": "", "doubtful": "Poorly fixed: ", "unidentifiable": "Not identifiable: "}[found]
     return Estimate(name, float(value), unit, uncertainty,
                     spread.interval(index, value, uncertainty), "lateral velocity of slow driving"
                     if name != "cg_to_ins_y" else "steering against curvature in tight bends", used,

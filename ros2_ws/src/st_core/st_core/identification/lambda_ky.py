@@ -21,8 +21,8 @@ from .result import Estimate, Identification, IdentificationError, Status, symme
 
 @dataclass(frozen=True)
 class TableStiffness:
-    """Relative standard uncertainty of K at the static load [1], as the tyre's flat-plank table gives it, and its "
-    "name."""
+    """Relative standard uncertainty of K at the static load [1], as the tyre's flat-plank table gives it, and its
+    name."""
 
     uncertainty: float
     name: str
@@ -31,7 +31,7 @@ class TableStiffness:
 def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) -> Identification:
     """Estimates of tyre_front.lambda_ky and tyre_rear.lambda_ky [1].
 
-    tables: by tyre; without one the uncertainty holds the axle stiffness's only. Raises IdentificationError when the
+    tables: by tyre; without one the uncertainty is that of the axle stiffness only. Raises IdentificationError when the
     vehicle file has no stiffness with an uncertainty: then the scale is a division, not an identification.
     """
     estimates, warnings = [], []
@@ -42,7 +42,7 @@ def lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, TableStiffness]) 
         if known is None or known.uncertainty is None:
             raise IdentificationError(f"{key} of the vehicle file has no uncertainty: identify the stiffness first "
                                       "and give the vehicle.yaml that comes of it (without lambda_ky a file derives "
-                                      "it by itself)")
+                                      "it)")
         stiffness = getattr(vehicle, key)
         load = getattr(vehicle, f"static_tyre_load_{axle}")
         formula = getattr(vehicle, tyre)

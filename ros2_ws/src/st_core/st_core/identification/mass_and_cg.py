@@ -44,7 +44,7 @@ def mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: f
     """Estimates of mass [kg] and cg_to_front_axle [m], of the loading most weighings have (the first of equals).
 
     wheelbase [m] with its standard uncertainty [m]. Weighings with another loading are rejected.
-    Raises IdentificationError, with the numbers, for readings that are no car's: missing, negative, swapped.
+    Raises IdentificationError, with the numbers, for readings impossible for a car: missing, negative, swapped.
     """
     readings = _checked(weighings)
     load = max(weighings.loads, key=weighings.loads.count)
@@ -90,7 +90,7 @@ def swapped_axles(found: Identification, wheelbase: float, expected: float) -> s
     """A sentence when front and rear readings look exchanged: the CG fits the file's [m] only from the other end."""
     front = found["cg_to_front_axle"].value
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
-        return (f"cg_to_front_axle comes out as {front:.3f} m, the vehicle file says {expected:.3f} m; with front and "
+        return (f"cg_to_front_axle comes out as {front:.3f} m, the vehicle file has {expected:.3f} m; with front and "
                 f"rear columns exchanged it would be {wheelbase - front:.3f} m. Check which columns are which.")
     return ""
 
@@ -110,7 +110,7 @@ def _checked(weighings: Weighings) -> np.ndarray:
                 raise IdentificationError(
                     f"weighing {name}: the {axle} wheels carry {a:.1f} and {b:.1f} kg, "
                     f"{100 * abs(a - b) / (a + b):.0f} % of the axle apart; are two "
-                    "columns exchanged, or does a wheel stand beside its scale?")
+                    "columns exchanged, or is a wheel not on its scale?")
     if not (math.isfinite(weighings.scale_uncertainty) and weighings.scale_uncertainty > 0.0):
         raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: give the standard "
                                   "uncertainty of one scale, above 0")

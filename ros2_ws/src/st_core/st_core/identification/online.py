@@ -6,7 +6,7 @@ tyres are fitted together, so that delay and transients do not pass for ratio. T
 quadrature: the variation between blocks of driving, as a normal deviation with the same 95 % interval, and SYSTEMATIC,
 what the single-track model itself is off. A value counts as estimated when the driving is rich enough (`_missing`) and
 its deviation is below LIMITS; as invalid when it lies where no such car is, or the model leaves too much unexplained.
-Holds for |a_y| <= 4 m/s^2 and dry, level roads. Nothing is applied to the vehicle. Checked by: test_online.py.
+Valid for |a_y| <= 4 m/s^2 and dry, level roads. Nothing is applied to the vehicle. Checked by: test_online.py.
 """
 
 import math
@@ -77,7 +77,7 @@ class Seconds:
 @dataclass(frozen=True)
 class OnlineFit:
     """values, deviations: (3,) in the order of NAMES. unexplained: share of the yaw rate. stopped: names at a bound.
-    problem: why there is no fit, else empty."""
+    problem: why the fit is missing, else empty."""
 
     values: tuple[float, ...]
     deviations: tuple[float, ...]
@@ -227,7 +227,7 @@ class OnlineIdentifier:
                                 for have, needed, what in rows if have < needed) for name, rows in needs.items()}
 
     def _trouble(self) -> Mapping[str, str]:
-        """Why values are not to be believed, by parameter."""
+        """Why values are implausible, by parameter."""
         fit, (offset, ratio, scale) = self._fit, self._fit.values
         if fit.unexplained > LARGEST_UNEXPLAINED:
             return dict.fromkeys(NAMES, f"the model leaves {100 * fit.unexplained:.0f} % of the yaw rate unexplained: "

@@ -1,4 +1,4 @@
-"""What an identification says: values with uncertainty, what they rest on, and how far they may be believed."""
+"""Result of an identification: values with uncertainty, the data they rest on, and their status."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How the data fill the range of one signal: counts (n,) in bins between edges (n + 1,), and how many are wanted.
+    """How the data fill the range of one signal: counts (n,) in bins between edges (n + 1,), and how many are required.
 
     needed: samples a bin must hold to count as filled. bins_needed: filled bins below which the data are too thin.
     """
@@ -97,8 +97,8 @@ def require(coverages: Sequence[Coverage], advice: str) -> None:
 class Identification:
     """Outcome of one experiment.
 
-    An estimate whose 95 % interval holds zero is doubtful at most, and unidentifiable where the quantity is positive by
-    nature; parameters of the tyres' formula, for which zero is a value like others, are left as they are.
+    An estimate with zero inside its 95 % interval is doubtful at most, and unidentifiable where the quantity is positive
+    by nature; parameters of the tyres' formula are exempt, zero is a value like others for them.
 
     what: name of the experiment, as `st identify` calls it. used: data that entered. rejected: (data, why).
     correlation: matrix over the estimates, in their order, or None. coverage: excitation, one entry per signal.
@@ -144,7 +144,7 @@ def _without_sign(estimate: Estimate) -> Estimate:
     known = quantity(estimate.parameter)
     if known is not None and known.minimum > 0.0:
         return replace(estimate, status="unidentifiable",
-                       verdict=f"Not identifiable: the interval holds zero. {estimate.verdict}")
+                       verdict=f"Not identifiable: zero is inside the interval. {estimate.verdict}")
     return replace(estimate, status="doubtful", verdict=f"{estimate.verdict} Not distinguishable from zero.")
 
 
@@ -177,17 +177,17 @@ def bound_hit(parameter: str, value: float, bounds: tuple[float, float] | None =
     return f"{parameter} stopped at its limit {end:g}: the value is the limit's, not the data's."
 
 
-def contradiction(estimate: Estimate, value: float, standard_uncertainty: float, whence: str) -> str:
+def contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
     """A sentence when another experiment's value differs by more than chance (two-sided, 5 %), else an empty text.
 
-        z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    said when |z| > 1.96
+        z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported when |z| > 1.96
     """
     spread = math.hypot(estimate.standard_uncertainty, standard_uncertainty)
     gap = estimate.value - value
     if not math.isfinite(spread) or abs(gap) <= float(student.ppf(1.0 - CONTRADICTION / 2.0, math.inf)) * spread:
         return ""
     times = f"{abs(gap) / spread:.1f} times" if spread > 0.0 else "without"
-    return (f"{estimate.parameter} {estimate.value:.5g} contradicts {value:.5g} {estimate.unit} of {whence}: the "
+    return (f"{estimate.parameter} {estimate.value:.5g} contradicts {value:.5g} {estimate.unit} of {origin}: the "
             f"difference {gap:+.3g} is {times} the combined uncertainty.")
 
 
@@ -201,7 +201,7 @@ def correlation_of(covariance: np.ndarray) -> np.ndarray:
 
 
 def strong_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
-    """A sentence for each pair of parameters that the data hardly tell apart."""
+    """A sentence for each pair of parameters that the data hardly separate."""
     return tuple(f"{names[i]} and {names[j]} are correlated by {correlation[i, j]:+.3f}: the data fix a combination of "
                  "the two better than each." for i in range(len(names)) for j in range(i + 1, len(names))
                  if abs(correlation[i, j]) > limit)

@@ -20,7 +20,7 @@ EDGE = 0.2
 
 
 SHORTEST, FEWEST = 5.0, 50
-"""s of common measurement, and INS samples, below which a drive says nothing."""
+"""s of common measurement, and INS samples, below which a drive is not used."""
 
 
 NOTICED_BIAS = 5.0e-4
@@ -33,7 +33,7 @@ class RunSamples:
 
     time [s] after the first INS sample. velocity_x, velocity_y [m/s], yaw_rate [rad/s], yaw_acceleration [rad/s^2],
     velocity_x_dot, lateral_acceleration (v_y_dot + v_x r) [m/s^2], left +. road_wheel_angle [rad], of the vehicle
-    file's ratio and offset, and steering_wheel_angle [rad], as the sensor says. yaw [rad], not filtered.
+    file's ratio and offset, and steering_wheel_angle [rad], as the sensor reads. yaw [rad], not filtered.
     """
 
     name: str
@@ -66,8 +66,8 @@ def run_samples(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0, 
     the same attenuation on both sides of every equation.
 
     lateral_acceleration: velocity = v_y_dot + v_x r, free of gravity; accelerometer = a_y as recorded, which on a
-    rolling body or a banked road holds g sin(roll) too. Both are moved to the CG (`frames.ins_to_cg_acceleration`).
-    Raises IdentificationError for a drive without common measurements, or without the accelerometer asked for.
+    rolling body or a banked road contains g sin(roll) too. Both are moved to the CG (`frames.ins_to_cg_acceleration`).
+    Raises IdentificationError for a drive without common measurements, or without the required accelerometer.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, maximum_gap, "zero_phase")
@@ -107,12 +107,12 @@ def _where_there(time_ns: np.ndarray, recorded: np.ndarray, smooth: Callable, ma
 
 
 def prepared(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[list[DriveLog], tuple[str, ...]]:
-    """(drives as the estimators want them, warnings).
+    """(drives prepared for the estimators, warnings).
 
     The road wheel angle is that of this vehicle's ratio and offset, where the hand wheel was recorded. The mean yaw
     rate of each drive is made that of its heading: the bias of a gyro would pass for an offset of the steering.
-    Raises IdentificationError for no drive, two of one name, and one that is too short. Whether its signals belong
-    together is for `checks` to say, before.
+    Raises IdentificationError for no drive, two of one name, and one that is too short. `checks` tests
+    before whether its signals are consistent.
     """
     names = [log.name for log in logs]
     if not names:

@@ -1,7 +1,7 @@
 """Offset of the steering wheel sensor from straight driving, found twice.
 
 The paper's way: the offset with which the simulated yaw rate comes closest to the measured one. Directly: the mean
-reading while the car goes straight, corrected by what little it turns,
+reading while the car drives straight, corrected by what little it turns,
 
     o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / way
 
@@ -70,7 +70,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
 
 def _smoothed(log: DriveLog) -> DriveLog:
     """The drive with the yaw rate behind SMOOTHING, forward and backward: all its samples count, not those at the
-    points of the horizon alone, whose road noise would be 0.02 deg at the hand wheel after four minutes.
+    points of the horizon alone, where road noise would be 0.02 deg at the hand wheel after four minutes.
     """
     smooth, _ = filtered_derivative(log.ins_time_ns, log.yaw_rate, SMOOTHING, 0.1, "zero_phase")
     return replace(log, yaw_rate=smooth)

@@ -13,11 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
 
 from ..vehicle import VEHICLE_QUANTITIES
 from .result import Coverage, Estimate, Identification, IdentificationError, symmetric_interval
-from .straight_line import Line, fit_line
+from .straight_line import Line, cubic_remainder, fit_line
 
 FEWEST_ROWS = 5
 SMALLEST_RANGE = math.radians(90.0)  # of the hand wheel
@@ -54,7 +53,7 @@ def steering_ratio(data: Turntable) -> Identification:
                                   f"{limits.minimum:g} to {limits.maximum:g}: {hint}")
     spread = ratio**2 * line.uncertainty
     low, high = symmetric_interval(line.slope, line.uncertainty, line.freedom)
-    cubic, significant = _cubic(data, line)
+    cubic, significant = cubic_remainder(data.hand, line, data.sweeps)
     used = tuple(dict.fromkeys(data.sweeps))
     span = math.degrees(data.hand.min()), math.degrees(data.hand.max())
     method = (f"turntables, {len(mean)} rows in {len(used)} sweep{'s' * (len(used) != 1)}, {span[0]:.0f} to "
@@ -92,30 +91,7 @@ def _check(data: Turntable) -> None:
                                       "vary")
     if np.ptp(data.hand) < SMALLEST_RANGE:
         raise IdentificationError(f"the hand wheel ranges over {math.degrees(np.ptp(data.hand)):.3g} deg, at least 90 "
-                                  "are needed; if the column holds radians, name it steering_wheel_rad")
-
-
-def _cubic(data: Turntable, line: Line) -> tuple[tuple[float, float], bool]:
-    """(linear, cubic) coefficient of what the line leaves over, about the middle of the range; whether it is
-    significant.
-
-        e = c_1 x + c_3 x^3,    F = (sum e^2 - sum e_c^2) / 1 / (sum e_c^2 / (freedom - 1))
-    """
-    x = data.hand
-    groups = np.asarray(data.sweeps)
-    basis = np.stack([x, x**3], axis=1)
-    rest = line.residuals.copy()
-    for name in line.levels:
-        member = groups == name
-        basis[member] -= basis[member].mean(axis=0)
-    coefficients, *_ = np.linalg.lstsq(basis, rest, rcond=None)
-    left = rest - basis @ coefficients
-    before, after, freedom = float(rest @ rest), float(left @ left), line.freedom - 1
-    if freedom < 1 or before <= 1e-20:
-        return (0.0, 0.0), False
-    ratio = (before - after) / max(after / freedom, 1e-20)
-    significant = bool(fisher.sf(ratio, 1, freedom) < 0.01)
-    return (float(coefficients[0]), float(coefficients[1])), significant
+                                  "are needed; if the column is in radians, name it steering_wheel_rad")
 
 
 def _warnings(data: Turntable, line: Line) -> list[str]:
@@ -130,5 +106,5 @@ def _warnings(data: Turntable, line: Line) -> list[str]:
     if len(line.levels) > 1:
         play = math.degrees(max(line.levels.values()) - min(line.levels.values()))
         sentences.append(f"The sweeps lie up to {play:.2f} deg apart at the road wheel: play, friction, or turntables "
-                         "set to zero anew.")
+                         "set to zero again.")
     return sentences

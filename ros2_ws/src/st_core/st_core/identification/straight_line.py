@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from .result import IdentificationError
 
@@ -44,3 +45,24 @@ def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     scatter = float(np.sqrt(residuals @ residuals / freedom))
     levels = {name: float(y[member].mean() - slope * x[member].mean()) for name, member in members.items()}
     return Line(slope, scatter / float(np.sqrt(spread)), levels, residuals, scatter, freedom)
+
+
+def cubic_remainder(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tuple[float, float], bool]:
+    """(linear, cubic) coefficient of the residuals of a line through groups `names`, and whether it is significant:
+
+        e = c_1 x + c_3 x^3,    F = (sum e^2 - sum e_c^2) / 1 / (sum e_c^2 / (freedom - 1))
+    """
+    groups = np.asarray(names)
+    basis = np.stack([x, x**3], axis=1)
+    residual = line.residuals.copy()
+    for name in line.levels:
+        member = groups == name
+        basis[member] -= basis[member].mean(axis=0)
+    coefficients, *_ = np.linalg.lstsq(basis, residual, rcond=None)
+    unexplained = residual - basis @ coefficients
+    before, after, freedom = float(residual @ residual), float(unexplained @ unexplained), line.freedom - 1
+    if freedom < 1 or before <= 1e-20:
+        return (0.0, 0.0), False
+    ratio = (before - after) / max(after / freedom, 1e-20)
+    significant = bool(fisher.sf(ratio, 1, freedom) < 0.01)
+    return (float(coefficients[0]), float(coefficients[1])), significant

@@ -6,16 +6,15 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification.lambda_ky import TableStiffness, lambda_ky
-from st_core.identification.magic_formula import fit_tyre, magic_formula
-from st_core.identification.plank_table import FlatPlank
+from st_core.identification.magic_formula import FlatPlank, fit_tyre, magic_formula
 from st_core.identification.result import Identification
 from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
-from .columns import read_columns
 from .experiment import Experiment, Setup
+from .experiment_table import read_columns
 
 COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
 # The paper's colours of the three loads, darker where they would be faint on white.
@@ -39,7 +38,7 @@ def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification
 
 
 def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
-    """All rows of each tyre, from whichever files they are in. A column `tyre` says front or rear."""
+    """All rows of each tyre, from whichever files they are in. A column `tyre` is front or rear."""
     rows: dict[str, list[tuple[np.ndarray, ...]]] = {}
     names: dict[str, list[str]] = {}
     for file in files:
@@ -47,12 +46,12 @@ def read_tables(files: Sequence[Path]) -> list[FlatPlank]:
         if table.units["load"] == "kg":
             raise RunError(file, "column load_kg: a load is a force here", "name it load_n and give newtons")
         if "tyre" not in table.texts:
-            raise RunError(file, "has no column tyre", "add one that says front or rear in each row")
-        said = np.array([word.lower().removeprefix("tyre_") for word in table.texts["tyre"]])
-        for word in dict.fromkeys(said.tolist()):
+            raise RunError(file, "has no column tyre", "add one with front or rear in each row")
+        axle = np.array([word.lower().removeprefix("tyre_") for word in table.texts["tyre"]])
+        for word in dict.fromkeys(axle.tolist()):
             if word not in ("front", "rear"):
                 raise RunError(file, f"tyre is {word[:40]!r} in a row", "front or rear")
-            columns = (table.numbers[name][said == word] for name in COLUMNS)
+            columns = (table.numbers[name][axle == word] for name in COLUMNS)
             rows.setdefault(f"tyre_{word}", []).append(tuple(columns))
             names.setdefault(f"tyre_{word}", []).append(file.name)
     tables = []

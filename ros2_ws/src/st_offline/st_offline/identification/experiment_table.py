@@ -1,4 +1,4 @@
-"""Experiment tables: CSV whose header names say the unit, `pitch_deg` or `pitch_rad`; SI inside."""
+"""Experiment tables: CSV with the unit in each header name, `pitch_deg` or `pitch_rad`; SI inside."""
 
 import csv
 import math
@@ -25,11 +25,11 @@ class Table:
         return len(next(iter(self.numbers.values())))
 
 
-def read_columns(file: Path, wanted: Mapping[str, Sequence[str]], optional: Mapping[str, Sequence[str]] | None = None,
+def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Mapping[str, Sequence[str]] | None = None,
                  texts: Sequence[str] = ()) -> Table:
-    """A table with all `wanted` columns, and the `optional` and `texts` ones it has.
+    """A table with all `required` columns, and the `optional` and `texts` ones it has.
 
-    wanted, optional: units allowed by name. Raises RunError naming the file and the column or row that is wrong.
+    required, optional: units allowed by name. Raises RunError naming the file and the column or row that is wrong.
     """
     check_readable(file)
     try:
@@ -38,18 +38,18 @@ def read_columns(file: Path, wanted: Mapping[str, Sequence[str]], optional: Mapp
         raise RunError(file, "this is not a text file", "give a CSV table") from None
     delimiter = ";" if lines and ";" in lines[0] else ","
     header, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
-    known = {**wanted, **(optional or {})}
+    known = {**required, **(optional or {})}
     places = _places(file, header, known, texts)
-    missing = [name for name in wanted if name not in places]
+    missing = [name for name in required if name not in places]
     if missing:
-        names = ", ".join(" or ".join(f"{name}_{unit}" for unit in wanted[name]) for name in missing)
+        names = ", ".join(" or ".join(f"{name}_{unit}" for unit in required[name]) for name in missing)
         raise RunError(file, f"has no column {names}; its columns are {', '.join(header)[:200]}",
                        "name each column with its unit, as in docs/manual/identification.md")
     if not rows:
         raise RunError(file, "has a header and no rows", "fill it in")
     for number, row in enumerate(rows, 1):
         if len(row) != len(header):
-            raise RunError(file, f"row {number} has {len(row)} cells, the header {len(header)}", "mend that row")
+            raise RunError(file, f"row {number} has {len(row)} cells, the header {len(header)}", "correct that row")
     numbers, units, words = {}, {}, {}
     for name, (place, unit) in places.items():
         if name in known:
@@ -57,7 +57,7 @@ def read_columns(file: Path, wanted: Mapping[str, Sequence[str]], optional: Mapp
             numbers[name], units[name] = np.array(cells) * TO_SI[unit], unit
         else:
             words[name] = tuple(row[place] for row in rows)
-    for name in wanted:
+    for name in required:
         if not np.isfinite(numbers[name]).all():
             first = int(np.flatnonzero(~np.isfinite(numbers[name]))[0]) + 1
             raise RunError(file, f"row {first} has no {name}", "fill that cell, or leave the row out")

@@ -1,4 +1,4 @@
-"""What `st identify` does: compute, say it, write it down."""
+"""The command `st identify`: compute, print, write the files."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -30,10 +30,14 @@ from ..discovery.vehicle_update import edited
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
 from ..terminal import line, list_files
-from .experiment import Experiment, Setup
-from .experiments import EXPERIMENTS
-from .shown import HEADS, rows
+from .driving import DRIVING
+from .experiment import HEADS, Experiment, Setup, rows
+from .flat_plank import LAMBDA, TYRE
+from .workshop import CG_HEIGHT, SCALES, STEERING_RATIO
 
+EXPERIMENTS: dict[str, Experiment] = {
+    one.name: one for one in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVING, LAMBDA)}
+"""All experiments of `st identify`, in the order they are best done."""
 FORMATS = ("png", "pdf")
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
 """Of the numbers of a vehicle file."""
@@ -42,7 +46,7 @@ STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "
 
 @dataclass(frozen=True)
 class Job:
-    """What the command line asks for. vehicle_file: where the setup's vehicle comes from. folder: of the results."""
+    """Request of the command line. vehicle_file: where the setup's vehicle comes from. folder: of the results."""
 
     experiment: Experiment
     files: tuple[Path, ...]
@@ -71,9 +75,9 @@ def run(job: Job, console: Console) -> int:
 
 
 def identified(job: Job) -> tuple[Identification, ...]:
-    """Outcome of the experiment; what is wrong with the data is said with the file they are from."""
+    """Outcome of the experiment; errors in the data name their file."""
     if job.experiment.files_needed and not job.files:
-        raise IdentificationError(f"no files were given; it wants {job.experiment.files}")
+        raise IdentificationError(f"no files were given; it needs {job.experiment.files}")
     try:
         return job.experiment.identify(job.files, job.setup)
     except IdentificationError as error:
@@ -169,7 +173,7 @@ def _entry(car: VehicleParameters, key: str) -> Callable[[str, float], str]:
 
 
 def details(found: Identification) -> dict[str, Any]:
-    """One experiment in details.json: what stands beside the values."""
+    """One experiment in details.json: what accompanies the values."""
     matrix = found.correlation
     return {
         "what": found.what, "used": list(found.used),

@@ -2,7 +2,7 @@
 
     S(p) = sum r(p)^2,   s^2 = S_min / (n - k),   covariance = s^2 (J^T J)^-1 over the parameters inside their bounds
 
-The 95 % interval of parameter i ends where holding it costs as much as chance would, all others fitted anew:
+The 95 % interval of parameter i ends where fixing it costs as much as chance would, all others fitted again:
 
     min over the others of S = S_min + s^2 F_0.95(1, n - k)
 
@@ -94,13 +94,13 @@ def profile_interval(residuals: Residuals, fit: CurveFit, index: int) -> Interva
 
 
 def _end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
-    wanted = fit.scatter**2 * float(fisher.ppf(0.95, 1, fit.freedom))
+    threshold = fit.scatter**2 * float(fisher.ppf(0.95, 1, fit.freedom))
     bound = float((fit.upper if side > 0.0 else fit.lower)[index])
     value, spread = float(fit.values[index]), float(fit.deviations[index])
     room = abs(bound - value)
     if room <= EDGE * float(fit.upper[index] - fit.lower[index]):
         return bound, True
-    distance = min(math.sqrt(wanted) / fit.scatter * spread, room) if spread > 0.0 else 0.1 * room
+    distance = min(math.sqrt(threshold) / fit.scatter * spread, room) if spread > 0.0 else 0.1 * room
     least = float(fit.residuals @ fit.residuals)
     others = np.arange(len(fit.values)) != index
     slope = fit.covariance[others, index] / spread**2 if spread > 0.0 else np.zeros(int(others.sum()))
@@ -108,7 +108,7 @@ def _end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[
     known = (0.0, 0.0)
     for _ in range(MOST_STEPS):
         start, cost = _held(residuals, fit, index, value + side * distance, start)
-        root = math.sqrt(max(cost - least, 0.0) / wanted)
+        root = math.sqrt(max(cost - least, 0.0) / threshold)
         if distance >= room and root < 1.0:
             return bound, True
         if abs(root - 1.0) < ENOUGH:

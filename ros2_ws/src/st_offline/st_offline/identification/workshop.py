@@ -1,0 +1,196 @@
+"""`st identify` in the workshop: mass and CG by wheel scales, steering ratio by turntables, CG height by axle lift."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from st_core.identification.cg_height import Lift, LiftedCar, cg_height, pitch_from_lift
+from st_core.identification.mass_and_cg import SCALE_UNCERTAINTY, WHEELS, Weighings, mass_and_cg, swapped_axles
+from st_core.identification.result import Identification
+from st_core.identification.steering_ratio import Turntable, steering_ratio
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
+from st_recordings.runs.errors import RunError
+
+from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
+from .experiment import Experiment, Setup
+from .experiment_table import Table, read_columns
+
+NOTES = ("weighing", "driver", "payload")
+
+
+def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
+    """All files together: each row is one weighing."""
+    readings, names, loads, scales = [], [], [], set()
+    for file in files:
+        table = read_columns(file, {wheel: ("kg",) for wheel in WHEELS}, {"scale_uncertainty": ("kg",)}, NOTES)
+        readings.append(np.stack([table.numbers[wheel] for wheel in WHEELS], axis=1))
+        labels = table.texts.get("weighing") or [str(row) for row in range(1, len(table) + 1)]
+        names += [f"{file.name}:{label}" for label in labels]
+        notes = [table.texts.get(key, ("",) * len(table)) for key in ("driver", "payload")]
+        loads += [", ".join(note for note in row if note) for row in zip(*notes, strict=True)]
+        scales |= set(table.numbers.get("scale_uncertainty", np.array([SCALE_UNCERTAINTY])).tolist())
+    if len(scales) > 1:
+        raise RunError(files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}", "one set of scales")
+    vehicle = setup.vehicle
+    weighings = Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
+    found = mass_and_cg(weighings, vehicle.wheelbase, setup.uncertainty_of("wheelbase"))
+    swapped = swapped_axles(found, vehicle.wheelbase, vehicle.cg_to_front_axle)
+    return (replace(found, warnings=(*found.warnings, *([swapped] if swapped else []))),)
+
+
+def draw_scales(found: Identification, place: Place) -> Drawn:
+    """Every weighing and the 95 % interval of both values."""
+    data = found.figure
+    rows = np.arange(len(data["names"]))
+    with style():
+        figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.6 + 0.3 * len(rows)), sharey=True)
+        for axes, key, values, label in ((panels[0], "mass", data["masses"], "mass, kg"),
+                                         (panels[1], "cg_to_front_axle", data["distances"], "CG behind front axle, m")):
+            estimate = found[key]
+            axes.axvspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
+            axes.axvline(estimate.value, color=MODEL_COLOUR["augmented"], label="value")
+            kept = data["kept"]
+            axes.plot(values[kept], rows[kept], "o", color=TEXT, ms=5, label="weighing")
+            axes.plot(values[~kept], rows[~kept], "x", color=MEASURED_COLOUR, ms=6, label="left out")
+            axes.set_xlabel(label)
+            axes.ticklabel_format(useOffset=False)
+        panels[0].set_yticks(rows, data["names"])
+        panels[0].set_ylim(len(rows) - 0.5, -0.5)
+        panels[0].grid(axis="y", visible=False)
+        panels[1].grid(axis="y", visible=False)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower left", ncols=4)
+        return finish(figure, place, "scales", f"{found['mass'].verdict} {found['cg_to_front_axle'].verdict}",
+                      "One point per weighing. The interval contains their scatter and the scales' own uncertainty.")
+
+
+SCALES = Experiment("scales", "mass and CG position from four wheel scales",
+                    "CSV: front_left_kg, front_right_kg, rear_left_kg, rear_right_kg; a row per weighing",
+                    identify_scales, draw_scales)
+
+
+ANGLES = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
+
+
+def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
+    """Each file has one or several sweeps, named in a column `series`."""
+    columns, names = [], []
+    for file in files:
+        table = read_columns(file, ANGLES, texts=("series",))
+        names += [f"{file.name}:{name}" for name in table.texts.get("series") or ("1",) * len(table)]
+        columns.append([table.numbers[name] for name in ANGLES])
+    hand, left, right = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    return (steering_ratio(Turntable(hand, left, right, tuple(names))),)
+
+
+def draw_ratio(found: Identification, place: Place) -> Drawn:
+    """Wheel angles over the hand-wheel angle with the line, and what it leaves over."""
+    data, estimate = found.figure, found.estimates[0]
+    hand, sweeps = np.degrees(data["hand"]), np.asarray(data["sweeps"])
+    with style():
+        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
+        left.plot(hand, np.degrees(data["left"]), "<", color=MEASURED_COLOUR, ms=4, mfc="none", label="left wheel")
+        left.plot(hand, np.degrees(data["right"]), ">", color=MEASURED_COLOUR, ms=4, mfc="none", label="right wheel")
+        left.plot(hand, np.degrees(data["mean"]), "o", color=TEXT, ms=3.5, label="mean")
+        ends = np.array([hand.min(), hand.max()])
+        level = float(np.degrees(np.mean(list(data["levels"].values()))))
+        left.plot(ends, level + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
+                  label=f"hand wheel / {estimate.value:.2f}")
+        left.set(xlabel="hand-wheel angle, deg (left +)", ylabel="wheel angle, deg (left +)")
+        for k, name in enumerate(dict.fromkeys(data["sweeps"])):
+            row = sweeps == name
+            right.plot(hand[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5, mfc="none",
+                       label=name)
+        if data["significant"]:
+            first, last = np.radians(ends)
+            grid = np.linspace(first, last, 101)
+            curve = data["cubic"][0] * grid + data["cubic"][1] * grid**3
+            right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
+        right.axhline(0.0, color=MODEL_COLOUR["augmented"])
+        right.set(xlabel="hand-wheel angle, deg (left +)", ylabel="mean wheel angle minus line, deg")
+        handles = [pair for axes in (left, right) for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
+        figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
+        title = f"Steering ratio {estimate.value:.2f}, 95 % interval {estimate.interval95[0]:.2f} to " \
+                f"{estimate.interval95[1]:.2f}"
+        return finish(figure, place, "steering-ratio", title,
+                      "Left: both front wheels, their mean, and the line. Right: what the line leaves over.")
+
+
+STEERING_RATIO = Experiment("steering-ratio", "steering ratio from turntables",
+                            "CSV: steering_wheel_deg, left_wheel_deg, right_wheel_deg; left positive",
+                            identify_ratio, draw_ratio)
+
+
+LOADS = {"rear_left": ("kg",), "rear_right": ("kg",)}
+RADII = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
+OTHERS = {"pitch": ("deg", "rad"), "lift": ("m", "mm"), "car_mass": ("kg",)}
+
+
+def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
+    """Each file has one or several lifts, named in a column `series`."""
+    vehicle = setup.vehicle
+    parts, names, masses = [], [], set()
+    for file in files:
+        table = read_columns(file, LOADS, {**RADII, **OTHERS}, ("series",))
+        series = table.texts.get("series") or ("1",) * len(table)
+        names += [f"{file.name}:{name}" for name in series]
+        masses |= set(table.numbers.get("car_mass", np.array([])).tolist()) - {np.nan}
+        empty = np.full(len(table), np.nan)
+        columns = table.numbers
+        parts.append((_pitch(table, vehicle.wheelbase), columns["rear_left"] + columns["rear_right"],
+                      *(columns.get(name, empty) for name in RADII)))
+    masses = {mass for mass in masses if np.isfinite(mass)}
+    if len(masses) > 1:
+        raise RunError(files[0], f"car_mass_kg has several values: {sorted(masses)}", "lift one car")
+    pitch, load, front, rear = (np.concatenate(column) for column in zip(*parts, strict=True))
+    given = masses.pop() if masses else None
+    car = LiftedCar(given or vehicle.mass, vehicle.wheelbase, vehicle.cg_to_front_axle,
+                    0.0 if given else setup.uncertainty_of("mass"), setup.uncertainty_of("wheelbase"))
+    return (cg_height(Lift(pitch, load, tuple(names), front, rear), car),)
+
+
+def _pitch(table: Table, wheelbase: float) -> np.ndarray:
+    columns = table.numbers
+    if "pitch" in columns:
+        if not np.isfinite(columns["pitch"]).all():
+            raise RunError(table.file, "a row has no pitch", "fill that cell, or leave the row out")
+        return columns["pitch"]
+    if "lift" not in columns or not set(RADII) <= set(columns):
+        raise RunError(table.file, "has no column pitch_deg, nor lift_m with front_radius_m and rear_radius_m",
+                       "measure one of the two in every row")
+    return pitch_from_lift(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
+
+
+def draw_height(found: Identification, place: Place) -> Drawn:
+    """Rear load over tan(pitch) with the line, and the height from each row alone."""
+    data, estimate = found.figure, found.estimates[0]
+    pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
+    with style():
+        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
+        grid = np.linspace(0.0, data["pitch"].max(), 60)
+        for k, (name, level) in enumerate(data["levels"].items()):
+            row = lifts == name
+            marker = "os^Dv<>P"[k % 8]
+            left.plot(pitch[row], data["rear_load"][row], marker, color=TEXT, ms=4.5, mfc="none", label=name)
+            left.plot(np.degrees(grid), level + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
+            use = row & data["usable"]
+            right.plot(pitch[use], data["single"][use], marker, color=TEXT, ms=4.5, mfc="none")
+        left.set(xlabel="pitch, deg", ylabel="load on the rear wheels, kg")
+        left.legend(title="lift", fontsize=8)
+        right.axhspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
+        right.axhline(estimate.value, color=MODEL_COLOUR["augmented"], label="fit through all rows")
+        right.axhline(data["average"], color=MEASURED_COLOUR, ls="--", label="average over pitch angles")
+        right.set(xlim=(0.0, None), xlabel="pitch, deg", ylabel="CG height, m")
+        right.legend(fontsize=8)
+        title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {estimate.interval95[0]:.3f} to " \
+                f"{estimate.interval95[1]:.3f} m"
+        return finish(figure, place, "cg-height", title, "Left: rear load and the line with slope m (h - r) / l "
+                                                         "over "
+                      "tan(pitch). Right: the height from each lifted row alone.")
+
+
+CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 10392)",
+                       "CSV: pitch_deg, rear_left_kg, rear_right_kg, front_radius_m, rear_radius_m; a row per pitch",
+                       identify_height, draw_height)
