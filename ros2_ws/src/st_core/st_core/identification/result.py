@@ -97,8 +97,8 @@ def require(coverages: Sequence[Coverage], advice: str) -> None:
 class Identification:
     """Outcome of one experiment.
 
-    An estimate with zero inside its 95 % interval is doubtful at most, and unidentifiable where the quantity is positive
-    by nature; parameters of the tyres' formula are exempt, zero is a value like others for them.
+    An estimate with zero inside its 95 % interval is doubtful at most, and unidentifiable where only positive values
+    are possible; parameters of the tyres' formula are exempt, zero is a value like others for them.
 
     what: name of the experiment, as `st identify` calls it. used: data that entered. rejected: (data, why).
     correlation: matrix over the estimates, in their order, or None. coverage: excitation, one entry per signal.
