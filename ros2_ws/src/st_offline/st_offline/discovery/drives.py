@@ -21,7 +21,6 @@ from st_recordings.plain_json import finite
 from st_recordings.recorded import recorded_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunSource, read
 from st_recordings.runs.load import hashes
-from st_recordings.runs.readers import READERS
 from st_recordings.runs.run_types import signal_files
 
 from ..checking.document import documents, findings_in
@@ -132,7 +131,7 @@ def _recorded_vehicle(source: RunSource, run: LoadedRun) -> str:
 
 def _key(source: RunSource, files: dict[str, str], vehicle: VehicleParameters, settings: ReadSettings) -> str:
     """Of everything the drive depends on: contents, not paths, except that its name is kept in it."""
-    tables = signal_files(source, settings) if READERS[source.kind].with_can else ()
+    tables = signal_files(source, settings) if source.can else ()
     table = [hashlib.sha256(f.read_bytes()).hexdigest() for f in tables]
     options = {k: v for k, v in asdict(settings).items() if k not in ("dbc", "signals")}
     content = [FORMAT, code_of(checks), source.name, source.kind, sorted(files.values()), table, vehicle.hash, options,
