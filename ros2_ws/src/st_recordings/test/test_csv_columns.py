@@ -258,12 +258,12 @@ def test_times_that_are_no_seconds_ask_for_their_unit(tmp_path: Path) -> None:
 
 
 def test_the_table_is_in_the_documentation() -> None:
-    """docs/manual/recordings.md has a row for each channel, made of the table."""
-    text = (ROOT / "docs/manual/recordings.md").read_text()
+    """docs/csv_columns.md has a row for each channel, made of the table."""
+    text = (ROOT / "docs/csv_columns.md").read_text()
     for name, channel in COLUMNS.items():
         row = f"| `{name}` | {next(iter(UNITS[channel.kind]))} | {channel.meaning} | {', '.join(channel.names)} |"
-        assert row in text, f"docs/manual/recordings.md lacks or differs:\n{row}"
+        assert row in text, f"docs/csv_columns.md lacks or differs:\n{row}"
     for kind, units in UNITS.items():
         spelled = [f"{unit} ({', '.join(others)})" if others else unit for unit, (_, others) in units.items()]
         row = f"| {kind} | {', '.join(spelled)} |"
-        assert row in text, f"docs/manual/recordings.md lacks or differs:\n{row}"
+        assert row in text, f"docs/csv_columns.md lacks or differs:\n{row}"

@@ -84,7 +84,7 @@ COLUMNS: Mapping[str, Channel] = {
     **{name: Channel(kind_of(about.unit), about.recorded, (name,)) for name, about in CHANNELS.items()
        if about.recorded},
 }
-"""The one table of columns; docs/manual/recordings.md is made from it (test_csv_columns.py)."""
+"""The one table of columns; docs/csv_columns.md is made from it (test_csv_columns.py)."""
 
 AMBIGUOUS = {plain(name) for name in _words("steering_angle steering steer steer_angle steering_position steering_pos")}
 """Of the hand wheel in one file, of the road wheels in the next: not guessed."""

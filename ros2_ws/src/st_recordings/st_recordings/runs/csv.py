@@ -20,7 +20,7 @@ from .ncom import enu
 
 MOTION = ("velocity_x", "yaw_rate")
 ROAD, WHEEL, COMPASS = "road_wheel_angle", "steering_wheel_angle", "compass_heading"
-ADVICE = "name the columns as in docs/manual/recordings.md, or say in a run.yaml which they are, as columns: {%s: NAME}"
+ADVICE = "name the columns as in docs/csv_columns.md, or say in a run.yaml which they are, as columns: {%s: NAME}"
 HELD_SHARE = 0.3
 """Of the rows in which the car moves by several steps of the position's resolution and the position stays the same:
 with more, the position is slower than the rows."""
