@@ -114,8 +114,7 @@ def test_rows_without_a_number_are_left_out_and_said(drive, tmp_path):
         drive.write_text("\n".join([first, *(",".join(row) for row in cells)]) + "\n")
     with_nan(slice(100, 150))
     read = read_drive(find_runs([drive])[0], car(LEAF), ReadSettings(), None)
-    assert "yaw_rate (column yaw_rate): 50 of 400 rows hold no number; these samples of the INS were left out" in (
-        read.about["warnings"][0])
+    assert "yaw_rate (column yaw_rate): 50 of 400 rows (12 %) hold no number" in read.about["warnings"][0]
     with_nan(slice(None))
     result = discover(drive, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "fewer than two usable rows" in result.output

@@ -11,6 +11,7 @@ from st_core.discovery.windows import Windows
 from st_core.identification.run_samples import run_samples
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE
+from st_core.readings import wanting
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +25,12 @@ def logs(leaf) -> tuple[DriveLog, DriveLog]:
     lost[[300, 700, 701]] = np.nan
     lost[1000:1100] = np.nan
     return log, replace(log, acceleration_y=lost)
+
+
+def test_accelerations_needed_by_sensor_effects_on_a_kinematic_base_with_slip():
+    values = {"tyre_slip": {"share": 1.0}, "yaw_rate_delay": {"time": 0.02}, "position_lag": {"time": 0.02}}
+    model = augment("kinematic", {name: values[name] for name in values})
+    assert wanting(model, ["acceleration_x", "acceleration_y"]) is None
 
 
 def test_regressions_work_on_the_others(logs, leaf):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..augmented import AugmentedModel
+from ..errors import StCoreError
 from ..handling import understeer_coefficient
 from ..identification.axle_curve import axle_curve, axle_force, drawn_models, force_error
 from ..identification.cornering_stiffness import AXLES, AxleRegression, axle_regressions
@@ -37,6 +38,8 @@ class Axles:
 
     def __init__(self, problem: Problem, fit: Fit, everything: Joint | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters):
+        if problem.space.model.base.axles is None:
+            raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
         self.model = problem.space.at(fit.vector)
         self.sideslip = "velocity_y" in problem.errors.windows.settings.channels

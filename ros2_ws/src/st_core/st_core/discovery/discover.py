@@ -138,7 +138,8 @@ class _Work:
         position = problem.position(problem.held_out_rows(found.fit, problem.apart))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
-        everything = [self._effect(n, found, parts, all_free, unexplained) for n in found.order]
+        everything = [replace(self._effect(n, found, parts, all_free, unexplained), joint=self._joint(search, found, n))
+                      for n in found.order]
         # A reference is asked by its own drives instead: what it does not know of the car is in the intervals.
         left_out = waterfall.left_out(problem, found.fit)
         axles = self._axles(found, all_free)
@@ -261,6 +262,12 @@ class _Work:
         return FoundEffect(
             name, get_effect(name).kind, {n: by_sensors(p, known.get(f"{name}.{n}")) for n, p in values.items()},
             tuple(r.name for r in others), evidence.position, _values(evidence))
+
+    def _joint(self, search: Search, found: Found, name: str) -> tuple[str, ...]:
+        """Effects of the answer that cancel one: without both, much less is lost than without either."""
+        fit, alone = found.fit, search.promised(found.fit, name)
+        return tuple(n for n in fit.names if n != name and search.promised(fit, n, name)
+                     < self.limits.rival * max(alone, search.promised(fit, n)))
 
     def _assumed(self) -> tuple[Assumed, ...]:
         known = {q.key: Assumed(q.key, q.unit, q.value, q.deviation, q.stated)

@@ -70,6 +70,7 @@ class Value:
 class FoundEffect:
     """One effect of the answer. kind: one of PARTS[:4]. alternatives: names the data cannot tell from it, best first.
 
+    joint: other effects of the answer whose part it cancels, so that these values are known only together.
     position_5s [m]: by how much the mean error after 5 s grows without it (added last). agreement: by level (run,
     site, time, place, condition) what each part of the driving shows of it."""
 
@@ -79,6 +80,7 @@ class FoundEffect:
     alternatives: tuple[str, ...]
     position_5s: float
     agreement: Mapping[str, tuple[Value, ...]]
+    joint: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -235,7 +235,7 @@ class Search:
         """Without what is no longer needed beside the rest."""
         p = self.problem
         while len(fit.names) > max(len(self._fixed), 1):
-            promised = {n: self._promised(fit, n) for n in fit.names if n not in self._fixed}
+            promised = {n: self.promised(fit, n) for n in fit.names if n not in self._fixed}
             weakest = min(promised, key=promised.__getitem__)
             if promised[weakest] > 3.0 * self.limits.worth * p.number:
                 return fit
@@ -245,12 +245,12 @@ class Search:
             fit = without
         return fit
 
-    def _promised(self, fit: Fit, name: str) -> float:
-        """Loss that a fit without one of its effects would have more, by its quadratic."""
+    def promised(self, fit: Fit, *names: str) -> float:
+        """Loss that a fit without some of its effects would have more, by its quadratic."""
         p = self.problem
         q = fit.quadratic
-        rest = tuple(n for n in fit.names if n != name)
-        gone = np.isin(fit.which, np.setdiff1d(p.space.indices(name), p.space.indices(*rest)))
+        rest = tuple(n for n in fit.names if n not in names)
+        gone = np.isin(fit.which, np.setdiff1d(p.space.indices(*names), p.space.indices(*rest)))
         step = np.where(gone, ((p.start - fit.vector) / p.space.scale)[fit.which], 0.0)
         return _held_at(p, q, fit.vector, fit.which, step, ~gone)[0]
 
@@ -315,7 +315,7 @@ class Search:
         found.known = found.known or self._scores(found.fit)
         found.evidence, found.without = {}, {}
         for name in (n for n in found.fit.names if n not in self._fixed):
-            promised = self._promised(found.fit, name) / p.number
+            promised = self.promised(found.fit, name) / p.number
             if promised > 3.0 * sure:
                 without = found.without[name] = found.fit
                 e = self._evidence(found.fit, found.fit, name, found.scores)

@@ -129,7 +129,8 @@ def what(found: Discovery) -> list[str]:
     for effect in found.effects:
         physics = EFFECTS[effect.name].physics if effect.name in EFFECTS else ""
         others = ", ".join(map(plain, effect.alternatives))
-        parts.append(f"{plain(effect.name)}{f' (or {others}: not ruled out)' if others else ''}, {effect.kind}: "
+        joint = f" (with {', '.join(map(plain, effect.joint))} only: they cancel)" if effect.joint else ""
+        parts.append(f"{plain(effect.name)}{f' (or {others}: not ruled out)' if others else ''}{joint}, {effect.kind}: "
                      + values(effect.name, effect.parameters) + (f"; {physics}" if physics else ""))
     if found.outcome == "unknown" or found.signature:
         parts.append("; ".join(("something that is not in the library", *found.signature)))
