@@ -16,6 +16,7 @@ from .verbs import (
     calibrate,
     car,
     check,
+    course,
     demo,
     discover,
     effects,
@@ -44,8 +45,8 @@ app = typer.Typer(
 SPECIAL: dict[Callable, dict[str, Any]] = {
     discover.discover: {"cls": discover.WithReferences}, import_.import_: {"name": "import"}}
 for verb in (demo.demo, live.live, ncom.ncom, car.car, check.check, evaluate.evaluate, calibrate.calibrate,
-             discover.discover, effects.effects, identify.identify, replay.replay, verify.verify, view.view,
-             foxglove.foxglove, align.align, import_.import_, recover.recover, export.export):
+             course.course, discover.discover, effects.effects, identify.identify, replay.replay, verify.verify,
+             view.view, foxglove.foxglove, align.align, import_.import_, recover.recover, export.export):
     app.command(**SPECIAL.get(verb, {}))(verb)
 
 

@@ -143,6 +143,10 @@ class LogEvaluation:
         return tuple(dict.fromkeys(model for model, _ in self.errors))
 
     @property
+    def modes(self) -> tuple[Mode, ...]:
+        return tuple(dict.fromkeys(mode for _, mode in self.errors))
+
+    @property
     def time(self) -> np.ndarray:
         """Start times after the begin of the drive [s]."""
         return (self.starts_ns - self.start_ns) * NANOSECOND

@@ -6,7 +6,7 @@ Checked by: test_planned_inputs.py, against hindsight.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,20 +112,18 @@ def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
     return start_ns + np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
 
 
-def recorded_plan(time_ns: np.ndarray, road_wheel_angle: np.ndarray, velocity_x_dot: np.ndarray, steps: int,
-                  step: float, maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int, step: float,
+                  maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
     """A plan recorded along a drive as inputs of `log_evaluation.evaluate_log`.
 
-    time_ns: rising [ns]; each value is what had been planned for that instant before its horizon began. NaN, and gaps
-    longer than maximum_gap [s]: not planned.
+    time_ns: rising [ns]. columns: road wheel angle, velocity_x_dot and, of a path, slip-free angle, as planned for that
+    instant before its horizon began. NaN, and gaps longer than maximum_gap [s]: not planned.
     """
     gap_ns = round(maximum_gap / NANOSECOND)
 
-    def ahead(starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def ahead(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
         grid = starts_ns[:, None] + half_step_grid(0, steps, step)
-        angle, acceleration = (interpolate(time_ns, values, grid.ravel(), gap_ns).reshape(grid.shape)
-                               for values in (road_wheel_angle, velocity_x_dot))
-        return angle, acceleration
+        return tuple(interpolate(time_ns, values, grid.ravel(), gap_ns).reshape(grid.shape) for values in columns)
 
     return ahead
 

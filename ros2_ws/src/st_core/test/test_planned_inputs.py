@@ -27,8 +27,8 @@ def test_true_inputs_as_a_plan_give_hindsight_to_a_millimetre(leaf):
     signals = settings.signals(wavy_drive())
     log = signals.log
     times = np.union1d(log.ins_time_ns, log.steering_time_ns)
-    planned = recorded_plan(times, signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0],
-                            SHORT.steps, SHORT.step, 0.1)
+    inputs = signals.road_wheel_angle_at(times), *signals.ins_at(times, "velocity_x_dot")
+    planned = recorded_plan(times, inputs, SHORT.steps, SHORT.step, 0.1)
     result = evaluate_log(MODELS, leaf, signals, settings, ahead={"plan": planned})
     for model in MODELS:
         hindsight, plan_errors, held = (result.errors[model, mode] for mode in ("hindsight", "plan", "forecast"))

@@ -35,6 +35,10 @@ def evaluate(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False
     ),
+    course: Path | None = typer.Option(
+        None, help="Course of `st course build`: also forecast with inputs remembered from its earlier drives.",
+        exists=True, dir_okay=False
+    ),
     advise: float | None = typer.Option(
         None, help="Permitted lateral error, m: also name the cheapest model and step within it, by speed and second; "
         "cost, error and band width of each.", min=0.001
@@ -54,6 +58,7 @@ def evaluate(
     from st_core.log_evaluation import EvaluationSettings
     from st_core.prediction import PredictionSettings
     from st_offline.evaluation.evaluation_command import run_command
+    from st_offline.evaluation.inputs_ahead import load_course
     from st_offline.evaluation.work import Task, load_bands, load_models
 
     with shared.refusals("evaluate"):
@@ -72,8 +77,10 @@ def evaluate(
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
             force=force,
             bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")),
+            course=None if course is None else (str(course), course.read_text(encoding="utf-8")),
             effects=effects,
         )
+        load_course(task.course)
         load_bands(task, load_models(task))
         status = run_command(runs, task, output, table, car_from, workers, scheduler, Console(), advise)
     if vehicle is None:

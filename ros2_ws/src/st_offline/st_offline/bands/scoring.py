@@ -30,6 +30,8 @@ class Scorer:
         conditions = conditions_at(self._signals, starts_ns)
         seen = self._bands.seen(conditions)
         for (model, mode), errors in block.errors.items():
+            if (model, mode) not in self._bands.bands:
+                continue
             scored = np.isfinite(errors).all(axis=(1, 2))
             rows = scored & seen
             band = self._bands.bands[model, mode]

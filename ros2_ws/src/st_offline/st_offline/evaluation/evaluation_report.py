@@ -10,7 +10,6 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from st_core.log_evaluation import MODES
 from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import versions
@@ -52,6 +51,7 @@ def settings_in_words(choices: Choices) -> dict[str, str]:
         "forward acceleration": f"derivative of the INS speed after a {p.filter_cutoff:g} Hz low-pass filter, "
                                 f"{filters[s.acceleration]}",
         "measured inputs": f"{inputs}; nothing across gaps above {p.maximum_gap:g} s",
+        **({"course": choices.task.course[0]} if choices.task.course else {}),
         "table": f"mean | max | RMSE over {tables.WHAT[choices.over]}",
     }
 
@@ -150,13 +150,14 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
     of_bands = list(bands[:1])
     of_run = _of_first_run(good, leading, MAX_FIGURES - len(leading) - len(of_bands))
+    modes = list(dict.fromkeys(mode for of_model in content["all_runs"].values() for mode in of_model))
     pooled_bands = content.get("bands_all_runs", {})
     text = template("evaluation", "page.html.jinja").render(
         title=title, reports=good, failed=[r for r in reports if r.problem], content=content, settings=settings,
         about={r.name: r.about for r in reports}, minutes=sum(r.about["duration"] for r in good) / 60.0,
         horizon=content["settings"]["horizon"], leading=leading, band_figures=of_bands,
         band_rows=band_rows(pooled_bands or None), share_rows=share_rows(pooled_bands.get("shares", {})),
-        over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS, modes=MODES,
+        over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS, modes=modes,
         figures=of_run, shown=tables.shown, best=tables.best, values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")
 

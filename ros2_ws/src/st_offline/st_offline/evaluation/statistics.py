@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from st_core.binning import bins
-from st_core.log_evaluation import ALL, AXES, MODES, LogEvaluation, ModelErrors
+from st_core.log_evaluation import ALL, AXES, LogEvaluation, ModelErrors
 
 from .drive_parts import DrivePart, assign
 
@@ -28,13 +28,14 @@ def entry(errors: ModelErrors, select: np.ndarray | slice = ALL) -> Entry:
 
 def by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL) -> dict[str, dict[str, Entry]]:
     """{model: {mode: entry}} over the selected starts (rows)."""
-    return {model: {mode: entry(evaluation.errors[model, mode], select) for mode in MODES}
+    return {model: {mode: entry(evaluation.errors[model, mode], select) for mode in evaluation.modes}
             for model in evaluation.models}
 
 
 def by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]]]:
     """{model: {mode: {second: {axis: {mean, max, rmse}}}}}: the error at 1, 2, ... s, over the complete starts."""
-    return {model: {mode: _seconds(evaluation.errors[model, mode]) for mode in MODES} for model in evaluation.models}
+    return {model: {mode: _seconds(evaluation.errors[model, mode]) for mode in evaluation.modes}
+            for model in evaluation.models}
 
 
 def _seconds(errors: ModelErrors) -> dict[str, Entry]:
@@ -61,9 +62,12 @@ def by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[
 
 def pooled(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[str, dict[str, Entry]]:
     """{model: {mode: entry}} of several such documents together, as if their starts were those of one run."""
-    models = dict.fromkeys(model for document in entries for model in document)
-    return {model: {mode: _joined([document[model][mode] for document in entries if model in document])
-                    for mode in MODES} for model in models}
+    found: dict[str, dict[str, list[Entry]]] = {}
+    for document in entries:
+        for model, modes in document.items():
+            for mode, one in modes.items():
+                found.setdefault(model, {}).setdefault(mode, []).append(one)
+    return {model: {mode: _joined(parts) for mode, parts in modes.items()} for model, modes in found.items()}
 
 
 def pooled_by(entries: Sequence[Entry], *keys: str) -> list[Entry]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.table import Table
 from rich.text import Text
-from st_core.log_evaluation import AXES, MODES
+from st_core.log_evaluation import AXES
 from st_core.palette import MODEL_COLOUR
 
 from .statistics import KINDS
@@ -49,6 +49,8 @@ def shown(value: float | None) -> str:
 def terminal_table(reports: Sequence[RunReport], over: str, title: str, width: int) -> Table:
     """The paper's table (hindsight), and if the terminal is wide enough the RMSE of the forecasts."""
     wide = width >= WIDE
+    ahead = list(dict.fromkeys(mode for r in reports for modes in r.models.values() for mode in modes
+                               if mode != "hindsight"))
     heading = Text(f"{title}\n{NOTE.format(what=WHAT[over])}", style="bold")
     table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))
     table.add_column("run", overflow="fold")
@@ -57,15 +59,16 @@ def terminal_table(reports: Sequence[RunReport], over: str, title: str, width: i
     for axis in SHOWN_AXES:
         table.add_column(axis, justify="right", no_wrap=True)
     if wide:
-        table.add_column("forecast RMSE\nlon | lat", justify="right", no_wrap=True)
+        for mode in ahead:
+            table.add_column(f"{mode} RMSE\nlon | lat", justify="right", no_wrap=True)
     for report in reports:
         for number, model in enumerate(report.models):
             cells = [_triple(report.models, model, axis, over) for axis in SHOWN_AXES]
-            forecast = " | ".join(f"{shown(values(report.models, model, 'forecast', axis, over)['rmse']):>5}"
-                                  for axis in SHOWN_AXES)
+            forecasts = [" | ".join(f"{shown(values(report.models, model, mode, axis, over)['rmse']):>5}"
+                                    for axis in SHOWN_AXES) if mode in report.models[model] else "" for mode in ahead]
             starts = str(report.models[model]["hindsight"]["n_starts"])
             table.add_row(Text("" if number else report.name), Text(model, style=MODEL_COLOUR.get(model, "")), starts,
-                          *cells, *([forecast] if wide else []))
+                          *cells, *(forecasts if wide else []))
         table.add_section()
     return table
 
@@ -167,8 +170,7 @@ def second_rows(reports: Sequence[RunReport]) -> Iterator[Row]:
 
 def _model_rows(head: Row, models: Models) -> Iterator[Row]:
     for model, modes in models.items():
-        for mode in MODES:
-            entry = modes[mode]
+        for mode, entry in modes.items():
             yield {**head, "model": model, "mode": mode, "n_starts": entry["n_starts"],
                    "n_incomplete": entry["n_incomplete"], **_flat(entry),
                    **{f"samples_{key}": value for key, value in _flat(entry["samples"]).items()}}

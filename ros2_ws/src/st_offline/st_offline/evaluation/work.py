@@ -28,6 +28,7 @@ from . import statistics
 from .background import in_background
 from .drawing import Drawn, Place
 from .drive_parts import drive_parts
+from .inputs_ahead import inputs_ahead
 from .run_figures import Drawing, ranking, run_figures
 
 Progress = Callable[[int, int], None]
@@ -41,7 +42,8 @@ class Task:
 
     folder: gets runs/<name>/ with starts.csv and figures; None: nothing is written. formats: of the figures.
     force: whether runs with errors in the checks are evaluated. bands: (file name, content) of a
-    bands.yaml to be tested. effects: folder of own effects the model files use.
+    bands.yaml to be tested. course: likewise, of a course.yaml. effects: folder of own effects
+    the model files use.
     """
 
     vehicle: VehicleParameters
@@ -53,6 +55,7 @@ class Task:
     formats: tuple[str, ...] = ("png", "pdf")
     force: bool = False
     bands: tuple[str, str] | None = None
+    course: tuple[str, str] | None = None
     effects: Path | None = None
 
 
@@ -101,8 +104,9 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         bands = load_bands(task, models)
         scorer = _scorer(bands, signals) if bands else None
         try:
+            ahead = inputs_ahead(task, run, signals)
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
-                                      watch=scorer.add if scorer else None)
+                                      watch=scorer.add if scorer else None, ahead=ahead)
         finally:  # a failed check explains more than the exception it led to
             findings, parts = looked()
             if isinstance(findings, Refused):
@@ -123,7 +127,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "labels": "given" if run.labels else "detected",
         "alignment": {"verdict": run.alignment.verdict.value, "method": run.alignment.method,
                       "reasons": list(run.alignment.reasons)},
-        "warnings": list(run.warnings), "provenance": dict(run.provenance),
+        "warnings": list(run.warnings), "inputs_ahead": list(ahead), "provenance": dict(run.provenance),
         "findings": findings,
     }
     return RunReport(

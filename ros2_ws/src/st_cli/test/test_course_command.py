@@ -1,0 +1,73 @@
+"""st course build and st evaluate with a course and with planned columns, as a user starts them."""
+
+import json
+
+import numpy as np
+import pytest
+from drives import COLUMNS, weave, write_drive, write_vehicle
+from st_cli.cli import app
+from support import ROOT
+from typer.testing import CliRunner
+
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
+
+
+def st(*arguments):
+    return CliRunner().invoke(app, [*map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two drives along the same way, one of them slower; a course of the faster one."""
+    base = tmp_path_factory.mktemp("course")
+    write_drive(base / "old.csv", weave(40.0))
+    write_drive(base / "new.csv", weave(24.0))
+    (base / "short.csv").write_text("t,x\n0,1\n")
+    car = write_vehicle(base / "car.yaml", LEAF)
+    old, output = base / "old.csv", base / "course.yaml"
+    return base, st("course", "build", old, base / "short.csv", "--vehicle", car, "-o", output)
+
+
+def rmse(content, run, mode):
+    return content["runs"][run]["kinematic"][mode]["lateral"]["rmse"]
+
+
+def test_a_course_is_built_and_takes_most_of_the_forecast_error(folder, tmp_path):
+    base, built = folder
+    assert built.exit_code == 1 and "old: 0.32 km in 1 part" in built.output and "short: " in built.output
+    assert st("course", "build", base / "old.csv", "-o", base / "course.yaml").exit_code == 2
+    result = st("evaluate", base / "new.csv", base / "old.csv", "--vehicle", base / "car.yaml", "--model", "kinematic",
+                "--course", base / "course.yaml", "--figures", "", "--output", tmp_path / "o")
+    assert result.exit_code == 0, result.output
+    content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
+    assert rmse(content, "new", "course") < 0.3 * rmse(content, "new", "forecast")
+    # The run that the course was built from is forecast without it.
+    assert rmse(content, "old", "course") == pytest.approx(rmse(content, "old", "forecast"))
+    assert "course" in (tmp_path / "o" / "report.html").read_text()
+
+
+@pytest.mark.parametrize("kind", ["inputs", "path"])
+def test_planned_columns_give_a_mode_of_their_own(folder, tmp_path, kind):
+    base, _ = folder
+    rows = weave(24.0)
+    time, speed, yaw_rate, angle = rows[:, 0], rows[:, 4], rows[:, 6], rows[:, 9]
+    extra = (angle, np.gradient(speed, time)) if kind == "inputs" else (speed, yaw_rate / speed)
+    names = ("planned_road_wheel_angle,planned_velocity_x_dot" if kind == "inputs" else
+             "planned_speed,planned_curvature")
+    np.savetxt(tmp_path / "planned.csv", np.column_stack([rows, *extra]), delimiter=",", header=f"{COLUMNS},{names}",
+               comments="", fmt="%.6f")
+    result = st("evaluate", tmp_path / "planned.csv", "--vehicle", base / "car.yaml", "--model", "kinematic",
+                "--figures", "", "--output", tmp_path / "o")
+    assert result.exit_code == 0, result.output
+    content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
+    assert content["about"]["planned"]["inputs_ahead"] == ["plan"]
+    assert rmse(content, "planned", "plan") < 0.02 + rmse(content, "planned", "hindsight")
+    assert rmse(content, "planned", "forecast") > 0.5
+
+
+def test_a_course_file_that_is_none_is_refused(folder, tmp_path):
+    base, _ = folder
+    (tmp_path / "course.yaml").write_text("schema: 1\n")
+    result = st("evaluate", base / "new.csv", "--vehicle", base / "car.yaml", "--course", tmp_path / "course.yaml",
+                "--output", tmp_path / "o")
+    assert result.exit_code == 2 and "course.yaml" in result.output

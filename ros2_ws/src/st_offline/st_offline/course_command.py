@@ -1,0 +1,47 @@
+"""`st course build`: read the runs, keep the way of each with its speed and curvature, write one file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from st_core.course import SPACING, Course, Pass, passes_of
+from st_core.errors import ConfigurationError, StCoreError
+from st_core.vehicle import VehicleParameters
+from st_recordings.output import OutputError
+from st_recordings.runs import ReadSettings, RunError, find_runs, read
+
+from .terminal import line
+
+
+def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: ReadSettings, output: Path,
+                 console: Console) -> int:
+    """Exit status: 0 when every run was used, 1 when some were. Raises ConfigurationError and OutputError, one line,
+    where no course can be built or written.
+    """
+    if output.exists():
+        raise OutputError(f"{output} exists: name another --output (nothing is ever overwritten)")
+    passes: list[Pass] = []
+    failed = 0
+    for source in find_runs(runs):
+        try:
+            with console.status(escape(source.name)):
+                run = read(source, vehicle, reading)
+                found = passes_of(run.log, list(run.provenance["files"].values()))
+        except (RunError, StCoreError) as error:
+            failed += 1
+            line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)
+            continue
+        passes += found
+        length = SPACING * sum(len(one.points) for one in found)
+        line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {len(found)} part{'' if len(found) == 1 else 's'}",
+             console)
+    if not passes:
+        raise ConfigurationError("no run can be used for a course")
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.write_text(Course(tuple(passes)).to_yaml(), encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
+    line(f"{escape(str(output))}: course of {len({one.recording for one in passes})} drives", console)
+    return 1 if failed else 0
