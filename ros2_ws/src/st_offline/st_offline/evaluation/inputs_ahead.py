@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from st_core.course import Course
@@ -12,11 +11,10 @@ from st_core.evaluation import Mode
 from st_core.log_evaluation import Ahead
 from st_core.log_signals import LogSignals
 from st_core.planned_inputs import SLIP_FREE, path_inputs, recorded_plan
+from st_core.prediction import PredictionSettings
+from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, RunError
 from st_recordings.runs.csv_table import header_of
-
-if TYPE_CHECKING:
-    from .work import Task
 
 INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
 """Columns of a CSV, rad left + and m/s^2: what had been planned for the time of the row, before its horizon began."""
@@ -24,20 +22,19 @@ PATH = ("planned_speed", "planned_curvature")
 """Instead: m/s and 1/m, left +, of the CG."""
 
 
-def inputs_ahead(task: "Task", run: LoadedRun, signals: LogSignals) -> dict[Mode, Ahead]:
-    """By mode, plan and course, as far as the recording and the task have them; see `evaluate_log`.
+def inputs_ahead(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
+                 course: Course | None) -> dict[Mode, Ahead]:
+    """By mode, plan where the recording has one and course where one is given; see `evaluate_log`.
 
     Passes of the run itself are left out of the course. Raises RunError for planned columns that are not numbers.
     """
-    prediction = task.settings.prediction
     found: dict[Mode, Ahead] = {}
-    plan = _planned_columns(run.provenance["files"], task)
+    plan = _planned_columns(run.provenance["files"], vehicle)
     if plan is not None:
         found["plan"] = recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)
-    course = load_course(task.course)
     if course is not None:
         others = course.without(list(run.provenance["files"].values()))
-        found["course"] = course_inputs(others, signals, task.vehicle, prediction.horizon, prediction.step)
+        found["course"] = course_inputs(others, signals, vehicle, prediction.horizon, prediction.step)
     return found
 
 
@@ -46,7 +43,7 @@ def load_course(file: tuple[str, str] | None) -> Course | None:
     return None if file is None else Course.from_yaml(file[1], file[0])
 
 
-def _planned_columns(files: Mapping[str, str], task: "Task") -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
+def _planned_columns(files: Mapping[str, str], vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
     """Time [ns] and columns as in `recorded_plan`, of the first CSV with planned columns; None without one."""
     for file in (Path(name) for name in files if name.lower().endswith(".csv")):
         names = header_of(file)
@@ -64,6 +61,6 @@ def _planned_columns(files: Mapping[str, str], task: "Task") -> tuple[np.ndarray
         time_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
         if kind == INPUTS:
             return time_ns, (one, other)
-        path = path_inputs(one, other, seconds, task.vehicle)
+        path = path_inputs(one, other, seconds, vehicle)
         return time_ns, (path.road_wheel_angle, path.velocity_x_dot, path.signals[SLIP_FREE])
     return None

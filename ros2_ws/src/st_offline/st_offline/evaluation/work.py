@@ -28,7 +28,7 @@ from . import statistics
 from .background import in_background
 from .drawing import Drawn, Place
 from .drive_parts import drive_parts
-from .inputs_ahead import inputs_ahead
+from .inputs_ahead import inputs_ahead, load_course
 from .run_figures import Drawing, ranking, run_figures
 
 Progress = Callable[[int, int], None]
@@ -104,7 +104,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         bands = load_bands(task, models)
         scorer = _scorer(bands, signals) if bands else None
         try:
-            ahead = inputs_ahead(task, run, signals)
+            ahead = inputs_ahead(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       watch=scorer.add if scorer else None, ahead=ahead)
         finally:  # a failed check explains more than the exception it led to
