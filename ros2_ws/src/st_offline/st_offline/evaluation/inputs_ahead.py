@@ -43,7 +43,8 @@ def load_course(file: tuple[str, str] | None) -> Course | None:
     return None if file is None else Course.from_yaml(file[1], file[0])
 
 
-def _planned_columns(files: Mapping[str, str], vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
+def _planned_columns(files: Mapping[str, str],
+                     vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
     """Time [ns] and columns as in `recorded_plan`, of the first CSV with planned columns; None without one."""
     for file in (Path(name) for name in files if name.lower().endswith(".csv")):
         names = header_of(file)
