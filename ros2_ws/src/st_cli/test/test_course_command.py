@@ -71,3 +71,17 @@ def test_a_course_file_that_is_none_is_refused(folder, tmp_path):
     result = st("evaluate", base / "new.csv", "--vehicle", base / "car.yaml", "--course", tmp_path / "course.yaml",
                 "--output", tmp_path / "o")
     assert result.exit_code == 2 and "course.yaml" in result.output
+
+
+def test_adaptive_bands_are_scored_in_order_of_time_without_a_calibration(folder, tmp_path):
+    base, _ = folder
+    result = st("evaluate", base / "old.csv", "--vehicle", base / "car.yaml", "--model", "linear", "--adaptive",
+                "--figures", "", "--output", tmp_path / "o")
+    assert result.exit_code == 0 and "Adaptive bands" in result.output, result.output
+    content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
+    for one in (content["adaptive_bands"]["old"], content["adaptive_bands_all_runs"]):
+        for mode in ("hindsight", "forecast"):
+            found = one["linear"][mode]
+            assert found["starts"] > 300 and 0.2 < found["coverage"]["0.5"] < found["coverage"]["0.9"] <= 1.0
+            assert found["late_coverage"]["0.9"] is None  # shorter than two minutes
+    assert "Adaptive bands" in (tmp_path / "o" / "report.html").read_text()

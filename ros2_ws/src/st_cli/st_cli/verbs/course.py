@@ -8,20 +8,15 @@ import typer
 from . import _options as shared
 
 
+@shared.reads_recordings()
 def course(
     what: Literal["build"] = typer.Argument(..., help="build.", show_default=False),
     runs: list[Path] = typer.Argument(
         ..., help="Recordings of drives at one place: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
         show_default=False
     ),
-    car: shared.CarName = None,
-    vehicle: shared.VehicleFile = None,
     output: Path = typer.Option(Path("course.yaml"), "--output", "-o", help="File of the course; it must not exist."),
-    dbc: shared.Dbc = None,
-    signals: shared.Signals = None,
-    steering_sign: shared.SteeringSign = None,
-    steering_latency: shared.SteeringLatency = None,
-    offset: shared.Offset = None,
+    read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Build a course: speed and curvature along the way of recorded drives, laps, both directions and branches.
 
@@ -32,7 +27,7 @@ def course(
     from st_offline.course_command import build_course
 
     with shared.refusals("course"):
-        named, reading = shared.whose(car, vehicle, dbc, signals, steering_sign, steering_latency, offset=offset)
-        parameters, _ = shared.leaf_or(named)
+        vehicle, reading = read_options.resolve()
+        parameters, _ = shared.load_vehicle_or_default(vehicle)
         status = build_course(runs, parameters, reading, output, Console())
     raise typer.Exit(status)

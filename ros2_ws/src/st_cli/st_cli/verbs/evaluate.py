@@ -35,6 +35,10 @@ def evaluate(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
         dir_okay=False
     ),
+    adaptive: bool = typer.Option(
+        False, "--adaptive", help="Also test bands that follow the scores of each run; they start from --bands, or "
+        "without a calibration."
+    ),
     course: Path | None = typer.Option(
         None, help="Course of `st course build`: also forecast with inputs remembered from its earlier drives.",
         exists=True, dir_okay=False
@@ -77,6 +81,7 @@ def evaluate(
             formats=tuple(form.strip() for form in figures.split(",") if form.strip()),
             force=force,
             bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")),
+            adaptive=adaptive,
             course=None if course is None else (str(course), course.read_text(encoding="utf-8")),
             effects=effects,
         )

@@ -6,6 +6,7 @@ probability. Learnt from errors of scored starts (`run_samples`, `calibrate`), k
 docs/manual/bands.md.
 """
 
+from .adaptive import AdaptiveBand
 from .calibration import LEVELS, RELIABILITY, Band, calibrate
 from .conditions import CONDITIONS, CalibrationDomain, activity_instants, conditions, conditions_at, steering_activity
 from .conformal import conformal_factors, highest_level, runs_needed
@@ -18,6 +19,7 @@ __all__ = [
            "CONDITIONS",
            "LEVELS",
            "RELIABILITY",
+           "AdaptiveBand",
            "Band",
            "Bands",
            "CalibrationDomain",
@@ -27,6 +29,7 @@ __all__ = [
            "NotFiniteError",
            "RunSamples",
            "activity_instants",
+           "adapted",
            "calibrate",
            "conditions",
            "conditions_at",

@@ -10,7 +10,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 
 from ..evaluation.drawing import TEXT, WIDTH, Drawn, Place, finish, style
 from ..terminal import rows_table
-from .scoring import finished, pooled_sums
+from .scoring import finished, finished_adaptive, pooled_sums
 
 QUESTIONS = {"hindsight": "model (inputs as they were)", "forecast": "forecast (inputs held)"}
 
@@ -89,6 +89,15 @@ def band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
     return rows
 
 
+def adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
+    """One row for each model and mode of `finished_adaptive`; columns by their titles."""
+    return [{"model": model, "inputs": mode, "starts": str(one["starts"]),
+             **{f"{100 * float(level):g} % covers": _share(share) for level, share in one["coverage"].items()},
+             **{f"{100 * float(level):g} % after 2 min": _share(share)
+                for level, share in one["late_coverage"].items()}}
+            for model, modes in (content or {}).items() for mode, one in modes.items()]
+
+
 def bands_table(reports: Sequence[Any], width: int) -> Table | None:
     """Of all runs together; None where no bands were tested."""
     if not any(report.bands for report in reports):
@@ -98,6 +107,13 @@ def bands_table(reports: Sequence[Any], width: int) -> Table | None:
     caption = f"{len(known)} of the files were used for calibration: not a test of the bands" if known else None
     return rows_table(band_rows(content), title="Bands: how often the whole path lies inside", caption=caption,
                       width=min(width, 200))
+
+
+def adaptive_table(reports: Sequence[Any], width: int) -> Table:
+    """Of all runs together."""
+    pooled = finished_adaptive(pooled_sums([{"adaptive": report.bands["adaptive"]} for report in reports]))
+    return rows_table(adaptive_rows(pooled), title="Adaptive bands: how often the whole path lies inside",
+                      width=min(width, 140))
 
 
 def _last(seconds: dict[str, dict[str, float]] | None) -> dict[str, float] | None:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from st_core.bands import CONDITIONS, RELIABILITY, Band, Bands, conditions_at, to_predicted_frame
+from st_core.bands import CONDITIONS, RELIABILITY, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
 from st_core.binning import LATERAL_ACCELERATION, SPEED, STEERING_RATE
 from st_core.log_evaluation import AXES, Block
 from st_core.log_signals import LogSignals
@@ -44,6 +44,52 @@ class Scorer:
         known = set(self._bands.recordings.values())
         return pooled_sums([*self._sums, {"known_recordings": [name for name, digest in files.items()
                                                                if digest in known]}])
+
+
+class AdaptiveScorer:
+    """Coverage of adaptive bands over one run, in order of time, as sums. bands: None: without a calibration."""
+
+    LATE = 120.0
+    """s after the first start: coverage from then on is counted apart."""
+
+    def __init__(self, bands: Bands | None, signals: LogSignals, time: np.ndarray):
+        self._bands, self._signals, self._time = bands, signals, time
+        self._adaptive: dict[tuple[str, str], AdaptiveBand] = {}
+        self._first: int | None = None
+        self._sums: list[Sums] = []
+
+    def add(self, starts_ns: np.ndarray, block: Block) -> None:
+        """One block of an evaluation; blocks come in order of time."""
+        if not len(starts_ns):
+            return
+        self._first = int(starts_ns[0]) if self._first is None else self._first
+        conditions = conditions_at(self._signals, starts_ns)
+        domain = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.seen(conditions)
+        late = (starts_ns - self._first) * 1e-9 >= self.LATE
+        for question, errors in block.errors.items():
+            band = None if self._bands is None else self._bands.bands.get(question)
+            one = self._adaptive.setdefault(question, AdaptiveBand(self._time, band, SHOWN))
+            own = to_predicted_frame(errors[domain][:, 1:])
+            factors, scales = one.follow(starts_ns[domain], conditions[domain], own)
+            scored = np.isfinite(own).all(axis=(1, 2))
+            score = np.abs(own[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
+            kept = {f"{level:g}": score <= factor[scored] for level, factor in factors.items()}
+            then = late[domain][scored]
+            entry = {"starts": len(score), "coverage": {key: int(one.sum()) for key, one in kept.items()},
+                     "late_starts": int(then.sum()),
+                     "late_coverage": {key: int(one[then].sum()) for key, one in kept.items()}}
+            self._sums.append({question[0]: {question[1]: entry}})
+
+    def sums(self) -> Sums:
+        """{"adaptive": {model: {mode: counts}}}."""
+        return {"adaptive": pooled_sums(self._sums)}
+
+
+def finished_adaptive(sums: Sums) -> dict[str, Any]:
+    """{model: {mode: starts, coverage, late_starts, late_coverage}}, shares by level; None where nothing was scored."""
+    return {model: {mode: {**one, "coverage": _divided(one["coverage"], one["starts"]),
+                           "late_coverage": _divided(one["late_coverage"], one["late_starts"])}
+                    for mode, one in modes.items()} for model, modes in sums.get("adaptive", {}).items()}
 
 
 def question_sums(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:

@@ -14,7 +14,7 @@ from st_core.errors import ConfigurationError
 from st_recordings.output import new_folder
 from st_recordings.runs import RunError, RunSource, find_runs
 
-from ..bands.bands_report import HOW_TO_GET, bands_table
+from ..bands.bands_report import HOW_TO_GET, adaptive_table, bands_table
 from ..bands.error_shares import finished_shares, shares_table
 from ..bands.scoring import pooled_sums
 from ..checking.document import findings_in
@@ -52,8 +52,12 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     console.print(terminal_table(good, over, title, console.width))
     for key, value in settings_in_words(choices).items():
         line(f"[dim]{key}: {escape(value)}[/dim]", console)
-    tested = bands_table(good, console.width)
-    console.print(HOW_TO_GET if tested is None else tested, highlight=False, soft_wrap=tested is None)
+    tested = bands_table(good, console.width) if task.bands else None
+    adaptive = adaptive_table(good, console.width) if task.adaptive else None
+    if tested is not None or adaptive is None:
+        console.print(HOW_TO_GET if tested is None else tested, highlight=False, soft_wrap=tested is None)
+    if adaptive is not None:
+        console.print(adaptive)
     if shares := shares_table(finished_shares(pooled_sums([report.bands for report in good])), console.width):
         console.print(shares)
     if tolerance is not None:

@@ -14,9 +14,9 @@ from st_core.palette import MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import versions
 
-from ..bands.bands_report import band_figures, band_rows
+from ..bands.bands_report import adaptive_rows, band_figures, band_rows
 from ..bands.error_shares import finished_shares, share_figures, share_rows
-from ..bands.scoring import finished, pooled_sums
+from ..bands.scoring import finished, finished_adaptive, pooled_sums
 from ..pages import template
 from . import tables
 from .drawing import TEXT, WIDTH, Drawn, Place, finish, style
@@ -75,6 +75,7 @@ def document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
         "manoeuvres_all_runs": pooled_manoeuvres(good),
         "about": {r.name: r.about for r in good},
         **_bands(good, choices.task),
+        **_adaptive(good, choices.task),
         "failed": {r.name: r.problem for r in reports if r.problem},
         "refused": {r.name: r.about["findings"] for r in reports if r.problem and r.about},
     }
@@ -86,6 +87,14 @@ def _bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
     pooled = pooled_sums([r.bands for r in good])
     return {"bands": {r.name: finished(r.bands) for r in good},
             "bands_all_runs": {"file": task.bands[0], **finished(pooled), "shares": finished_shares(pooled)}}
+
+
+def _adaptive(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
+    if not task.adaptive:
+        return {}
+    pooled = pooled_sums([{"adaptive": r.bands["adaptive"]} for r in good])
+    return {"adaptive_bands": {r.name: finished_adaptive(r.bands) for r in good},
+            "adaptive_bands_all_runs": finished_adaptive(pooled)}
 
 
 def pooled_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
@@ -156,7 +165,9 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         title=title, reports=good, failed=[r for r in reports if r.problem], content=content, settings=settings,
         about={r.name: r.about for r in reports}, minutes=sum(r.about["duration"] for r in good) / 60.0,
         horizon=content["settings"]["horizon"], leading=leading, band_figures=of_bands,
-        band_rows=band_rows(pooled_bands or None), share_rows=share_rows(pooled_bands.get("shares", {})),
+        band_rows=band_rows(pooled_bands or None),
+        adaptive_rows=adaptive_rows(content.get("adaptive_bands_all_runs")),
+        share_rows=share_rows(pooled_bands.get("shares", {})),
         over=over, what=tables.WHAT[over], axes=tables.SHOWN_AXES, kinds=tables.KINDS, modes=modes,
         figures=of_run, shown=tables.shown, best=tables.best, values=tables.values, slug=slug)
     file.write_text(text, encoding="utf-8")

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 from st_core.bands import Bands
+from st_core.bands.file import times
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
-from st_core.log_evaluation import AXES, EvaluationSettings, LogEvaluation, evaluate_log
+from st_core.log_evaluation import AXES, Block, EvaluationSettings, LogEvaluation, evaluate_log
 from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
@@ -22,6 +23,7 @@ from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
+from ..bands.scoring import AdaptiveScorer
 from ..checking.document import documents
 from ..checking.gate import PROBLEMS, Refused, in_words, passed
 from . import statistics
@@ -42,7 +44,8 @@ class Task:
 
     folder: gets runs/<name>/ with starts.csv and figures; None: nothing is written. formats: of the figures.
     force: whether runs with errors in the checks are evaluated. bands: (file name, content) of a
-    bands.yaml to be tested. course: likewise, of a course.yaml. effects: folder of own effects
+    bands.yaml to be tested. course: likewise, of a course.yaml. adaptive: whether
+    adaptive bands are tested. effects: folder of own effects
     the model files use.
     """
 
@@ -56,6 +59,7 @@ class Task:
     force: bool = False
     bands: tuple[str, str] | None = None
     course: tuple[str, str] | None = None
+    adaptive: bool = False
     effects: Path | None = None
 
 
@@ -103,10 +107,17 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         signals = task.settings.signals(run.log)
         bands = load_bands(task, models)
         scorer = _scorer(bands, signals) if bands else None
+        adaptive = AdaptiveScorer(bands, signals, horizon_times(task.settings)) if task.adaptive else None
+        watches = [one.add for one in (scorer, adaptive) if one is not None]
+
+        def watch(starts: np.ndarray, block: Block) -> None:
+            for add in watches:
+                add(starts, block)
+
         try:
             ahead = inputs_ahead(run, signals, task.vehicle, task.settings.prediction, load_course(task.course))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
-                                      watch=scorer.add if scorer else None, ahead=ahead)
+                                      watch=watch, ahead=ahead)
         finally:  # a failed check explains more than the exception it led to
             findings, parts = looked()
             if isinstance(findings, Refused):
@@ -130,11 +141,13 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "warnings": list(run.warnings), "inputs_ahead": list(ahead), "provenance": dict(run.provenance),
         "findings": findings,
     }
+    sums = _band_sums(scorer, run, models, signals, task) if scorer else {}
+    if adaptive:
+        sums |= adaptive.sums()
     return RunReport(
         source.name, "", ranking(evaluation, "lateral"), about, statistics.by_model(evaluation),
         statistics.by_second(evaluation), statistics.by_bin(evaluation), statistics.by_manoeuvre(evaluation, parts),
-        figures, _band_sums(scorer, run, models, signals, task) if scorer else {},
-        dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
+        figures, sums, dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
 
 
 def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
@@ -166,6 +179,11 @@ def load_models(task: Task) -> list[Model]:
         if names.count(name) > 1:
             raise ConfigurationError(f"two models are named {name}: one model file at a time, and each name once")
     return models
+
+
+def horizon_times(settings: EvaluationSettings) -> np.ndarray:
+    """(points,) of the horizon without the start [s]."""
+    return times(settings.prediction.horizon, settings.prediction.step)
 
 
 def _scorer(bands: Bands, signals: LogSignals):

@@ -1,0 +1,141 @@
+"""Adaptive bands: the factor of a band follows the scores of earlier predictions, which arrive a horizon later.
+
+For one model, question and level with half-widths c s(t), and the score S = max over t, a of |e_a(t)| / s_a(t):
+
+    log c  <-  log c + g w (1{S > c_issued} - (1 - level)),         w: time since the score before [s], at most 1 s
+
+c_issued is the factor that was stated with the window. Whatever the distribution of the errors, over T seconds in which
+c stays within [MIN, MAX], the share of time outside differs from 1 - level by no more than
+
+    (log(MAX / MIN) + g D) / (g T),         D: horizon [s]
+
+so the long-run coverage is guaranteed; that of the next window, or of a minute, is not. g falls from START_GAIN to
+GAIN with SETTLING, so that a wrong start is corrected first. The scale is the calibrated one, or without a calibration
+the root mean square of the errors so far, forgotten with SCALE_FORGETTING. Every process and run starts with the
+calibrated factors (or DEFAULT_FACTORS); earlier corrections are not kept.
+Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, NeurIPS 2021; as a quantile tracker:
+Angelopoulos, Candes and Tibshirani, Conformal PID control for time series prediction, NeurIPS 2023. Checked by:
+test_bands_adaptive.py.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..filtering import NANOSECOND
+from .calibration import LEVELS, Band
+
+GAIN, START_GAIN, SETTLING = 0.1, 0.3, 30.0
+"""1/s, 1/s, s. A 90 % band left for 5 s widens by 57 %; fast enough for a run of two minutes, and 5 % wider than the
+best fixed factor (docs/manual/bands.md)."""
+MIN_FACTOR, MAX_FACTOR = 0.05, 100.0
+"""Between a sensor's noise and the size of a road: no score of a finite prediction is outside for long."""
+DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}
+"""Without a calibration: median and 90 % quantile of the largest of 300 correlated normal errors over their scale."""
+SCALE_FORGETTING = 120.0
+"""s: two minutes of driving show most of what a driver does on a road."""
+DEFAULT_SCALE = (0.3, 0.3, 0.02)
+"""m, m, rad at 1 s ahead, growing with the square of the time: a first guess that the first horizons replace."""
+LONGEST_WEIGHT = 1.0
+"""s. After a pause one window is no more evidence than a second of driving."""
+
+
+class AdaptiveBand:
+    """The band of one model and question. time: (points,) ahead, without the start [s].
+
+    band: calibrated; None: learnt from the errors alone. levels: rising.
+    """
+
+    def __init__(self, time: np.ndarray, band: Band | None = None, levels: Sequence[float] = LEVELS):
+        self._time, self._band = np.asarray(time, float), band
+        self._logs = {level: math.log(_start_factor(band, level)) for level in sorted(levels)}
+        self._squares = np.square(np.outer(self._time**2, DEFAULT_SCALE))
+        self._weight = 0.0
+        self._elapsed = 0.0
+        self._last_ns: int | None = None
+        self._issued: deque[tuple[int, np.ndarray, dict[float, float]]] = deque()
+        self._open: deque[tuple[int, np.ndarray]] = deque()
+
+    @property
+    def factors(self) -> dict[float, float]:
+        """By level; a higher level is never narrower."""
+        values = np.maximum.accumulate([math.exp(one) for one in self._logs.values()])
+        return dict(zip(self._logs, values.tolist(), strict=True))
+
+    def scale(self, condition: np.ndarray) -> np.ndarray:
+        """(points, 3) along, across [m] and yaw [rad], under a condition (4,)."""
+        return np.sqrt(self._squares) if self._band is None else self._band.scale(np.atleast_2d(condition))[0]
+
+    def issue(self, start_ns: int, condition: np.ndarray, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
+        """Half-widths by level, (points, 3), of a prediction that starts now; kept until its score arrives.
+
+        scale: (points, 3) where it is known already.
+        """
+        own = self.scale(condition) if scale is None else scale
+        factors = self.factors
+        self._issued.append((start_ns, own, factors))
+        if len(self._issued) > 10_000:  # scores that never arrive
+            self._issued.popleft()
+        return {level: factor * own for level, factor in factors.items()}
+
+    def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
+        """Errors (points, 3) of the prediction from start_ns, in the predicted frame; scores arrive in order of time.
+
+        Returns by level whether the whole path was inside; empty where nothing was issued or errors are not finite.
+        """
+        while self._issued and self._issued[0][0] < start_ns:
+            self._issued.popleft()
+        if not self._issued or self._issued[0][0] != start_ns or not np.isfinite(errors).all():
+            return {}
+        _, scale, factors = self._issued.popleft()
+        later = LONGEST_WEIGHT if self._last_ns is None else (start_ns - self._last_ns) * NANOSECOND
+        weight = min(max(later, 0.0), LONGEST_WEIGHT)
+        self._last_ns = start_ns
+        gain = GAIN + (START_GAIN - GAIN) * math.exp(-self._elapsed / SETTLING)
+        self._elapsed += weight
+        score = float((np.abs(errors) / scale).max())
+        for level, issued in factors.items():
+            moved = self._logs[level] + gain * weight * (float(score > issued) - (1.0 - level))
+            self._logs[level] = min(max(moved, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
+        if self._band is None:
+            self._learn(errors, weight)
+        return {level: score <= issued for level, issued in factors.items()}
+
+    def follow(self, starts_ns: np.ndarray, conditions: np.ndarray,
+               errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
+        """Factors along a recorded drive, each with the scores that had arrived by then; calls continue each other.
+
+        starts_ns: (n,) rising [ns]. conditions: (n, 4). errors: (n, points, 3) in the predicted frame; not finite where
+        not scored. Returns by level (n,), and the scales (n, points, 3).
+        """
+        calibrated = None if self._band is None else self._band.scale(conditions)
+        horizon_ns = round(float(self._time[-1]) / NANOSECOND)
+        factors: dict[float, list[float]] = {level: [] for level in self._logs}
+        scales = np.empty(errors.shape)
+        for k, start in enumerate(starts_ns.tolist()):
+            while self._open and self._open[0][0] + horizon_ns <= start:
+                self.observe(*self._open.popleft())
+            scales[k] = np.sqrt(self._squares) if calibrated is None else calibrated[k]
+            self.issue(start, conditions[k], scales[k])
+            self._open.append((start, errors[k]))
+            for level, factor in self.factors.items():
+                factors[level].append(factor)
+        return {level: np.array(values) for level, values in factors.items()}, scales
+
+    def _learn(self, errors: np.ndarray, weight: float) -> None:
+        """Running mean square of the errors; the first seconds count as an average, later ones are forgotten."""
+        self._weight = min(self._weight + weight, SCALE_FORGETTING)
+        share = weight / (self._weight + 5.0)
+        self._squares += share * (np.maximum(np.square(errors), 1.0e-8) - self._squares)
+
+
+def _start_factor(band: Band | None, level: float) -> float:
+    """Calibrated; of a level that the runs did not support, in proportion to the nearest one."""
+    default = float(np.interp(level, list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values())))
+    if band is None or level in band.factors:
+        return default if band is None else band.factors[level]
+    nearest = min(band.factors, key=lambda one: abs(one - level))
+    return band.factors[nearest] * default / float(np.interp(nearest, list(DEFAULT_FACTORS),
+                                                             list(DEFAULT_FACTORS.values())))

@@ -1,0 +1,74 @@
+"""Adaptive factors: long-run coverage whatever the errors do, delayed scores, restart, bad input."""
+
+import math
+
+import numpy as np
+import pytest
+from st_core.bands import AdaptiveBand, Band
+from st_core.bands.adaptive import GAIN, MAX_FACTOR, MIN_FACTOR, START_GAIN
+from st_core.bands.scale import Scale, features, knots_of
+
+TIME = 0.5 * np.arange(1, 11)
+STEP = 100_000_000
+CONDITION = np.array([10.0, 1.0, 0.2, 0.02])
+
+
+def band(half=2.0, ninety=4.0) -> Band:
+    """A scale of 1 everywhere."""
+    knots = knots_of(5.0)
+    coefficients = np.zeros((3, len(knots), features(np.zeros((1, 4))).shape[1]))
+    return Band(Scale(coefficients, np.zeros((2, 3)), TIME, knots), {0.5: half, 0.9: ninety}, np.ones((3, 19)))
+
+
+def drive(seconds, size, seed=3):
+    """Errors of windows every 0.1 s with a common factor that changes slowly; size: of the time, a function."""
+    rng = np.random.default_rng(seed)
+    count = 10 * seconds
+    slow = np.convolve(rng.normal(size=count + 50), np.ones(51) / math.sqrt(51.0), mode="valid")
+    shape = np.ones((count, len(TIME), 3)) * np.abs(slow)[:, None, None]
+    return STEP * np.arange(count), shape * np.array([size(k / count) for k in range(count)])[:, None, None]
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+@pytest.mark.parametrize("size", [lambda t: 0.2, lambda t: 20.0, lambda t: 1.0 if t < 0.5 else 5.0,
+                                  lambda t: 1.0 + math.sin(20.0 * t)], ids=["narrow", "wide", "step", "waves"])
+def test_long_run_coverage_is_the_level_whatever_the_errors_do(calibrated, size):
+    starts, errors = drive(900, size)
+    one = AdaptiveBand(TIME, band() if calibrated else None)
+    factors, scales = one.follow(starts, np.tile(CONDITION, (len(starts), 1)), errors)
+    scores = (np.abs(errors) / scales).max(axis=(1, 2))
+    for level, tolerance in ((0.9, 0.03), (0.5, 0.05)):
+        bound = (math.log(MAX_FACTOR / MIN_FACTOR) + START_GAIN * 5.0) / (GAIN * 900.0)
+        miss = abs((scores <= factors[level]).mean() - level)
+        assert miss < min(tolerance, bound), level
+    assert (factors[0.5] <= factors[0.9]).all()
+
+
+def test_scores_count_only_when_their_horizon_has_passed():
+    starts, errors = drive(60, lambda t: 50.0)
+    one, conditions = AdaptiveBand(TIME, band()), np.tile(CONDITION, (len(starts), 1))
+    parts = [one.follow(starts[rows], conditions[rows], errors[rows])[0][0.9] for rows in (slice(70), slice(70, None))]
+    whole = AdaptiveBand(TIME, band()).follow(starts, conditions, errors)[0]
+    np.testing.assert_array_equal(np.concatenate(parts), whole[0.9])
+    factors = whole
+    assert (factors[0.9][:50] == 4.0).all() and (np.diff(factors[0.9][49:60]) > 0.0).all()
+    # A restart begins with the calibrated factors.
+    assert AdaptiveBand(TIME, band()).factors == {0.5: 2.0, 0.9: 4.0}
+
+
+def test_errors_that_are_not_finite_unknown_starts_and_time_jumping_back_change_nothing():
+    one = AdaptiveBand(TIME, band())
+    one.issue(1000, CONDITION)
+    one.issue(2000, CONDITION)
+    assert one.observe(500, np.zeros((10, 3))) == {}
+    assert one.observe(1000, np.full((10, 3), np.nan)) == {} and one.factors == {0.5: 2.0, 0.9: 4.0}
+    assert one.observe(2000, np.full((10, 3), 3.0)) == {0.5: False, 0.9: True}
+    one.issue(1500, CONDITION)
+    before = one.factors
+    assert one.observe(1500, np.full((10, 3), 99.0)) == {0.5: False, 0.9: False} and one.factors == before
+
+
+def test_a_level_that_the_runs_did_not_support_starts_in_proportion():
+    few = band()
+    few.factors.pop(0.9)
+    assert AdaptiveBand(TIME, few).factors == {0.5: 2.0, 0.9: pytest.approx(2.0 * 3.0 / 1.6)}
