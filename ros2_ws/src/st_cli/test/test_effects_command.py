@@ -67,7 +67,7 @@ def test_a_file_of_the_library_is_checked_as_one_of_your_own():
 
 def test_a_broken_promise_is_said_and_is_an_exit_status(law):
     file = law / "effects" / "proposed_rear_steer.py"
-    file.write_text(file.read_text().replace("theta.share * law(", "theta.share + law("))
+    file.write_text(file.read_text().replace("theta.share * relation(", "theta.share + relation("))
     result = st("effects", "check", file)
     assert result.exit_code == 1 and "no   at null it changes nothing, to the last bit: at null" in result.output
 

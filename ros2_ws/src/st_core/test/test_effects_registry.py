@@ -140,7 +140,7 @@ def test_modules_of_a_folder_may_share_a_helper(tmp_path):
 
 
 @pytest.mark.parametrize(("files", "message"), [
-    ({}, "holds no effect"),
+    ({}, "contains no effect"),
     ({"a.py": "import no_such_module"}, r"a\.py: cannot be loaded: ModuleNotFoundError: .*no_such_module"),
     ({"a.py": "def f(:"}, r"a\.py: cannot be loaded: SyntaxError"),
     ({"a.py": "x = 1"}, r"a\.py: registers no effect"),

@@ -56,12 +56,13 @@ def _listed(console: "Console") -> None:
     from rich.table import Column, Table
     from st_core.effects import EFFECTS, twins_of
 
-    table = Table(Column("effect", no_wrap=True), "kind", "where", "acts on", "hard to tell from", "needs", box=None)
+    table = Table(Column("effect", no_wrap=True), "kind", "where", "equation", "acts on", "excited by",
+                  "hard to tell from", "needs", box=None)
     for name, effect in sorted(EFFECTS.items(), key=lambda item: (item[1].kind, item[0])):
         hooks = dict.fromkeys(word for hook, word in HOOK_WORDS.items() if getattr(effect, hook))
         inputs = ", ".join((*hooks, *(f"signal {s}" for s in effect.signals)))
-        table.add_row(name, effect.kind, effect.slot, inputs, ", ".join(sorted(twins_of(name))) or "-",
-                      ", ".join(effect.needs) or "-")
+        table.add_row(name, effect.kind, effect.slot, effect.physics, inputs, effect.excited_by,
+                      ", ".join(sorted(twins_of(name))) or "-", ", ".join(effect.needs) or "-")
     console.print(table)
 
 

@@ -31,8 +31,8 @@ class Parameter:
     limits, inclusive. source: where initial and bounds come from. meaning: in a few words, sign included.
     odd: changes sign when left and right are exchanged. fit: False for a constant of the car that the effect needs and
     a fit leaves alone; null is then its default. identity: the estimate of `st_core.checks.check` that measures it
-    without a fit to the car, same value, sign and unit; "" where there is none. theory: what physics says it is in any
-    car; None where that is of the single car. quantity: key of the vehicle file that it is a difference from, same
+    without a fit to the car, same value, sign and unit; "" without one. theory: its value in any car by physics;
+    None where that is of the single car. quantity: key of the vehicle file that it is a difference from, same
     unit and sign, where neither `vehicle` nor `fold` of the effect shows that. shape: a coordinate of a curve; its
     bounds are those of the family of curves, and a value on one is a curve as any other. model_error: standard
     deviation of the values that models of other equations find for the same car; from `bench/strangers`, the
@@ -80,7 +80,7 @@ class Parameter:
 
 
 class Instant(NamedTuple):
-    """What the hooks of the equations are told of an instant: state, inputs after the steering effects; SI, at the CG.
+    """Arguments of the hooks of the equations at one instant: state, inputs after the steering effects; SI, at the CG.
 
     w, p: of the whole model, to be handed on.
     """
@@ -140,12 +140,12 @@ class Effect:
         observe(measured, theta) -> Measured: what the sensors make of the truth; correct(measured, theta): back again
 
     name: unique. physics: the equation in a line, sign included. excited_by: driving that shows it. twins: effects it
-    is hard to tell from, named by one of the two at least. applies_to: kinds of model. lifts: (from, to) for an effect
-    that turns one kind into another.
+    is hard to separate from, named by one of the two at least. applies_to: kinds of model. lifts: (from, to) for an
+    effect that turns one kind into another.
     extra_units: of the extra states, for those who export the model.
     kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: channels without any one
     of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
-    costly: computes the tyres once more; where it is at null it had better not be in a model that is to be fast.
+    costly: computes the tyres again; leave it out of a fast model where it is at null.
     order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
     car, steady circle, step, sweep and limit.
     """
@@ -190,7 +190,7 @@ PASSIVE = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}
 UNLISTED: dict[str, type[Effect]] = {}
-"""Effects a program builds models with and nobody searches for: not in the library, known to `get_effect` alone."""
+"""Effects that a program builds models with and no search takes: not in the library, only in `get_effect`."""
 
 
 def register(effect: type[Effect]) -> type[Effect]:
@@ -307,7 +307,7 @@ def get_effect(name: str) -> type[Effect]:
 
 
 def twins_of(name: str) -> frozenset[str]:
-    """Names of the effects that are hard to tell from one: those it names, and those that name it."""
+    """Names of the effects hard to separate from one: those it names, and those that name it."""
     return frozenset(get_effect(name).twins) | {other for other, effect in EFFECTS.items() if name in effect.twins}
 
 

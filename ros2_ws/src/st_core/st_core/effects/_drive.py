@@ -18,7 +18,7 @@ def drive_of(vehicle) -> Drive:
 
 
 def axle_drive_forces(lateral_front, at, car: Drive):
-    """Longitudinal forces (front, rear) [N] along the wheels that the forward motion asks for; drag is left out.
+    """Longitudinal forces (front, rear) [N] along the wheels that the forward motion requires; drag is left out.
 
         F_x = m (v_x_dot - v_y r) + F_f sin delta,   drive and brake each shared by the axles
 

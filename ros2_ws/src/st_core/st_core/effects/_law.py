@@ -1,15 +1,15 @@
-"""A law nobody has named: a smooth curve of one quantity, at one place of the model. What `st_core.relations` fits.
+"""Empirical relation: a smooth curve of one quantity, at one place of the model. What `st_core.relations` fits.
 
     u = sum of in_i quantity_i, held at low and at low + 5 spacing beyond;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B the cubic B-spline on whole numbers, k = -1 ... 6
 
-and f, times one `by_` quantity where that is wanted, times one `to_` weight is added where that says. parity -1 makes f
+and f, times one `by_` quantity where requested, times one `to_` weight is added at that place. parity -1 makes f
 odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that every law of a kind is the same
 compiled function. Three kinds: `law` of what the car does now, `law_memory` of a quantity q that lags or of its rate,
 
     s_dot = (q - s) / tau,   settled at the start;   u = s, or u = (q - s) / tau
 
-and `law_timed` of the time in the run, a signal nobody has live.
+and `law_timed` of the time in the run, a signal not available live.
 """
 
 from typing import NamedTuple
@@ -103,7 +103,7 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
         _constant("low", "least value of u"), _constant("spacing", "of the knots of u", 1.0),
         _constant("parity", "-1 odd, +1 even, 0 neither"),
         *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
-        _constant("by_one", "1: the curve as it is", 1.0),
+        _constant("by_one", "1: the curve itself", 1.0),
         *(_constant(f"by_{name}", "weight in its factor") for name in BY),
         *(_constant(f"to_{name}", f"{unit} {meaning}") for name, (unit, meaning) in PLACES.items()), *more)
 

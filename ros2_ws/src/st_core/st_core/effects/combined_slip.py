@@ -2,7 +2,7 @@
 
     F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2))
 
-F_x is what the forward motion asks for, D the peak of the axle at its load; |F_x| is held at 0.98 D.
+F_x is what the forward motion requires, D the peak of the axle at its load; |F_x| is held at 0.98 D.
 """
 
 from typing import NamedTuple

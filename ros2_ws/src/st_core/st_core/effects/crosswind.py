@@ -31,7 +31,7 @@ def pressure(along, across):
 class Crosswind(Effect):
     name = "crosswind"
     physics = "side force rho/2 side_area abs(u) u_y at side_force_arm ahead of the CG, u the air relative to the car"
-    excited_by = "straight driving in two directions; two speeds tell it from a steering offset"
+    excited_by = "straight driving in two directions; two speeds separate it from a steering offset"
     kind, slot = "surroundings", "body"
     twins = ("steering_offset", "road_slope", "road_bank", "lateral_acceleration_bias")
     parameters = (

@@ -33,7 +33,7 @@ def tyre_force(slip, load, tyre):
 
 
 def pair(slip, load, moved, tyre):
-    """(outer, inner) tyre [N] when `moved` goes from the inner of two loads [N] to the outer."""
+    """(outer, inner) tyre [N] when `moved` is shifted from the inner of two loads [N] to the outer."""
     return tyre_force(slip, load + moved, tyre), tyre_force(slip, load - moved, tyre)
 
 

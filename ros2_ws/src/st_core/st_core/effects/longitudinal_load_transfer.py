@@ -21,7 +21,7 @@ def gain(slip, before, after, tyre):
 @register
 class LongitudinalLoadTransfer(Effect):
     name = "longitudinal_load_transfer"
-    physics = "m height a_x / l moves from the front axle to the rear; the Magic Formula says what that does"
+    physics = "m height a_x / l moves from the front axle to the rear; the Magic Formula gives the effect"
     excited_by = "braking and power in turns"
     kind, slot = "physics", "both axles"
     twins = ("combined_slip", "steered_drive_force")

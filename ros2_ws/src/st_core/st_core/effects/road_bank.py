@@ -1,7 +1,7 @@
 """Road that is higher on one side of the car, all along: a_y = -g sin(angle).
 
-The angle is the parameter, as no sensor of the suite tells bank from body roll. An accelerometer does not feel gravity
-pull the car down the slope: it shows g sin(angle) more than the car's motion.
+The angle is the parameter, as no sensor of the suite separates bank from body roll. An accelerometer does not show
+the gravity along the slope: it shows g sin(angle) more than the car's motion.
 """
 
 from ..ops import sin

@@ -1,4 +1,4 @@
-"""INS that sits elsewhere in the body than the vehicle file says."""
+"""INS at another place of the body than in the vehicle file."""
 
 from dataclasses import replace
 
@@ -14,10 +14,10 @@ class SensorLeverArm(Effect):
     twins = ("cg_position", "heading_misalignment")
     applies_to = ANY
     parameters = (
-        Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="further forward than the file says",
+        Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="further forward than in the file",
                   source="a unit at the rear axle or the front bumper taken for one at the CG"),
         Parameter("y", "m", null=0.0, initial=0.1, bounds=(-1.0, 1.0), odd=True,
-                  meaning="further to the left than the file says", source="half a car's width"),
+                  meaning="further to the left than in the file", source="half a car's width"),
     )
 
     @staticmethod

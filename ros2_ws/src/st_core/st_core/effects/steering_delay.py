@@ -11,14 +11,14 @@ from ._base import ANY, Effect, Parameter, register
 class SteeringDelay(Effect):
     name = "steering_delay"
     physics = "delta(t) = delta_measured(t - time): dead time, or stamps of two clocks that are apart"
-    excited_by = "sweeps to 2.5 Hz and steps; content above 1 / (2 pi time) tells it from a lag"
+    excited_by = "sweeps to 2.5 Hz and steps; content above 1 / (2 pi time) separates it from a lag"
     kind, slot = "physics", "steering"
     twins = ("steering_lag", "tyre_relaxation", "yaw_inertia")
     applies_to = ANY
     order = 10
     parameters = (
         Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5), meaning="wheels after the measured angle",
-                  source="buses and filters add up to 0.2 s; half a second is no steering",
+                  source="buses and filters add up to 0.2 s; steering is faster than half a second",
                   model_error=0.004),
     )
 

@@ -1,4 +1,4 @@
-"""Wheels that are not straight when the steering wheel says so: delta = delta_measured + angle."""
+"""Wheels that are not straight at zero steering wheel angle: delta = delta_measured + angle."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from ._base import ANY, Effect, Parameter, register
 class SteeringOffset(Effect):
     name = "steering_offset"
     physics = "delta = delta_measured + angle, in the sensor or in the linkage alike"
-    excited_by = "any driving, straight too; two speeds tell it from wind, as its yaw rate grows with speed"
+    excited_by = "any driving, straight too; two speeds separate it from wind, as its yaw rate grows with speed"
     kind, slot = "vehicle parameters", "steering"
     twins = ("crosswind", "road_bank", "heading_misalignment")
     applies_to = ANY

@@ -2,7 +2,7 @@
 
     derivative of the state = (1 - share) kinematic + share dynamic
 
-Between 0 and 1 the share is no physics, it is there so that a fit can say whether slip is missing.
+A share between 0 and 1 has no physical meaning; it lets a fit detect that slip is missing.
 """
 
 from ..models.linear_tyre import inputs as linear_inputs
