@@ -20,7 +20,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.plain_json import finite
 from st_recordings.recorded import recorded_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunSource, read
-from st_recordings.runs.load import hashes
+from st_recordings.runs.load import hashes, report
 from st_recordings.runs.run_types import signal_files
 
 from ..checking.document import documents, findings_in
@@ -83,6 +83,8 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
             drive = Drive(source.name, run.log, about)
             if kept:
                 _keep(kept, drive)
+        else:
+            report(drive.about["warnings"])
         refuse(source.where, findings_in(drive.about), force)
         return drive
     except Refused as error:

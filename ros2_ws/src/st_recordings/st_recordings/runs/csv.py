@@ -194,8 +194,9 @@ def _spread_held_positions(table: Table, columns: dict[str, np.ndarray], notes: 
     for name in ("x", "y"):
         values = columns[name].copy()
         values[rows] = np.interp(seconds, seconds[fresh], columns[name][rows][fresh])
-        # Behind the last new position nothing is known.
-        values[rows[np.flatnonzero(fresh)[-1] + 1 :]] = np.nan
+        last, before = np.flatnonzero(fresh)[-1], np.flatnonzero(fresh)[-2]
+        slope = (values[rows[last]] - values[rows[before]]) / (seconds[last] - seconds[before])
+        values[rows[last:]] = values[rows[last]] + slope * (seconds[last:] - seconds[last])
         columns[name] = values
     rate = (fresh.sum() - 1) / max(seconds[fresh][-1] - seconds[0], 1e-9)
     notes.append(f"{table.file}: positions are new in {share(int(fresh.sum()), len(rows), 'rows')}, about {rate:.0f} "

@@ -1,0 +1,416 @@
+"""One drive in every kind of file that people bring, with the faults those files have: read the same, with a warning on
+what is not used, or refused in one true sentence."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+from raw_drives import LEAF, write_drives
+from rosbags.typesys import get_types_from_msg
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+from st_recordings.runs import ReadSettings, RunError, find_runs, read
+from st_recordings.runs.bag import definitions
+from st_recordings.runs.cdr import typestore
+from st_recordings.runs.external_topics import SteeringField
+
+CAR = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
+WHEEL = ReadSettings(steering=SteeringField("", "Steer", "wheel", "deg"))
+NAMES = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "steering_wheel_angle")
+STORE = typestore(definitions())
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DriveLog]:
+    """(folder with run.ncom and run.log, the drive in them)."""
+    folder = write_drives(tmp_path_factory.mktemp("drive"), {}, 0, (("sweep", 26.0),)) / "sweep"
+    return folder, read(find_runs([folder])[0], CAR).log
+
+
+def columns(log: DriveLog) -> list[np.ndarray]:
+    wheel = np.interp(log.ins_time_ns, log.steering_time_ns, log.steering_wheel_angle)
+    return [log.ins_time_ns * 1e-9, log.x, log.y, log.yaw, log.velocity_x, log.velocity_y, log.yaw_rate, wheel]
+
+
+def csv(cells: list[list[str]], header: str = ",".join(NAMES), delimiter: str = ",") -> str:
+    return "\n".join([header, *(delimiter.join(row) for row in cells)]) + "\n"
+
+
+def rows(log: DriveLog, form: str = "%.6f") -> list[list[str]]:
+    return [[form % value for value in row] for row in zip(*columns(log), strict=True)]
+
+
+# Text of a CSV out of a drive.
+def set_back(log):
+    cells = rows(log)
+    half = len(cells) // 2
+    for row in cells[half:]:
+        row[0] = f"{float(row[0]) - log.duration / 2:.6f}"
+    return csv(cells)
+
+
+def last_stamp(log):
+    cells = rows(log)
+    cells[-1][0] = f"{float(cells[-1][0]) + 300:.6f}"
+    return csv(cells)
+
+
+def holes(log):
+    cells = rows(log)
+    for k in (50, 51, 900):
+        cells[k][5] = "#N/A"
+    return csv(cells)
+
+
+def bad_row(log):
+    cells = rows(log)
+    cells[100] = cells[100][:3]
+    return csv(cells)
+
+
+def german(log, thousands: str = ".") -> str:
+    def number(text: str) -> str:
+        return f"{float(text):,.4f}".replace(",", " ").replace(".", ",").replace(" ", thousands)
+
+    return csv([[number(cell) for cell in row] for row in rows(log)], ";".join(NAMES), ";")
+
+
+def american(log):
+    return csv([[f'"{float(cell):,.4f}"' for cell in row] for row in rows(log)])
+
+
+def doubtful_thousands(log):
+    return csv([[f"{float(cell):.0f}" for cell in row[:1]] + ["1,234"] * 7 for row in rows(log)], ";".join(NAMES), ";")
+
+
+def degrees(log, header: str) -> str:
+    cells = [[*row[:3], f"{np.degrees(float(row[3])):.6f}", *row[4:6], f"{np.degrees(float(row[6])):.6f}",
+              f"{np.degrees(float(row[7])):.6f}"] for row in rows(log)]
+    return csv(cells, header)
+
+
+def geographic(log, every: int = 1) -> str:
+    cells = rows(log, "%.9f")
+    latitude, longitude = to_degrees(log)
+    for k, row in enumerate(cells):
+        held = k // every * every
+        row[1], row[2] = f"{latitude[held]:.10f}", f"{longitude[held]:.10f}"
+    return csv(cells, "t,latitude,longitude,phi,vx,vy,yaw_rate,steering_wheel_angle")
+
+
+def to_degrees(log) -> tuple[np.ndarray, np.ndarray]:
+    """Latitude and longitude of x and y about 52 N, 1.5 W, first order."""
+    a, e2, origin = 6378137.0, 6.69437999014e-3, np.radians(52.0)
+    n = a / np.sqrt(1 - e2 * np.sin(origin) ** 2)
+    m = n * (1 - e2) / (1 - e2 * np.sin(origin) ** 2)
+    return 52.0 + np.degrees(log.y / m), -1.5 + np.degrees(log.x / (n * np.cos(origin)))
+
+
+def vbo(log, start: float = 43200.0, last_wrong: bool = True) -> str:
+    latitude, longitude = to_degrees(log)
+    speed = np.hypot(log.velocity_x, log.velocity_y) * 3.6
+    course = (90 - np.degrees(log.yaw + np.arctan2(log.velocity_y, log.velocity_x))) % 360
+    wheel = np.degrees(columns(log)[7])
+    lines = []
+    for k, elapsed in enumerate((log.ins_time_ns - log.ins_time_ns[0]) * 1e-9):
+        seconds = (start + elapsed) % 86400 + (180 if last_wrong and k == len(log.x) - 1 else 0)
+        clock = f"{int(seconds // 3600):02d}{int(seconds // 60 % 60):02d}{seconds % 60:05.2f}"
+        lines.append(f"010 {clock} {latitude[k] * 60:+014.8f} {-longitude[k] * 60:+014.8f} {speed[k]:07.3f} "
+                     f"{course[k]:06.2f} {wheel[k]:+.4E}")
+    return ("File created on 03/09/2025 @ 12:00:00\n\n[header]\nsatellites\ntime\nlatitude\nlongitude\nvelocity kmh\n"
+            "heading\nSteer\n\n[channel units]\ndeg\n\n[comments]\nLog Rate (Hz) : 100\n\n[column names]\n"
+            "sats time lat long velocity heading Steer\n\n[data]\n" + "\n".join(lines) + "\n")
+
+
+TABLES: list[tuple[str, Callable[[DriveLog], str], str, str]] = [
+    # name, text, encoding, warning expected
+    ("plain.csv", lambda log: csv(rows(log)), "utf-8", ""),
+    ("cp1252.csv", lambda log: degrees(log, "t [s],x [m],y [m],yaw [°],vx [m/s],vy [m/s],yaw rate [°/s],"
+                               "steering wheel angle [°]"), "cp1252", ""),
+    ("utf16.csv", lambda log: csv(rows(log)), "utf-16", ""),
+    ("sep.csv", lambda log: "sep=;\n" + csv(rows(log), ";".join(NAMES), ";"), "utf-8", ""),
+    ("pipes.csv", lambda log: csv(rows(log), "|".join(NAMES), "|"), "utf-8", ""),
+    ("before.csv", lambda log: "Exported by X\nDate: 2025-09-03\n\n" + csv(rows(log)), "utf-8", "header is in line 4"),
+    ("holes.csv", holes, "utf-8", r"velocity_y .*3 of \d+ rows"),
+    ("bad_row.csv", bad_row, "utf-8", r"1 of \d+ rows \(0\.0\d+ %\) have another number of cells"),
+    ("german.csv", german, "utf-8", ""),
+    ("spaces.csv", lambda log: german(log, "\u00a0"), "utf-8", ""),
+    ("american.csv", american, "utf-8", ""),
+    ("last.csv", last_stamp, "utf-8", r"the last of \d+ rows is 300\.\d+ s after the one before"),
+    ("geographic.csv", geographic, "utf-8", ""),
+    ("held.csv", lambda log: geographic(log, 5), "utf-8", r"about 20 Hz; they were interpolated"),
+    ("units.csv", lambda log: degrees(log, ",".join(NAMES) + "\ns,m,m,deg,m/s,m/s,deg/s,deg"), "utf-8", ""),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "encoding", "warning"), TABLES, ids=[row[0] for row in TABLES])
+def test_tables(tmp_path: Path, drive, name: str, text, encoding: str, warning: str) -> None:
+    file = tmp_path / name
+    file.write_bytes(text(drive[1]).encode(encoding))
+    run = read(find_runs([file])[0], CAR)
+    assert_same(run.log, drive[1], lost=3 if name == "holes.csv" else 1, turned=name in ("geographic.csv", "held.csv"))
+    assert_warned(run.warnings, warning)
+
+
+@pytest.mark.parametrize(("text", "error"), [
+    (doubtful_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
+    (lambda log: csv(rows(log), ",".join(NAMES) + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
+])
+def test_tables_that_cannot_be_read_for_sure(tmp_path: Path, drive, text, error: str) -> None:
+    file = tmp_path / "table.csv"
+    file.write_text(text(drive[1]))
+    with pytest.raises(RunError, match=error):
+        read(find_runs([file])[0], CAR)
+
+
+def test_a_clock_set_back_half_way_costs_half_and_is_reported_with_its_share(tmp_path: Path, drive) -> None:
+    file = tmp_path / "back.csv"
+    file.write_text(set_back(drive[1]))
+    run = read(find_runs([file])[0], CAR)
+    assert abs(len(run.log.x) - len(drive[1].x) / 2) <= 1
+    assert_warned(run.warnings, r"the clock was set back 1 times, first by 1\d\.\d+ s: \d+ of \d+ rows \(50 %\)")
+
+
+@pytest.mark.parametrize("start", [43200.0, 86390.0])
+def test_vbo(tmp_path: Path, drive, start: float) -> None:
+    file = tmp_path / "drive.vbo"
+    file.write_text(vbo(drive[1], start))
+    run = read(find_runs([file])[0], CAR, WHEEL)
+    log, truth = run.log, drive[1]
+    assert len(log.x) == len(truth.x) - 1 and log.duration == pytest.approx(truth.duration, abs=0.02)
+    steps = np.hypot(np.diff(log.x), np.diff(log.y)).sum(), np.hypot(np.diff(truth.x), np.diff(truth.y)).sum()
+    assert steps[0] == pytest.approx(steps[1], rel=2e-3)
+    assert np.median(np.abs(log.yaw_rate[:-1] - truth.yaw_rate[: len(log.x) - 1])) < 0.05
+    np.testing.assert_allclose(log.steering_wheel_angle, columns(truth)[7][:-1], atol=1e-4)
+    assert_warned(run.warnings, "course over ground|derivative of the heading|the last of")
+
+
+# CAN logs: what is made of the lines of run.log.
+def frames_of(folder: Path) -> list[str]:
+    return (folder / "run.log").read_text().splitlines()
+
+
+def changed(lines: list[str], change: Callable[[str, str], str]) -> str:
+    """change: of (head, data) of the steering frames."""
+    out = []
+    for line in lines:
+        head, _, rest = line.partition("#")
+        data, _, tail = rest.partition(" ")
+        out.append(f"{change(head, data)} {tail}" if head.endswith(" 002") else line)
+    return "\n".join(out) + "\n"
+
+
+def asc(lines: list[str], date: str = "Wed Sep 3 06:00:00.005 pm 2025", comment: str = "") -> str:
+    begin = float(lines[0].split()[0][1:-1])
+    out = [f"date {date}", "base hex  timestamps absolute", "internal events logged", f"Begin Triggerblock {date}"]
+    for k, line in enumerate(lines):
+        stamp, channel, rest = line.split()[:3]
+        identifier, data = rest.split("#")
+        if comment and k == len(lines) // 3:
+            out.append(comment)
+        out.append(f"{float(stamp[1:-1]) - begin:11.6f} {int(channel[-1]) + 1}  {identifier:<15} Rx   d "
+                   f"{len(data) // 2} " + " ".join(data[j : j + 2] for j in range(0, len(data), 2)))
+    return "\n".join(out) + "\nEnd TriggerBlock\n"
+
+
+def trc(lines: list[str], wide: bool) -> str:
+    begin = float(lines[0].split()[0][1:-1])
+    out = [";" + "#" * 74, ";   run.trc", ";", ";    Start time: 03.09.2025 18:00:00.005", ";---+--  ----+---  --+-"]
+    for k, line in enumerate(lines, 1):
+        stamp, _, rest = line.split()[:3]
+        identifier, data = rest.split("#")
+        number = int(identifier, 16)
+        out.append(f"{k:6d}) {(float(stamp[1:-1]) - begin) * 1e3:9.1f}  {number:{'08X' if wide else '04X'}}  "
+                   f"{len(data) // 2}  {' '.join(data[j : j + 2] for j in range(0, len(data), 2))}")
+    return "\r\n".join(out) + "\r\n"
+
+
+def spoilt(lines: list[str], every: int) -> str:
+    return "\n".join(line[:20] if k % every == every - 1 else line for k, line in enumerate(lines)) + "\n"
+
+
+LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
+    ("run.log", lambda lines: spoilt(lines, 3000), "utf-8", r"lines \(0\.03\d? %\) cannot be read, .* line 3000"),
+    ("run.log", "\n".join, "utf-16", ""),
+    ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}#{d}000000"), "utf-8", "the bytes behind are padding"),
+    ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}##1{d.ljust(24, '0')}"), "utf-8", "have 12 bytes"),
+    ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}##1{d.ljust(128, 'A')}"), "utf-8", "have 64 bytes"),
+    ("run.asc", lambda lines: asc(lines, comment="// Prüfstand"), "cp1252", ""),
+    ("run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025"), "utf-8", ""),
+    ("run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), "cp1252", ""),
+    ("run.asc", lambda lines: asc(lines, "mercredi 3 septembre"), "utf-8", "its date .* cannot be read"),
+    ("run.trc", lambda lines: trc(lines, True), "ascii", ""),
+    ("run.trc", lambda lines: trc(lines, False), "ascii", ""),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "encoding", "warning"), LOGS)
+def test_can_logs(tmp_path: Path, drive, name: str, text, encoding: str, warning: str) -> None:
+    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
+    (tmp_path / name).write_bytes(text(frames_of(drive[0])).encode(encoding))
+    (tmp_path / "README").write_text("no data")
+    run = read(find_runs([tmp_path])[0], CAR)
+    assert_same(run.log, drive[1], lost=0, steering=0.003)
+    assert_warned([w for w in run.warnings if "alignment" not in w], warning)
+
+
+@pytest.mark.parametrize(("change", "error"), [
+    (lambda h, d: f"{h}#{d[:8]}", r"2\d+ of 2\d+ frames \(100 %\) have 4 bytes, the DBC gives 5"),
+    (lambda h, d: f"{h}#{d}010203", r"have 8 bytes, the DBC gives 5; 2\d+ are not used"),
+    (lambda h, d: f"{h.replace(' 002', ' 00000002')}#{d}", "has 11 bits in the DBC, and .* have it with 29"),
+])
+def test_steering_frames_that_do_not_fit_the_dbc_are_named(tmp_path: Path, drive, change, error: str) -> None:
+    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
+    (tmp_path / "run.log").write_text(changed(frames_of(drive[0]), change))
+    with pytest.raises(RunError, match=error):
+        read(find_runs([tmp_path])[0], CAR)
+
+
+# Bags.
+def odometry(log: DriveLog, k: int, stamp_ns: int) -> bytes:
+    make = STORE.types
+    vector = make["geometry_msgs/msg/Vector3"]
+    header = make["std_msgs/msg/Header"](stamp=time(stamp_ns), frame_id="map")
+    half = log.yaw[k] / 2
+    pose = make["geometry_msgs/msg/Pose"](
+        position=make["geometry_msgs/msg/Point"](x=float(log.x[k]), y=float(log.y[k]), z=0.0),
+        orientation=make["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=float(np.sin(half)), w=float(np.cos(half))))
+    twist = make["geometry_msgs/msg/Twist"](
+        linear=vector(x=float(log.velocity_x[k]), y=float(log.velocity_y[k]), z=0.0),
+        angular=vector(x=0.0, y=0.0, z=float(log.yaw_rate[k])))
+    zero = np.zeros(36)
+    return bytes(STORE.serialize_cdr(make["nav_msgs/msg/Odometry"](
+        header=header, child_frame_id="ins",
+        pose=make["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=zero),
+        twist=make["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=zero)), "nav_msgs/msg/Odometry"))
+
+
+def time(ns: int):
+    return STORE.types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+
+
+OWN = "own_msgs/msg/Rack"
+OWN_TEXT = "builtin_interfaces/Time stamp\nfloat32[2] spare\nfloat64 angle_deg\n"
+
+
+def write_bag(file: Path, log: DriveLog, first: int = 0, last: int | None = None, stamps: str = "good",
+              own: bool = False, encoding: str = "cdr", **options) -> Path:
+    store = typestore(definitions())
+    types = get_types_from_msg(OWN_TEXT, OWN)
+    if OWN not in store.fielddefs and own:
+        from rosbags.typesys import Stores, get_typestore
+        store = get_typestore(Stores.ROS2_JAZZY)
+        store.register(types)
+    cdr = encoding == "cdr"
+    with file.open("wb") as stream:
+        writer = McapWriter(stream, compression=CompressionType.ZSTD, **options)
+        writer.start("ros2", "test")
+        form = "ros2msg" if cdr else "jsonschema"
+        schema = {name: writer.register_schema(name, form, text.encode()) for name, text in (
+            ("nav_msgs/msg/Odometry", store.generate_msgdef("nav_msgs/msg/Odometry", ros_version=2)[0]),
+            (OWN if own else "st_msgs/msg/Steering", OWN_TEXT if own else
+             store.generate_msgdef("st_msgs/msg/Steering", ros_version=2)[0]))}
+        channels = [writer.register_channel(topic, encoding, number) for topic, number in
+                    zip(("/odom", "/rack" if own else "/vehicle/steering"), schema.values(), strict=True)]
+        wheel = columns(log)[7]
+        for k in range(first, len(log.x) if last is None else last):
+            ns = int(log.ins_time_ns[k])
+            stamp = {"zero": 0, "boot": ns - int(log.ins_time_ns[0]) + 10**9}.get(stamps, ns)
+            if own:
+                message = store.types[OWN](stamp=time(ns), spare=np.zeros(2, np.float32),
+                                           angle_deg=-float(np.degrees(wheel[k])))
+                steering = bytes(store.serialize_cdr(message, OWN))
+            else:
+                header = store.types["std_msgs/msg/Header"](stamp=time(ns), frame_id="")
+                message = store.types["st_msgs/msg/Steering"](
+                    header=header, steering_wheel_angle=float(wheel[k]), valid=True,
+                    road_wheel_angle=float(CAR.road_wheel_angle(wheel[k])))
+                steering = bytes(store.serialize_cdr(message, "st_msgs/msg/Steering"))
+            for channel, data in zip(channels, (odometry(log, k, stamp), steering), strict=True):
+                writer.add_message(channel, ns, data if cdr else json.dumps({"k": k}).encode(), ns)
+        writer.finish()
+    return file
+
+
+def splits(folder: Path, log: DriveLog) -> Path:
+    edges = np.linspace(0, len(log.x), 13).astype(int)
+    for k in range(12):
+        write_bag(folder / f"drive_{k}.mcap", log, edges[k], edges[k + 1])
+    return folder
+
+
+BAGS: list[tuple[str, Callable[[Path, DriveLog], Path], ReadSettings, str]] = [
+    ("no message index", lambda folder, log: write_bag(
+        folder / "a.mcap", log, index_types=IndexType.ATTACHMENT | IndexType.CHUNK | IndexType.METADATA),
+     ReadSettings(), ""),
+    ("channels not repeated", lambda folder, log: write_bag(
+        folder / "a.mcap", log, repeat_channels=False, repeat_schemas=False), ReadSettings(), ""),
+    ("no chunks", lambda folder, log: write_bag(folder / "a.mcap", log, use_chunking=False), ReadSettings(), ""),
+    ("no statistics", lambda folder, log: write_bag(folder / "a.mcap", log, use_statistics=False), ReadSettings(), ""),
+    ("stamps zero", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="zero"), ReadSettings(),
+     r"all \d+ stamps of /odom are 0 s; the times of receipt are used"),
+    ("stamps since boot", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="boot"), ReadSettings(),
+     "have no time in common; the times of receipt are used for both"),
+    ("twelve splits", splits, ReadSettings(), ""),
+    ("own type, degrees, right positive", lambda folder, log: write_bag(folder / "a.mcap", log, own=True),
+     ReadSettings(steering=SteeringField("/rack", "angle_deg", "wheel", "deg", -1), odometry="/odom"), ""),
+]
+
+
+@pytest.mark.parametrize(("make", "settings", "warning"), [row[1:] for row in BAGS], ids=[row[0] for row in BAGS])
+def test_bags(tmp_path: Path, drive, make, settings: ReadSettings, warning: str) -> None:
+    (source,) = find_runs([make(tmp_path, drive[1])])
+    run = read(source, CAR, settings)
+    assert_same(run.log, drive[1], lost=0)
+    assert_warned(run.warnings, warning)
+
+
+def test_a_bag_of_another_encoding_is_named(tmp_path: Path, drive) -> None:
+    file = write_bag(tmp_path / "json.mcap", drive[1], 0, 5, encoding="json")
+    with pytest.raises(RunError, match="its messages are encoded as json, and only CDR of ROS 2 can be read"):
+        read(find_runs([file])[0], CAR)
+
+
+@pytest.mark.parametrize("kind", ["csv", "bag"])
+def test_an_ins_of_another_make_with_a_can_log_is_one_run(tmp_path: Path, drive, kind: str) -> None:
+    folder, log = drive
+    (tmp_path / "run.log").write_bytes((folder / "run.log").read_bytes())
+    if kind == "csv":
+        (tmp_path / "run.csv").write_text(csv([row[:7] for row in rows(log)], ",".join(NAMES[:7])))
+    else:
+        write_bag(tmp_path / "run.mcap", log, own=True)
+    (source,) = find_runs([tmp_path])
+    assert len(source.can) == 1 and source.problem is None
+    run = read(source, CAR)
+    assert_same(run.log, log, lost=0, steering=0.003)
+    assert run.provenance["reader"] == f"{kind} and CAN log"
+
+
+def assert_same(log: DriveLog, truth: DriveLog, lost: int, steering: float = 1e-5, turned: bool = False) -> None:
+    """turned: x and y are in another map, turned by the convergence of meridians; only distances are the same."""
+    assert len(truth.x) - len(log.x) <= lost
+    at = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    expected = (truth.ins_time_ns - truth.ins_time_ns[0]) * 1e-9
+    for name in ("velocity_x", "velocity_y", "yaw_rate", "yaw"):
+        there = np.interp(at, expected, np.asarray(getattr(truth, name)))
+        shift = round((getattr(log, name)[0] - there[0]) / (2 * np.pi)) * 2 * np.pi if name == "yaw" else 0.0
+        np.testing.assert_allclose(getattr(log, name) - shift, there, atol=2e-4, err_msg=name)
+    distance = [np.hypot(one.x - one.x[0], one.y - one.y[0]) for one in (log, truth)]
+    np.testing.assert_allclose(distance[0], np.interp(at, expected, distance[1]), atol=0.05 if turned else 1e-3)
+    wheel = np.interp(log.ins_time_ns - log.ins_time_ns[0], log.steering_time_ns - log.ins_time_ns[0],
+                      log.road_wheel_angle)
+    known = np.interp(truth.ins_time_ns - truth.ins_time_ns[0], truth.steering_time_ns - truth.ins_time_ns[0],
+                      truth.road_wheel_angle)
+    np.testing.assert_allclose(wheel, np.interp(at, expected, known), atol=steering)
+
+
+def assert_warned(warnings, pattern: str) -> None:
+    if not pattern:
+        assert not warnings
+    else:
+        assert warnings and any(re.search(pattern, warning) for warning in warnings), warnings
