@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -56,9 +57,9 @@ class Plausible:
                 f"cars ({self.source})")
 
 
-def _load(car: VehicleParameters, axle: str) -> float:
-    """Static load of an axle [N]."""
-    return 2.0 * (car.static_tyre_load_front if axle == "front" else car.static_tyre_load_rear)
+def _stiffness_per_load(axle: str, car: VehicleParameters) -> float:
+    """Cornering stiffness of an axle over its static load [1/rad]."""
+    return float(getattr(car, f"cornering_stiffness_{axle}") / (2.0 * getattr(car, f"static_tyre_load_{axle}")))
 
 
 _INERTIA, _TYPICAL = "NHTSA inertia measurements, SAE 1999-01-1336", "typical vehicle parameters, SAE 840561"
@@ -74,8 +75,8 @@ PLAUSIBLE = (
     Plausible("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
               "steering systems of passenger cars 11 to 22, vans to 25"),
     *(Plausible(f"cornering_stiffness_{axle}", f"cornering stiffness of the {axle} axle over its load", "1/rad", 4.0,
-                30.0, lambda car, axle=axle: getattr(car, f"cornering_stiffness_{axle}") / _load(car, axle),
-                f"{_TYPICAL}; compliance halves, racing tyres double it") for axle in ("front", "rear")),
+                30.0, partial(_stiffness_per_load, axle), f"{_TYPICAL}; compliance halves, racing tyres double it")
+      for axle in ("front", "rear")),
 )
 
 

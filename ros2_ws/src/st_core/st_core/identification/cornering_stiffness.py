@@ -12,13 +12,14 @@ test_identification_driving.py, test_axle_curve.py.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..log import DriveLog
 from ..models._dynamic import axle_slip_angles
 from ..vehicle import VehicleParameters
-from .blocks import blocks
+from .blocks import Spread, blocks
 from .result import (
     ACCELERATION_EDGES,
     SPEED_EDGES,
@@ -171,12 +172,12 @@ def _regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters, setting
             f"too few samples: {count} of the {one.axle} axle pass (speed, bend, |a_y|, slip angle below "
             f"{np.rad2deg(settings.maximum_slip):g} deg), {FEWEST} are needed; check offset and lever arm too"])]
         found.append((one, thin, _slope(one, settings.through_origin) if count >= 10 else None))
-    results = tuple(_result(one, slope, covered, thin) for one, thin, slope in found)
-    return results, _correlation([slope for _, _, slope in found]), tuple(r for rows in rejected for r in rows)
+    front, rear = (_result(one, slope, covered, thin) for one, thin, slope in found)
+    return (front, rear), _correlation([slope for _, _, slope in found]), tuple(r for rows in rejected for r in rows)
 
 
-def _slope(samples: AxleSamples, through_origin: bool) -> tuple:
-    """(C, spread, influence by block, blocks) of F = -C alpha + intercept over the used samples."""
+def _slope(samples: AxleSamples, through_origin: bool) -> tuple[float, Spread, dict[tuple[int, int], float]]:
+    """(C, spread, influence by run and block) of F = -C alpha + intercept over the used samples."""
     slip, force = samples.slip[samples.used], samples.force[samples.used]
     group = blocks(samples.run_of[samples.used], samples.time[samples.used])
     columns = -slip[:, None] if through_origin else np.stack([-slip, np.ones_like(slip)], axis=1)
@@ -195,7 +196,8 @@ def _correlation(slopes: Sequence) -> np.ndarray:
     return np.corrcoef(pulls) if len(keys) > 2 and (pulls.std(axis=1) > 0.0).all() else np.eye(2)
 
 
-def _result(samples: AxleSamples, slope, covered: tuple[Coverage, ...], reasons: Sequence[str]) -> AxleRegression:
+def _result(samples: AxleSamples, slope: tuple[float, Spread, Any] | None, covered: tuple[Coverage, ...],
+            reasons: Sequence[str]) -> AxleRegression:
     nan = float("nan")
     failed = (samples.axle, nan, nan, (nan, nan), samples, covered)
     if slope is None:
