@@ -36,10 +36,13 @@ TOPICS = (
     ("/vehicle/wheel_speeds", "st_msgs/msg/WheelSpeeds", "canedge_bridge", "four wheels, m/s"),
     ("/vehicle/ins_on_can", "st_msgs/msg/InsOnCan", "canedge_bridge", "what the INS sends on CAN, to align clocks"),
     ("/can/frames", "st_msgs/msg/CanFrames", "canedge_bridge", "raw frames, with publish_frames"),
+    ("/plan/inputs", "st_msgs/msg/InputPlan", "your planner", "steering and acceleration, or speed and curvature"),
     ("/predictor/<model>/path", "nav_msgs/msg/Path", "predictor", "predicted path of the INS point; 10 Hz"),
     ("/predictor/<model>/prediction", "st_msgs/msg/Prediction", "predictor", "the whole trajectory, state at the CG"),
+    ("/predictor/<model>/plan", "st_msgs/msg/PlannedPrediction", "predictor",
+     "the trajectory with the inputs of a plan, and these inputs; while a plan is used"),
     ("/predictor/status", "st_msgs/msg/PredictorStatus", "predictor", "tick counts and why one was skipped; latched"),
-    ("/evaluator/errors", "st_msgs/msg/PredictionError", "evaluator", "scores, forecast and hindsight"),
+    ("/evaluator/errors", "st_msgs/msg/PredictionError", "evaluator", "scores: forecast, plan and hindsight"),
     ("/evaluator/summary", "st_msgs/msg/ErrorSummary", "evaluator", "running statistics; latched"),
     ("/identifier/parameters", "st_msgs/msg/TrackedParameters", "identifier",
      "steering and stiffness tracked while driving; latched, never applied"),
@@ -51,6 +54,7 @@ TOPICS = (
     ("/tf", "tf2_msgs/msg/TFMessage", "oxts_bridge", "odom -> base_link"),
     ("/tf_static", "tf2_msgs/msg/TFMessage", "oxts_bridge", "map -> odom, base_link -> ins_link; latched"),
     ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "all", "named checks of every node, once a second"),
+    ("/diagnostics_agg", "diagnostic_msgs/msg/DiagnosticArray", "st", "all checks, the worst level first"),
 )
 
 _FIELD = re.compile(

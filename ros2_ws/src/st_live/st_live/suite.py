@@ -23,12 +23,12 @@ import yaml
 from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
-STOP_TIMEOUT = 10.0  # s until a child that ignores SIGINT is killed
+STOP_TIMEOUT = 20.0  # s until a child that ignores SIGINT is killed
 LAST_DOMAIN = 101  # the ports of higher domains are in the system's ephemeral range
 LARGEST_DOMAIN = 232  # higher domains have no valid port
 # Priorities of SCHED_RR: above other programs, far below the kernel's own threads (50 and more).
 REALTIME_PRIORITIES = {"oxts_bridge": 22, "canedge_bridge": 22, "predictor": 21}
-VIEW_NICE = 10  # a tenth of an equal share
+VIEW_NICE = 5  # a third of an equal share; the page needs a few percent of a core
 REALTIME_PERMISSION = ('echo "$USER - rtprio 30" | sudo tee /etc/security/limits.d/single-track.conf, '
                        "then log in again")
 

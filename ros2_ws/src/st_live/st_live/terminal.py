@@ -105,8 +105,10 @@ def error_table(summary: dict[str, Any], title: str) -> Table:
     table.add_column("longitudinal, m\nmean | max | RMSE", justify="right", no_wrap=True)
     table.add_column("lateral, m\nmean | max | RMSE", justify="right", no_wrap=True)
     models = summary["models"]
-    for mode in ("hindsight", "forecast"):
+    for mode in ("hindsight", "forecast", "plan"):
         for model, modes in models.items():
+            if mode not in modes:
+                continue
             row = modes[mode]
             cells = [_cell(models, mode, axis, row) for axis in ("longitudinal", "lateral")]
             table.add_row(mode, Text(model, style=MODEL_COLOUR.get(model, "")), str(row["n_starts"]), *cells)
@@ -121,7 +123,7 @@ def _cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, Any]) -> 
         if value is None:
             text.append(" | -" if i else "-")
             continue
-        others = [m[mode][axis][statistic] for m in models.values()]
+        others = [m[mode][axis][statistic] for m in models.values() if mode in m]
         best = abs(value) <= min(abs(v) for v in others if v is not None) + 5e-4
         text.append(" | " if i else "")
         text.append(f"{value:.3f}", style="bold" if best else "")

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 from st_core.errors import ConfigurationError
 from st_core.evaluation import Mode
-from st_core.log_evaluation import MODES, EvaluationSettings, evaluate_blocks
+from st_core.log_evaluation import MODES, Ahead, EvaluationSettings, evaluate_blocks
 from st_core.log_signals import LogSignals
 from st_core.models import Model, get_model
 from st_core.palette import MODEL_COLOUR
@@ -21,11 +21,13 @@ from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.vehicle import VehicleParameters
 from st_recordings.output import new_folder
 from st_recordings.recorded import (
+    PlannedPredictions,
     Predictions,
     Progress,
     RecordedConfiguration,
     Scores,
     configuration_of,
+    read_planned,
     read_predictions,
     read_scores,
 )
@@ -35,6 +37,7 @@ from st_recordings.runs.bag import read_bag, was_cut
 from .configuration import TRUNCATED, recordings_of
 from .suite import SuiteError
 
+PLAN: Mode = "plan"
 SETTINGS = ("horizon", "step", "minimum_speed", "stale_after", "maximum_gap", "filter_cutoff")
 # The filter of the forward acceleration starts with the first sample each node receives, which differs between nodes.
 # After this many time constants 2e-9 of that difference remains.
@@ -50,7 +53,8 @@ class Comparison:
     n_starts: predictions compared. n_scores: complete scores compared, by mode. n_cut: scores that the end of the nodes
     left incomplete; n_disagree: other scores complete on one side only, jumps of the position excepted. start: position
     at the start alone, which separates a different state from a different prediction [m]. n_settling: predictions, with
-    their scores, that are not compared, see `settled`. at_ns: start of the largest difference.
+    their scores, that are not compared, see `settled`. at_ns: start of the largest difference. n_planned, planned:
+    predictions with planned inputs, and their position [m].
     """
 
     model: str
@@ -64,11 +68,13 @@ class Comparison:
     n_cut: int = 0
     n_disagree: int = 0
     n_settling: int = 0
+    n_planned: int = 0
+    planned: float = 0.0
 
     @property
     def largest(self) -> float:
         """The largest difference of a position or an error [m]."""
-        return max(self.position, *self.error.values())
+        return max(self.position, self.planned, *self.error.values())
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     drive = read_bag(bag, steering=read.steering, odometry=read.odometry) if read else read_bag(bag)
     car, recorded, source = configuration_of(drive.records, vehicle)
     settings = _settings(recorded)
-    scores = read_scores(score_bags, progress)
+    scores, planned = read_scores(score_bags, progress), read_planned(bag, progress)
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
     truncated = [TRUNCATED.format(one, "compared") for one in dict.fromkeys((bag, *score_bags)) if was_cut(one)]
     comparisons, warnings = [], [*drive.warnings, *truncated]
@@ -112,8 +118,9 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
         except ConfigurationError:
             warnings.append(f"predictions of {name} are not compared: the library has no model of this name")
             continue
-        of_model = {mode: scores[name, mode] for mode in MODES if (name, mode) in scores}
-        comparisons.append(_compare(model, car, signals, live, of_model, settings.filter_cutoff, progress))
+        of_model = {mode: scores[name, mode] for mode in (*MODES, PLAN) if (name, mode) in scores}
+        comparisons.append(_compare(model, car, signals, live, planned.get(name), of_model, settings.filter_cutoff,
+                                    progress))
     expected = configuration_hash(car, settings)
     same = all(live.hashes == {expected} for live in predictions.values())
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
@@ -141,14 +148,16 @@ def settled(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np
 
 
 def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Predictions,
-             scores: Mapping[Mode, Scores], cutoff: float, progress: Progress | None) -> Comparison:
+             planned: PlannedPredictions | None, scores: Mapping[Mode, Scores], cutoff: float,
+             progress: Progress | None) -> Comparison:
     horizon = live.step * (live.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=live.step, minimum_speed=0.0))
     result = Comparison(model.name)
     kept = settled(live.starts_ns, signals.log.ins_time_ns, cutoff)
     result.n_settling = int((~kept).sum())
     starts_ns, live_states = live.starts_ns[kept], live.states[kept]
-    for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings):
+    ahead: dict[Mode, Ahead] = {PLAN: planned.inputs_at} if planned else {}
+    for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, ahead):
         computed, recorded = block.trajectories[model.name, "forecast"], live_states[rows]
         known = np.isfinite(computed).all(axis=(1, 2)) & np.isfinite(recorded).all(axis=(1, 2))
         difference = computed[known] - recorded[known]
@@ -160,11 +169,24 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
             result.position = max(result.position, float(distance.max()))
             result.start = max(result.start, float(distance[:, 0].max()))
             result.yaw = max(result.yaw, float(np.abs(difference[..., 4]).max()))
+        if planned:
+            _compare_planned(result, planned, starts_ns[rows], block.trajectories[model.name, PLAN])
         for mode, scored in scores.items():
             _compare_scores(result, mode, scored, starts_ns[rows], block.errors[model.name, mode])
         if progress:
             progress(rows.stop, len(starts_ns))
     return result
+
+
+def _compare_planned(result: Comparison, planned: PlannedPredictions, starts_ns: np.ndarray,
+                     states: np.ndarray) -> None:
+    _, computed, recorded = np.intersect1d(starts_ns, planned.starts_ns, assume_unique=True, return_indices=True)
+    difference = states[computed] - planned.states[recorded]
+    distance = np.hypot(difference[..., 0], difference[..., 1])
+    distance = distance[np.isfinite(distance).all(axis=1)]
+    result.n_planned += len(distance)
+    if distance.size:
+        result.planned = max(result.planned, float(distance.max()))
 
 
 def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np.ndarray, errors: np.ndarray) -> None:
@@ -176,10 +198,10 @@ def _compare_scores(result: Comparison, mode: str, scored: Scores, starts_ns: np
     # Offline `st check` finds jumps of the position and excludes them; live no score spans one.
     excused = cut | scored.jumped[recorded]
     result.n_disagree += int(((complete != scored.complete[recorded]) & ~excused).sum())
-    result.n_scores[mode] += int(both.sum())
+    result.n_scores[mode] = result.n_scores.get(mode, 0) + int(both.sum())
     if both.any():
         difference = np.abs(errors[computed][both][..., :2] - scored.errors[recorded][both][..., :2])
-        result.error[mode] = max(result.error[mode], float(difference.max()))
+        result.error[mode] = max(result.error.get(mode, 0.0), float(difference.max()))
 
 
 def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: bool, output: Path | None,
@@ -242,6 +264,11 @@ def _conclusion(found: Verification, tolerance: float, console: Console) -> int:
     scores = sum(sum(c.n_scores.values()) for c in found.comparisons)
     disagree, cut = (sum(getattr(c, name) for c in found.comparisons) for name in ("n_disagree", "n_cut"))
     passed = found.largest <= tolerance and not disagree
+    if n_planned := sum(c.n_planned for c in found.comparisons):
+        largest = max(c.planned for c in found.comparisons)
+        n_scores = sum(c.n_scores.get(PLAN, 0) for c in found.comparisons)
+        console.print(f"{n_planned} predictions and {n_scores} scores with planned inputs are among them, largest "
+                      f"difference of a path {largest * 1000:.3g} mm", highlight=False, soft_wrap=True)
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
     worst = max(found.comparisons, key=lambda c: c.position)
     where = ""

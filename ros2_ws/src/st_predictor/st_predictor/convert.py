@@ -3,6 +3,7 @@
 import math
 from array import array
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -13,12 +14,17 @@ from rclpy.qos import QoSProfile
 from st_core.evaluation import ErrorStatistics as Statistics
 from st_core.evaluation import Score
 from st_core.frames import cg_to_ins_position
+from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Start
-from st_core.types import ControlInput, InsSample, Trajectory, VehicleState
+from st_core.types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import ErrorStatistics, Prediction, PredictionError
 from st_recordings.bag_metadata import INFINITE_NS, Qos
+from st_ros.polling import message_class
 from st_ros.stamps import from_nanoseconds, to_nanoseconds
+
+if TYPE_CHECKING:
+    from st_msgs.msg import InputPlan, PlannedPrediction
 
 from .map_drawing import BAND_MODE, Path, ribbon
 
@@ -26,6 +32,8 @@ from .map_drawing import BAND_MODE, Path, ribbon
 QUATERNION_TOLERANCE = 0.01
 # rmw's own value for "never"; rclpy turns it into this many nanoseconds or more.
 _NEVER_NS = 9_223_372_036 * 1_000_000_000
+# None in a workspace that was built before these messages existed: plans are off there.
+PLAN, PLANNED = (message_class(f"st_msgs/msg/{name}") for name in ("InputPlan", "PlannedPrediction"))
 
 
 def ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
@@ -79,15 +87,52 @@ def prediction_message(
         road_wheel_angle=float(start.inputs.road_wheel_angle), velocity_x_dot=float(start.inputs.velocity_x_dot),
         cg_to_ins_x=float(vehicle.cg_to_ins_x), cg_to_ins_y=float(vehicle.cg_to_ins_y),
     )
+    _fill_trajectory(message, start, trajectory, map_frame)
+    return message
+
+
+def planned_inputs(message: "InputPlan", base_frame: str, vehicle: VehicleParameters) -> PlannedInputs | str:
+    """The plan of a message, or why it cannot be used. Speed and curvature are those of the CG of the vehicle."""
+    if message.header.frame_id != base_frame:
+        return f"plan: header.frame_id is {message.header.frame_id!r}, expected {base_frame!r} (parameter plan_frame)"
+    pairs = [(message.road_wheel_angle, message.velocity_x_dot), (message.speed, message.curvature)]
+    lengths = [tuple(map(len, pair)) for pair in pairs]
+    n = len(message.time)
+    if n == 0 or sorted(lengths) != [(0, 0), (n, n)]:
+        return (f"plan: {n} times with road_wheel_angle and velocity_x_dot of {lengths[0]}, speed and curvature of "
+                f"{lengths[1]} values; expected one of the pairs in full and the other empty")
+    seconds = np.asarray(message.time)
+    if not np.isfinite(seconds).all():
+        return "plan: time is not finite"
+    issued_ns = to_nanoseconds(message.header.stamp)
+    time_ns = issued_ns + np.round(seconds * 1e9).astype(np.int64)
+    first, second = map(np.asarray, pairs[0] if lengths[0][0] else pairs[1])
+    if lengths[0][0]:
+        return PlannedInputs(issued_ns, time_ns, first, second)
+    return PlannedInputs.from_path(issued_ns, time_ns, first, second, vehicle)
+
+
+def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
+                    vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> "PlannedPrediction":
+    """The message without issued_at and compute_time. plan_ns: stamp of the plan; inputs: on the half-step grid."""
+    message = PLANNED(
+        model=model, step=trajectory.step, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
+        cg_to_ins_x=float(vehicle.cg_to_ins_x), cg_to_ins_y=float(vehicle.cg_to_ins_y),
+        road_wheel_angle=_float64(inputs.road_wheel_angle), velocity_x_dot=_float64(inputs.velocity_x_dot))
+    _fill_trajectory(message, start, trajectory, map_frame)
+    return message
+
+
+def _fill_trajectory(message: "Prediction | PlannedPrediction", start: Start, trajectory: Trajectory,
+                     map_frame: str) -> None:
     message.header.stamp = from_nanoseconds(start.time_ns)
     message.header.frame_id = map_frame
     message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate = map(
         _float64, trajectory.states.T)
-    return message
 
 
-def read_prediction(message: Prediction) -> tuple[int, VehicleState, ControlInput, Trajectory] | str:
-    """(start_ns, start state, held inputs, trajectory) of a prediction message, or why it cannot be used."""
+def read_trajectory(message: "Prediction | PlannedPrediction") -> tuple[int, Trajectory] | str:
+    """(start_ns, trajectory) of a prediction message, or why it cannot be used."""
     columns = [message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate]
     if len({len(c) for c in columns}) != 1 or len(message.x) < 2:
         return "its arrays are of different or too small length"
@@ -96,9 +141,17 @@ def read_prediction(message: Prediction) -> tuple[int, VehicleState, ControlInpu
     states = np.array(columns).T
     if not np.isfinite(states[0]).all():
         return "its start state is not finite"
+    return to_nanoseconds(message.header.stamp), Trajectory(message.step, states)
+
+
+def read_prediction(message: Prediction) -> tuple[int, VehicleState, ControlInput, Trajectory] | str:
+    """(start_ns, start state, held inputs, trajectory) of a prediction message, or why it cannot be used."""
+    read = read_trajectory(message)
+    if isinstance(read, str):
+        return read
+    start_ns, trajectory = read
     inputs = ControlInput(message.road_wheel_angle, message.velocity_x_dot)
-    start = VehicleState(*states[0].tolist())
-    return to_nanoseconds(message.header.stamp), start, inputs, Trajectory(message.step, states)
+    return start_ns, VehicleState(*trajectory.states[0].tolist()), inputs, trajectory
 
 
 def ins_path(message: Prediction) -> Path:

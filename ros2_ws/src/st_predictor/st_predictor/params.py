@@ -45,6 +45,7 @@ PREDICTOR = (
     _MAXIMUM_GAP,
     _FILTER_CUTOFF,
     _MAP_FRAME,
+    Parameter("plan_frame", "base_link", "header.frame_id that a plan on plan/inputs must have; others are refused"),
 )
 
 _NUMBER = Parameter("number_when_taken", False, "record into NAME_2 if the directory holds a bag, instead of refusing")
@@ -64,11 +65,11 @@ EVALUATOR = (
 # What cannot be reconstructed from raw packets and frames, and what external viewers and tools expect.
 TOPICS = [
     "ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
-    "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics", "/rosout",
+    "plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics", "/rosout",
 ]
 ALL_TOPICS = [
-    "ins/*", "vehicle/*", "can/*", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics",
-    "/rosout",
+    "ins/*", "vehicle/*", "can/*", "plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static",
+    "/diagnostics", "/rosout",
 ]
 RECORDER = (
     Parameter("output_directory", "", "the bag, a new or empty directory; required"),

@@ -17,6 +17,7 @@ from .runs.cdr import Layout, Layouts, typestore
 from .runs.recorded_texts import parameters, text_of
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
+PLANNED = "st_msgs/msg/PlannedPrediction"
 STATE = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
 A_JUMP = "position jumps"  # likewise (alignment.MeasurementHistory)
 THE_END = ": ends "  # in the evaluator's reason when a signal has no later sample (timeseries.TimeSeries.why_unknown)
@@ -31,6 +32,21 @@ class Predictions:
     states: np.ndarray
     step: float
     hashes: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedPredictions(Predictions):
+    """With planned inputs (n, 2 * points - 1) on the half-step grid: road wheel angle [rad], velocity_x_dot [m/s^2]."""
+
+    road_wheel_angle: np.ndarray
+    velocity_x_dot: np.ndarray
+
+    def inputs_at(self, starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inputs of each start (n,) [ns]; NaN for a start without a plan."""
+        place = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
+        known = (self.starts_ns[place] == starts_ns)[:, None]
+        return (np.where(known, self.road_wheel_angle[place], np.nan),
+                np.where(known, self.velocity_x_dot[place], np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,22 +96,35 @@ def configuration_of(records: Mapping[str, Mapping[str, str]],
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
     """By model; empty for a recording without any. Raises RunError for predictions of unequal length."""
-    rows: dict[str, dict[int, np.ndarray]] = {}
+    return {model: Predictions(starts, states, step, hashes)
+            for model, (starts, states, step, hashes) in _read(bag, PREDICTION, (), progress).items()}
+
+
+def read_planned(bag: Path, progress: Progress | None = None) -> dict[str, PlannedPredictions]:
+    """Predictions with planned inputs by model, as `read_predictions`."""
+    return {model: PlannedPredictions(*columns) for model, columns in
+            _read(bag, PLANNED, ("road_wheel_angle", "velocity_x_dot"), progress).items()}
+
+
+def _read(bag: Path, type_name: str, more: Sequence[str], progress: Progress | None) -> dict[str, list[Any]]:
+    """By model: [starts_ns, states, step, hashes, *arrays of the fields `more`]."""
+    rows: dict[str, dict[int, list[np.ndarray]]] = {}
     steps: dict[str, set[float]] = {}
     hashes: dict[str, set[str]] = {}
-    for layout, data in _messages([bag], PREDICTION, progress):
+    for layout, data in _messages([bag], type_name, progress):
         states = np.stack([layout.value(data, k) for k in STATE], axis=-1)
         model = layout.example.model
-        rows.setdefault(model, {})[layout.value(data, "header.stamp")] = states
+        arrays = [states, *(layout.value(data, name) for name in more)]
+        rows.setdefault(model, {})[layout.value(data, "header.stamp")] = arrays
         steps.setdefault(model, set()).add(float(layout.value(data, "step")))
         hashes.setdefault(model, set()).add(layout.example.configuration_hash)
     found = {}
     for model, entries in rows.items():
-        if len(steps[model]) > 1 or len(set(map(len, entries.values()))) > 1:
+        if len(steps[model]) > 1 or len({len(arrays[0]) for arrays in entries.values()}) > 1:
             raise RunError(bag, f"predictions of {model} with different horizons or steps are in it")
         starts = sorted(entries)
-        found[model] = Predictions(np.array(starts, np.int64), np.stack([entries[s] for s in starts]),
-                                   steps[model].pop(), frozenset(hashes[model]))
+        states, *others = (np.stack(column) for column in zip(*(entries[s] for s in starts), strict=True))
+        found[model] = [np.array(starts, np.int64), states, steps[model].pop(), frozenset(hashes[model]), *others]
     return found
 
 

@@ -149,7 +149,8 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
     """The content of summary.json: errors in m, statistics over the horizon means of complete scores."""
     models: dict[str, Any] = {}
     for model in results.models():
-        models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in MODES}
+        modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
+        models[model] = {mode: _statistics(results.scores.get((model, mode))) for mode in modes}
     for row in results.bands:
         models[row.model][row.mode]["bands"] = as_dict(row)
     return {

@@ -9,7 +9,7 @@ from . import _options as shared
 
 @shared.reads_recordings(*shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
 def replay(
-    bag: Path = typer.Argument(..., help="A recording with odometry and steering (rosbag2).", exists=True),
+    bag: Path = typer.Argument(..., help="Bag with odometry and steering, or the folder of a run.", exists=True),
     rate: float = typer.Option(1.0, help="Times as fast as it was recorded.", min=0.05, max=100.0),
     fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator follow."),
     force: bool = typer.Option(False, "--force", help="Also where `st check` finds an error in the recording."),
@@ -23,6 +23,7 @@ def replay(
     """Play a recording through predictor, evaluator and recorder on its own clock; record their predictions."""
     # Imported when it runs: the ROS libraries take a second that `st --help` need not wait.
     from rich.console import Console
+    from st_live.configuration import recordings_of
     from st_live.replaying import replay_bag
     from st_live.report import conclude
     from st_live.suite import SuiteError
@@ -35,6 +36,7 @@ def replay(
     console = Console()
     with shared.refusals("replay", SuiteError):
         vehicle, read = read_options.resolve()
+        bag, _ = recordings_of(bag)
         page = LiveView(view, view_address, view_save)
         findings = passed_bag(bag, vehicle, force, read)
         say(bag.name, findings, console)

@@ -20,6 +20,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from st_core.palette import colour_of
 from st_msgs.msg import InsStatus, Prediction, PredictionError, PredictorStatus, Steering
+from st_predictor import convert
 from st_recordings.car import read_vehicle
 from st_ros.polling import PolledSubscription
 from st_ros.scheduling import lower
@@ -30,7 +31,8 @@ from ..view.passenger import MODELS, TOPICS, PassengerFrames
 
 PERIOD = 0.1  # s between frames
 TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
-         "prediction": Prediction, "error": PredictionError, "diagnostics": DiagnosticArray}
+         "prediction": Prediction, "planned": convert.PLANNED, "error": PredictionError,
+         "diagnostics": DiagnosticArray}
 # Messages kept of a topic: a few of the frequent ones; scores of one instant arrive together.
 DEPTH = {"error": 200, "diagnostics": 50}
 NEWEST = 3
@@ -61,8 +63,9 @@ class PassengerNode(Node):
                     started = True
             if started and len(self._subscriptions_by_topic) == 1:
                 # Not before: a player of recordings counts the subscribers of its topics before it begins.
-                self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic in TOPICS
-                                                 if topic not in self._subscriptions_by_topic}
+                self._subscriptions_by_topic |= {
+                    topic: self._subscribe(topic) for topic, kind in TOPICS.items()
+                    if topic not in self._subscriptions_by_topic and TYPES[kind]}
             if self._server.clients:
                 self._server.publish(self._frames.frame(time.monotonic()))
             due = max(due + PERIOD, time.monotonic())  # frames missed are not made up for

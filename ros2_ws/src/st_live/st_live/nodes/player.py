@@ -1,4 +1,4 @@
-"""Plays odometry and steering of a recording, with /clock: a process that `st replay` starts in addition to the nodes.
+"""Plays odometry, steering and plans of a recording, with /clock: a process of its own, started by `st replay`.
 
 Messages are published byte for byte in the order of their log times (an external steering topic is converted to
 st_msgs/Steering); /clock advances in steps behind them. At a rate of 0 it plays as fast as predictor and evaluator
@@ -31,7 +31,7 @@ from st_recordings.runs.cdr import typestore
 from st_recordings.runs.external_topics import SteeringField, steering_value
 from st_recordings.runs.external_topics import stamp_of as instant_of
 from st_ros import spin
-from st_ros.polling import PolledSubscription, message_class
+from st_ros.polling import PolledSubscription, message_class, wait_for_any
 from st_ros.stamps import from_nanoseconds
 
 INPUTS = ("/ins/odometry", "/vehicle/steering")  # names published, independent of those in the recording
@@ -40,10 +40,10 @@ DEPTH = 1000
 DISCOVERY_TIMEOUT = 15.0  # s
 STATUS_PERIOD = 0.5  # s
 SUBSCRIBERS = 3  # predictor, evaluator, recorder
+PLAN, PLAN_SUBSCRIBERS = "/plan/inputs", 2  # predictor, recorder
 # At rate 0: longest wait of the clock for predictor and evaluator [s]; shorter after a wait without an answer
 # (standstill, no inputs).
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
-POLL_PERIOD = 0.0005  # s
 SCORE_DELAY = 1.0  # s; the clock may be a horizon and this ahead of the newest start scored
 
 
@@ -51,6 +51,7 @@ class Follower:
     """Progress of another node: the newest of an instant in each of its messages."""
 
     def __init__(self, node: Node, message_type: type, topic: str, instant: Callable[[bytes], int], ahead: float):
+        self._node = node
         self._subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=DEPTH), raw=True)
         self._instant, self._ahead_ns = instant, round(ahead * 1e9)
         self._newest_ns = 0
@@ -69,7 +70,7 @@ class Follower:
             if time.monotonic() > end:
                 self._answers = False
                 return
-            time.sleep(POLL_PERIOD)
+            wait_for_any(self._node, [self._subscription], max(end - time.monotonic(), 0.0))
 
 
 def stamp_of(data: bytes) -> int:
@@ -157,6 +158,8 @@ class Player:
     def _publishers(self, connections: Sequence[Any]) -> dict[str, Publisher]:
         publishers: dict[str, Publisher] = {}
         for connection in connections:
+            if connection.msgtype == "st_msgs/msg/InputPlan":
+                self._played[connection.topic] = PLAN
             if connection.topic in self._played and connection.topic not in publishers:
                 translated = self._translator and connection.topic == self._steering
                 message_type = Steering if translated else message_class(connection.msgtype)
@@ -167,7 +170,9 @@ class Player:
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
         """Whether recorder, predictor and evaluator have subscribed to odometry, steering and clock in time."""
         end = time.monotonic() + DISCOVERY_TIMEOUT
-        while any(p.get_subscription_count() < SUBSCRIBERS for p in (*publishers, self._clock)):
+        needed = {p: PLAN_SUBSCRIBERS if p.topic_name.endswith(PLAN) else SUBSCRIBERS
+                  for p in (*publishers, self._clock)}
+        while any(p.get_subscription_count() < count for p, count in needed.items()):
             if time.monotonic() > end or self.stop:
                 return False
             time.sleep(0.05)

@@ -27,6 +27,7 @@ TOPICS = {
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
     "vehicle/steering": "steering",
     **{f"predictor/{model}/prediction": "prediction" for model in MODELS},
+    **{f"predictor/{model}/plan": "planned" for model in MODELS},
     "evaluator/errors": "error", "/diagnostics": "diagnostics",
 }
 
@@ -42,8 +43,9 @@ class PassengerFrames:
         self._reason = ""
         self._mode: tuple[str, float] = ("", 0.0)
         self._track: deque[tuple[float, float, float]] = deque()  # (measured s, x, y)
-        self._predictions: dict[str, tuple[float, Any]] = {}
-        self._errors: dict[str, dict[str, float]] = {}
+        # By inputs (held, planned) and model.
+        self._predictions: dict[str, dict[str, tuple[float, Any]]] = {"held": {}, "planned": {}}
+        self._errors: dict[str, dict[str, dict[str, float]]] = {"held": {}, "planned": {}}
         self._health: dict[str, tuple[float, int, str]] = {}
         self._takers: dict[str, Callable[[Any, float], None]] = {
             name: getattr(self, f"_{name}") for name in set(TOPICS.values())}
@@ -58,7 +60,8 @@ class PassengerFrames:
         sample, (mode, mode_time) = self._sample, self._mode
         frame: dict[str, Any] = {
             "received": self._received and round(self._received, 4), "light": light, "text": text, "mode": mode,
-            "mode_age": round(now - mode_time, 1), "reason": self._reason, "errors": self._errors,
+            "mode_age": round(now - mode_time, 1), "reason": self._reason,
+            "errors": self._errors["held"] | (self._errors["planned"] if self._has_plan(now) else {}),
             "steering": self._angle and round(self._angle, 4),
         }
         if sample is None:
@@ -69,19 +72,23 @@ class PassengerFrames:
             "pose": [round(value, 3) for value in pose], "speed": round(sample.velocity_x, 2),
             "lateral_acceleration": round(sample.velocity_x * sample.yaw_rate, 2),
             "track": _in_car(track[:, 0], track[:, 1], pose),
-            "paths": {model: self._path(message, pose) for model, (at, message) in self._predictions.items()
-                      if now - at < STALE_PREDICTION},
+            "paths": {model: self._path(message, pose, inputs) for inputs, of_model in self._predictions.items()
+                      for model, (at, message) in of_model.items() if now - at < STALE_PREDICTION},
         }
+
+    def _has_plan(self, now: float) -> bool:
+        return any(now - at < STALE_PREDICTION for at, _ in self._predictions["planned"].values())
 
     def _cg_position(self, sample: InsSample) -> tuple[float, float]:
         x, y = cg_to_ins_position(sample.x, sample.y, sample.yaw, -self._car.cg_to_ins_x, -self._car.cg_to_ins_y)
         return float(x), float(y)
 
-    def _path(self, message: Any, pose: tuple[float, float, float]) -> dict[str, Any]:
+    def _path(self, message: Any, pose: tuple[float, float, float], inputs: str) -> dict[str, Any]:
         x, y, yaw = (np.asarray(column)[::PATH_STRIDE] for column in (message.x, message.y, message.yaw))
-        path: dict[str, Any] = {"points": _in_car(x, y, pose), "step": PATH_STRIDE * message.step, "inputs": "held",
+        path: dict[str, Any] = {"points": _in_car(x, y, pose), "step": PATH_STRIDE * message.step, "inputs": inputs,
                                 "yaw": np.round(yaw - pose[2], 3).tolist()}
-        band = next((b for b in message.bands if b.mode == BAND_MODE and abs(b.level - BAND_LEVEL) < 1e-6), None)
+        bands = message.bands if inputs == "held" else ()
+        band = next((b for b in bands if b.mode == BAND_MODE and abs(b.level - BAND_LEVEL) < 1e-6), None)
         if band is not None:
             path["band"] = np.round(np.asarray(band.across, float)[::PATH_STRIDE], 2).tolist()
         return path
@@ -105,7 +112,8 @@ class PassengerFrames:
         measured = sample.time_ns * 1e-9
         if self._track and measured < self._track[-1][0]:  # a replay that starts over
             self._track.clear()
-            self._errors.clear()
+            for errors in self._errors.values():
+                errors.clear()
         self._sample, self._received = sample, now
         if not self._track or measured - self._track[-1][0] >= TRACK_STEP:
             self._track.append((measured, *self._cg_position(sample)))
@@ -121,15 +129,19 @@ class PassengerFrames:
     def _status(self, message: Any, now: float) -> None:
         self._reason = message.reason
 
-    def _prediction(self, message: Any, now: float) -> None:
+    def _prediction(self, message: Any, now: float, inputs: str = "held") -> None:
         columns = np.array([message.x, message.y, message.yaw])
         if columns.shape[1] > 1 and np.isfinite(columns).all():
-            self._predictions[message.model] = now, message
+            self._predictions[inputs][message.model] = now, message
+
+    def _planned(self, message: Any, now: float) -> None:
+        self._prediction(message, now, "planned")
 
     def _error(self, message: Any, now: float) -> None:
         """Errors [m] at the end of the horizon [s] that has just passed."""
-        if message.complete and message.mode == "forecast":
-            self._errors[message.model] = {
+        inputs = {"forecast": "held", "plan": "planned"}.get(message.mode)
+        if message.complete and inputs:
+            self._errors[inputs][message.model] = {
                 "longitudinal": round(message.longitudinal[-1], 2), "lateral": round(message.lateral[-1], 2),
                 "horizon": round(message.horizon[-1], 2)}
 

@@ -15,6 +15,7 @@ from st_core.compiled import compile_models
 from st_core.filtering import NANOSECOND
 from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, configuration_hash
+from st_core.types import InputSequence
 from st_msgs.msg import Prediction, PredictorStatus
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
@@ -23,6 +24,7 @@ from .. import convert, params
 from ..ticks import TickCounter
 from ._bands import PredictionBands
 from ._inputs import Inputs
+from ._plan import PlanInput
 
 # Inputs are taken this often between ticks, so that a tick finds only a few milliseconds of them waiting [s].
 DRAIN_PERIOD = 0.02
@@ -44,6 +46,7 @@ class PredictorNode(Node):
         self._map_frame = values.map_frame
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
                               self._publish_diagnostics)
+        self._plan = PlanInput(self, values.plan_frame, self._vehicle)
         settings = self._core.settings
         self._path = convert.PathBuilder(values.map_frame, settings.steps + 1)
         self._make_publishers()
@@ -94,6 +97,8 @@ class PredictorNode(Node):
                     self.create_publisher(Prediction, f"predictor/{model}/prediction", qos))
             for model in self._core.models
         }
+        self._plan_outputs = {model: self.create_publisher(convert.PLANNED, f"predictor/{model}/plan", qos)
+                              for model in self._core.models if convert.PLANNED}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", latched)
 
@@ -129,6 +134,13 @@ class PredictorNode(Node):
         return Skip("stale", f"{signal}: nothing new since the last tick, newest sample is {age:.2f} s old")
 
     def _predict(self, start: Start) -> None:
+        self._plan.drain()
+        before = self._plan.problem
+        # Before the forecasts: the evaluator takes both of a start together.
+        if planned := self._plan.at(self._core, start):
+            self._publish_planned(start, *planned)
+        if bool(before) != bool(self._plan.problem):
+            self._publish_diagnostics()
         paths, bands = [], self._bands.at(self._core.history, start.time_ns)
         for model, (path_publisher, prediction_publisher) in self._outputs.items():
             began = time.perf_counter()
@@ -152,6 +164,17 @@ class PredictorNode(Node):
             else:
                 # Viewers cannot draw it; the evaluator counts it as incomplete.
                 self._not_finite.add(model)
+
+    def _publish_planned(self, start: Start, inputs: InputSequence, plan_ns: int) -> None:
+        for model, publisher in self._plan_outputs.items():
+            began = time.perf_counter()
+            trajectory = self._core.run(start, model, inputs)
+            compute_time = time.perf_counter() - began
+            message = convert.planned_message(start, model, plan_ns, inputs, trajectory, self._core.car(model),
+                                              self._map_frame, self._hash[model])
+            message.compute_time = compute_time
+            message.issued_at = self.get_clock().now().to_msg()
+            publisher.publish(message)
 
     def _publish_status(self) -> None:
         ages, self._state_ages = self._state_ages, []
@@ -188,6 +211,7 @@ class PredictorNode(Node):
             self._position_check(),
             self._steering_check(),
             self._bands.check(),
+            self._plan.check(),
             *self._inputs.checks(),
         ]
 
