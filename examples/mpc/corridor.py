@@ -17,15 +17,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import casadi
 import numpy as np
 from closed_loop import LOOK, Road
 from controller import Controller, Tuning
-from st_core.bands import Band, CalibrationDomain, calibrate, conditions, run_samples, steering_activity
+from st_core.bands import CalibrationDomain, calibrate, conditions, run_samples, steering_activity
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
+from st_offline.bands.band_export import half_width_function
 from st_recordings.output import new_folder
 from st_recordings.paths import config
 from st_sim.car import Car, read_car
@@ -49,9 +51,12 @@ TOUCHED = 0.01
 
 
 class Margin(NamedTuple):
-    """What is kept from every post: the half-width across of the band, from `until` [s] ahead on that of `until`."""
+    """What is kept from every post: the half-width across of the band, from `until` [s] ahead on that of `until`.
 
-    band: Band
+    half_widths: of `half_width_function`, as `st export --bands` writes it.
+    """
+
+    half_widths: casadi.Function
     seen: CalibrationDomain
     until: float
 
@@ -139,11 +144,13 @@ def _margin(kept: Margin, state: Sequence[float], angles: Sequence[float], accel
             step: float) -> np.ndarray | None:
     """At the end of each step [m]; None under conditions that were never calibrated."""
     at = np.interp(np.arange(-1.0, 0.01, 0.05), step * np.arange(-10, 1), angles[-11:])
-    here = conditions(state[2], state[5], acceleration, steering_activity(at))[None]
+    activity = float(steering_activity(at))
+    here = conditions(state[2], state[5], acceleration, activity)[None]
     if not kept.seen(here)[0]:
         return None
     every = round(step / SETTINGS.prediction.step)
-    across = kept.band.half_widths(here, LEVELS[-1])[0, every - 1::every, 1]
+    widths = np.asarray(kept.half_widths(state[:6], (angles[-1], acceleration), activity))
+    across = widths[every - 1::every, 1]
     return np.minimum(across, across[round(kept.until / step) - 1])
 
 
@@ -157,14 +164,16 @@ def _log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
                     time_ns, angle, vehicle.steering_wheel_angle(angle))
 
 
-def learn(controller: Controller, car: Car, vehicle: VehicleParameters, model: str) -> tuple[Band, CalibrationDomain]:
-    """The model question's band: what the controller plans is what the inputs will be."""
+def learn(controller: Controller, car: Car, vehicle: VehicleParameters,
+          model: str) -> tuple[casadi.Function, CalibrationDomain]:
+    """The model question's band at the highest level: what the controller plans is what the inputs will be."""
     runs = []
     for k in range(KNOWN):
         log = drive(controller, car, vehicle, gates(np.random.default_rng([22, k])), 1000 + k).log
         runs.append(run_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
-    return calibrate(runs, (model, "hindsight"), time, LEVELS), CalibrationDomain.of([one.conditions for one in runs])
+    band = calibrate(runs, (model, "hindsight"), time, LEVELS)
+    return half_width_function(band, LEVELS[-1], vehicle), CalibrationDomain.of([one.conditions for one in runs])
 
 
 def compared(seeds: int, model: str) -> dict[str, dict[str, float]]:

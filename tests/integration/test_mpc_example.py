@@ -58,6 +58,7 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     from controller import Controller, Tuning
     from st_core.bands import Band, CalibrationDomain
     from st_core.bands.scale import Scale, features, knots_of
+    from st_offline.bands.band_export import half_width_function
 
     monkeypatch.setattr(corridor, "DURATION", 6.0)
     there, time = [corridor.Gate(30.0, 36.0, -1, 1.0)], 0.05 * np.arange(1, 51)
@@ -71,7 +72,7 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     seen = CalibrationDomain(np.full((99, 99), 100), (100.0, 100.0))
     controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)
     plain, kept_off = (corridor.drive(controller, read_car(FILE), LEAF, there, 1, one)
-                       for one in (None, corridor.Margin(band, seen, 0.5)))
+                       for one in (None, corridor.Margin(half_width_function(band, 0.9, LEAF), seen, 0.5)))
     assert -0.2 < plain.depth < 0.3
     assert kept_off.depth == pytest.approx(plain.depth - 0.3, abs=0.1) and kept_off.error > plain.error
     assert len(plain.log.x) == 300

@@ -9,12 +9,15 @@ import casadi
 from st_core import __version__
 from st_core.augmented import AugmentedModel
 from st_core.backends.casadi_backend import SymbolicModel, Variable, build
+from st_core.bands import LEVELS, Bands
 from st_core.errors import ConfigurationError
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.stability import lowest_stable_speed
 from st_core.vehicle import VehicleParameters
 from st_recordings.plain_json import finite
+
+from .bands.band_export import half_width_function
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)
@@ -39,14 +42,17 @@ def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bo
 
 
 def export(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
-           free: Iterable[str] = ()) -> list[Path]:
+           free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
     """Write the functions of a model into an existing folder, with model.json and README.md; the files written.
 
+    bands: also their half-widths, a CasADi function for each mode and level (`band_export.half_width_function`).
     Raises ConfigurationError for a parameter in `free` that is not one, see `casadi_backend.build`.
     """
     symbolic = build(model, vehicle, substeps, free)
     files = _casadi_files(symbolic, folder) if kind == "casadi" else _c_files(symbolic, folder)
     description = describe(symbolic, model, vehicle, [f.name for f in files])
+    if bands is not None:
+        files += _band_files(model, vehicle, bands, folder)
     written = [*files, folder / "model.json", folder / "README.md"]
     written[-2].write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
     written[-1].write_text(_readme(description, kind), encoding="utf-8")
@@ -57,6 +63,19 @@ def _casadi_files(symbolic: SymbolicModel, folder: Path) -> list[Path]:
     files = [folder / f"{function.name()}.casadi" for function in symbolic.functions]
     for file, function in zip(files, symbolic.functions, strict=True):
         function.save(str(file))
+    return files
+
+
+def _band_files(model: Model, vehicle: VehicleParameters, bands: Bands, folder: Path) -> list[Path]:
+    found = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
+             for level in band.factors if level in LEVELS}
+    if not found:
+        raise ConfigurationError(f"bands: none of {model.name}, only of {', '.join(bands.models)}; calibrate with it")
+    files = []
+    for (mode, level), band in found.items():
+        name = f"{model.name}_band_{mode}_{100 * level:.0f}"
+        files.append(folder / f"{name}.casadi")
+        half_width_function(band, level, vehicle, name).save(str(files[-1]))
     return files
 
 

@@ -25,12 +25,17 @@ def export(
     vehicle: VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the files; default runs/export-<time>."),
     substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
+    bands: Path | None = typer.Option(
+        None, help="Bands of `st calibrate`: also their half-widths as functions of state and inputs (CasADi).",
+        exists=True, dir_okay=False
+    ),
     free: list[str] = typer.Option([], help="Parameter left as an argument: road_bank.angle; repeatable."),
 ) -> None:
     """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; with names, units and bounds.
 
     acados and other CasADi users load the .casadi files as they are; see examples/mpc.
     """
+    from st_core.bands import Bands
     from st_core.effects import load_folder
     from st_recordings.output import new_folder
 
@@ -46,8 +51,9 @@ def export(
         if effects is not None:
             load_folder(str(effects.absolute()))
         chosen, its = load_model(model, parameters, str(file), named is not None)
+        tested = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
         folder = new_folder(output, "export")
-        written = write(chosen, its, folder, kind, substeps, free)
+        written = write(chosen, its, folder, kind, substeps, free, tested)
     if named is None and its is parameters:
         report_default_car("export", file)
     for path in written:

@@ -15,8 +15,9 @@ went well, would widen the band everywhere. Checked by: test_bands.py, on errors
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -57,11 +58,14 @@ def features(conditions: np.ndarray) -> np.ndarray:
     return np.concatenate([np.ones_like(z[..., :1]), logs, logs[..., _LEFT] * logs[..., _RIGHT], hats], axis=-1)
 
 
-def features_of_one(condition: Sequence[float]) -> list[float]:
-    """`features` of one start's four conditions, on floats: half the time, a third where the caches are cold."""
-    logs = [math.log((max(value, floor) + offset) / unit)
+def features_of_one(condition: Sequence[Any], log: Callable[[Any], Any] = math.log,
+                    largest: Callable[[Any, Any], Any] = max) -> list[Any]:
+    """`features` of one start's four conditions, on floats: half the time, a third where the caches are cold. log,
+    largest: of another kind of number, such as CasADi's symbols.
+    """
+    logs = [log((largest(value, floor) + offset) / unit)
             for value, floor, offset, unit in zip(condition, _FLOORS, _OFFSETS, _UNITS, strict=True)]
-    hats = [max(0.0, 1.0 - abs(condition[1] - hat) / SPLINE_KNOTS[0]) for hat in SPLINE_KNOTS]
+    hats = [largest(0.0, 1.0 - abs(condition[1] - hat) / SPLINE_KNOTS[0]) for hat in SPLINE_KNOTS]
     return [1.0, *logs, *(logs[k] * logs[m] for k, m in _PAIRS), *hats]
 
 
