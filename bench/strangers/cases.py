@@ -13,6 +13,8 @@ from .roads import ROADS
 from .vehicles import CARS, DEVELOPMENT, MULTI_BODY, SEALED, Stranger
 
 HALVES = {"development": (DEVELOPMENT, 20261125), "sealed": (SEALED, 31415926)}
+NEW_USER = "new_user"
+"""The case of a new user: front-wheel drive, brush tyres, a true vehicle file but for the ratio, six mild drives."""
 LOAD_AHEAD = 0.3  # m of the rear axle
 SINGLE = {"ratio": 6, "offset": 4, "load": 4, "lever": 4, "worn_front": 4, "worn_rear": 4, "compliance": 3, "delay": 3,
           "gyro_scale": 2, "gyro_bias": 1, "heading": 1}
@@ -49,7 +51,12 @@ def possible(car: Stranger, faults: tuple[str, ...]) -> bool:
 
 @cache
 def cases(half: str) -> dict[str, Case]:
-    """The 60 cases of a half by name: 20 with nothing wrong but guesses, 36 with one error, 4 with two."""
+    """The cases of a half by name, or the one of NEW_USER.
+
+    Each half has 60: 20 with nothing wrong but guesses, 36 with one error, 4 with two.
+    """
+    if half == NEW_USER:
+        return {NEW_USER: new_user()}
     cars, seed = HALVES[half]
     rng = np.random.default_rng(seed)
     faults = [(), *[()] * (HEALTHY - 1), *[(name,) for name, count in SINGLE.items() for _ in range(count)], *PAIRS]
@@ -68,6 +75,15 @@ def cases(half: str) -> dict[str, Case]:
         name = next(n for n in (base, *(f"{base}_{k}" for k in range(2, 60))) if n not in found)
         found[name] = _drawn(name, car, chosen, number, zlib.crc32(f"{half} {name}".encode()))
     return found
+
+
+def new_user() -> Case:
+    """Ratio of the file 8 % too large; mass, inertia, CG and stiffness of the file true."""
+    n = CARS["hatchback"].numbers
+    known = {"yaw_inertia": n.inertia, "cornering_stiffness_front": n.stiffness_front,
+             "cornering_stiffness_rear": n.stiffness_rear, "cg_height": n.height}
+    drives = tuple((name, 2.2 + 0.2 * k, 75.0) for k, name in enumerate(ROADS))
+    return Case(NEW_USER, "hatchback", {"ratio": 0.08}, known, {}, drives, 7, {})
 
 
 def _drawn(name: str, car: Stranger, faults: tuple[str, ...], number: int, seed: int) -> Case:

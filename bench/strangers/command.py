@@ -16,7 +16,7 @@ from st_recordings.paths import project_root, source_version
 
 from .._markers import renew, table
 from . import judge, score
-from .cases import HALVES, Case, cases
+from .cases import HALVES, NEW_USER, Case, cases
 from .recordings import write
 from .vehicles import CARS, DESCRIPTIONS
 
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="st bench strangers", description=(
         "Cars that share no equation with the project, driven and recorded as CSV with the file of a usual owner; "
         "answered by st discover and scored."))
-    parser.add_argument("--cases", choices=sorted(HALVES), default="development")
+    parser.add_argument("--cases", choices=[*HALVES, NEW_USER], default="development")
     parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases by name, or by a part of it")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the chosen cases")
     parser.add_argument("--output", type=Path, help="folder of the answers, one JSON a case; default "
