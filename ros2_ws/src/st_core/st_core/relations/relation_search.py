@@ -117,9 +117,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     finding reports is not proposed.
     Raises StCoreError for drives in which nothing can be predicted.
     """
-    settings = settings or DiscoverySettings()
-    limits = settings.limits
-    settings = _channels(found, settings)
+    settings = _channels(found, settings or DiscoverySettings())
     model = found.model or found.base
     without_axles = _without_axles(model)
     if without_axles:
@@ -136,8 +134,15 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
                               "accelerate and brake, at several speeds", {})
+    return _selected(screened, fits, without, vehicle, settings, [e.name for e in found.effects], reported, tick)
+
+
+def _selected(screened: Sequence[Screened], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
+              settings: DiscoverySettings, stated: Sequence[str], reported: Collection[tuple[str, str]],
+              tick: Callable[[], None]) -> RelationSearch:
+    """The best significant candidate, or the reason for none. stated: names of the answer's effects."""
+    limits, number = settings.limits, fits.loss.number
     chances = p_values(screened, fits.blocks)
-    number = fits.loss.number
     tried = {s.candidate.name: (s.gain / number, chances[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
     visible = {s.candidate.name: s.detectable(limits.false_alarm / len(screened), fits.blocks) for s in screened}
@@ -157,7 +162,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
         first = next(one for one in significant if one in against)
         return RelationSearch(None, against[first], tried, visible)
     best = best_of(accepted, limits.worth * number)
-    relation, why = _described(best, fitted, without, fits, chances, settings, vehicle, [e.name for e in found.effects])
+    relation, why = _described(best, fitted, without, fits, chances, settings, vehicle, stated)
     return RelationSearch(relation, why, tried, visible)
 
 
@@ -198,7 +203,7 @@ def _without_axles(model: AugmentedModel) -> str:
 def _reported(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
     """Name of a finding of the checks that a candidate imitates; "" for none."""
     if candidate.place == "front_steer" and {candidate.quantity, candidate.by} & set(STEERING_TIMING):
-        return next((name for name, _ in reported if name == "steering_lag"), "")
+        return next((name for name, channel in reported if channel == "road_wheel_angle" and name.endswith("_lag")), "")
     return next((name for name, channel in reported if channel in MEASURED_BY.get(candidate.place, ())), "")
 
 
