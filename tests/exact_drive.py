@@ -9,7 +9,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from st_core.checks.with_car import response_time
+from st_core.checks.vehicle_relations import response_time
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 

@@ -53,7 +53,7 @@ def _scored(setting: Setting) -> str:
             object.__setattr__(LIMITS, name, before)
     right = 100.0 * sum(r["right"] for r in records) / len(records)
     beside = sum(bool(r["new"]["error"] or r["new"]["warning"]) for r in records)
-    return f"{right:.1f} % right, {beside} with others beside, {alarms} alarms"
+    return f"{right:.1f} % right, {beside} with other findings, {alarms} alarms"
 
 
 @lru_cache

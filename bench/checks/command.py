@@ -101,8 +101,8 @@ def _in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
             for title, said in (("as recorded", as_recorded(clean)), ("corrupted", checked(corrupted))):
                 print(f"-- {title}")
                 for finding in said.findings:
-                    cure = finding.cure.line if finding.cure else "-"
-                    print(f"{short(finding)}\n    {finding.text}\n    where {finding.where}; cure: {cure}")
+                    advice = finding.advice.line if finding.advice else "-"
+                    print(f"{short(finding)}\n    {finding.text}\n    where {finding.where}; correction: {advice}")
     return 0
 
 

@@ -90,17 +90,17 @@ def hand_wheel(r: Recording, unit: float) -> tuple[Recording, float]:
 
 
 def wheel_speed(r: Recording, k: float) -> tuple[Recording, float]:
-    series = r.extras.wheel_speed
-    return r.with_extras(wheel_speed=replace(series, values=series.values * k)), k
+    series = r.auxiliary.wheel_speed
+    return r.with_auxiliary(wheel_speed=replace(series, values=series.values * k)), k
 
 
 def wheel_speed_late(r: Recording, seconds: float) -> tuple[Recording, float]:
-    return r.with_extras(wheel_speed=late_series(r.extras.wheel_speed, seconds)), seconds
+    return r.with_auxiliary(wheel_speed=late_series(r.auxiliary.wheel_speed, seconds)), seconds
 
 
 def ins_speed(r: Recording, k: float) -> tuple[Recording, float]:
-    series = r.extras.ins_speed
-    return r.with_extras(ins_speed=replace(series, values=series.values * k)), k
+    series = r.auxiliary.ins_speed
+    return r.with_auxiliary(ins_speed=replace(series, values=series.values * k)), k
 
 
 def two(first: float, second: float, unit: str = "") -> tuple[Size, Size]:
@@ -170,7 +170,7 @@ YAW = (
     Kind("yaw rate bias", ("yaw_rate_bias",), "plus", plus("yaw_rate"), two(0.01, 0.03, "rad/s"), v.moves,
          either_side=True),
     Kind("yaw rate late", ("yaw_rate_lag",), "plus", delay("yaw_rate"), two(0.1, 0.3, "s"), v.turns),
-    Kind("yaw rate held", ("samples_repeated",), "is", f.held("yaw_rate"), two(5.0, 2.0, "Hz"), v.turns,
+    Kind("yaw rate held", ("samples_repeated",), "is", f.with_systematic("yaw_rate"), two(5.0, 2.0, "Hz"), v.turns,
          channel="yaw_rate", tolerance=SHARE, also=("yaw_rate_lag", "resolution_coarse")),
     Kind("yaw rate frozen", ("channel_frozen",), "is", f.frozen("yaw_rate"), two(10.0, 30.0, "s"),
          v.long_enough("yaw_rate"), channel="yaw_rate", tolerance=SHARE, also=("samples_repeated",)),

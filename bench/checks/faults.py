@@ -26,9 +26,9 @@ def other_time_unit(r: Recording, factor: float) -> Edited:
     def faster(time_ns: np.ndarray) -> np.ndarray:
         return start + (time_ns - start) * round(factor)
     series = {name: replace(part, time_ns=faster(part.time_ns)) for name in TIMED
-              if (part := getattr(r.extras, name)) is not None}
+              if (part := getattr(r.auxiliary, name)) is not None}
     log = {name: faster(getattr(r.log, name)) for name in ("ins_time_ns", "steering_time_ns")}
-    return r.with_log(**log).with_extras(**series), factor
+    return r.with_log(**log).with_auxiliary(**series), factor
 
 
 def three_gaps(r: Recording, seconds: float) -> Edited:
@@ -57,13 +57,13 @@ def stamps_twice(r: Recording, share: float) -> Edited:
         count = round(share / (1 - share) * len(time))
         rows = np.sort(generator.choice(len(time), count, replace=False))
         return np.insert(time, rows + 1, time[rows])
-    return r.with_extras(stamps={name: doubled(time) for name, time in r.extras.stamps.items()}), share
+    return r.with_auxiliary(stamps={name: doubled(time) for name, time in r.auxiliary.stamps.items()}), share
 
 
 def stamps_swapped(r: Recording, share: float) -> Edited:
     """Rows recorded before the one measured before them; a reader leaves them out."""
     generator, stamps, rising = _generator(r), {}, {}
-    for name, in_order in r.extras.stamps.items():
+    for name, in_order in r.auxiliary.stamps.items():
         time = in_order.copy()
         rows = 2 * generator.choice(len(time) // 2, round(share * len(time)), replace=False)
         time[rows], time[rows + 1] = in_order[rows + 1], in_order[rows]
@@ -71,7 +71,7 @@ def stamps_swapped(r: Recording, share: float) -> Edited:
         rising[name] = np.ones(len(time), bool)
         # The later stamp comes first and stays; the log itself is in the order of time.
         rising[name][rows] = False
-    return kept(r, rising["INS"], rising["steering"]).with_extras(stamps=stamps), share
+    return kept(r, rising["INS"], rising["steering"]).with_auxiliary(stamps=stamps), share
 
 
 def jitter(r: Recording, size: float) -> Edited:
@@ -92,7 +92,7 @@ def rows_missing(r: Recording, share: float) -> Edited:
     there = _generator(r).random(len(r.log.x)) >= share
     corrupted = kept(r, there, np.ones(len(r.log.steering_time_ns), bool))
     missing = int((~there).sum())
-    return corrupted.with_extras(missing={"yaw_rate": missing}), missing / len(there)
+    return corrupted.with_auxiliary(missing={"yaw_rate": missing}), missing / len(there)
 
 
 def exchanged(r: Recording, sign: float) -> Edited:
@@ -122,7 +122,7 @@ def stale_positions(r: Recording, share: float) -> Edited:
     old = _generator(r).random(len(r.log.x)) < share
     old[0] = False
     rows = np.arange(len(old)) - old
-    # What is told is how often positions step back: at an old row behind a fresh one.
+    # What is findings is how often positions step back: at an old row behind a fresh one.
     return r.with_log(x=r.log.x[rows], y=r.log.y[rows]), float(np.mean(old[1:] & ~old[:-1]))
 
 
@@ -146,7 +146,7 @@ def rounded(*channels: str) -> Callable[[Recording, float], Edited]:
     return lambda r, step: (r.with_log(**{c: np.round(getattr(r.log, c) / step) * step for c in channels}), step)
 
 
-def held(channel: str) -> Callable[[Recording, float], Edited]:
+def with_systematic(channel: str) -> Callable[[Recording, float], Edited]:
     def edit(r: Recording, rate: float) -> Edited:
         new = np.diff(np.floor(r.time * rate), prepend=-1.0) > 0
         rows = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
@@ -209,13 +209,14 @@ def creeping(r: Recording, speed: float) -> Edited:
 
 
 def without_rtk(r: Recording, share: float) -> Edited:
-    quality = r.extras.quality
+    quality = r.auxiliary.quality
     time = np.linspace(0.0, 1.0, len(quality.time_ns))
     lost = np.abs(time - 0.5) < share / 2
     modes = np.where(lost, DIFFERENTIAL, RTK_INTEGER).astype(float)
-    return r.with_extras(quality=replace(quality, position_mode=modes)), float(lost.mean())
+    return r.with_auxiliary(quality=replace(quality, position_mode=modes)), float(lost.mean())
 
 
 def poor_accuracy(r: Recording, accuracy: float) -> Edited:
-    quality = r.extras.quality
-    return r.with_extras(quality=replace(quality, position_accuracy=np.full(len(quality.time_ns), accuracy))), accuracy
+    quality = r.auxiliary.quality
+    quality = replace(quality, position_accuracy=np.full(len(quality.time_ns), accuracy))
+    return r.with_auxiliary(quality=quality), accuracy

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from st_core.checks import Extras, InsQuality, Series
+from st_core.checks import AuxiliaryData, InsQuality, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
@@ -24,7 +24,7 @@ class Recording:
     log: DriveLog
     vehicle: VehicleParameters
     real: bool
-    extras: Extras = field(default_factory=Extras)
+    auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
     own: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -39,18 +39,19 @@ class Recording:
     def with_log(self, **fields) -> "Recording":
         return replace(self, log=replace(self.log, **fields))
 
-    def with_extras(self, **fields) -> "Recording":
-        return replace(self, extras=replace(self.extras, **fields))
+    def with_auxiliary(self, **fields) -> "Recording":
+        return replace(self, auxiliary=replace(self.auxiliary, **fields))
 
     def between(self, start_ns: int, end_ns: int) -> "Recording":
         """Everything recorded in that time; stamps are left out, they are of the whole."""
-        extras = {name: None if (part := getattr(self.extras, name)) is None else _rows(
+        auxiliary = {name: None if (part := getattr(self.auxiliary, name)) is None else _rows(
             part, (part.time_ns >= start_ns) & (part.time_ns <= end_ns)) for name in TIMED}
-        return replace(self, log=self.log.slice(start_ns, end_ns), extras=replace(self.extras, stamps={}, **extras))
+        return replace(self, log=self.log.slice(start_ns, end_ns),
+                       auxiliary=replace(self.auxiliary, stamps={}, **auxiliary))
 
 
 TIMED = ("wheel_speed", "ins_speed", "quality")
-"""Parts of Extras that have a time base."""
+"""Parts of AuxiliaryData that have a time base."""
 
 
 def _rows(part: Series | InsQuality, kept: np.ndarray) -> Series | InsQuality:
@@ -96,17 +97,17 @@ def with_good_quality(recording: Recording) -> Recording:
     """As a unit with RTK says all the time."""
     time = recording.log.ins_time_ns
     level = np.ones(len(time))
-    return recording.with_extras(quality=InsQuality(time, LOCKED * level, RTK_INTEGER * level, 0.01 * level,
+    return recording.with_auxiliary(quality=InsQuality(time, LOCKED * level, RTK_INTEGER * level, 0.01 * level,
                                                     0.001 * level))
 
 
 def with_wheel_speed(recording: Recording) -> Recording:
     """A wheel speed that is right: the INS's forward speed and a little noise, at every second row."""
-    return recording.with_extras(wheel_speed=_speed(recording, WHEEL_NOISE))
+    return recording.with_auxiliary(wheel_speed=_speed(recording, WHEEL_NOISE))
 
 
 def with_ins_speed(recording: Recording) -> Recording:
-    return recording.with_extras(ins_speed=_speed(recording, 0.002))
+    return recording.with_auxiliary(ins_speed=_speed(recording, 0.002))
 
 
 def _speed(recording: Recording, noise: float) -> Series:
@@ -116,4 +117,5 @@ def _speed(recording: Recording, noise: float) -> Series:
 
 def with_stamps(recording: Recording) -> Recording:
     """Stamps without a fault."""
-    return recording.with_extras(stamps={"INS": recording.log.ins_time_ns, "steering": recording.log.steering_time_ns})
+    log = recording.log
+    return recording.with_auxiliary(stamps={"INS": log.ins_time_ns, "steering": log.steering_time_ns})

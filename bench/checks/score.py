@@ -19,7 +19,7 @@ Record = dict[str, Any]
 
 
 def checked(recording: Recording) -> Checked:
-    return check(recording.log, recording.vehicle, recording.extras)
+    return check(recording.log, recording.vehicle, recording.auxiliary)
 
 
 def answer(recording: Recording) -> tuple[Checked, str]:

@@ -6,7 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from st_core.checks import Extras, Series
+from st_core.checks import AuxiliaryData, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config
@@ -59,8 +59,8 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
             wheels.append((now / 1000, sum(read_wheel_speeds(source.truth(), settings).wheels[2:]) / 2))
     log = _log(drive_name(scenario), readings, np.array(hand), vehicle)
     times, speeds = np.array(wheels).T
-    extras = Extras(wheel_speed=Series(_ns(times), _rounded(speeds, "wheel")))
-    return with_good_quality(Recording(log, vehicle, False, extras, _own(settings, readings, exact)))
+    auxiliary = AuxiliaryData(wheel_speed=Series(_ns(times), _rounded(speeds, "wheel")))
+    return with_good_quality(Recording(log, vehicle, False, auxiliary, _own(settings, readings, exact)))
 
 
 def _own(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:

@@ -107,7 +107,7 @@ def test_what_checks_may_use_is_in_raw_files_and_bag_alike(raw: Path, imported: 
     (source,), (bag,) = find_runs([raw]), find_runs([imported])
     runs = read(source, leaf), read(bag, leaf)
     for run in runs:
-        log, extras = run.log, run.extras
+        log, extras = run.log, run.auxiliary
         speed = np.interp(extras.wheel_speed.time_ns, log.ins_time_ns, log.velocity_x)
         assert np.median(np.abs(extras.wheel_speed.values - speed)) < 0.1
         speed = np.interp(extras.ins_speed.time_ns, log.ins_time_ns, log.velocity_x)
@@ -118,10 +118,10 @@ def test_what_checks_may_use_is_in_raw_files_and_bag_alike(raw: Path, imported: 
         assert np.nanmax(quality.position_mode) == 6 and 0 < np.nanmedian(quality.position_accuracy) < 0.1
         assert 0 < np.nanmedian(quality.heading_accuracy) < 0.01
         assert run.log.acceleration_y is None or not extras.missing
-    first, second = (run.extras.quality for run in runs)
+    first, second = (run.auxiliary.quality for run in runs)
     there = np.isin(second.time_ns, first.time_ns)
     np.testing.assert_array_equal(second.position_accuracy[there], first.position_accuracy)
-    np.testing.assert_array_equal(runs[0].extras.wheel_speed.values, runs[1].extras.wheel_speed.values)
+    np.testing.assert_array_equal(runs[0].auxiliary.wheel_speed.values, runs[1].auxiliary.wheel_speed.values)
 
 
 def test_packets_without_an_acceleration_cost_that_only(raw: Path, tmp_path: Path, leaf: VehicleParameters) -> None:
@@ -136,7 +136,7 @@ def test_packets_without_an_acceleration_cost_that_only(raw: Path, tmp_path: Pat
     (source,) = find_runs([folder])
     run = read(source, leaf)
     lost = np.isnan(run.log.acceleration_y)
-    assert lost.sum() == run.extras.missing["acceleration_y"] == 50
+    assert lost.sum() == run.auxiliary.missing["acceleration_y"] == 50
     np.testing.assert_array_equal(run.log.acceleration_y[~lost], whole.acceleration_y[~lost])
     np.testing.assert_array_equal(run.log.acceleration_x, whole.acceleration_x)
     assert any("acceleration_y: 50 of" in warning and "it is not known there" in warning for warning in run.warnings)
@@ -157,7 +157,7 @@ def test_the_bag_of_a_corrected_run_holds_what_was_recorded(raw: Path, imported:
     (source,) = find_runs([tmp_path / "bag.run.yaml"])
     corrected = read(source, leaf)
     np.testing.assert_allclose(corrected.log.x, recorded.x[: len(corrected.log.x)] + 3.0)
-    assert corrected.extras.corrected == ("yaw_rate, 0.02 s earlier", "x + 3 m")
+    assert corrected.auxiliary.corrected == ("yaw_rate, 0.02 s earlier", "x + 3 m")
     (source,) = find_runs([tmp_path / "raw.run.yaml"])
     np.testing.assert_array_equal(read(source, leaf).log.yaw_rate, corrected.log.yaw_rate)
 

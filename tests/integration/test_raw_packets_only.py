@@ -49,7 +49,7 @@ def test_the_drive_is_the_same(everything: Path, raw: Path) -> None:
                  "steering_wheel_angle", "road_wheel_angle"):
         assert np.array_equal(getattr(of_all.log, name), getattr(of_raw.log, name)), name
     for name in ("wheel_speed", "ins_speed"):
-        theirs, ours = getattr(of_all.extras, name), getattr(of_raw.extras, name)
+        theirs, ours = getattr(of_all.auxiliary, name), getattr(of_raw.auxiliary, name)
         assert len(theirs.values) > 500
         assert np.array_equal(theirs.time_ns, ours.time_ns) and np.array_equal(theirs.values, ours.values), name
 

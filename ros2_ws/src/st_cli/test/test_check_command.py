@@ -77,7 +77,7 @@ def test_the_schema(checked):
         assert set(run) >= {"findings", "channels", "identities", "verdict", "vehicle", "duration", "warnings", "files"}
         for one in run["findings"]:
             assert set(one) >= {"name", "severity", "channels", "value", "unit", "interval", "text", "where", "effect",
-                                "cure"}
+                                "cure", "tried"}
             assert one["severity"] in ("error", "warning", "note") and one["text"]
         for channel in run["channels"].values():
             assert set(channel) >= {"rate", "gaps", "noise", "resolution", "unit", "samples", "repeated", "missing"}

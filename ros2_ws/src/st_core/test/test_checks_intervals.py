@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from st_core.checks.lag import agreement
-from st_core.checks.limits import HOLDS
-from st_core.checks.regression import Estimate, Regression, held
+from st_core.checks.limits import SYSTEMATIC
+from st_core.checks.regression import Estimate, Regression, with_systematic
 
 RUNS, FEW_RUNS = 200, 50
 
@@ -68,18 +68,19 @@ def test_more_noise_is_a_wider_interval_and_less_driving_too():
 
 
 def test_what_an_identity_does_not_know_is_added_in_quadrature():
-    one = held("yaw_rate_lag", Estimate(0.3, 0.006, (0.288, 0.312)))
-    assert one.interval == pytest.approx((0.3 - np.hypot(0.012, HOLDS["lag"]), 0.3 + np.hypot(0.012, HOLDS["lag"])))
-    in_degrees = held("yaw_rate_scale", Estimate(57.3, 0.0, (57.3, 57.3)))
-    assert in_degrees.interval[1] - 57.3 == pytest.approx(57.3 * HOLDS["scale"])
+    one = with_systematic("yaw_rate_lag", Estimate(0.3, 0.006, (0.288, 0.312)))
+    half = np.hypot(0.012, SYSTEMATIC["lag"])
+    assert one.interval == pytest.approx((0.3 - half, 0.3 + half))
+    in_degrees = with_systematic("yaw_rate_scale", Estimate(57.3, 0.0, (57.3, 57.3)))
+    assert in_degrees.interval[1] - 57.3 == pytest.approx(57.3 * SYSTEMATIC["scale"])
     unknown = Estimate(1.0, 0.1, (0.8, 1.2))
-    assert held("something_else", unknown).interval == pytest.approx(unknown.interval)
+    assert with_systematic("something_else", unknown).interval == pytest.approx(unknown.interval)
 
 
 def test_sure_is_more_than_an_interval_that_leaves_out_zero():
-    assert Estimate(1.0, 0.1, (0.6, 1.4)).sure and Estimate(-1.0, 0.1, (-1.4, -0.6)).sure
-    assert not Estimate(1.0, 0.4, (0.2, 1.8)).sure
-    assert not Estimate(1.0, 0.6, (-0.2, 2.2)).sure
+    assert Estimate(1.0, 0.1, (0.6, 1.4)).significant and Estimate(-1.0, 0.1, (-1.4, -0.6)).significant
+    assert not Estimate(1.0, 0.4, (0.2, 1.8)).significant
+    assert not Estimate(1.0, 0.6, (-0.2, 2.2)).significant
 
 
 def test_the_same_seed_gives_the_same_interval():

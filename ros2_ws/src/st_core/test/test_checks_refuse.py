@@ -52,4 +52,5 @@ def test_understeer_of_a_fast_car_is_no_unit(leaf):
     assert errors(fast, soft) == {}
     hand = errors(replace(fast, road_wheel_angle=fast.steering_wheel_angle), soft)["steering_scale"]
     assert "the angle of the steering wheel" in hand.text
-    assert hand.cure.entry["correct"]["road_wheel_angle"]["scale"] == pytest.approx(1.0 / soft.steering_ratio, rel=1e-4)
+    scale = hand.advice.entry["correct"]["road_wheel_angle"]["scale"]
+    assert scale == pytest.approx(1.0 / soft.steering_ratio, rel=1e-4)

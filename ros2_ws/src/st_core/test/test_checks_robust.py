@@ -9,15 +9,15 @@ from exact_drive import SILENT, SPEED, TURNING, Noise, Sines, exact_drive
 from exact_faults import counted
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from st_core.checks import Extras, InsQuality, Series, Severity, check
+from st_core.checks import AuxiliaryData, InsQuality, Series, Severity, check
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 
 FAST = settings(max_examples=25, deadline=None, derandomize=True, phases=(Phase.generate,))
 STANDING = Sines(0.0, ())
 
 
-def errors(log, car=None, extras=None):
-    return [one.text for one in check(log, car, extras).findings if one.severity is Severity.ERROR]
+def errors(log, car=None, auxiliary=None):
+    return [one.text for one in check(log, car, auxiliary).findings if one.severity is Severity.ERROR]
 
 
 def turned(log, angle):
@@ -68,7 +68,7 @@ def test_a_healthy_drive_of_any_form_has_no_error(leaf, form):
     lambda log: replace(log, steering_time_ns=np.zeros(0, np.int64), road_wheel_angle=np.zeros(0),
                         steering_wheel_angle=None),
     lambda log: replace(log, steering_time_ns=log.steering_time_ns + 10**13),
-], ids=["UTM", "ten turns", "a hundred turns back", "another map", "another epoch", "without extras", "no a_y",
+], ids=["UTM", "ten turns", "a hundred turns back", "another map", "another epoch", "without auxiliary", "no a_y",
         "slow steering", "no steering", "steering of another day"])
 def test_another_origin_or_another_extent_is_no_fault(leaf, change):
     assert check(change(exact_drive(leaf)), leaf).findings == ()
@@ -100,11 +100,11 @@ def test_a_car_that_stands_all_the_time_says_nothing(leaf, noise):
 
 def test_a_standing_car_that_claims_to_move(leaf):
     standing = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STANDING)
-    told = {one.channels: one for one in check(replace(
+    findings = {one.channels: one for one in check(replace(
         standing, velocity_x=standing.velocity_x + 0.3, yaw_rate=standing.yaw_rate - 0.02), leaf).findings
         if one.name == "standstill_motion"}
-    assert told["velocity_x",].value == pytest.approx(0.3, abs=0.01)
-    assert told["yaw_rate",].value == pytest.approx(-0.02, abs=0.001)
+    assert findings["velocity_x",].value == pytest.approx(0.3, abs=0.01)
+    assert findings["yaw_rate",].value == pytest.approx(-0.02, abs=0.001)
 
 
 def test_no_tyre_does_that(leaf):
@@ -157,8 +157,8 @@ def test_any_channel_may_be_nonsense(leaf, channels, seed):
 
 
 def extras_of(time, rows):
-    return Extras({"INS": time[::-1], "steering": time}, {"x": 3}, Series(time, rows[3]), Series(time[:1], rows[4][:1]),
-                  InsQuality(time, rows[5], rows[6], rows[7], rows[8]))
+    return AuxiliaryData({"INS": time[::-1], "steering": time}, {"x": 3}, Series(time, rows[3]),
+                         Series(time[:1], rows[4][:1]), InsQuality(time, rows[5], rows[6], rows[7], rows[8]))
 
 
 def readable(checked):
@@ -167,7 +167,7 @@ def readable(checked):
         assert one.value is None or np.isfinite(one.value), one
         assert one.interval is None or one.interval[0] <= one.value <= one.interval[1], one
         assert one.effect is None or one.effect >= 0.0, one
-        assert one.text and "nan" not in one.text and one.cure and one.cure.line
+        assert one.text and "nan" not in one.text and one.advice and one.advice.line
         assert all(first <= last for first, last in one.where)
     json.dumps(checked.as_dict(), allow_nan=False)
 

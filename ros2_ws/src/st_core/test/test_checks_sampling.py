@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import SPEED, Noise, Sines, exact_drive
-from st_core.checks import Extras, Severity, check
+from st_core.checks import AuxiliaryData, Severity, check
 from st_core.checks.sampling import noise, resolution
 from st_core.corrections import corrected
 
@@ -16,8 +16,8 @@ def log(leaf):
     return exact_drive(leaf, 40.0)
 
 
-def found(log, car=None, extras=None):
-    return {one.name: one for one in check(log, car, extras).findings}
+def found(log, car=None, auxiliary=None):
+    return {one.name: one for one in check(log, car, auxiliary).findings}
 
 
 @pytest.mark.parametrize("step", [1e-4, 0.02, 3.0])
@@ -44,7 +44,7 @@ def test_noise_is_what_a_smooth_motion_does_not_have():
 
 def test_channels_say_what_was_recorded(leaf):
     drive = exact_drive(leaf, 40.0, rate=50.0, noise=Noise(yaw_rate=0.004))
-    known = check(drive, extras=Extras(missing={"yaw_rate": 7})).channels
+    known = check(drive, auxiliary=AuxiliaryData(missing={"yaw_rate": 7})).channels
     assert known["yaw_rate"].rate == pytest.approx(50.0) and known["yaw_rate"].samples == 2000
     assert known["yaw_rate"].noise == pytest.approx(0.004, rel=0.1) and known["yaw_rate"].missing == 7
     assert known["x"].gaps == 0 and known["x"].longest_gap == pytest.approx(0.02)
@@ -86,7 +86,7 @@ def test_a_channel_that_stands_still_while_the_car_moves(log, leaf, channel):
     assert one.channels == (channel,) and one.value == pytest.approx(6.0, abs=0.05)
     assert one.where == (pytest.approx((10.0, 16.0), abs=0.05),)
     if channel != "road_wheel_angle":
-        assert one.cure.entry == {"leave_out": [[pytest.approx(10.0, abs=0.05), pytest.approx(16.0, abs=0.05)]]}
+        assert one.advice.entry == {"leave_out": [[pytest.approx(10.0, abs=0.05), pytest.approx(16.0, abs=0.05)]]}
 
 
 def test_a_channel_may_stand_still_when_nothing_changes(leaf):
@@ -101,28 +101,29 @@ def test_stamps_that_go_back_or_are_there_twice(log):
     stamps = log.ins_time_ns.copy()
     stamps[100:200:10] = stamps[99:199:10]
     stamps[1000] = stamps[990]
-    told = found(log, extras=Extras(stamps={"INS": stamps}))
-    assert told["time_duplicates"].value == pytest.approx(10 / (len(stamps) - 1))
-    assert told["time_order"].value == pytest.approx(1 / (len(stamps) - 1))
-    assert {one.severity for one in told.values()} == {Severity.NOTE}
-    assert told["time_order"].where == (pytest.approx((9.9, 9.9)),)
-    assert found(log, extras=Extras(stamps={"INS": log.ins_time_ns, "steering": log.steering_time_ns})) == {}
+    findings = found(log, auxiliary=AuxiliaryData(stamps={"INS": stamps}))
+    assert findings["time_duplicates"].value == pytest.approx(10 / (len(stamps) - 1))
+    assert findings["time_order"].value == pytest.approx(1 / (len(stamps) - 1))
+    assert {one.severity for one in findings.values()} == {Severity.NOTE}
+    assert findings["time_order"].where == (pytest.approx((9.9, 9.9)),)
+    assert found(log, auxiliary=AuxiliaryData(stamps={"INS": log.ins_time_ns, "steering": log.steering_time_ns})) == {}
 
 
 @pytest.mark.parametrize(("seconds", "severity"), [(1.0, Severity.NOTE), (4.0, Severity.WARNING)])
 def test_gaps(log, leaf, seconds, severity):
     since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
-    told = found(log.with_ins((since < 15.0) | (since >= 15.0 + seconds)), leaf)
-    assert list(told) == ["time_gaps"]
-    assert told["time_gaps"].severity is severity and told["time_gaps"].value == pytest.approx(seconds, abs=0.02)
-    assert told["time_gaps"].where == (pytest.approx((15.0, 15.0 + seconds), abs=0.02),)
+    findings = found(log.with_ins((since < 15.0) | (since >= 15.0 + seconds)), leaf)
+    assert list(findings) == ["time_gaps"]
+    gaps = findings["time_gaps"]
+    assert gaps.severity is severity and gaps.value == pytest.approx(seconds, abs=0.02)
+    assert gaps.where == (pytest.approx((15.0, 15.0 + seconds), abs=0.02),)
 
 
 @pytest.mark.parametrize(("rows", "severity"), [(3, Severity.NOTE), (400, Severity.WARNING)])
 def test_rows_without_a_value(log, rows, severity):
     kept = np.ones(len(log.x), bool)
     kept[np.random.default_rng(1).choice(len(kept), rows, replace=False)] = False
-    one = found(log.with_ins(kept), extras=Extras(missing={"yaw_rate": rows}))["values_missing"]
+    one = found(log.with_ins(kept), auxiliary=AuxiliaryData(missing={"yaw_rate": rows}))["values_missing"]
     assert one.channels == ("yaw_rate",) and one.severity is severity
     assert one.value == pytest.approx(rows / len(log.x))
 
@@ -132,8 +133,8 @@ def steered(log, kept):
     less = replace(log, steering_time_ns=log.steering_time_ns[kept], road_wheel_angle=log.road_wheel_angle[kept],
                    steering_wheel_angle=log.steering_wheel_angle[kept])
     missing = len(log.steering_time_ns) - len(less.steering_time_ns)
-    extras = Extras({"INS": log.steering_time_ns}, missing={"road_wheel_angle": missing})
-    return found(less, extras=extras)["values_missing"]
+    auxiliary = AuxiliaryData({"INS": log.steering_time_ns}, missing={"road_wheel_angle": missing})
+    return found(less, auxiliary=auxiliary)["values_missing"]
 
 
 def test_a_slower_sensor_in_the_same_rows_lacks_nothing(log):
@@ -152,7 +153,7 @@ def test_a_hole_is_no_slower_sensor(log, hole):
 @pytest.mark.parametrize(("channel", "share"), [("road_wheel_angle", 0.5), ("yaw_rate", 0.5), ("acceleration_x", 1.0)])
 def test_the_share_is_of_the_rows_there_were(log, channel, share):
     count = len(log.steering_time_ns if channel == "road_wheel_angle" else log.x)
-    assert found(log, extras=Extras(missing={channel: count}))["values_missing"].value == pytest.approx(share)
+    assert found(log, auxiliary=AuxiliaryData(missing={channel: count}))["values_missing"].value == pytest.approx(share)
 
 
 def test_positions_held_at_a_lower_rate_do_not_jump(log):
@@ -171,7 +172,7 @@ def test_positions_that_jump(log, size, end, stretches):
     assert one.value == 2.0
     assert float(re.search(r"([\d.]+) m at most", one.text)[1]) == pytest.approx(size, abs=0.02)
     assert one.where == (pytest.approx((12.34, 12.35)), pytest.approx((end - 0.01, end)))
-    left_out = one.cure.entry["leave_out"]
+    left_out = one.advice.entry["leave_out"]
     assert np.ravel(left_out) == pytest.approx(stretches, abs=0.011)
     assert "position_jumps" not in found(corrected(wrong, {}, None, left_out))
 
@@ -179,7 +180,7 @@ def test_positions_that_jump(log, size, end, stretches):
 def test_positions_that_jump_all_the_time(log):
     since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
     one = found(replace(log, x=log.x + 0.5 * (np.floor(2.0 * since) % 2)))["position_jumps"]
-    assert one.value > 50 and one.cure.kind == "look"
+    assert one.value > 50 and one.advice.kind == "look"
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7])

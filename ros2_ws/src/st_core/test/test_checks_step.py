@@ -36,7 +36,7 @@ def log():
 
 def printed(finding):
     """The value as a reader would copy it."""
-    return float(re.search(r"value: ([\d.]+), unit: m/s", finding.cure.line)[1])
+    return float(re.search(r"value: ([\d.]+), unit: m/s", finding.advice.line)[1])
 
 
 def models(name):
@@ -49,20 +49,20 @@ def models(name):
 @pytest.mark.parametrize("lighter", [0.5, 0.35, 0.25])
 def test_the_value_told_cures_it(car, log, name, lighter):
     stiff = replace(car, yaw_inertia=lighter * car.yaw_inertia)
-    told = 0
+    findings = 0
     for model in models(name):
         finding = step_too_long([model], stiff, log, STEP)
         if finding is None:
             continue
-        if finding.cure.kind == "vehicle":
+        if finding.advice.kind == "vehicle":
             assert printed(finding) == finding.value and finding.unit == "m/s"
-            mended = replace(stiff, minimum_slip_speed=printed(finding))
-            assert step_too_long([model], mended, log, STEP) is None
-            told += 1
+            corrected = replace(stiff, minimum_slip_speed=printed(finding))
+            assert step_too_long([model], corrected, log, STEP) is None
+            findings += 1
         else:
-            assert finding.cure.line == f"--step {finding.value:.9g}"
+            assert finding.advice.line == f"--step {finding.value:.9g}"
             assert step_too_long([model], stiff, log, finding.value) is None
-    assert told >= 4
+    assert findings >= 4
 
 
 def test_one_tenth_less_does_not(car, log):
@@ -72,7 +72,7 @@ def test_one_tenth_less_does_not(car, log):
 
 
 def test_the_speed_where_steps_become_stable_is_not_the_floor_that_makes_them_so(leaf):
-    """What was told before: 6.1 m/s for this car, with which it went on warning."""
+    """What was findings before: 6.1 m/s for this car, with which it went on warning."""
     stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
     lowest = stability.lowest_stable_speed("linear", stiff, STEP)
     assert not stable(["linear"], replace(stiff, minimum_slip_speed=lowest + 0.08), [0.5, 35.0], STEP)
@@ -86,11 +86,11 @@ def test_prediction_no_longer_warns_with_the_value_told(leaf, log, monkeypatch):
     starts = np.arange(0, 50, 5) * 10**9
     with pytest.warns(StepTooLongWarning, match=r"minimum_slip_speed of [\d.]+ m/s in the vehicle file") as caught:
         predict_log("nonlinear", stiff, log, starts, backend="numpy")
-    told = float(re.search(r"minimum_slip_speed of ([\d.]+) m/s", str(caught[0].message))[1])
+    findings = float(re.search(r"minimum_slip_speed of ([\d.]+) m/s", str(caught[0].message))[1])
     stability._warned.clear()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        predict_log("nonlinear", replace(stiff, minimum_slip_speed=told), log, starts, backend="numpy")
+        predict_log("nonlinear", replace(stiff, minimum_slip_speed=findings), log, starts, backend="numpy")
 
 
 def test_it_says_where(leaf, log):
@@ -106,7 +106,7 @@ def test_stiffness_that_no_floor_lowers_asks_for_a_shorter_step(leaf, log):
     """Tyres that relax over 0.2 m follow the speed: at 35 m/s they are as stiff with any floor."""
     model = augment("linear", {"tyre_relaxation": {"length": 0.2}})
     finding = step_too_long([model], leaf, log, 0.2)
-    assert (finding.cure.kind, finding.unit) == ("option", "s") and finding.cure.line == f"--step {finding.value:g}"
+    assert (finding.advice.kind, finding.unit) == ("option", "s") and finding.advice.line == f"--step {finding.value:g}"
     assert step_too_long([model], leaf, log, finding.value) is None
     assert step_too_long([model], leaf, log, 2.0 * finding.value) is not None
 

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from exact_drive import exact_drive
-from st_core.checks import Extras, Severity, check
+from st_core.checks import AuxiliaryData, Severity, check
 
 CHANNELS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y",
             "road_wheel_angle")
@@ -29,7 +29,7 @@ def test_one_channel_stands_still(log, leaf, name, at):
     found, = (one for one in check(stopped(log, name, at=at), leaf).findings if one.name == "channel_frozen")
     assert found.severity is (Severity.WARNING if name in SPARED else Severity.ERROR) and found.channels == (name,)
     # Leaving out all of the drive is no cure.
-    assert found.cure.kind == "look"
+    assert found.advice.kind == "look"
 
 
 @pytest.mark.parametrize("names", list(combinations(CHANNELS, 2)), ids=" and ".join)
@@ -40,7 +40,7 @@ def test_two_channels_stand_still(log, leaf, names):
 
 def test_what_is_wrong_with_the_stamps_of_a_few_samples_is_told(log, leaf):
     stamps = np.repeat(log.ins_time_ns[:30], 20)
-    found, = check(log.with_ins(np.arange(30)), leaf, Extras({"INS": stamps})).findings
+    found, = check(log.with_ins(np.arange(30)), leaf, AuxiliaryData({"INS": stamps})).findings
     assert found.name == "time_duplicates" and found.value == pytest.approx(0.95, abs=0.01)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from exact_drive import exact_drive
 from st_core.checks import Finding, Severity
-from st_core.checks.finding import Cure
+from st_core.checks.finding import Advice
 from st_core.checks.trial import tried
 from st_core.corrections import Correction, corrected
 
@@ -17,7 +17,7 @@ FAULTS = {
 
 def finding(severity, **correct):
     (channel, values), = correct.items()
-    return Finding("some_fault", severity, (channel,), "a fault", cure=Cure.correct(channel, **values))
+    return Finding("some_fault", severity, (channel,), "a fault", advice=Advice.correct(channel, **values))
 
 
 def inverse(values):
@@ -33,9 +33,9 @@ def test_a_right_correction_is_proposed_and_a_wrong_one_is_not(leaf, channel, se
     broken = corrected(log, {channel: Correction(**values)}, leaf)
     right, wrong = (finding(severity, **{channel: one}) for one in (inverse(values), values))
     (kept,) = tried([right], broken, leaf)
-    assert kept.cure == right.cure and kept.tried[1] < 1.05 * kept.tried[0]
+    assert kept.advice == right.advice and kept.tried[1] < 1.05 * kept.tried[0]
     (refuted,) = tried([wrong], log, leaf)
-    assert refuted.cure.kind == "look" and not refuted.cure.entry and refuted.tried[1] > refuted.tried[0]
+    assert refuted.advice.kind == "look" and not refuted.advice.entry and refuted.tried[1] > refuted.tried[0]
     assert refuted.severity is (Severity.NOTE if severity is Severity.WARNING else Severity.ERROR)
 
 
@@ -44,4 +44,4 @@ def test_errors_are_tried_together(leaf):
     both = {"yaw": {"scale": -1.0}, "yaw_rate": {"scale": -1.0}}
     broken = corrected(log, {name: Correction(**one) for name, one in both.items()}, leaf)
     findings = [finding(Severity.ERROR, **{name: one}) for name, one in both.items()]
-    assert [one.cure for one in tried(findings, broken, leaf)] == [one.cure for one in findings]
+    assert [one.advice for one in tried(findings, broken, leaf)] == [one.advice for one in findings]

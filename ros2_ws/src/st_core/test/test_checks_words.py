@@ -6,7 +6,7 @@ import pytest
 from exact_drive import Sines, exact_drive
 from exact_faults import mounted, plus, times
 from st_core.checks import check
-from st_core.checks.together import together
+from st_core.checks.across_runs import across_runs
 
 WINDING = Sines(0.05, ((0.16, 23.0, 0.0), (0.07, 6.1, 0.7)))  # goes all ways round
 
@@ -44,7 +44,7 @@ def test_a_point_at_the_rear_axle_is_called_so_and_another_is_not(leaf, log):
 
 def test_what_differs_between_runs_may_be_a_fault_of_some(leaf, log):
     runs = [check(one, leaf) for one in (log, mounted(-1.5)(log), mounted(-1.5)(log))]
-    text = next(one.text for one in together(runs) if one.name == "measuring_point")
+    text = next(one.text for one in across_runs(runs) if one.name == "measuring_point")
     assert text.endswith("the load or the day, or to a fault of some of the runs")
 
 

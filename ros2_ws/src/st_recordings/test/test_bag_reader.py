@@ -141,7 +141,7 @@ def test_unusable_messages_are_left_out_and_counted(tmp_path: Path) -> None:
     drive = read_bag(write_ours(tmp_path / "drive", {**OURS, ("/vehicle/steering", STEERING): messages}))
     assert len(drive.log.steering_time_ns) == N - 51
     assert any(f"50 of {N} steering messages (10 %) hold no usable value" in w for w in drive.warnings)
-    assert drive.extras.missing == {"road_wheel_angle": 50} and len(drive.extras.stamps["steering"]) == N
+    assert drive.auxiliary.missing == {"road_wheel_angle": 50} and len(drive.auxiliary.stamps["steering"]) == N
     assert any("steering messages (0.22 %) are not newer" in w for w in drive.warnings)
 
 
@@ -187,7 +187,7 @@ def test_what_checks_may_use(tmp_path: Path, storage: str) -> None:
     else:
         write_rosbags(tmp_path / "drive", {**OURS, **OTHERS}, StoragePlugin.SQLITE3)
     check(tmp_path / "drive")
-    extras = read_bag(tmp_path / "drive").extras
+    extras = read_bag(tmp_path / "drive").auxiliary
     np.testing.assert_allclose(extras.wheel_speed.values, 10.0 + 0.01 * np.arange(50))
     np.testing.assert_array_equal(extras.wheel_speed.time_ns, START_NS + 20_000_000 * np.arange(50))
     assert (extras.ins_speed.values == 10.0).all() and len(extras.ins_speed.values) == N // 2
@@ -211,7 +211,7 @@ def test_packets_say_what_no_other_topic_does(tmp_path: Path) -> None:
             roll=0.0, channel=channel, batch_s=batch))
         message = make(NCOM, header=header(START_NS, ""), raw_packet=np.frombuffer(packet, np.uint8))
         messages.append((START_NS + 10_000_000 * k, bytes(STORE.serialize_cdr(message, NCOM))))
-    extras = read_bag(write_ours(tmp_path / "drive", {**OURS, ("/ins/ncom", NCOM): messages})).extras
+    extras = read_bag(write_ours(tmp_path / "drive", {**OURS, ("/ins/ncom", NCOM): messages})).auxiliary
     np.testing.assert_allclose(extras.ins_speed.values, np.full(100, 8.0), atol=1e-4)
     np.testing.assert_array_equal(extras.quality.time_ns, extras.ins_speed.time_ns)
     assert np.diff(extras.ins_speed.time_ns).tolist() == [10_000_000] * 99
@@ -224,7 +224,7 @@ def test_a_bag_is_no_worse_for_other_topics_that_are_damaged(tmp_path: Path) -> 
     bad = {key: [(time_ns, data[: len(data) // 3]) for time_ns, data in messages] for key, messages in OTHERS.items()}
     bad["/ins/ncom", NCOM] = [(START_NS, b"\0\1")]
     check(write_ours(tmp_path / "drive", {**OURS, **bad}))
-    extras = read_bag(tmp_path / "drive").extras
+    extras = read_bag(tmp_path / "drive").auxiliary
     assert extras.wheel_speed is None and extras.ins_speed is None and extras.quality is None
 
 

@@ -95,7 +95,7 @@ def check(drive, channel: str) -> None:
     assert drive.warnings == ()
     if "speed" in channel:
         of = [values()[c] for c in (channel, *columns_of_wheels(channel))]
-        np.testing.assert_allclose(drive.extras.wheel_speed.values, np.mean(of, axis=0), atol=1e-9)
+        np.testing.assert_allclose(drive.auxiliary.wheel_speed.values, np.mean(of, axis=0), atol=1e-9)
     else:
         assert channel in drive.columns
 
@@ -194,8 +194,8 @@ def test_a_hole_in_an_ins_channel_costs_ins_samples_only(tmp_path: Path, channel
     left = np.delete(np.arange(N), lost)
     np.testing.assert_allclose(drive.log.yaw, values()["yaw"][left])
     np.testing.assert_allclose(drive.log.road_wheel_angle, values()["road_wheel_angle"], atol=1e-9)
-    assert drive.extras.missing == {channel: len(BAD)}
-    assert len(drive.extras.stamps["INS"]) == N
+    assert drive.auxiliary.missing == {channel: len(BAD)}
+    assert len(drive.auxiliary.stamps["INS"]) == N
     (warning,) = drive.warnings
     assert warning.endswith(f"d.csv: {channel} (column {PLAIN[channel]}): {len(BAD)} of {N} rows (12 %) hold no "
                             "number; these samples of the INS were left out")
@@ -206,14 +206,14 @@ def test_a_hole_in_the_steering_costs_steering_samples_only(tmp_path: Path, whee
     names = {**PLAIN, "steering_wheel_angle": "swa"} if wheel else PLAIN
     drive = read_csv(spoilt(write(tmp_path / "d.csv", names), {(7, len(names) - 1): "n/a"}), LEAF)
     assert (len(drive.log.x), len(drive.log.road_wheel_angle)) == (N, N - 1)
-    assert drive.extras.missing == {"steering_wheel_angle" if wheel else "road_wheel_angle": 1}
+    assert drive.auxiliary.missing == {"steering_wheel_angle" if wheel else "road_wheel_angle": 1}
 
 
 def test_a_hole_in_an_acceleration_costs_nothing_else(tmp_path: Path) -> None:
     drive = read_csv(spoilt(write(tmp_path / "d.csv", PLAIN), {(k, 8): "" for k in range(10)}))
     assert np.isnan(drive.log.acceleration_y).sum() == 10
     assert_whole(drive.log, but=("acceleration_y",))
-    assert drive.extras.missing == {"acceleration_y": 10}
+    assert drive.auxiliary.missing == {"acceleration_y": 10}
     assert "10 of 60 rows (17 %) hold no number; it is not known there" in drive.warnings[0]
 
 
@@ -236,8 +236,8 @@ def test_rows_without_a_time_and_out_of_order_are_counted_and_handed_on(tmp_path
     file = spoilt(write(tmp_path / "d.csv", PLAIN), {(10, 0): "n/a", (20, 0): "0.38", (30, 0): "0.1", (31, 0): "1e12"})
     drive = read_csv(file)
     assert len(drive.log.x) == len(drive.log.road_wheel_angle) == N - 4
-    assert drive.extras.missing == {"time": 2}
-    stamps = drive.extras.stamps["INS"]
+    assert drive.auxiliary.missing == {"time": 2}
+    stamps = drive.auxiliary.stamps["INS"]
     assert len(stamps) == N - 2 and (np.diff(stamps) == 0).sum() == 1 and (np.diff(stamps) < 0).sum() == 1
     assert any("2 of 58 rows (3.4 %) are not newer than all before" in w for w in drive.warnings)
     assert any("time (column t): 2 of 60 rows (3.3 %) hold no number; these rows" in w for w in drive.warnings)

@@ -78,10 +78,10 @@ def test_spoilt_and_corrected_is_as_it_was(tmp_path: Path, true: DriveLog, case:
 def test_what_was_corrected_is_said_everywhere(tmp_path: Path) -> None:
     run = loaded(tmp_path, "correct: {yaw_rate: {scale: 0.01745}}\nleave_out: [[2, 3.5]]")
     phrases = ("yaw_rate x 0.01745", "INS left out from 2 to 3.5 s")
-    assert run.extras.corrected == phrases and run.provenance["corrected"] == list(phrases)
+    assert run.auxiliary.corrected == phrases and run.provenance["corrected"] == list(phrases)
     assert any(w.endswith("corrected as its run.yaml says: " + "; ".join(phrases)) for w in run.warnings)
     plain = loaded(tmp_path, "")
-    assert plain.extras.corrected == () and not plain.warnings and "corrected" not in plain.provenance
+    assert plain.auxiliary.corrected == () and not plain.warnings and "corrected" not in plain.provenance
     assert plain.provenance["columns"]["velocity_x"] == "vx [m/s, assumed]"
 
 

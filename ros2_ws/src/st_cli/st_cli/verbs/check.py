@@ -25,7 +25,7 @@ def check(
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console
-    from st_offline.checking.command import Job, run_command
+    from st_offline.checking.check_command import Job, run_command
 
     with shared.refusals("check"):
         vehicle, read = read_options.resolve()

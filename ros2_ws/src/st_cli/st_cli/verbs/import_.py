@@ -56,8 +56,8 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
 
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
     from st_offline.alignment_figure import alignment_figure
+    from st_offline.checking.check_report import say
     from st_offline.checking.gate import checked_run
-    from st_offline.checking.shown import say
     from st_recordings.runs.write import import_run
 
     from .align import VERDICT_STYLE, sentence

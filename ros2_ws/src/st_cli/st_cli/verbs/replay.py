@@ -28,9 +28,9 @@ def replay(
     from st_live.report import conclude
     from st_live.suite import SuiteError
     from st_live.view.live import LiveView
-    from st_offline.checking.document import documents
+    from st_offline.checking.check_document import documents
+    from st_offline.checking.check_report import say
     from st_offline.checking.gate import passed_bag
-    from st_offline.checking.shown import say
     from st_recordings.output import new_folder
 
     console = Console()

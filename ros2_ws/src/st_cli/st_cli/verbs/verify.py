@@ -27,8 +27,8 @@ def verify(
     from st_live.configuration import recordings_of
     from st_live.suite import SuiteError
     from st_live.verification import verify_command
+    from st_offline.checking.check_report import say
     from st_offline.checking.gate import passed_bag
-    from st_offline.checking.shown import say
 
     with refusals("verify", SuiteError):
         vehicle, read = read_options.resolve()

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .finding import Cure, Finding, Identity, Severity
+from .finding import Advice, Finding, Identity, Severity
 from .lag import Agreement
 from .limits import LIMITS
-from .regression import Estimate, held
+from .regression import Estimate, with_systematic
 
 
 @dataclass(frozen=True)
@@ -17,10 +17,10 @@ class Expected:
     """What of a channel is worth a word.
 
     against: what it is compared with, in words. unit: of the channel.  lag [s], bias [unit]: least
-    that is told; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it
+    that is findings; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it
     does to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of
     error [m]. correlation: below which the two are not compared.
-    least_spread: standard deviation of the channel below which no lag is told [unit].
+    least_spread: standard deviation of the channel below which no lag is findings [unit].
     factors: names of units by the factor they make. why: what a bias may come from, in words.
     """
 
@@ -38,7 +38,7 @@ class Expected:
     why: str = ""
 
     @property
-    def say(self) -> str:
+    def reference(self) -> str:
         return f"{self.against} say{'' if ' and ' in self.against else 's'}"
 
 
@@ -47,29 +47,29 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     """(findings, estimates by the name of their finding). scale_before: factor that was taken out already."""
     if found is None or abs(found.correlation) < min(expected.correlation, LIMITS.correlation):
         return [], {}
-    name, told = expected.channel, []
-    scale, lag, bias = (held(f"{name}_{kind}", getattr(found, kind)) for kind in ("scale", "lag", "bias"))
+    name, findings = expected.channel, []
+    scale, lag, bias = (with_systematic(f"{name}_{kind}", getattr(found, kind)) for kind in ("scale", "lag", "bias"))
     if abs(found.correlation) < expected.correlation:  # noise of either makes the scale and the bias wrong, not the lag
         return ([_lag(found, lag, expected)] if _is_lag(found, lag, expected) else []), (
             {f"{name}_lag": lag} if found.carries_lag else {})
     factor = _factor(scale.value, expected)
     if factor is not None:
-        told.append(_gross(scale, factor, expected))
-    elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).sure and not _diluted(scale, found):
-        text = f"{name} is {in_words(scale)} times what {expected.say}"
-        told.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
+        findings.append(_gross(scale, factor, expected))
+    elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).significant and not _diluted(scale, found):
+        text = f"{name} is {in_words(scale)} times what {expected.reference}"
+        findings.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
                              {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
-    # A scale that is told is divided out before the bias is taken off.
-    size, divided = abs(scale.value), scale.value if told else 1.0
+    # A scale that is findings is divided out before the bias is taken off.
+    size, divided = abs(scale.value), scale.value if findings else 1.0
     if _is_lag(found, lag, expected):
-        told.append(_lag(found, lag, expected))
-    if bias.sure and abs(bias.value) / size >= expected.bias and factor is None:
+        findings.append(_lag(found, lag, expected))
+    if bias.significant and abs(bias.value) / size >= expected.bias and factor is None:
         side = "high" if bias.value > 0.0 else "low"
         unit = expected.unit.replace("^2", "²")
         text = f"{name} is {size_of(bias)} {unit} too {side} against {expected.against}{expected.why}"
-        told.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
+        findings.append(_finding("bias", text, bias, expected.unit, abs(bias.value) / size, expected,
                              {"add": -bias.value / divided}, abs(bias.value) / size >= expected.grave[2]))
-    return told, {**({f"{name}_lag": lag} if found.carries_lag else {}),
+    return findings, {**({f"{name}_lag": lag} if found.carries_lag else {}),
                   f"{name}_scale": scale.scaled(scale_before), f"{name}_bias": bias}
 
 
@@ -80,7 +80,7 @@ def _diluted(scale: Estimate, found: Agreement) -> bool:
 
 
 def _is_lag(found: Agreement, lag: Estimate, expected: Expected) -> bool:
-    return lag.sure and found.late and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread
+    return lag.significant and found.late and abs(lag.value) >= expected.lag and found.spread >= expected.least_spread
 
 
 def _lag(found: Agreement, lag: Estimate, expected: Expected) -> Finding:
@@ -106,7 +106,7 @@ def size_of(one: Estimate) -> str:
 
 
 def or_else(found: Agreement, response: float = 0.0) -> str:
-    """What the lag may be instead, in words; response: of the car, as in the lag that is told [s]."""
+    """What the lag may be instead, in words; response: of the car, as in the lag that is findings [s]."""
     other = sorted(late + response for late in found.alike)
     named = " or ".join(f"{'lags' if late > 0.0 else 'leads'} by {abs(late):.2f} s" for late in other)
     return f" (or {named}: the drive repeats itself, and that fits as well)" if named else ""
@@ -124,11 +124,11 @@ def _factor(scale: float, expected: Expected) -> float | None:
 def _gross(scale: Estimate, factor: float, expected: Expected) -> Finding:
     other_way = "it counts the other way" if factor < 0.0 else ""
     reason = " and ".join(filter(None, (expected.factors.get(abs(factor), ""), other_way)))
-    text = (f"{expected.channel} is {in_words(scale)} times what {expected.say}"
+    text = (f"{expected.channel} is {in_words(scale)} times what {expected.reference}"
             + (f": {reason}?" if reason else ""))
     exact = float(f"{1.0 / factor:.6g}")
     return Finding(f"{expected.channel}_scale", Severity.WARNING, (expected.channel,), text, scale.value, "1",
-                   scale.interval, (), None, _cure(expected.channel, {"scale": exact}))
+                   scale.interval, (), None, _advice(expected.channel, {"scale": exact}))
 
 
 def _finding(kind: str, text: str, one: Estimate, unit: str, error: float, expected: Expected,
@@ -140,14 +140,14 @@ def _finding(kind: str, text: str, one: Estimate, unit: str, error: float, expec
         severity = Severity.WARNING
     return Finding(f"{expected.channel}_{kind}", severity, (expected.channel,), text, one.value, unit, one.interval, (),
                    effect if expected.reach else None,
-                   _cure(expected.channel, {key: float(f"{value:.5g}") for key, value in correct.items()}))
+                   _advice(expected.channel, {key: float(f"{value:.5g}") for key, value in correct.items()}))
 
 
-def _cure(channel: str, correct: dict[str, float]) -> Cure:
+def _advice(channel: str, correct: dict[str, float]) -> Advice:
     """Wheel speeds and a second INS output are no channels of a run: there is nothing to paste."""
     if channel in ("wheel_speed", "ins_speed"):
-        return Cure("look", "look at the source of it: unit, wheel radius, clock")
-    return Cure.correct(channel, **correct)
+        return Advice("look", "look at the source of it: unit, wheel radius, clock")
+    return Advice.correct(channel, **correct)
 
 
 def identity(found: Agreement | None, expected: Expected, title: str, measured: float = 1.0,

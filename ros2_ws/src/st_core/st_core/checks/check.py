@@ -1,4 +1,4 @@
-"""All checks of one recording, in the order that lets one fault be told once."""
+"""All checks of one recording, in the order that lets one fault be findings once."""
 
 from dataclasses import replace
 
@@ -6,25 +6,24 @@ import numpy as np
 
 from ..log import INS_SIGNALS, STEERING, DriveLog
 from ..vehicle import VehicleParameters
-from . import inertial, position, sampling, with_car
+from . import inertial, position, sampling, vehicle_relations
 from .channel import identity, judged, size_of
-from .extras import Extras
-from .finding import Checked, Cure, Finding, Identity, Severity
-from .gross import gross, nominal_rate, time_unit, yaw_is_late
+from .finding import Advice, AuxiliaryData, Checked, Finding, Identity, Severity
 from .lag import Agreement
 from .limits import HORIZON, LIMITS
 from .motion import Motion, is_driven
 from .plausibility import broken_channels, plausible
 from .quality import quality
-from .regression import Estimate, held
+from .regression import Estimate, with_systematic
 from .steps import steps
 from .trial import tried
+from .units_and_axes import correct_units, nominal_rate, time_unit, yaw_is_late
 
 SHORTEST = 50  # INS samples; less than a few seconds says nothing but how they were stamped
 ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 
 
-def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extras | None = None, *,
+def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: AuxiliaryData | None = None, *,
           seed: int = 0) -> Checked:
     """Findings of one recording.
 
@@ -32,65 +31,66 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, extras: Extra
     (position, yaw, velocity, accelerations, other speeds), then those with the car. What is found is taken out of a
     working copy before the next is judged.
 
-    vehicle: for the identities with the car; None leaves those out. extras: what else was recorded. seed: of the
+    vehicle: for the identities with the car; None leaves those out. auxiliary: what else was recorded. seed: of the
     resampling. Never raises for what is in a recording: a channel too short or too poor to judge gives no finding.
     """
-    extras = extras or Extras()
-    start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) and extras.start_ns is None else (
-        extras.start_ns or 0)
+    auxiliary = auxiliary or AuxiliaryData()
+    start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) and auxiliary.start_ns is None else (
+        auxiliary.start_ns or 0)
     log, implausible = plausible(log, start_ns)
-    implausible = [*extras.implausible, *implausible]
+    implausible = [*auxiliary.implausible, *implausible]
     motion = Motion.of(log, start_ns)
-    known = sampling.channels(motion, extras)
+    known = sampling.channels(motion, auxiliary)
     if len(log.ins_time_ns) < SHORTEST:
-        return Checked(_ordered([*implausible, *sampling.timing(motion, extras, implausible)]), known, ())
+        return Checked(_ordered([*implausible, *sampling.timing(motion, auxiliary, implausible)]), known, ())
     if not is_driven(motion):
-        return Checked(_ordered([*implausible, *sampling.timing(motion, extras, implausible),
-                                 *quality(extras.quality, start_ns), *with_car.standstill(motion)]), known, ())
+        findings = [*implausible, *sampling.timing(motion, auxiliary, implausible)]
+        findings += [*quality(auxiliary.quality, start_ns), *vehicle_relations.standstill(motion)]
+        return Checked(_ordered(findings), known, ())
     motion, unit = time_unit(motion)
-    told = [*implausible, *sampling.timing(motion, extras, implausible), *quality(extras.quality, start_ns)]
+    findings = [*implausible, *sampling.timing(motion, auxiliary, implausible), *quality(auxiliary.quality, start_ns)]
     broken = broken_channels(implausible)
     if broken & {*INS_SIGNALS}:  # whatever is compared with it would seem wrong
-        return Checked(_ordered([*told, *sampling.stuck(motion, known)]), known, ())
+        return Checked(_ordered([*findings, *sampling.stuck(motion, known)]), known, ())
     motion = motion.with_(**dict.fromkeys(broken & {"acceleration_x", "acceleration_y"}, None))
     stuck = sampling.stuck(motion, known)
     motion, coarse = _gross_aligned(sampling.unfrozen(motion, stuck), seed)
     coarse = [unit, *coarse] if unit else coarse
-    told += stuck + sampling.rounded(motion, stuck)
+    findings += stuck + sampling.rounded(motion, stuck)
     if not any(one.name == "samples_repeated" and {"x", "y"} & set(one.channels) for one in stuck):
         motion, stepping = steps(motion)  # held positions step by nature
-        told += stepping
+        findings += stepping
     before = _factors(coarse)
     speed = motion.velocity_x
-    compared = _sensors(motion, before, extras, start_ns, seed)
+    compared = _sensors(motion, before, auxiliary, start_ns, seed)
     rate = None if unit else nominal_rate(compared[1], compared[2])
-    if rate:
-        told.append(rate)
+    if rate and rate.value:
+        findings.append(rate)
         scaled = motion.with_(time=motion.time / rate.value, steering_time=motion.steering_time / rate.value)
-        compared = _sensors(scaled, {**before, "time_unit": rate.value}, extras, start_ns, seed)
+        compared = _sensors(scaled, {**before, "time_unit": rate.value}, auxiliary, start_ns, seed)
     motion, fine, estimates, identities = compared
-    told += _once(coarse, fine, estimates)
+    findings += _once(coarse, fine, estimates)
     if vehicle is not None:
         hand_wheel = log.steering_wheel_angle is not None
         frozen = {channel for one in stuck if one.name == "channel_frozen" for channel in one.channels}
-        comparisons = [] if broken & {*STEERING} else [with_car.steering(motion, vehicle, hand_wheel, seed)]
+        comparisons = [] if broken & {*STEERING} else [vehicle_relations.steering(motion, vehicle, hand_wheel, seed)]
         if not frozen & {"velocity_y", "yaw_rate"}:  # what stands still says nothing of where the INS sits
-            comparisons.append(with_car.rear_axle(motion, vehicle, seed))
+            comparisons.append(vehicle_relations.rear_axle(motion, vehicle, seed))
         for found, more, shown in comparisons:
-            told += found
+            findings += found
             estimates |= more
             identities += [shown] if shown else []
-        told += with_car.believable(motion)
-    told += with_car.standstill(motion.with_(velocity_x=speed))
+        findings += vehicle_relations.believable(motion)
+    findings += vehicle_relations.standstill(motion.with_(velocity_x=speed))
     if vehicle is not None:
-        told = tried(told, log, vehicle)
-    return Checked(_ordered(told), known, tuple(identities),
+        findings = tried(findings, log, vehicle)
+    return Checked(_ordered(findings), known, tuple(identities),
                    {name: (one.value, *one.interval) for name, one in estimates.items()})
 
 
-def _ordered(told: list[Finding]) -> tuple[Finding, ...]:
+def _ordered(findings: list[Finding]) -> tuple[Finding, ...]:
     """The gravest first; last of each severity what no prediction depends on."""
-    return tuple(sorted(told, key=lambda one: (ORDER.index(one.severity), one.of_acceleration,
+    return tuple(sorted(findings, key=lambda one: (ORDER.index(one.severity), one.of_acceleration,
                                                -(one.effect or np.inf))))
 
 
@@ -99,24 +99,24 @@ def _gross_aligned(motion: Motion, seed: int) -> tuple[Motion, list[Finding]]:
     drive's period has another size and sign. What is returned still has the lag, which is judged later."""
     lag = inertial.turn_lag(motion, seed)
     if not lag:
-        return gross(motion)
+        return correct_units(motion)
     time = motion.time
     yaw_first = motion.with_(yaw=np.interp(time - lag, time, motion.yaw))
     if yaw_is_late(motion, yaw_first):
-        aligned, found = gross(yaw_first)
+        aligned, found = correct_units(yaw_first)
         return aligned.with_(yaw=np.interp(time + lag, time, aligned.yaw)), found
-    aligned, found = gross(motion.with_(yaw_rate=np.interp(time + lag, time, motion.yaw_rate)))
+    aligned, found = correct_units(motion.with_(yaw_rate=np.interp(time + lag, time, motion.yaw_rate)))
     return aligned.with_(yaw_rate=np.interp(time - lag, time, aligned.yaw_rate)), found
 
 
 def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
     """Where yaw lags or leads the yaw rate: is it the yaw? Then positions say so too."""
-    if found is None or not (found.lag.sure and found.late) or abs(found.lag.value) < LIMITS.lag or (
+    if found is None or not (found.lag.significant and found.late) or abs(found.lag.value) < LIMITS.lag or (
             abs(found.correlation) < LIMITS.correlation):
         return motion, []
-    late = held("yaw_lag", found.lag.scaled(-1.0))
+    late = with_systematic("yaw_lag", found.lag.scaled(-1.0))
     earlier = motion.with_(yaw=np.interp(motion.time + late.value, motion.time, motion.yaw))
-    if not position.say_yaw_is_late(motion, earlier, late.value):
+    if not position.positions_confirm_yaw_lag(motion, earlier, late.value):
         return motion, []
     effect = abs(late.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
     grave = Severity.WARNING if abs(late.value) >= LIMITS.grave_lag else Severity.NOTE
@@ -124,14 +124,14 @@ def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Fin
     value = float(f"{late.value:.4g}")
     text = f"yaw {'lags' if value > 0.0 else 'leads'} yaw rate and positions by {size_of(late)} s"
     return earlier, [Finding("yaw_lag", severity, ("yaw",), text, late.value, "s", late.interval, (), effect,
-                             Cure.correct("yaw", earlier=value))]
+                             Advice.correct("yaw", earlier=value))]
 
 
 def _factors(coarse: list[Finding]) -> dict[str, float]:
-    """What gross() has divided out, of a turned yaw what it has taken off, by the name of the finding."""
+    """What correct_units() has divided out, of a turned yaw what it has taken off, by the name of the finding."""
     found = {}
     for one in coarse:
-        correct = one.cure.entry.get("correct", {}) if one.cure else {}
+        correct = one.advice.entry.get("correct", {}) if one.advice else {}
         scale = next((entry["scale"] for entry in correct.values() if "scale" in entry), None)
         if not correct and one.value:
             found[one.name] = one.value
@@ -145,38 +145,38 @@ def _factors(coarse: list[Finding]) -> dict[str, float]:
 def _once(coarse: list[Finding], fine: list[Finding], estimates: dict[str, Estimate]) -> list[Finding]:
     """Units, signs and turns with the values that the finer identities give them; what is left of one is part of it."""
     known, left = {one.name for one in coarse}, {one.name for one in fine}
-    told = []
+    findings = []
     for one in coarse:
         found = estimates.get(one.name)
         if found is None:
-            told.append(one)
+            findings.append(one)
             continue
-        cure = _of_all(one.cure, found.value) if one.cure and one.name in left else one.cure
-        told.append(replace(one, value=found.value, interval=found.interval, cure=cure))
-    return told + [one for one in fine if one.name not in known]
+        advice = _of_all(one.advice, found.value) if one.advice and one.name in left else one.advice
+        findings.append(replace(one, value=found.value, interval=found.interval, advice=advice))
+    return findings + [one for one in fine if one.name not in known]
 
 
-def _of_all(cure: Cure, value: float) -> Cure:
+def _of_all(advice: Advice, value: float) -> Advice:
     """That of a unit or a turn, where the whole value is more than it."""
-    (channel, (key,)), = cure.entry["correct"].items()
-    return Cure.correct(channel, **{key: float(f"{1.0 / value if key == 'scale' else -value:.6g}")})
+    (channel, (key,)), = advice.entry["correct"].items()
+    return Advice.correct(channel, **{key: float(f"{1.0 / value if key == 'scale' else -value:.6g}")})
 
 
-def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns: int,
+def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData, start_ns: int,
              seed: int) -> tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]:
     """The identities that no vehicle parameter can break."""
     shown = [position.identity(motion, before)]
-    motion, told = position.lateral_sign(motion)
+    motion, findings = position.lateral_sign(motion)
     found, expected = inertial.yaw_rate(motion, seed)
     motion, late = _late_yaw(motion, found)
     motion, causes, estimates = position.position(motion, seed)
     if found and found.carries_lag:
-        estimates["yaw_lag"] = held("yaw_lag", found.lag.scaled(-1.0))
-    told += late + causes
+        estimates["yaw_lag"] = with_systematic("yaw_lag", found.lag.scaled(-1.0))
+    findings += late + causes
     if late or any(one.name == "yaw_offset" for one in causes):
         found, expected = inertial.yaw_rate(motion, seed)
     more, those = judged(found, expected, before.get("yaw_rate_scale", 1.0))
-    told += more
+    findings += more
     estimates |= those
     if "yaw_offset" in estimates:
         estimates["yaw_offset"] = estimates["yaw_offset"].shifted(before.get("yaw_offset", 0.0))
@@ -185,15 +185,16 @@ def _sensors(motion: Motion, before: dict[str, float], extras: Extras, start_ns:
         if fine is not None:
             estimates[name] = fine.scaled(before.get(name, 1.0))
     if found and found.scale.value:  # a yaw rate that stands still says nothing
-        estimates["yaw_scale"] = held("yaw_scale", found.scale.inverse().scaled(before.get("yaw_scale", 1.0)))
+        scale = found.scale.inverse().scaled(before.get("yaw_scale", 1.0))
+        estimates["yaw_scale"] = with_systematic("yaw_scale", scale)
     panel = identity(found, expected, "yaw rate: sensor against change of yaw", before.get("yaw_rate_scale", 1.0),
                      before.get("yaw_scale", before.get("yaw_convention", 1.0)))
     shown += [panel] if panel else []
     if found:
-        motion = inertial.mended_yaw_rate(motion, found)
-    for findings, values, panel in (*inertial.accelerations(motion, seed),
-                                    *inertial.speeds(motion, extras, start_ns, before.get("time_unit", 1.0), seed)):
-        told += findings
+        motion = inertial.corrected_yaw_rate(motion, found)
+    for more, values, panel in (*inertial.accelerations(motion, seed),
+                                *inertial.speeds(motion, auxiliary, start_ns, before.get("time_unit", 1.0), seed)):
+        findings += more
         estimates |= values
         shown += [panel] if panel else []
-    return motion, told, estimates, shown
+    return motion, findings, estimates, shown

@@ -1,4 +1,4 @@
-"""What a check of a recording gives: findings, what was measured of each channel, and the identities behind them."""
+"""Inputs and results of a check: auxiliary data of a recording, findings, channels and the identities behind them."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -19,7 +19,7 @@ class Severity(StrEnum):
 
 
 @dataclass(frozen=True)
-class Cure:
+class Advice:
     """What removes a finding. line: to be pasted, one line.
 
     kind: "run.yaml": `entry` is to be merged into the run's run.yaml; "vehicle": a value of the vehicle file;
@@ -31,7 +31,7 @@ class Cure:
     entry: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def correct(cls, channel: str, **values: float) -> "Cure":
+    def correct(cls, channel: str, **values: float) -> "Advice":
         """Of a channel of the run; values: fields of `corrections.Correction`."""
         words = ", ".join(f"{key}: {value:g}" for key, value in values.items())
         return cls("run.yaml", f"correct: {{{channel}: {{{words}}}}}", {"correct": {channel: values}})
@@ -57,7 +57,7 @@ class Finding:
     interval: tuple[float, float] | None = None
     where: tuple[tuple[float, float], ...] = ()
     effect: float | None = None
-    cure: Cure | None = None
+    advice: Advice | None = None
     tried: tuple[float, float] | None = None
 
     @property
@@ -72,8 +72,8 @@ class Finding:
             "name": self.name, "severity": self.severity.value, "channels": list(self.channels), "value": self.value,
             "unit": self.unit, "interval": None if self.interval is None else list(self.interval), "text": self.text,
             "where": [list(stretch) for stretch in self.where], "effect": self.effect,
-            "cure": None if self.cure is None else {"kind": self.cure.kind, "line": self.cure.line,
-                                                    "entry": dict(self.cure.entry)},
+            "cure": None if self.advice is None else {"kind": self.advice.kind, "line": self.advice.line,
+                                                    "entry": dict(self.advice.entry)},
             "tried": None if self.tried is None else list(self.tried),
         }
 
@@ -139,3 +139,46 @@ class Checked:
         return {"findings": [one.as_dict() for one in self.findings],
                 "channels": {name: channel.as_dict() for name, channel in self.channels.items()},
                 "estimates": {name: list(values) for name, values in self.estimates.items()}}
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """time_ns: int64, rising, on the INS clock. values: (n,)."""
+
+    time_ns: np.ndarray
+    values: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class InsQuality:
+    """What the unit says of itself, each (n,) at time_ns [ns]; NaN where not known.
+
+    navigation_status: NCOM byte 21, 4 = locked. position_mode: NCOM mode number, 6 = RTK integer, 5 = RTK float, -1 or
+    NaN unknown. position_accuracy: horizontal standard deviation [m]. heading_accuracy: standard deviation [rad].
+    """
+
+    time_ns: np.ndarray
+    navigation_status: np.ndarray
+    position_mode: np.ndarray
+    position_accuracy: np.ndarray
+    heading_accuracy: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class AuxiliaryData:
+    """stamps: of "INS" and "steering" in the order of the recording, before anything was left out, int64 ns.
+
+    missing: channel -> rows that held no usable value and were left out. wheel_speed: of the wheels or the car's own
+    speed signal [m/s]. ins_speed: forward speed from a second output of the INS (its CAN frames, the NCOM packets
+    beside an odometry) [m/s]. corrected: what run.yaml corrected, a phrase each. implausible: findings on samples that
+    the reading left out, see `plausibility`. start_ns: first recorded INS measurement; None for that of the drive.
+    """
+
+    stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
+    missing: Mapping[str, int] = field(default_factory=dict)
+    wheel_speed: Series | None = None
+    ins_speed: Series | None = None
+    quality: InsQuality | None = None
+    corrected: tuple[str, ...] = ()
+    implausible: tuple[Finding, ...] = ()
+    start_ns: int | None = None

@@ -9,8 +9,7 @@ sit a metre or two from the point of the velocities; at speed v that looks like 
 import numpy as np
 
 from .channel import Expected, identity, judged
-from .extras import Extras, Series
-from .finding import Finding, Identity
+from .finding import AuxiliaryData, Finding, Identity, Series
 from .lag import Agreement, agreement
 from .limits import HORIZON, LIMITS
 from .motion import MOVING, Motion
@@ -46,18 +45,18 @@ def yaw_rate(motion: Motion, seed: int) -> tuple[Agreement | None, Expected]:
 def turn_lag(motion: Motion, seed: int) -> float:
     """By how much the yaw rate lags yaw [s], where that hides how they agree; 0 where they agree without it."""
     found = agreement(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF, seed, True)
-    if found is None or not (found.late and found.lag.sure) or abs(found.lag.value) < LIMITS.grave_lag:
+    if found is None or not (found.late and found.lag.significant) or abs(found.lag.value) < LIMITS.grave_lag:
         return 0.0
     # A yaw rate of the other sign fits half a period later, too.
     now = abs(found.correlation_now)
     return found.lag.value if found.correlation >= LIMITS.correlation and now < found.correlation - 0.05 else 0.0
 
 
-def mended_yaw_rate(motion: Motion, found: Agreement) -> Motion:
+def corrected_yaw_rate(motion: Motion, found: Agreement) -> Motion:
     """With the lag, scale and bias taken out, where they are known."""
     if found.correlation < LIMITS.correlation:
         return motion
-    late = found.lag.value if found.lag.sure and found.late else 0.0
+    late = found.lag.value if found.lag.significant and found.late else 0.0
     known = found.correlation >= GYRO_CORRELATION
     rate = (motion.yaw_rate - found.bias.value) / found.scale.value if known else motion.yaw_rate
     return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time, rate))
@@ -69,7 +68,7 @@ def accelerations(motion: Motion, seed: int) -> list[Told]:
     speed = float(np.median(np.abs(motion.velocity_x)))
     lags = {"acceleration_x": ACCELERATION_LAG,
             "acceleration_y": max(ACCELERATION_LAG, LEVER / max(speed, MOVING))}
-    told = []
+    findings = []
     for name, derived in derivative.items():
         measured = getattr(motion, name)
         if measured is None:
@@ -79,23 +78,23 @@ def accelerations(motion: Motion, seed: int) -> list[Told]:
                             ACCELERATION_SCALE, LIMITS.bias_acceleration, (0.0, 0.0, GRAVE_ACCELERATION),
                             factors=FACTORS, why=LEANS)
         title = f"{'lateral' if name[-1] == 'y' else 'forward'} acceleration: sensor against velocity"
-        told.append((*judged(found, expected), identity(found, expected, title)))
-    return told
+        findings.append((*judged(found, expected), identity(found, expected, title)))
+    return findings
 
 
-def speeds(motion: Motion, extras: Extras, start_ns: int, time_factor: float, seed: int) -> list[Told]:
+def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor: float, seed: int) -> list[Told]:
     """Other sources of the speed against the INS's forward speed. time_factor: by which all stamps run too fast."""
-    told = []
-    for name, series, scale, lag in (("wheel_speed", extras.wheel_speed, WHEEL_SCALE, WHEEL_LAG),
-                                     ("ins_speed", extras.ins_speed, 0.005, 0.03)):
+    findings = []
+    for name, series, scale, lag in (("wheel_speed", auxiliary.wheel_speed, WHEEL_SCALE, WHEEL_LAG),
+                                     ("ins_speed", auxiliary.ins_speed, 0.005, 0.03)):
         if series is None or len(series.time_ns) < 2:
             continue
         found = _speed(motion, series, start_ns, time_factor, seed)
         expected = Expected(name, "velocity_x", "m/s", lag, scale, np.inf, (0.0, 0.0, np.inf),
                             least_spread=SPEED_SPREAD, factors=SPEED_FACTORS)
         title = f"forward speed: {name.replace('_', ' ')} against velocity_x"
-        told.append((*judged(found, expected), identity(found, expected, title)))
-    return told
+        findings.append((*judged(found, expected), identity(found, expected, title)))
+    return findings
 
 
 def _speed(motion: Motion, series: Series, start_ns: int, time_factor: float, seed: int) -> Agreement | None:

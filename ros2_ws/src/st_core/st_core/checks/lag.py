@@ -22,8 +22,9 @@ from .regression import Estimate, Regression
 LONGEST = 1.5  # s of lag that is looked for
 LEAST = 15.0  # s in common
 NOTHING, UNITY = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
+LATE = 0.95  # level of the test for a lag
 SHIFT = 0.3  # s to both sides of a lag that must fit worse, or the drive carries none
-CLEARLY = 1.25  # factor by which a bias must leave less than a scale before it is told instead
+CLEARLY = 1.25  # factor by which a bias must leave less than a scale before it is findings instead
 CERTAIN = 0.98  # correlation from which on noise makes less than 4 % of a scale
 RESAMPLED = 1e-4  # share of the variance; interpolation and filters leave 1 % of a signal, so less tells nothing apart
 OFF_GRID = 0.1  # share of the variance that half a step beside its place takes from a maximum, at the cut-offs in use
@@ -88,11 +89,11 @@ def agreement(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, 
 
 
 def _is_late(pair: Pair, offset: float, usual: float, cutoff: float) -> bool:
-    """Whether the usual offset leaves significantly more unexplained than the best one."""
+    """Whether the usual offset leaves significantly more unexplained than the best one (F test, 95 %)."""
     if abs(offset - usual) < 1e-6:
         return False
     (best, other), common = _rest(pair, [offset, usual])
-    return other > _chance(common, cutoff) * best
+    return other > _chance(common, cutoff, LATE) * best
 
 
 def _correlation(pair: Pair, offset: float) -> float:
@@ -125,10 +126,10 @@ def _solutions(pair: Pair, cutoff: float) -> list[Fit]:
     return sorted(alike, key=lambda one: abs(one.offset))
 
 
-def _chance(samples: float, cutoff: float) -> float:
-    """Ratio that two variances of one size differ by at most, but for once in forty."""
+def _chance(samples: float, cutoff: float, level: float = 0.975) -> float:
+    """Ratio that two variances of one size differ by at most, with this probability."""
     freedom = max(2.0 * cutoff * STEP * samples, 1.0)
-    return float(fisher.ppf(0.975, freedom, freedom))
+    return float(fisher.ppf(level, freedom, freedom))
 
 
 def _rest(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
@@ -142,7 +143,7 @@ def _rest(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
 
 def _line(problem: Regression, derived: np.ndarray, correlation: float, biased: bool) -> tuple[Estimate, Estimate]:
     """(scale, bias). On one long bend a factor and a bias look alike, and noise makes the one of the other: then the
-    one that explains more is told, the other taken as right."""
+    one that explains more is findings, the other taken as right."""
     alike = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < CERTAIN
     if biased and not alike:
         both = problem.estimates(("scale", "bias"))

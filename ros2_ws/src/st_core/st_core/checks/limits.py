@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 from .finding import Severity
 
-HORIZON = 5.0  # s, over which effects are told
+HORIZON = 5.0  # s, over which effects are findings
 
 
 @dataclass(frozen=True)
 class Limits:
-    """worth_a_word [m]: what a fault must move the position after 5 s by; an RTK position is known to 2 cm.
+    """min_reported_effect [m]: what a fault must move the position after 5 s by; an RTK position is known to 2 cm.
 
     warning [m]: a quarter metre; the best models are wrong by 0.4 m over such horizons. error [m]: 5 m; a model that
     drove straight on in a bend of 250 m would be as wrong at 10 m/s, so nothing is left to compare.
@@ -25,7 +25,7 @@ class Limits:
     mounting [m]: how well a tape finds the measuring point. heading [rad]: 0.1 degree, what a dual antenna knows.
     """
 
-    worth_a_word: float = 0.02
+    min_reported_effect: float = 0.02
     warning: float = 0.25
     error: float = 5.0
     unit: float = 1.33
@@ -51,7 +51,7 @@ class Limits:
 
 LIMITS = Limits()
 
-HOLDS = {
+SYSTEMATIC = {
     "lag": 0.005, "velocity_lag": 0.01, "acceleration_x_lag": 0.01, "acceleration_y_lag": 0.01, "steering_lag": 0.04,
     "wheel_speed_lag": 0.02, "scale": 0.001, "acceleration_x_scale": 0.01, "acceleration_y_scale": 0.01,
     "wheel_speed_scale": 0.005, "ins_speed_scale": 0.002, "steering_scale": 0.05, "steering_sign": 0.05,

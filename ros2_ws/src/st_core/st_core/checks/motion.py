@@ -1,5 +1,5 @@
 """The working copy that checks are made on: arrays in seconds, corrected by what was found so far, so that one fault is
-told once. Nothing of it leaves the checks."""
+findings once. Nothing of it leaves the checks."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
-from .finding import Cure, Finding, Severity
+from .finding import Advice, Finding, Severity
 from .motion import LONGEST_GAP, stretches
 
 MEDIANS = 20.0  # median steps; noise and quantisation stay below
@@ -303,7 +303,7 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
               "look at the sensor and the logger" if kind == "channel_jumps" else
               "look at the sensor and the logger; no command uses the samples named")
     return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MOST_LISTED],
-                   cure=Cure("look", advice))
+                   advice=Advice("look", advice))
 
 
 def _both_axes(findings: list[Finding]) -> list[Finding]:

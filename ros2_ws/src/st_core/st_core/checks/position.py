@@ -16,10 +16,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .finding import Cure, Finding, Identity, Severity
+from .finding import Advice, Finding, Identity, Severity
 from .limits import HORIZON, LIMITS
 from .motion import Motion, integral, windows
-from .regression import Estimate, Regression, held, matters
+from .regression import Estimate, Regression, matters, with_systematic
 
 WINDOW = 1.0  # s
 LEAST = 10  # windows
@@ -72,20 +72,20 @@ def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str
     """(motion with the causes taken out, the findings, every cause's estimate in the value of its finding).
     """
     found: dict[str, Estimate] = {}
-    mended = motion
+    corrected = motion
     for _ in range(ROUNDS):  # what is not linear in a large cause comes out in the next round
-        problem = regression(mended, seed)
+        problem = regression(corrected, seed)
         if len(problem.time) < LEAST:
             return motion, [], {}
-        least = {name: max(LIMITS.worth_a_word / max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9), _least(name))
-                 for name in problem.columns}
+        effects = {name: max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9) for name in problem.columns}
+        least = {name: max(LIMITS.min_reported_effect / effect, _least(name)) for name, effect in effects.items()}
         # A large cause casts shadows on the others, which are gone in the next round.
         found = {name: one for name, one in _refined(problem, found, least).items() if matters(one, least[name])}
-        mended = _mended(motion, found)
+        corrected = _corrected(motion, found)
         if not found:
             break
-    told = [_finding(name, one, problem) for name, one in found.items() if _is_wrong(name, _shown(name, one))]
-    return mended, told, _all(regression(mended, seed), found)
+    findings = [_finding(name, one, problem) for name, one in found.items() if _is_wrong(name, _shown(name, one))]
+    return corrected, findings, _all(regression(corrected, seed), found)
 
 
 def misfit(motion: Motion) -> float:
@@ -94,16 +94,16 @@ def misfit(motion: Motion) -> float:
     return problem.fit(("x_scale", "y_scale"))[1] if len(problem.time) >= LEAST else np.inf
 
 
-def say_yaw_is_late(motion: Motion, earlier: Motion, late: float) -> bool:
-    """Whether positions say that yaw is `late` [s] rather than that they are late themselves; earlier: that mended.
+def positions_confirm_yaw_lag(motion: Motion, earlier: Motion, late: float) -> bool:
+    """Whether positions say that yaw is `late` [s] rather than that they are late themselves; earlier: that corrected.
 
     At one speed both fit; then it is the yaw if mending it takes most of the lag of the positions away.
     """
     fits = [regression(one, 0) for one in (motion, earlier)]
     if len(fits[0].time) < LEAST:
         return False
-    (theta, scale, _), (mended, rest, _) = (one.fit(("x_scale", "y_scale", "position_lag")) for one in fits)
-    taken = abs(mended["position_lag"]) < (MOST if late > 0.0 else NEARLY_ALL) * abs(theta["position_lag"])
+    (theta, scale, _), (corrected, rest, _) = (one.fit(("x_scale", "y_scale", "position_lag")) for one in fits)
+    taken = abs(corrected["position_lag"]) < (MOST if late > 0.0 else NEARLY_ALL) * abs(theta["position_lag"])
     return CLEARLY**2 * rest < scale or (taken and rest < CLEARLY * scale)
 
 
@@ -126,7 +126,7 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
         return motion, []
     text = "velocity_y counts the other way (left is positive)"
     return mirrored, [Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), text, -1.0,
-                              cure=Cure.correct("velocity_y", scale=-1.0))]
+                              advice=Advice.correct("velocity_y", scale=-1.0))]
 
 
 def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float]) -> dict[str, Estimate]:
@@ -164,15 +164,15 @@ def _one_scale(problem: Regression, causes: dict[str, Estimate], always: tuple[s
 
 def _all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]:
     """Every cause by itself beside those found, in the value of its finding: what these drives tell of it."""
-    told = {}
+    findings = {}
     for name in problem.columns:
         twins = AXES if name == "velocity_scale" else {"velocity_scale"} if name in AXES else set()
-        beside = tuple(k for k in found if k != name and k not in twins)
-        one = problem.estimates((*beside, name))[name]
-        told[name] = _shown(name, one.shifted(found[name].value) if name in found else one)
+        alongside = tuple(k for k in found if k != name and k not in twins)
+        one = problem.estimates((*alongside, name))[name]
+        findings[name] = _shown(name, one.shifted(found[name].value) if name in found else one)
     # By which positions would have to be wrong, if velocity is not.
-    told["position_scale"] = told["velocity_scale"].inverse()
-    return told
+    findings["position_scale"] = findings["velocity_scale"].inverse()
+    return findings
 
 
 def _is_wrong(name: str, shown: Estimate) -> bool:
@@ -199,29 +199,29 @@ def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
     if UNIT.get(name) == "s" and abs(one.value) >= LIMITS.grave_lag and severity is Severity.NOTE:
         severity = Severity.WARNING
     return Finding(name, severity, CHANNELS[name], text, shown.value, UNIT.get(name, "1"),
-                   shown.interval, (), effect, _cure(name, shown.value))
+                   shown.interval, (), effect, _advice(name, shown.value))
 
 
 def _shown(name: str, one: Estimate) -> Estimate:
     """A cause in the value of its finding: a right channel has scale 1."""
     if name == "velocity_scale":
-        return held(name, one.shifted(1.0).inverse())
-    return held(name, one.shifted(1.0) if name.endswith("_scale") else one)
+        return with_systematic(name, one.shifted(1.0).inverse())
+    return with_systematic(name, one.shifted(1.0) if name.endswith("_scale") else one)
 
 
-def _cure(name: str, value: float) -> Cure:
+def _advice(name: str, value: float) -> Advice:
     if name == "map_shear":
-        return Cure("look", "project latitude and longitude again, with an origin near the drive")
+        return Advice("look", "project latitude and longitude again, with an origin near the drive")
     channel, entry = {
         "x_scale": ("x", {"scale": 1.0 / value}), "y_scale": ("y", {"scale": 1.0 / value}),
         "velocity_scale": ("velocity", {"scale": 1.0 / value}), "yaw_offset": ("yaw", {"add": -value}),
         "position_lag": ("position", {"earlier": value}), "velocity_lag": ("velocity", {"earlier": value}),
         "position_reference": ("position", {"ahead": -value}),
     }[name] if value else ("", {})
-    return Cure.correct(channel, **{key: float(f"{number:.5g}") for key, number in entry.items()})
+    return Advice.correct(channel, **{key: float(f"{number:.5g}") for key, number in entry.items()})
 
 
-def _mended(motion: Motion, found: dict[str, Estimate]) -> Motion:
+def _corrected(motion: Motion, found: dict[str, Estimate]) -> Motion:
     value = {name: one.value for name, one in found.items()}
     time = motion.time
     if "x_scale" in value:

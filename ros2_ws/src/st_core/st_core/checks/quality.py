@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from .extras import InsQuality
-from .finding import Cure, Finding, Severity
+from .finding import Advice, Finding, InsQuality, Severity
 from .limits import LIMITS
 
 LOCKED = 4  # NCOM byte 21
@@ -18,7 +17,7 @@ def quality(found: InsQuality | None, start_ns: int) -> list[Finding]:
 
 
 def _mode(found: InsQuality, time: np.ndarray) -> list[Finding]:
-    told = []
+    findings = []
     known = np.isfinite(found.position_mode) & (found.position_mode >= 0)
     lost = known & ~np.isin(found.position_mode, RTK)
     unlocked = np.isfinite(found.navigation_status) & (found.navigation_status != LOCKED)
@@ -27,10 +26,10 @@ def _mode(found: InsQuality, time: np.ndarray) -> list[Finding]:
         if share <= 0.0:
             continue
         text = f"the INS is {words} in {100 * share:.0f} % of the time: its positions wander there"
-        told.append(Finding("ins_mode", Severity.WARNING if share > 0.01 else Severity.NOTE, ("ins",), text, share, "1",
-                            None, _stretches(time, bad), None,
-                            Cure("look", "leave these stretches out, or post-process the raw data")))
-    return told
+        severity = Severity.WARNING if share > 0.01 else Severity.NOTE
+        findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=_stretches(time, bad), advice=Advice(
+            "look", "leave these stretches out, or post-process the raw data")))
+    return findings
 
 
 def _accuracy(found: InsQuality, time: np.ndarray) -> list[Finding]:
@@ -43,7 +42,7 @@ def _accuracy(found: InsQuality, time: np.ndarray) -> list[Finding]:
     poor = known & (found.position_accuracy >= LIMITS.warning)
     text = f"the INS's own standard deviation of position is {typical:.2f} m in the median"
     return [Finding("ins_accuracy", LIMITS.severity(typical), ("ins",), text, typical, "m", None,
-                    _stretches(time, poor), typical, Cure("look", "record with RTK, or post-process"))]
+                    _stretches(time, poor), typical, Advice("look", "record with RTK, or post-process"))]
 
 
 def _stretches(time: np.ndarray, bad: np.ndarray) -> tuple[tuple[float, float], ...]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..identification.blocks import Blocks
 from ..identification.result import symmetric_interval
-from .limits import HOLDS
+from .limits import SYSTEMATIC
 
 OUTLIER = 3.0  # robust standard deviations; windows beyond it count less (Huber)
 DRAWS = 200
@@ -30,7 +30,7 @@ class Estimate:
     interval: tuple[float, float]
 
     @property
-    def sure(self) -> bool:
+    def significant(self) -> bool:
         """Whether the 95 % interval leaves out 0, and by half its width more: one of a dozen causes is looked for."""
         low, high = self.interval
         return min(abs(low), abs(high)) > 0.5 * (high - self.value) and low * high > 0.0
@@ -125,11 +125,11 @@ class Regression:
         return float(np.sqrt(np.square(moved).sum(axis=1).mean()))
 
     def causes(self, candidates: Mapping[str, float], always: Sequence[str] = (),
-               beside: Sequence[str] = ()) -> dict[str, Estimate]:
+               alongside: Sequence[str] = ()) -> dict[str, Estimate]:
         """The causes that are sure and matter, found one at a time and fitted together.
 
         candidates: by name, the smallest value worth a word. always: causes fitted beside them whatever they are.
-        beside: causes with which a candidate may become sure: what they leave otherwise looks like slow noise.
+        alongside: causes with which a candidate may become sure: what they leave otherwise looks like slow noise.
         """
         chosen: list[str] = []
         left = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]
@@ -139,7 +139,7 @@ class Regression:
             best = min(losses, key=losses.__getitem__)
             left.remove(best)
             # A cause that takes the certainty from those found before is one of them in other words.
-            for extra in ((), [name for name in beside if name not in (*always, *chosen, best)]):
+            for extra in ((), [name for name in alongside if name not in (*always, *chosen, best)]):
                 joint = self.estimates([*always, *chosen, best, *extra])
                 if all(matters(joint[name], candidates[name]) for name in (*chosen, best)):
                     chosen.append(best)
@@ -148,10 +148,10 @@ class Regression:
         return {name: joint[name] for name in chosen}
 
 
-def held(name: str, one: Estimate) -> Estimate:
-    """With what the identity itself does not know, see limits.HOLDS; name: of the finding it is the value of."""
+def with_systematic(name: str, one: Estimate) -> Estimate:
+    """With what the identity itself does not know, see limits.SYSTEMATIC; name: of the finding it is the value of."""
     kind = name.rpartition("_")[2]
-    half = HOLDS.get(name, HOLDS.get(kind, 0.0)) * (abs(one.value) if kind in ("scale", "sign") else 1.0)
+    half = SYSTEMATIC.get(name, SYSTEMATIC.get(kind, 0.0)) * (abs(one.value) if kind in ("scale", "sign") else 1.0)
     low, high = (one.value + sign * float(np.hypot(end - one.value, half))
                  for sign, end in zip((-1.0, 1.0), one.interval, strict=True))
     return Estimate(one.value, float(np.hypot(one.deviation, 0.5 * half)), (low, high))
@@ -164,4 +164,4 @@ def blocks(time: np.ndarray) -> Blocks:
 
 
 def matters(estimate: Estimate, least: float) -> bool:
-    return estimate.sure and abs(estimate.value) >= least
+    return estimate.significant and abs(estimate.value) >= least

@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from .extras import Extras
-from .finding import Channel, Cure, Finding, Severity
+from .finding import Advice, AuxiliaryData, Channel, Finding, Severity
 from .limits import HORIZON, LIMITS
 from .motion import LONGEST_GAP, Motion
 
@@ -23,7 +22,7 @@ SPARED = ("velocity_y", "acceleration_x", "acceleration_y")  # many recordings h
 WORST_GYRO = 0.02  # rad/s of bias that must not make a yaw look frozen
 
 
-def channels(motion: Motion, extras: Extras) -> dict[str, Channel]:
+def channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Channel]:
     """Every channel of the drive."""
     found = {}
     for name, unit in UNITS.items():
@@ -34,7 +33,7 @@ def channels(motion: Motion, extras: Extras) -> dict[str, Channel]:
         gaps = spacing[spacing > LONGEST_GAP]
         found[name] = Channel(
             unit, len(values), float(1.0 / np.median(spacing)), len(gaps), float(spacing.max()), noise(values),
-            resolution(values), float(np.mean(np.diff(values) == 0.0)), int(extras.missing.get(name, 0)))
+            resolution(values), float(np.mean(np.diff(values) == 0.0)), int(auxiliary.missing.get(name, 0)))
     return found
 
 
@@ -70,25 +69,25 @@ def resolution(values: np.ndarray) -> float:
     return smallest if small.sum() >= 10 and grid[small].mean() > 0.95 else 0.0
 
 
-def timing(motion: Motion, extras: Extras, left_out: Sequence[Finding] = ()) -> list[Finding]:
+def timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding] = ()) -> list[Finding]:
     """Stamps, gaps and missing rows. left_out: findings whose samples were left out, which makes no gap."""
-    told = []
-    for signal, stamps in extras.stamps.items():
-        told += _stamps(signal, np.asarray(stamps, np.int64))
+    findings = []
+    for signal, stamps in auxiliary.stamps.items():
+        findings += _stamps(signal, np.asarray(stamps, np.int64))
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
-        told += _gaps(signal, time, [span for one in left_out for span in one.where])
-    for channel, count in extras.missing.items():
+        findings += _gaps(signal, time, [span for one in left_out for span in one.where])
+    for channel, count in auxiliary.missing.items():
         # Samples without an acceleration were kept, those without another channel were not.
         left = len(motion.steering_time if channel in STEERING else motion.time)
         share = count / max(left if channel.startswith("acceleration") else left + count, 1)
         if count:
-            rows = extras.stamps.get("INS", np.zeros(0))
+            rows = auxiliary.stamps.get("INS", np.zeros(0))
             if channel in STEERING:
-                rows = extras.stamps.get("steering", rows)
+                rows = auxiliary.stamps.get("steering", rows)
             slower = 0.0 if channel.startswith("acceleration") else _slower_rate(
                 motion.steering_time if channel in STEERING else motion.time, rows * 1e-9, share)
-            told.append(_missing(channel, count, share, slower))
-    return merged(told)
+            findings.append(_missing(channel, count, share, slower))
+    return merged(findings)
 
 
 def _missing(channel: str, count: int, share: float, slower: float) -> Finding:
@@ -96,12 +95,12 @@ def _missing(channel: str, count: int, share: float, slower: float) -> Finding:
     if slower:
         text = (f"{channel}: {100 * share:.2g} % of the rows hold no value, and those that do are evenly spaced: it "
                 f"was recorded at {slower:.3g} Hz")
-        cure = "nothing, if that is the rate of the sensor"
+        advice = "nothing, if that is the rate of the sensor"
     else:
         text = f"{channel}: {count} rows hold no usable value ({100 * share:.2g} %); they were left out"
-        cure = "look at what the logger writes there"
+        advice = "look at what the logger writes there"
     severity = Severity.NOTE if slower or share <= FEW else Severity.WARNING
-    return Finding("values_missing", severity, (channel,), text, share, "1", None, (), None, Cure("look", cure))
+    return Finding("values_missing", severity, (channel,), text, share, "1", None, (), None, Advice("look", advice))
 
 
 def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
@@ -123,7 +122,7 @@ def _stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
         return []
     step = np.diff(stamps)
     newest = np.maximum.accumulate(stamps)[:-1]
-    told = []
+    findings = []
     # After one step back, every row is lost until the newest stamp before it is reached again.
     old = (stamps[1:] <= newest) & (step != 0)
     for name, back, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
@@ -139,9 +138,9 @@ def _stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
                 f"{'go back' if name == 'time_order' else 'are there twice'}; those rows were left out")
         advice = ("look at the logger: its clock was set back, or it restarted; split the recording there into runs"
                   if reset else "look at how the rows were stamped and merged")
-        told.append(Finding(name, Severity.WARNING if reset or share > FEW else Severity.NOTE, ("time",), text, share,
-                            "1", None, where, None, Cure("look", advice)))
-    return told
+        severity = Severity.WARNING if reset or share > FEW else Severity.NOTE
+        findings.append(Finding(name, severity, ("time",), text, share, where=where, advice=Advice("look", advice)))
+    return findings
 
 
 def _gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, float]]) -> list[Finding]:
@@ -159,23 +158,23 @@ def _gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, float]]
     longest = spacing[long].max()
     text = f"{count} of the {signal}, {missing:.2f} s in all, longest {longest:.2f} s: nothing is scored there"
     return [Finding("time_gaps", severity, ("time",) if signal == "INS" else ("road_wheel_angle",), text, missing, "s",
-                    None, where, None, Cure("look", "look at the logger: lost packets, a full buffer"))]
+                    None, where, None, Advice("look", "look at the logger: lost packets, a full buffer"))]
 
 
 def stuck(motion: Motion, known: Mapping[str, Channel]) -> list[Finding]:
     """Channels that are held at a lower rate, or stand still while the car moves."""
-    told = []
+    findings = []
     for name in known:
         time, row = _series(motion, name)
         if row is None:
             continue
-        told += _held(name, time, row) or _frozen(name, time, row, motion, known[name].resolution)
-    return merged(told)
+        findings += _held(name, time, row) or _frozen(name, time, row, motion, known[name].resolution)
+    return merged(findings)
 
 
-def rounded(motion: Motion, told: Sequence[Finding]) -> list[Finding]:
-    """Channels that are rounded so coarsely that it matters; told: those that are held have steps of another kind."""
-    held = {channel for one in told if one.name == "samples_repeated" for channel in one.channels}
+def rounded(motion: Motion, findings: Sequence[Finding]) -> list[Finding]:
+    """Channels that are rounded so coarsely that it matters, but for those that the findings call held."""
+    held = {channel for one in findings if one.name == "samples_repeated" for channel in one.channels}
     speed = float(np.median(motion.speed))
     return merged([one for name in REACH if name not in held for one in _rounded(name, motion, speed)])
 
@@ -200,7 +199,7 @@ def _held(name: str, time: np.ndarray, row: np.ndarray) -> list[Finding]:
     text = f"{name} changes only at every {usual:g}th sample: it was recorded at {rate:.3g} Hz and held"
     severity = Severity.WARNING if rate < SLOWEST else Severity.NOTE
     return [Finding("samples_repeated", severity, (name,), text, share,
-                    cure=Cure("look", f"log {name} at its own rate, or interpolate it before"))]
+                    advice=Advice("look", f"log {name} at its own rate, or interpolate it before"))]
 
 
 def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion, step: float) -> list[Finding]:
@@ -219,10 +218,10 @@ def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion, step: 
     severity = Severity.ERROR if throughout and name not in SPARED else Severity.WARNING
     ins = name != "road_wheel_angle"
     stretches = [[round(a, 2), round(b, 2)] for a, b in where]
-    cure = (Cure("look", f"nothing can be made of it: record {name}") if throughout else
-            Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches}) if ins else
-            Cure("look", "look at the steering sensor: its frames stand still there"))
-    return [Finding("channel_frozen", severity, (name,), text, seconds, "s", None, where, None, cure)]
+    advice = (Advice("look", f"nothing can be made of it: record {name}") if throughout else
+            Advice("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches}) if ins else
+            Advice("look", "look at the steering sensor: its frames stand still there"))
+    return [Finding("channel_frozen", severity, (name,), text, seconds, "s", None, where, None, advice)]
 
 
 def _should_change(name: str, begin: float, end: float, motion: Motion, step: float) -> bool:
@@ -269,13 +268,13 @@ def _rounded(name: str, motion: Motion, speed: float) -> list[Finding]:
     step = resolution(getattr(motion, name))
     distance, while_driving = REACH[name]
     effect = step / np.sqrt(12.0) * distance * (speed if while_driving else 1.0)
-    if effect < LIMITS.worth_a_word:
+    if effect < LIMITS.min_reported_effect:
         return []
     unit = UNITS[name]
     degrees = f" ({np.rad2deg(step):.2g} deg)" if unit.startswith("rad") else ""
     text = f"{name} is rounded to {step:.3g} {unit}{degrees}"
     return [Finding("resolution_coarse", LIMITS.severity(effect), (name,), text, step, unit, effect=effect,
-                    cure=Cure("look", f"log {name} with more digits"))]
+                    advice=Advice("look", f"log {name} with more digits"))]
 
 
 def unfrozen(motion: Motion, findings: Sequence[Finding]) -> Motion:
@@ -293,15 +292,15 @@ def unfrozen(motion: Motion, findings: Sequence[Finding]) -> Motion:
 
 def merged(findings: Sequence[Finding]) -> list[Finding]:
     """x and y, or all channels of the INS, held at one rate or missing in as many rows, become one finding."""
-    told: dict[tuple, Finding] = {}
+    found: dict[tuple, Finding] = {}
     for one in findings:
-        key = (one.name, one.value if one.name in ("samples_repeated", "values_missing") else len(told))
-        before = told.get(key)
+        key = (one.name, one.value if one.name in ("samples_repeated", "values_missing") else len(found))
+        before = found.get(key)
         if before is None:
-            told[key] = one
+            found[key] = one
             continue
         names = (*before.channels, *one.channels)
         text = before.text.replace(", ".join(before.channels), ", ".join(names), 1)
-        told[key] = Finding(one.name, before.severity, names, text, before.value, before.unit, before.interval,
-                            before.where, before.effect, before.cure)
-    return list(told.values())
+        found[key] = Finding(one.name, before.severity, names, text, before.value, before.unit, before.interval,
+                            before.where, before.effect, before.advice)
+    return list(found.values())

@@ -9,7 +9,7 @@ from ..log import DriveLog
 from ..models import Model, get_model
 from ..stability import MOST_SUBSTEPS, growth, slip_speed_needed, stable
 from ..vehicle import VehicleParameters
-from .finding import Cure, Finding, Severity
+from .finding import Advice, Finding, Severity
 from .motion import stretches
 
 SPEEDS = 40
@@ -38,24 +38,24 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
         return None
     unstable = np.interp(speed, speeds, np.max(list(factors.values()), axis=0)) > 1.0
     touched = speed[unstable] if unstable.any() else speed[:1]
-    value, unit, cure = _cure(chosen, vehicle, speeds.tolist(), step)
+    value, unit, advice = _advice(chosen, vehicle, speeds.tolist(), step)
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(guilty)} model of "
             f"{vehicle.name} at {touched.min():.1f} to {touched.max():.1f} m/s: the lateral motion comes out wrong")
     return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit,
-                   where=_stretches(log, unstable), cure=cure)
+                   where=_stretches(log, unstable), advice=advice)
 
 
-def _cure(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
-          step: float) -> tuple[float | None, str, Cure]:
+def _advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequence[float],
+          step: float) -> tuple[float | None, str, Advice]:
     needed = slip_speed_needed(models, vehicle, speeds, step)
     if needed is not None:
         line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
-        return needed, "m/s", Cure("vehicle", line, {"minimum_slip_speed": needed})
+        return needed, "m/s", Advice("vehicle", line, {"minimum_slip_speed": needed})
     shorter = next((step / parts for parts in SHORT if stable(models, vehicle, speeds, step / parts)), None)
     if shorter is not None:
-        return shorter, "s", Cure("option", f"--step {shorter:.9g}", {"step": shorter})
-    return None, "s", Cure("look", f"no step down to {1e3 * step / MOST_SUBSTEPS:.2g} ms is short enough: look at the "
-                           "vehicle's yaw_inertia, mass and stiffnesses, and at the effects of the model")
+        return shorter, "s", Advice("option", f"--step {shorter:.9g}", {"step": shorter})
+    return None, "s", Advice("look", f"no step down to {1e3 * step / MOST_SUBSTEPS:.2g} ms is short enough: look at "
+                             "the vehicle's yaw_inertia, mass and stiffnesses, and at the effects of the model")
 
 
 def _stretches(log: DriveLog, chosen: np.ndarray) -> tuple[tuple[float, float], ...]:

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .finding import Cure, Finding, Severity
+from .finding import Advice, Finding, Severity
 from .limits import LIMITS
 from .motion import LONGEST_GAP, MOVING, Motion, integral, stretches
 from .sampling import resolution
@@ -36,8 +36,8 @@ def steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     jitter = _jitter(motion, along)
     if jitter:
         return motion.with_(time=_even(motion.time)), jitter
-    stale, told = _stale(motion, rest, along, rounding)
-    return motion, told + _jumps(motion, rest, stale, rounding) + (_noise(motion, rest) if rounding == 0.0 else [])
+    stale, findings = _stale(motion, rest, along, rounding)
+    return motion, findings + _jumps(motion, rest, stale, rounding) + (_noise(motion, rest) if rounding == 0.0 else [])
 
 
 def _even(time: np.ndarray) -> np.ndarray:
@@ -91,7 +91,7 @@ def _stale(motion: Motion, rest: np.ndarray, along: np.ndarray, rounding: float)
     return its, [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", interval,
         stretches(motion.time[1:][back], 5.0)[:20], effect,
-        Cure("look", "stamp positions with their own time, or leave out rows with an old one"))]
+        Advice("look", "stamp positions with their own time, or leave out rows with an old one"))]
 
 
 def _wilson(share: float, count: float) -> tuple[float, float]:
@@ -123,10 +123,10 @@ def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray, rounding: float)
                     _without(where))]
 
 
-def _without(where: Sequence[tuple[float, float]]) -> Cure:
+def _without(where: Sequence[tuple[float, float]]) -> Advice:
     """A gap at each jump: nothing is compared, and no prediction scored, across one."""
     if len(where) > MOST_JUMPS:
-        return Cure("look", "these positions cannot be mended: use those of one receiver, with RTK, or post-process")
+        return Advice("look", "too many to leave out: use the positions of one receiver, with RTK, or post-process")
     stretches: list[list[float]] = []
     for first, last in where:
         begin, end = round(first - ASIDE, 2), round(last + ASIDE, 2)
@@ -134,7 +134,7 @@ def _without(where: Sequence[tuple[float, float]]) -> Cure:
             stretches[-1][1] = end
         else:
             stretches.append([begin, end])
-    return Cure("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches})
+    return Advice("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches})
 
 
 def _noise(motion: Motion, rest: np.ndarray) -> list[Finding]:
@@ -147,7 +147,7 @@ def _noise(motion: Motion, rest: np.ndarray) -> list[Finding]:
         return []
     text = f"positions are noisy: {sigma:.2f} m of standard deviation from one sample to the next"
     return [Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m", effect=sigma,
-                    cure=Cure("look", "record with RTK, or take the positions of the INS, not those of the receiver"))]
+                    advice=Advice("look", "record with RTK, or use the positions of the INS, not of the receiver"))]
 
 
 def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
@@ -164,8 +164,8 @@ def _jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
         return []
     slope = float(np.sum(along[inside] * -uneven) / power)
     effect = deviation * float(np.median(motion.speed[1:][inside]))
-    if slope < 0.5 or effect < LIMITS.worth_a_word:
+    if slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []
     text = f"the stamps jitter by {deviation * 1e3:.1f} ms, the motion does not: they were made on arrival"
     return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", None, (), effect,
-                    Cure("look", "use the time of measurement (GPS time), not that of reception"))]
+                    Advice("look", "use the time of measurement (GPS time), not that of reception"))]

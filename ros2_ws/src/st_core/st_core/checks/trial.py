@@ -20,7 +20,7 @@ from ..errors import StCoreError
 from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
 from ..vehicle import VehicleParameters
-from .finding import Cure, Finding, Severity
+from .finding import Advice, Finding, Severity
 from .limits import HORIZON
 
 # Factor, and m: less is the noise of positions, and on seventeen real drives what a correct one changed at most (7 %).
@@ -46,9 +46,9 @@ def tried(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) ->
     replaced: dict[int, Finding] = {}
     before = _error(state)
     if errors:
-        together = state
+        together: State | None = state
         for one in errors:
-            together = _applied(together, one.cure) if together else None
+            together = _applied(together, one.advice) if together else None
         after = _error(together)
         replaced |= {id(one): _judged(one, before, after) for one in errors if _is_tested(one)}
         if together is None or after is None or (before is not None and _worse(before, after)):
@@ -56,13 +56,13 @@ def tried(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) ->
         state, before = together, after
     for one in tested:
         if one.severity is Severity.WARNING:
-            replaced[id(one)] = _judged(one, before, _error(_applied(state, one.cure)))
+            replaced[id(one)] = _judged(one, before, _error(_applied(state, one.advice)))
     return [replaced.get(id(one), one) for one in findings]
 
 
 def _is_tested(one: Finding) -> bool:
-    return (one.severity is not Severity.NOTE and one.cure is not None and bool(one.cure.entry)
-            and not one.of_acceleration and "leave_out" not in one.cure.entry)
+    return (one.severity is not Severity.NOTE and one.advice is not None and bool(one.advice.entry)
+            and not one.of_acceleration and "leave_out" not in one.advice.entry)
 
 
 def _judged(one: Finding, before: float | None, after: float | None) -> Finding:
@@ -73,7 +73,7 @@ def _judged(one: Finding, before: float | None, after: float | None) -> Finding:
     advice = (f"its correction would raise the prediction error of this run from {before:.2f} to {after:.2f} m and is "
               "not proposed: look for another cause")
     severity = Severity.NOTE if one.severity is Severity.WARNING else one.severity
-    return replace(one, severity=severity, cure=Cure("look", advice), tried=(before, after))
+    return replace(one, severity=severity, advice=Advice("look", advice), tried=(before, after))
 
 
 def _worse(before: float, after: float) -> bool:
@@ -104,18 +104,19 @@ def _error(state: State | None) -> float | None:
     return float(np.sqrt(2.0 * np.mean(left**2)))
 
 
-def _applied(state: State, cure: Cure | None) -> State | None:
+def _applied(state: State, advice: Advice | None) -> State | None:
     """The run as this correction leaves it; None where it cannot be applied here."""
     log, vehicle = state
-    if cure is None or not cure.entry:
+    if advice is None or not advice.entry:
         return None
-    if cure.kind == "vehicle":
-        car = replace(vehicle, **{name: float(value) for name, value in cure.entry.items()})
+    if advice.kind == "vehicle":
+        values: dict[str, Any] = {name: float(value) for name, value in advice.entry.items()}
+        car = replace(vehicle, **values)
         return (log.with_steering(car) if log.steering_wheel_angle is not None else log), car
     try:
-        log = _relabelled(log, cure.entry)
-        changes = {name: Correction(**values) for name, values in cure.entry.get("correct", {}).items()}
-        log = corrected(log, changes, vehicle, cure.entry.get("leave_out", ()))
+        log = _relabelled(log, advice.entry)
+        changes = {name: Correction(**values) for name, values in advice.entry.get("correct", {}).items()}
+        log = corrected(log, changes, vehicle, advice.entry.get("leave_out", ()))
     except StCoreError:
         return None
     return log, vehicle

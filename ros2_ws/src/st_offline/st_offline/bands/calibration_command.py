@@ -82,7 +82,7 @@ def collect(sources: Sequence[RunSource], task: Task, models: Sequence[Model], r
                 run = read(source, task.vehicle, task.read)
                 _refuse_again(source, run, recordings)
                 _refuse_other_car(source, run, task.vehicle)
-                passed(source.where, run.log, task.vehicle, run.extras, task.force, models,
+                passed(source.where, run.log, task.vehicle, run.auxiliary, task.force, models,
                        task.settings.prediction.step)
                 samples.append(run_samples(models, task.vehicle, task.settings.signals(run.log), task.settings))
         except (RunError, StCoreError) as error:

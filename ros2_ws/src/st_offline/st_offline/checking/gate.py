@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from st_core.checks import Checked, Extras, Finding, Severity, check
+from st_core.checks import AuxiliaryData, Checked, Finding, Severity, check
 from st_core.checks.step import step_too_long
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
@@ -15,8 +15,8 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.recorded import configuration_of
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
-from . import words
-from .document import documents
+from . import check_wording as words
+from .check_document import documents
 
 STEP = PredictionSettings().step
 PROBLEMS = (RunError, StCoreError, MemoryError, OSError)
@@ -36,10 +36,10 @@ class Refused(RunError):
         return Refused, (self.path, self.findings)
 
 
-def checked_log(log: DriveLog, vehicle: VehicleParameters, extras: Extras | None,
+def checked_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None,
                 models: Sequence[str | Model] = (), step: float = STEP) -> Checked:
     """All findings on a drive. models, step [s]: to be predicted with; none where nothing is predicted at that step."""
-    checked = check(log, vehicle, extras)
+    checked = check(log, vehicle, auxiliary)
     too_long = step_too_long(models, vehicle, log, step) if models else None
     if too_long is None:
         return checked
@@ -56,7 +56,7 @@ def checked_run(where: Path | str, vehicle: VehicleParameters,
                 force: bool) -> Callable[[LoadedRun], tuple[Finding, ...]]:
     """What `import_run` asks before it writes: findings of a drive; raises Refused for one that may not be used."""
     def findings_of(run: LoadedRun) -> tuple[Finding, ...]:
-        findings = checked_log(run.log, vehicle, run.extras).findings
+        findings = checked_log(run.log, vehicle, run.auxiliary).findings
         refuse(where, findings, force)
         return findings
 
@@ -74,15 +74,15 @@ def passed_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSetti
     log = run.log.with_steering(car) if steering is not None and steering.quantity == "wheel" else run.log
     predictor = recorded.nodes.get("predictor", {})
     models = [model for model in predictor.get("models", MODELS) if model in MODELS]
-    findings = checked_log(log, car, run.extras, models, predictor.get("step", STEP)).findings
+    findings = checked_log(log, car, run.auxiliary, models, predictor.get("step", STEP)).findings
     refuse(bag, findings, force)
     return list(findings)
 
 
-def passed(where: Path | str, log: DriveLog, vehicle: VehicleParameters, extras: Extras | None, force: bool,
+def passed(where: Path | str, log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None, force: bool,
            models: Sequence[str | Model] = (), step: float = STEP) -> list[dict[str, Any]]:
     """Findings of a drive that may be used, as plain values for a report. Raises Refused for one that may not."""
-    findings = checked_log(log, vehicle, extras, models, step).findings
+    findings = checked_log(log, vehicle, auxiliary, models, step).findings
     refuse(where, findings, force)
     return documents(findings)
 

@@ -8,9 +8,9 @@ from ..evaluation.drawing import Drawn, Place
 from ..evaluation.evaluation_report import BUDGET
 from ..evaluation.work import slug
 from ..pages import template
-from . import words
-from .document import CheckedRun, FailedRun
-from .panels import panel
+from . import check_wording as words
+from .check_document import CheckedRun, FailedRun
+from .check_figures import panel
 
 
 def title(good: Sequence[CheckedRun]) -> str:

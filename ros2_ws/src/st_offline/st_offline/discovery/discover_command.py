@@ -23,8 +23,8 @@ from st_recordings.output import new_folder
 from st_recordings.plain_json import as_text, finite
 from st_recordings.runs import find_runs
 
-from ..checking.document import findings_in
-from ..checking.shown import say
+from ..checking.check_document import findings_in
+from ..checking.check_report import say
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
 from . import answers

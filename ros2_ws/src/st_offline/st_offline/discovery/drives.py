@@ -23,7 +23,7 @@ from st_recordings.runs import LoadedRun, ReadSettings, RunSource, read
 from st_recordings.runs.load import hashes, report
 from st_recordings.runs.run_types import signal_files
 
-from ..checking.document import documents, findings_in
+from ..checking.check_document import documents, findings_in
 from ..checking.gate import PROBLEMS, Refused, checked_log, in_words, refuse
 
 FORMAT = 3  # of what is kept; another number makes older files useless
@@ -76,7 +76,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         drive = _restored(kept) if kept else None
         if drive is None:
             run = read(source, vehicle, settings)
-            checked = checked_log(run.log, vehicle, run.extras)
+            checked = checked_log(run.log, vehicle, run.auxiliary)
             about = {"files": files, "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
                      "warnings": list(run.warnings), "findings": documents(checked.findings),
                      "estimates": finite(checked.estimates), "vehicle": _recorded_vehicle(source, run)}

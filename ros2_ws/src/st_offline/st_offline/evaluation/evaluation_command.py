@@ -17,8 +17,8 @@ from st_recordings.runs import RunError, RunSource, find_runs
 from ..bands.bands_report import HOW_TO_GET, adaptive_table, bands_table
 from ..bands.error_shares import finished_shares, shares_table
 from ..bands.scoring import pooled_sums
-from ..checking.document import findings_in
-from ..checking.shown import say
+from ..checking.check_document import findings_in
+from ..checking.check_report import say
 from ..terminal import line, list_files, progress_bars, report_problem
 from .drawing import check_formats
 from .evaluation_report import Choices, finding, settings_in_words, write_results

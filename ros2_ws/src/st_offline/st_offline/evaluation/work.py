@@ -24,7 +24,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 
 from ..bands.scoring import AdaptiveScorer
-from ..checking.document import documents
+from ..checking.check_document import documents
 from ..checking.gate import PROBLEMS, Refused, in_words, passed
 from . import statistics
 from .background import in_background
@@ -152,7 +152,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
 
 def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Model]) -> list[dict[str, Any]] | Refused:
     try:
-        return passed(source.where, run.log, task.vehicle, run.extras, task.force, models,
+        return passed(source.where, run.log, task.vehicle, run.auxiliary, task.force, models,
                       task.settings.prediction.step)
     except Refused as error:
         return error

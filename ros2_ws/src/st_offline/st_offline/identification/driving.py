@@ -41,7 +41,7 @@ def drives(files: Sequence[Path], setup: Setup) -> Drives:
     for source in find_runs(files):
         try:
             run = read(source, setup.vehicle, setup.read)
-            found.findings[source.name] = checked_log(run.log, setup.vehicle, run.extras).findings
+            found.findings[source.name] = checked_log(run.log, setup.vehicle, run.auxiliary).findings
             refuse(source.where, found.findings[source.name], setup.force)
         except (RunError, StCoreError) as error:
             first = first or error

@@ -24,8 +24,8 @@ from st_recordings.plain_json import as_text
 from st_recordings.results import versions
 from st_recordings.runs.load import file_hashes
 
-from ..checking.document import documents
-from ..checking.shown import say
+from ..checking.check_document import documents
+from ..checking.check_report import say
 from ..discovery.vehicle_update import edited
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template

@@ -9,7 +9,7 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from rosbags.typesys.store import Typestore
-from st_core.checks import Extras
+from st_core.checks import AuxiliaryData
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
@@ -47,7 +47,7 @@ _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", 
 class BagDrive:
     """topics: type -> topic that was read. records: what the recording says about itself, name -> {key: text}.
 
-    extras: what else is in it, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of what is
+    auxiliary: what else is in it, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of what is
     neither read nor of the suite.
     """
 
@@ -55,7 +55,7 @@ class BagDrive:
     topics: Mapping[str, str]
     records: Mapping[str, Mapping[str, str]]
     warnings: tuple[str, ...]
-    extras: Extras = field(default_factory=Extras)
+    auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
     frame: str = ""
     unknown: tuple[str, ...] = ()
 

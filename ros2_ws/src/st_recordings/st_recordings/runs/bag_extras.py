@@ -6,7 +6,7 @@ import numpy as np
 from oxts_bridge import file_decoder, packet_time
 from oxts_bridge.ncom import NcomError
 from rosbags.typesys.store import Typestore
-from st_core.checks import Extras, InsQuality, Series
+from st_core.checks import AuxiliaryData, InsQuality, Series
 
 from .bag_storage import Storage, Topic
 from .cdr import Layouts
@@ -33,7 +33,7 @@ def extra_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
 
 def bag_extras(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
                stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
-               again: Reconstruction) -> Extras:
+               again: Reconstruction) -> AuxiliaryData:
     """columns: of the topics of `extra_fields` that could be read. stamps, missing: of odometry and steering. again: of
     the same recording, for the speeds where no topic has them.
     """
@@ -47,7 +47,7 @@ def bag_extras(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic
     if NCOM in by_type and (quality is None or ins_speed is None):
         of_packets = _packets(by_type[NCOM]["raw_packet"])
         quality, ins_speed = quality or of_packets[0], ins_speed or of_packets[1]
-    return Extras(stamps, {name: count for name, count in missing.items() if count},
+    return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count},
                   wheels, ins_speed, quality)
 
 

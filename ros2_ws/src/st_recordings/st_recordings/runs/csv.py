@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from st_core.checks import Extras
+from st_core.checks import AuxiliaryData
 from st_core.errors import StCoreError
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from st_core.vehicle import VehicleParameters
@@ -32,7 +32,7 @@ class CsvDrive:
 
     log: DriveLog
     columns: Mapping[str, str]
-    extras: Extras
+    auxiliary: AuxiliaryData
     warnings: tuple[str, ...]
 
 
@@ -87,7 +87,7 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
     except StCoreError as error:
         raise RunError(file, str(error)) from None
     speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
-    extras = Extras({"INS": _judged_stamps(table)}, missing, car_speed(speeds))
+    extras = AuxiliaryData({"INS": _judged_stamps(table)}, missing, car_speed(speeds))
     taken = {channel: f"{place.name} [{place.unit}{'' if place.stated else ', assumed'}]"
              for channel, place in table.places.items()}
     return CsvDrive(log, taken, extras, tuple(notes))

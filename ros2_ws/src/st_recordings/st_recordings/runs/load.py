@@ -27,8 +27,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
 
     vehicle: steering ratio and offset for the road wheel angle; without one, the road wheel angle must be in the
     recording (bag, CSV). Samples that no working sensor produces (`st_core.checks.plausibility`) are left out and
-    listed in `extras.implausible`; then what its run.yaml corrects is corrected, with a warning. Raises RunError, one
-    sentence for the user, for a run that cannot be used.
+    listed in `auxiliary.implausible`; then what its run.yaml corrects is corrected, with a warning. Raises RunError,
+    one sentence for the user, for a run that cannot be used.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
@@ -41,8 +41,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     log, implausible = plausible(loaded.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
-    extras = replace(loaded.extras, implausible=tuple(implausible), start_ns=start_ns)
-    loaded = treated(source, replace(loaded, log=log, extras=extras), vehicle)
+    extras = replace(loaded.auxiliary, implausible=tuple(implausible), start_ns=start_ns)
+    loaded = treated(source, replace(loaded, log=log, auxiliary=extras), vehicle)
     check_common_time(source, loaded.log.ins_time_ns, loaded.log.steering_time_ns)
     report(loaded.warnings)
     return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
@@ -91,7 +91,7 @@ def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None
     return replace(
         run, log=log, labels=labels, provenance={**run.provenance, "corrected": list(phrases)},
         warnings=(*run.warnings, f"{source.where}: corrected as its run.yaml says: {'; '.join(phrases)}"),
-        extras=replace(run.extras, corrected=phrases))
+        auxiliary=replace(run.auxiliary, corrected=phrases))
 
 
 def check_common_time(source: RunSource, ins_ns: np.ndarray, steering_ns: np.ndarray) -> None:

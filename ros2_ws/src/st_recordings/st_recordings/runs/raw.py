@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from st_core.checks import Extras
+from st_core.checks import AuxiliaryData
 from st_core.clock_types import Alignment, SharedSignal, Verdict
 from st_core.errors import StCoreError
 from st_core.log import OPTIONAL_INS_SIGNALS, DriveLog
@@ -101,13 +101,13 @@ def as_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettin
     return LoadedRun(log, about, source.labels, tuple(warnings), run.alignment, extras)
 
 
-def _extras(run: RawRun, steering_ns: np.ndarray, missing: dict[str, int]) -> Extras:
+def _extras(run: RawRun, steering_ns: np.ndarray, missing: dict[str, int]) -> AuxiliaryData:
     to_reference, signals = run.alignment.to_reference_ns, run.signals
     found = {name: signal for name in (*SPEEDS, "ins_velocity_x") if (signal := signals.first_of(name)) is not None}
     speeds = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
               for name, signal in found.items()}
     ins_speed = speeds.pop("ins_velocity_x", None)
-    return Extras({"INS": run.ins.stamps_ns, "steering": steering_ns}, missing, car_speed(speeds),
+    return AuxiliaryData({"INS": run.ins.stamps_ns, "steering": steering_ns}, missing, car_speed(speeds),
                   series(*ins_speed) if ins_speed else None, run.ins.quality)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from st_core.checks import Extras
+from st_core.checks import AuxiliaryData
 from st_core.clock_types import Alignment, none_needed
 from st_core.log import DriveLog
 
@@ -74,7 +74,7 @@ class LoadedRun:
     """log: the drive on the INS clock. labels: named parts, in seconds after the first INS measurement.
 
     provenance: files (path -> sha256), reader, settings, alignment, corrected: plain values for reports. warnings:
-    sentences. extras: what else was recorded, for checks.
+    sentences. auxiliary: what else was recorded, for checks.
     """
 
     log: DriveLog
@@ -82,7 +82,7 @@ class LoadedRun:
     labels: tuple[Label, ...] = ()
     warnings: tuple[str, ...] = ()
     alignment: Alignment = field(default_factory=none_needed)
-    extras: Extras = field(default_factory=Extras)
+    auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
 
 
 def signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:

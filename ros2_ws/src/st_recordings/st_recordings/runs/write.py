@@ -80,7 +80,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     if writer.error:
         raise RunError(directory, writer.error, "make room and import again")
     warnings = list(drive.warnings)
-    if drive.extras.corrected:
+    if drive.auxiliary.corrected:
         warnings.append(f"{directory}: holds what was recorded, nothing corrected; what its run.yaml corrects goes "
                         "into a run.yaml of the bag (bag: ...) too")
     return Imported(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)

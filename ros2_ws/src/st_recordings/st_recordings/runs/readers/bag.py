@@ -19,7 +19,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     recorded = {name: dict(record) for name, record in drive.records.items()}
     about = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
     labels = source.labels or _recorded_labels(drive.records)
-    return LoadedRun(drive.log, about, labels, drive.warnings, extras=drive.extras)
+    return LoadedRun(drive.log, about, labels, drive.warnings, auxiliary=drive.auxiliary)
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:

@@ -17,7 +17,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     yaw = source.settings.get("correct", {}).get("yaw", Correction())
     table = csv.read_csv(source.where, vehicle, source.settings.get("layout"), yaw.scale, settings.steering)
     about = {"reader": "csv", "columns": dict(table.columns)}
-    return LoadedRun(replace(table.log, name=source.name), about, source.labels, table.warnings, extras=table.extras)
+    return LoadedRun(replace(table.log, name=source.name), about, source.labels, table.warnings,
+                     auxiliary=table.auxiliary)
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:

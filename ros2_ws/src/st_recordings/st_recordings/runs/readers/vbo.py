@@ -19,7 +19,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     table = vbo.read_vbo(source.where, layout)
     drive = csv.drive_of(table, vehicle, yaw.scale, settings.steering)
     about = {"reader": "vbo", "columns": dict(drive.columns)}
-    return LoadedRun(replace(drive.log, name=source.name), about, source.labels, drive.warnings, extras=drive.extras)
+    return LoadedRun(replace(drive.log, name=source.name), about, source.labels, drive.warnings,
+                     auxiliary=drive.auxiliary)
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:

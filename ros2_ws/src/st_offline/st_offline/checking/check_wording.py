@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from st_core.checks import Checked, Cure, Finding, Severity
+from st_core.checks import Advice, Checked, Finding, Severity
 
 MOST_STRETCHES = 4
 MOST_TOLD = 3  # findings in a headline
@@ -103,13 +103,15 @@ def effect(finding: Finding) -> str:
     return f"shifts the position after 5 s by about {size} m"
 
 
-def cure(found: Cure | None) -> str:
-    """What removes it and where it is to be put; empty where nothing is known."""
+def correction(found: Advice | None) -> str:
+    """What corrects it and where that is written; empty where nothing is known."""
     return f"{PLACE[found.kind]}{found.line}" if found else ""
 
 
 def line(finding: Finding) -> str:
     """Everything in one line, for verbs that speak of other things."""
     parts = [f"{finding.severity.value}: {finding.text}", where(finding), effect(finding)]
-    said = " | ".join(part for part in parts if part)
-    return said + (f" | cure: {cure(finding.cure)}" if finding.cure else "")
+    text = " | ".join(part for part in parts if part)
+    if finding.advice is None:
+        return text
+    return f"{text} | {'correction' if PLACE[finding.advice.kind] else 'advice'}: {correction(finding.advice)}"

@@ -6,12 +6,12 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from st_core.checks import SCHEMA, Checked, Cure, Finding, Identity, Severity, together
+from st_core.checks import SCHEMA, Advice, Checked, Finding, Identity, Severity, across_runs
 from st_core.vehicle import VehicleParameters
 from st_recordings.plain_json import finite
 from st_recordings.results import versions
 
-from . import words
+from . import check_wording as words
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,12 @@ def findings_in(about: Mapping[str, Any]) -> list[Finding]:
 
 
 def _finding(entry: Mapping[str, Any]) -> Finding:
-    cure = Cure(**entry["cure"]) if entry["cure"] else None
+    values = dict(entry)
+    advice = values.pop("cure")
     interval = tuple(entry["interval"]) if entry["interval"] else None
-    return Finding(**{**entry, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
-                      "interval": interval, "where": tuple(map(tuple, entry["where"])), "cure": cure,
+    return Finding(**{**values, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
+                      "interval": interval, "where": tuple(map(tuple, entry["where"])),
+                      "advice": Advice(**advice) if advice else None,
                       "tried": tuple(entry["tried"]) if entry.get("tried") else None})
 
 
@@ -62,7 +64,7 @@ def document(good: Sequence[CheckedRun], failed: Sequence[FailedRun]) -> dict[st
         "vehicle": {source: {"name": car.name, "hash": car.hash}
                     for source, car in {run.vehicle_from: run.vehicle for run in good}.items()},
         "runs": {run.name: _run(run) for run in good},
-        "together": [finite(one.as_dict()) for one in together([run.checked for run in good])],
+        "together": [finite(one.as_dict()) for one in across_runs([run.checked for run in good])],
         "failed": {run.name: run.problem for run in failed},
     }
 

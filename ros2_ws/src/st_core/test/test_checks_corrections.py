@@ -116,9 +116,9 @@ def test_a_fault_is_measured_and_its_cure_removes_it(log, leaf, name, value, fau
     low, high = found[name].interval
     assert low <= value <= high and low <= found[name].value <= high
     assert high - low < 0.35 * abs(value)
-    cure = found[name].cure
-    assert cure.kind == "run.yaml" and same_to_print(yaml.safe_load(cure.line), cure.entry)
-    assert findings(cured(wrong, cure.entry, leaf), leaf) == {}
+    advice = found[name].advice
+    assert advice.kind == "run.yaml" and same_to_print(yaml.safe_load(advice.line), advice.entry)
+    assert findings(cured(wrong, advice.entry, leaf), leaf) == {}
 
 
 @pytest.mark.parametrize(("name", "fault"), FORMS)
@@ -126,9 +126,9 @@ def test_a_wrong_form_is_an_error_and_its_cure_removes_it(log, leaf, name, fault
     wrong = fault(log)
     found = findings(wrong, leaf)
     assert list(found) == [name] and found[name].severity is Severity.ERROR
-    cure = found[name].cure
-    assert same_to_print(yaml.safe_load(cure.line.replace("  # and ", "\n")), cure.entry)
-    assert findings(cured(wrong, cure.entry, leaf), leaf) == {}
+    advice = found[name].advice
+    assert same_to_print(yaml.safe_load(advice.line.replace("  # and ", "\n")), advice.entry)
+    assert findings(cured(wrong, advice.entry, leaf), leaf) == {}
 
 
 def of_map(log):
@@ -140,7 +140,7 @@ def of_map(log):
     ("velocity_axes", of_map), ("position_scale", times(1.0 / 111e3, *POSITION))])
 def test_what_no_run_yaml_mends_is_an_error_all_the_same(log, leaf, name, fault):
     found = findings(fault(log), leaf)
-    assert list(found) == [name] and found[name].severity is Severity.ERROR and found[name].cure.kind == "look"
+    assert list(found) == [name] and found[name].severity is Severity.ERROR and found[name].advice.kind == "look"
     if name == "position_scale":
         assert found[name].value == pytest.approx(1.0 / 111e3, rel=1e-3)
 
@@ -150,9 +150,9 @@ def test_a_hand_wheel_that_is_turned_is_cured_in_the_vehicle_file(log, leaf, ang
     wrong = wheel_turned(angle)(log).with_steering(leaf)
     one = findings(wrong, leaf)["steering_offset"]
     low, high = one.interval
-    assert one.cure.kind == "vehicle" and low <= angle / RATIO <= high
-    mended = replace(leaf, **one.cure.entry)
-    assert findings(wrong.with_steering(mended), mended) == {}
+    assert one.advice.kind == "vehicle" and low <= angle / RATIO <= high
+    corrected = replace(leaf, **one.advice.entry)
+    assert findings(wrong.with_steering(corrected), corrected) == {}
 
 
 @pytest.mark.parametrize("factor", [1.0, -1.0, DEGREE])
@@ -163,8 +163,8 @@ def test_road_wheels_that_are_not_straight_are_cured_in_the_run(log, leaf, facto
     assert "steering_offset" in found
     entry = {}
     for one in found.values():
-        assert one.cure.kind == "run.yaml" and same_to_print(yaml.safe_load(one.cure.line), one.cure.entry)
-        entry |= one.cure.entry["correct"]["road_wheel_angle"]
+        assert one.advice.kind == "run.yaml" and same_to_print(yaml.safe_load(one.advice.line), one.advice.entry)
+        entry |= one.advice.entry["correct"]["road_wheel_angle"]
     assert entry["add"] == pytest.approx(-angle, abs=0.002)
     assert findings(cured(wrong, {"correct": {"road_wheel_angle": entry}}, leaf), leaf) == {}
 
@@ -174,9 +174,9 @@ def test_a_measuring_point_elsewhere_is_cured_in_the_vehicle_file(log, leaf, ahe
     wrong = mounted(ahead)(log)
     one = findings(wrong, leaf)["measuring_point"]
     low, high = one.interval
-    assert one.cure.kind == "vehicle" and low <= ahead <= high
-    assert f"value: {one.cure.entry['cg_to_ins_x']:.2f}" in one.cure.line
-    assert findings(wrong, replace(leaf, **one.cure.entry)) == {}
+    assert one.advice.kind == "vehicle" and low <= ahead <= high
+    assert f"value: {one.advice.entry['cg_to_ins_x']:.2f}" in one.advice.line
+    assert findings(wrong, replace(leaf, **one.advice.entry)) == {}
 
 
 @pytest.mark.parametrize(("first", "second"), [
@@ -191,7 +191,7 @@ def test_two_faults_are_two_findings_and_their_cures_go_together(log, leaf, firs
     assert len(found) >= 2
     entry = {}
     for one in found.values():
-        for channel, fields in one.cure.entry["correct"].items():
+        for channel, fields in one.advice.entry["correct"].items():
             entry.setdefault(channel, {}).update(fields)
     assert findings(cured(wrong, {"correct": entry}, leaf), leaf) == {}
 

@@ -1,7 +1,7 @@
 """Units, signs and axes: factors that no calibration has.
 
-Three roads lead to a turn (change of yaw, integrated yaw rate, change of the course over ground), two to a way (change
-of position, integrated velocity). Who of three stands alone is wrong:
+Yaw change has three estimates (yaw, integrated yaw rate, course over ground), distance two (change of position,
+integrated velocity); the outlier of three is wrong:
 
     yaw / course = f, yaw / rate = f, rate / course = 1      -> yaw is f times too large
     position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times too fast
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .finding import Cure, Finding, Severity
+from .finding import Advice, Finding, Severity
 from .limits import LIMITS
 from .motion import Motion, Windows, integral, windows
 from .ratios import LEAST_WAY, LEAST_WINDOWS, near, ratios
@@ -37,8 +37,8 @@ def unit_of(factor: float, table: Mapping[float, Any]) -> float | None:
     return next((known for known in table if near(factor, known, 1.06)), None)
 
 
-def gross(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion with units, signs and axes mended, what was mended). Its stamps are in seconds: see time_unit."""
+def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
+    """(motion with units, signs and axes corrected, what was corrected). Its stamps are in seconds: see time_unit."""
     found: list[Finding] = []
     for step in (_both_turns, _turns, _axes, _way, _of_map, _turned):
         motion, finding = step(motion)
@@ -48,20 +48,20 @@ def gross(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _one_yaw(found: list[Finding]) -> list[Finding]:
     """A yaw that counts clockwise, and not from north, is one finding: each cure alone leaves an error."""
-    told = {one.name: one for one in found}
-    if not {"yaw_convention", "yaw_offset"} <= told.keys():
+    findings = {one.name: one for one in found}
+    if not {"yaw_convention", "yaw_offset"} <= findings.keys():
         return found
-    clockwise, offset = told["yaw_convention"], told.pop("yaw_offset")
-    assert clockwise.cure and offset.cure  # both are made with one
-    correct = dict(clockwise.cure.entry["correct"]["yaw"])
-    correct["add"] += offset.cure.entry["correct"]["yaw"]["add"]
+    clockwise, offset = findings["yaw_convention"], findings.pop("yaw_offset")
+    assert clockwise.advice and offset.advice  # both are made with one
+    correct = dict(clockwise.advice.entry["correct"]["yaw"])
+    correct["add"] += offset.advice.entry["correct"]["yaw"]["add"]
     text = f"{clockwise.text.partition(':')[0]}, and not from north: yaw is from east, counter-clockwise"
-    cure = Cure.correct("yaw", **correct)
-    return [replace(clockwise, text=text, cure=cure) if one is clockwise else one for one in told.values()]
+    advice = Advice.correct("yaw", **correct)
+    return [replace(clockwise, text=text, advice=advice) if one is clockwise else one for one in findings.values()]
 
 
-def _error(name: str, channels: tuple[str, ...], text: str, value: float | None, cure: Cure) -> Finding:
-    return Finding(name, Severity.ERROR, channels, text, value, "1", None, (), None, cure)
+def _error(name: str, channels: tuple[str, ...], text: str, value: float | None, advice: Advice) -> Finding:
+    return Finding(name, Severity.ERROR, channels, text, value, "1", None, (), None, advice)
 
 
 def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
@@ -79,13 +79,13 @@ def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
     # One ratio alone may as well be the velocity's unit; then only a unit of time is believed.
     if not unit and (len(both) < 2 or 1 / 10 < factor < 10):
         return motion, None
-    words, cure = "", Cure("look", "look at the clock that stamps the rows")
+    words, advice = "", Advice("look", "look at the clock that stamps the rows")
     if unit:
         factor, (name, symbol) = unit, TIMES[unit]
-        words, cure = f": {name}?", Cure("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
+        words, advice = f": {name}?", Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
     text = f"time runs {factor:g} times too fast for positions and yaw{words}"
-    mended = motion.with_(time=motion.time / factor, steering_time=motion.steering_time / factor)
-    return mended, _error("time_unit", ("time",), text, factor, cure)
+    corrected = motion.with_(time=motion.time / factor, steering_time=motion.steering_time / factor)
+    return corrected, _error("time_unit", ("time",), text, factor, advice)
 
 
 def nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
@@ -104,10 +104,10 @@ def nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> 
     text = (f"time runs {factor:.4f} ± {velocity.half:.4f} times too fast for positions and yaw: are the rows stamped "
             "at a nominal rate that is not the true one?")
     scale = float(f"{1.0 / factor:.5g}")
-    cure = Cure("run.yaml", f"correct: {{velocity: {{scale: {scale:g}}}, yaw_rate: {{scale: {scale:g}}}}}"
+    advice = Advice("run.yaml", f"correct: {{velocity: {{scale: {scale:g}}}, yaw_rate: {{scale: {scale:g}}}}}"
                 f"  # or divide the time of the rows by {factor:.4f}",
                 {"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
-    return Finding("time_rate", severity, ("time",), text, factor, "1", velocity.interval, (), effect, cure)
+    return Finding("time_rate", severity, ("time",), text, factor, "1", velocity.interval, (), effect, advice)
 
 
 def yaw_is_late(motion: Motion, earlier: Motion) -> bool:
@@ -116,8 +116,8 @@ def yaw_is_late(motion: Motion, earlier: Motion) -> bool:
 
 
 def _both_turns(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Yaw, of either sense, and yaw rate in one and the same unit: the course tells. Here the rate is mended, next the
-    yaw."""
+    """Yaw, of either sense, and yaw rate in one unit, which the course decides. Here the rate is corrected, then yaw.
+    """
     r = ratios(motion)
     if (_angle(r.rate_course) in ANGLES and near(abs(r.yaw_rate), 1.0, LIMITS.unit)
             and near(abs(r.yaw_course), abs(r.rate_course), LIMITS.unit)):
@@ -158,7 +158,7 @@ def _yaw_rate(motion: Motion, factor: float, against: str = "yaw") -> tuple[Moti
               ": it counts the other way (left is positive)" if exact == -1.0 else "")
     text = f"yaw_rate is {factor:.3g} times what {against} says{reason}"
     return (motion.with_(yaw_rate=motion.yaw_rate / exact),
-            _error("yaw_rate_scale", ("yaw_rate",), text, factor, Cure.correct("yaw_rate", scale=1.0 / exact)))
+            _error("yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact)))
 
 
 def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
@@ -166,13 +166,14 @@ def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
     if factor > 0.0:
         text = (f"yaw is {factor:.3g} times what yaw rate and course say"
                 + (f": {ANGLES[size]}?" if size in ANGLES else ""))
-        mended = motion.with_(yaw=_without_wraps(motion, motion.yaw / size))
-        return mended, _error("yaw_scale", ("yaw",), text, factor, Cure.correct("yaw", scale=1.0 / size))
+        corrected = motion.with_(yaw=_without_wraps(motion, motion.yaw / size))
+        return corrected, _error("yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
     unit = f" in {ANGLES[size]}" if size in ANGLES else ""
     text = f"yaw counts clockwise{unit}: a compass heading from north? Yaw is from east, counter-clockwise"
     scale = -1.0 / size
-    mended = motion.with_(yaw=_without_wraps(motion, scale * motion.yaw + np.pi / 2))
-    return mended, _error("yaw_convention", ("yaw",), text, factor, Cure.correct("yaw", scale=scale, add=np.pi / 2))
+    corrected = motion.with_(yaw=_without_wraps(motion, scale * motion.yaw + np.pi / 2))
+    advice = Advice.correct("yaw", scale=scale, add=np.pi / 2)
+    return corrected, _error("yaw_convention", ("yaw",), text, factor, advice)
 
 
 def _angle(factor: float) -> float:
@@ -208,7 +209,7 @@ def _axes(motion: Motion) -> tuple[Motion, Finding | None]:
     text, x, y, entry = axes[quarter]
     key = "  # and ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
     finding = _error("position_axes", ("x", "y"), f"positions turn the other way than the car: {text}", None,
-                     Cure("run.yaml", key, entry))
+                     Advice("run.yaml", key, entry))
     return motion.with_(x=x, y=y), finding
 
 
@@ -220,12 +221,13 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
     speed, length = unit_of(1.0 / r.way, SPEEDS), unit_of(r.way, LENGTHS)
     if length and not speed:
         text = f"x and y are {r.way:.4g} times what velocity says: {LENGTHS[length]}?"
-        finding = _error("position_scale", ("x", "y"), text, r.way, Cure.correct("position", scale=1.0 / length))
+        finding = _error("position_scale", ("x", "y"), text, r.way, Advice.correct("position", scale=1.0 / length))
         return motion.with_(x=motion.x / length, y=motion.y / length), finding
     if not speed and r.way < FARTHEST:
-        text = f"x and y are {r.way:.3g} times what velocity says: latitude and longitude? They are wanted in m"
+        text = f"x and y are {r.way:.3g} times what velocity says: latitude and longitude? Metres are expected"
+        advice = Advice("look", "project latitude and longitude to east and north")
         return motion.with_(x=motion.x / r.way, y=motion.y / r.way), _error(
-            "position_scale", ("x", "y"), text, r.way, Cure("look", "project latitude and longitude to east and north"))
+            "position_scale", ("x", "y"), text, r.way, advice)
     factor = speed or 1.0 / r.way
     unit = f": {SPEEDS[speed]}?" if speed else ""
     both = motion.with_(velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
@@ -235,7 +237,7 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
     channels = ("velocity_x",) if alone else ("velocity_x", "velocity_y")
     text = f"{' and '.join(channels)} {'is' if alone else 'are'} {1.0 / r.way:.3g} times what positions say{unit}"
     return (forward if alone else both), _error(name, channels, text, 1.0 / r.way,
-                                                Cure.correct(channel, scale=1.0 / factor))
+                                                Advice.correct(channel, scale=1.0 / factor))
 
 
 def _ways(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[Windows, np.ndarray, np.ndarray]:
@@ -261,10 +263,11 @@ def _of_map(motion: Motion) -> tuple[Motion, Finding | None]:
     if misfit > ALONG * float(np.median(np.abs(measured))) or not misfit < ALONG * _misfit(motion):
         return motion, None
     body = (motion.velocity_x + 1j * motion.velocity_y) * np.exp(-1j * motion.yaw)
-    text = "velocity_x and velocity_y are east and north, of the map: along the axes of the car is wanted"
-    cure = Cure("look", "make velocity_x = cos(yaw) east + sin(yaw) north, velocity_y = cos(yaw) north - sin(yaw) east")
+    text = "velocity_x and velocity_y are in the map frame, east and north: the body frame is expected"
+    advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
+                    "velocity_y = cos(yaw) north - sin(yaw) east")
     return (motion.with_(velocity_x=body.real, velocity_y=body.imag),
-            _error("velocity_axes", ("velocity_x", "velocity_y"), text, None, cure))
+            _error("velocity_axes", ("velocity_x", "velocity_y"), text, None, advice))
 
 
 def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
@@ -278,12 +281,12 @@ def _turned(motion: Motion) -> tuple[Motion, Finding | None]:
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is rarer than a sign
         return motion.with_(velocity_x=-motion.velocity_x), _error(
             "velocity_x_scale", ("velocity_x",), "velocity_x counts the other way (forward is positive)", -1.0,
-            Cure.correct("velocity_x", scale=-1.0))
+            Advice.correct("velocity_x", scale=-1.0))
     exact = quarter if abs(angle - quarter) < 0.1 else angle
     turns: dict[float, str] = {
         1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
     words = turns.get(round(exact / (np.pi / 2), 3), "")
     text = f"yaw is {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) off the direction in which positions move{words}"
-    finding = replace(_error("yaw_offset", ("yaw",), text, angle, Cure.correct("yaw", add=-float(exact))), unit="rad")
+    finding = replace(_error("yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-float(exact))), unit="rad")
     return motion.with_(yaw=motion.yaw - exact), finding

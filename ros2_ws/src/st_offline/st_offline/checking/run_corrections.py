@@ -1,4 +1,4 @@
-"""The run.yaml that cures what was found: what `st check --propose-cure` writes."""
+"""The run.yaml with the corrections of a check, as `st check --propose-cure` writes it."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from st_recordings.runs.errors import printable
 from st_recordings.runs.readers import READERS
 from st_recordings.runs.sources import RUN_FILE, RUN_SUFFIX
 
-from . import words
+from . import check_wording as words
 
 OF_A_CSV = {"columns", "units"}
 HEAD = "# Proposed by st check. What it corrects is said by every verb that reads it.\n"
@@ -29,46 +29,47 @@ def check_name(file: Path) -> None:
         raise OutputError(f"--propose-cure {file}: is there already; name another (nothing is ever overwritten)")
 
 
-def proposal(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
-    """Text of a run.yaml at `file`: the run as it was read, and the cures that belong there, each with its finding.
+def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
+    """Text of a run.yaml at `file`: the run as it was read, and its corrections, each with its finding.
 
-    What would cure a note, which is harmless, and what else is to be done stands in comments. Paths are relative to the
+    Corrections of notes, which are harmless, and other advice are comments. Paths are relative to the
     file.
     """
-    cures: dict[str, Any] = {}
+    corrections: dict[str, Any] = {}
     lines = [HEAD]
     for one in findings:
         lines.append(f"# {one.severity.value}: {one.name}: {printable(one.text)}\n")
-        if one.cure is None:
+        if one.advice is None:
             continue
-        wanted = one.cure.kind == "run.yaml" and one.severity is not Severity.NOTE
-        readable = wanted and (source.kind == "csv" or not OF_A_CSV & one.cure.entry.keys())
-        if not (readable and merge(cures, one.cure.entry)):
+        wanted = one.advice.kind == "run.yaml" and one.severity is not Severity.NOTE
+        readable = wanted and (source.kind == "csv" or not OF_A_CSV & one.advice.entry.keys())
+        if not (readable and merge(corrections, one.advice.entry)):
             reason = ("" if not wanted else "not taken, a graver finding asks for another value: " if readable else
                       "not taken, a csv only has columns and units: ")
-            lines.append(f"#   {reason}{printable(words.cure(one.cure))}\n")
+            lines.append(f"#   {reason}{printable(words.correction(one.advice))}\n")
     if read.steering_sign != 1 or read.steering_latency:
         lines.append(f"# it was read with --steering-sign {read.steering_sign} --steering-latency "
                      f"{read.steering_latency:g}\n")
-    content = {"name": source.name, **_files(source, file), **with_cures(_settings(source, file, read), cures)}
+    settings = with_corrections(_settings(source, file, read), corrections)
+    content = {"name": source.name, **_files(source, file), **settings}
     return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
 
 
-def merge(cures: dict[str, Any], entry: Mapping[str, Any]) -> bool:
+def merge(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
     """Adds an entry in place, lists one after another; False, and nothing is added, where it says something else."""
-    if not _agree(cures, entry):
+    if not _agree(corrections, entry):
         return False
-    _add(cures, plain(entry))
+    _add(corrections, plain(entry))
     return True
 
 
-def with_cures(settings: Mapping[str, Any], cures: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run.yaml with cures for what it still shows. What was corrected before is corrected further:
+def with_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a run.yaml with corrections of what it still shows. What was corrected before is corrected further:
 
         scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
     """
     found = {**settings}
-    for key, value in cures.items():
+    for key, value in corrections.items():
         before = found.get(key)
         if key == "correct":
             found[key] = {channel: _further((before or {}).get(channel, {}), value.get(channel, {}))
@@ -92,19 +93,19 @@ def _further(first: Mapping[str, float], second: Mapping[str, float]) -> dict[st
     return found
 
 
-def _agree(cures: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
-    return all(key not in cures or isinstance(value, list | tuple) or cures[key] == value
-               or (isinstance(value, Mapping) and isinstance(cures[key], Mapping) and _agree(cures[key], value))
+def _agree(known: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
+    return all(key not in known or isinstance(value, list | tuple) or known[key] == value
+               or (isinstance(value, Mapping) and isinstance(known[key], Mapping) and _agree(known[key], value))
                for key, value in entry.items())
 
 
-def _add(cures: dict[str, Any], entry: Mapping[str, Any]) -> None:
+def _add(known: dict[str, Any], entry: Mapping[str, Any]) -> None:
     for key, value in entry.items():
         if isinstance(value, Mapping):
-            _add(cures.setdefault(key, {}), value)
+            _add(known.setdefault(key, {}), value)
         else:
-            before = cures.get(key, [])
-            cures[key] = [*before, *(one for one in value if one not in before)] if isinstance(value, list) else value
+            before = known.get(key, [])
+            known[key] = [*before, *(one for one in value if one not in before)] if isinstance(value, list) else value
 
 
 def _files(source: RunSource, file: Path) -> dict[str, Any]:

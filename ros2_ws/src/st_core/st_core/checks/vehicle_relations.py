@@ -14,11 +14,11 @@ import numpy as np
 from ..handling import linear_system, understeer_coefficient
 from ..vehicle import VehicleParameters
 from .channel import or_else, size_of
-from .finding import Cure, Finding, Identity, Severity
+from .finding import Advice, Finding, Identity, Severity
 from .lag import NOTHING, Agreement, agreement
 from .limits import HORIZON, LIMITS
 from .motion import MOVING, Motion, windows
-from .regression import Estimate, Regression, held
+from .regression import Estimate, Regression, with_systematic
 
 CUTOFF = 1.5  # Hz
 SLOW, GENTLE = 2.0, 4.0  # m/s from which, m/s^2 up to which an axle's slip is linear
@@ -26,7 +26,7 @@ DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
 ONE_BEND = 0.9  # cosine between speed and yaw rate over the drive: 1 on a circle
 LEAST_ANGLE = 0.01  # rad, root mean square
-STOPPED = 1e-6  # of what curvature says; a steering that reads nothing has stopped, which is told elsewhere
+STOPPED = 1e-6  # of what curvature says; a steering that reads nothing has stopped, which is findings elsewhere
 
 
 def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed: int,
@@ -48,11 +48,11 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
     if scale is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
                               or abs(float(found.derived.mean())) > found.spread):
         found = replace(found, scale=scale, bias=NOTHING)
-    scale = held("steering_scale", found.scale)
+    scale = with_systematic("steering_scale", found.scale)
     # Steering that falls where curvature rises is the driver's answer to what else turns the car: of no age.
     answers = found.correlation * scale.value < 0.0
-    late = held("steering_lag", found.lag.shifted(response))
-    told = [one for one in (_unit(scale, own, vehicle),
+    late = with_systematic("steering_lag", found.lag.shifted(response))
+    findings = [one for one in (_unit(scale, own, vehicle),
                             None if answers else _late(late, found, speed, vehicle, or_else(found, response)),
                             _offset(found, speed, vehicle, hand_wheel)) if one]
     shown = Identity("steering", "road wheel angle: steering sensor against curvature", "rad", "road_wheel_angle",
@@ -60,8 +60,8 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
                      ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     lag = {"steering_lag": late} if found.carries_lag and not answers else {}
     estimates = {"steering_scale": scale, "steering_sign": scale, **lag,
-                 "steering_offset": held("steering_offset", found.bias)}
-    return told, estimates, shown
+                 "steering_offset": with_systematic("steering_offset", found.bias)}
+    return findings, estimates, shown
 
 
 def _scale(motion: Motion, derived: np.ndarray, seed: int) -> Estimate | None:
@@ -125,45 +125,46 @@ def _unit(scale: Estimate, own: float, vehicle: VehicleParameters) -> Finding | 
     name = "steering_sign" if exact == 1.0 else "steering_scale"
     or_else = "  # or, for CAN logs, the other steering_sign in car.yaml" if name == "steering_sign" else ""
     text = f"road_wheel_angle is {value:.3g} times what yaw rate and speed say" + (f": {words}?" if words else "")
-    cure = Cure.correct("road_wheel_angle", scale=float(f"{1.0 / signed:.6g}"))
+    advice = Advice.correct("road_wheel_angle", scale=float(f"{1.0 / signed:.6g}"))
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", scale.interval, (), None,
-                   replace(cure, line=f"{cure.line}{or_else}"))
+                   replace(advice, line=f"{advice.line}{or_else}"))
 
 
 def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters,
           or_else: str) -> Finding | None:
-    if not late.sure or not found.late or abs(late.value) < LIMITS.steering_lag:
+    if not late.significant or not found.late or abs(late.value) < LIMITS.steering_lag:
         return None
     # A late input leads the path astray by the turn that is missed meanwhile.
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
     effect = _sideways(missed / HORIZON * 2.0, speed, vehicle)
     verb = "lags" if late.value > 0.0 else "leads"
     text = f"the steering {verb} the car's motion by {size_of(late)} s{or_else}, the car's own response allowed for"
-    cure = Cure.correct("road_wheel_angle", earlier=float(f"{late.value:.3g}"))
+    advice = Advice.correct("road_wheel_angle", earlier=float(f"{late.value:.3g}"))
     return Finding("steering_lag", _at_most_warning(effect), ("road_wheel_angle",), text, late.value, "s",
-                   late.interval, (), effect, replace(cure, line=f"{cure.line}  # or --steering-latency"))
+                   late.interval, (), effect, replace(advice, line=f"{advice.line}  # or --steering-latency"))
 
 
 def _offset(found: Agreement, speed: float, vehicle: VehicleParameters, hand_wheel: bool) -> Finding | None:
     size = abs(found.scale.value)
-    one = held("steering_offset", found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias)
-    if not one.sure or abs(one.value) < LIMITS.steering_offset:
+    bias = found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias
+    one = with_systematic("steering_offset", bias)
+    if not one.significant or abs(one.value) < LIMITS.steering_offset:
         return None
     text = (f"the road wheels read {size_of(one)} rad ({abs(one.value) * DEGREE:.1f} deg) too far {side(one)} when "
             "the car goes straight: the steering offset is wrong")
     effect = _sideways(one.value, speed, vehicle)
-    # Once the sign is mended, where that is wrong too.
+    # Once the sign is corrected, where that is wrong too.
     left = one.value * float(np.sign(found.scale.value))
     return Finding("steering_offset", _at_most_warning(effect), ("road_wheel_angle",), text, one.value, "rad",
                    one.interval, (), effect, _straight(left, vehicle, hand_wheel))
 
 
-def _straight(left: float, vehicle: VehicleParameters, hand_wheel: bool) -> Cure:
+def _straight(left: float, vehicle: VehicleParameters, hand_wheel: bool) -> Advice:
     """left: what the road wheels read when the car goes straight [rad]."""
     if not hand_wheel:
-        return Cure.correct("road_wheel_angle", add=float(f"{-left:.4g}"))
+        return Advice.correct("road_wheel_angle", add=float(f"{-left:.4g}"))
     wheel = vehicle.steering_wheel_offset + left * vehicle.steering_ratio
-    return Cure("vehicle", f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
+    return Advice("vehicle", f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
                            "  # check with st identify steering-offset", {"steering_wheel_offset": wheel})
 
 
@@ -191,15 +192,15 @@ def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int,
     problem = Regression(over.time[use], across[:, None], {
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None]}, seed)
     found = _rear_axle(problem, vehicle)
-    heading = held("heading_misaligned", found["heading"])
-    point = held("measuring_point", found["point"].shifted(-(vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x)))
-    told = [one for one in (_heading(heading, forward), _point(point, motion, vehicle)) if one]
+    heading = with_systematic("heading_misaligned", found["heading"])
+    point = with_systematic("measuring_point", found["point"].shifted(-(vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x)))
+    findings = [one for one in (_heading(heading, forward), _point(point, motion, vehicle)) if one]
     theta = {name: one.value for name, one in found.items()}
     shown = Identity("velocity_y", "lateral velocity: measured against that of a rear axle that follows", "m/s",
                      "velocity_y", "rear axle at the declared distance", over.time[use], across,
                      (vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x) * rate - theta["slip"] * forward**2 * rate,
                      ("heading_misaligned", "measuring_point"))
-    return told, {"heading_misaligned": heading, "measuring_point": point}, shown
+    return findings, {"heading_misaligned": heading, "measuring_point": point}, shown
 
 
 def _rear_axle(problem: Regression, vehicle: VehicleParameters) -> dict[str, Estimate]:
@@ -227,17 +228,17 @@ def _widened(one: Estimate, systematic: float) -> Estimate:
 
 
 def _heading(one: Estimate, forward: np.ndarray) -> Finding | None:
-    if not one.sure or abs(one.value) < LIMITS.heading:
+    if not one.significant or abs(one.value) < LIMITS.heading:
         return None
     effect = abs(one.value) * float(np.median(forward)) * HORIZON
     text = (f"the heading points {size_of(one)} rad ({abs(one.value) * DEGREE:.2f} deg) to the {side(one)} of where "
             "the car goes when it goes straight: the INS is mounted askew, or the road is banked")
     return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, one.value, "rad",
-                   one.interval, (), effect, Cure.correct("heading", add=float(f"{-one.value:.4g}")))
+                   one.interval, (), effect, Advice.correct("heading", add=float(f"{-one.value:.4g}")))
 
 
 def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
-    if not one.sure or abs(one.value) < LIMITS.mounting:
+    if not one.significant or abs(one.value) < LIMITS.mounting:
         return None
     over = windows(motion.time, HORIZON)
     turn = 2.0 * np.abs(np.sin(0.5 * over.change(motion.yaw))) if len(over) else np.zeros(1)
@@ -250,7 +251,7 @@ def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding
     if low < 0.0 < high:
         text += ": at the rear axle?"
     return Finding("measuring_point", _at_most_warning(effect), ("velocity_y", "x", "y"), text, one.value, "m",
-                   one.interval, (), effect, Cure(
+                   one.interval, (), effect, Advice(
                        "vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}",
                        {"cg_to_ins_x": round(value, 2)}))
 
@@ -268,7 +269,7 @@ def believable(motion: Motion) -> list[Finding]:
     text = f"v_x times yaw rate reaches {largest:.0f} m/s^2; tyres give about 10: speed or yaw rate is wrong there"
     where = tuple((float(t), float(t) + WINDOW) for t in over.time[wild][:20])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
-                    "m/s^2", None, where, None, Cure("look", "look at the stretches named"))]
+                    "m/s^2", None, where, None, Advice("look", "look at the stretches named"))]
 
 
 def standstill(motion: Motion) -> list[Finding]:
@@ -280,7 +281,7 @@ def standstill(motion: Motion) -> list[Finding]:
     speed = over.mean(motion.time, motion.velocity_x)
     turn = np.abs(over.change(motion.yaw))
     still = (way < 0.02) & (turn < 0.002)
-    told = []
+    findings = []
     for name, values, unit, least in (("velocity_x", speed, "m/s", 0.1),
                                       ("yaw_rate", over.mean(motion.time, motion.yaw_rate), "rad/s", 0.01)):
         inside = values[still]
@@ -288,6 +289,6 @@ def standstill(motion: Motion) -> list[Finding]:
             value = float(np.median(inside))
             text = f"{name} is {value:.3g} {unit} while position and yaw stand still"
             where = tuple((float(t), float(t) + 2.0) for t in over.time[still][:20])
-            told.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, None, where, None,
-                                Cure("look", f"look at the bias of {name}")))
-    return told
+            findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, where=where,
+                                    advice=Advice("look", f"look at the bias of {name}")))
+    return findings

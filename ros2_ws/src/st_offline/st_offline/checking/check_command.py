@@ -16,11 +16,11 @@ from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import records_of
 
 from ..terminal import list_files, progress_bars
-from .document import CheckedRun, FailedRun, document
+from .check_document import CheckedRun, FailedRun, document
+from .check_report import show, show_together
 from .gate import PROBLEMS, checked_log, in_words
 from .page import write_page
-from .proposal import check_name, proposal
-from .shown import show, show_together
+from .run_corrections import check_name, run_yaml
 
 MODELS = ("linear", "nonlinear")
 
@@ -28,7 +28,7 @@ MODELS = ("linear", "nonlinear")
 @dataclass(frozen=True)
 class Job:
     """Arguments of the verb. vehicle: of vehicle_file; given: whether the user named it. output: None for
-    runs/check-<time>. json: file for check.json, None for the folder. cure: file for a run.yaml, None for none.
+    runs/check-<time>. json: file for check.json, None for the folder. correction_file: for a run.yaml, None for none.
     """
 
     paths: Sequence[Path]
@@ -38,7 +38,7 @@ class Job:
     read: ReadSettings
     output: Path | None = None
     json: Path | None = None
-    cure: Path | None = None
+    correction_file: Path | None = None
 
 
 def run_command(job: Job, console: Console, told: Callable[[str], None] | None = None) -> int:
@@ -47,8 +47,8 @@ def run_command(job: Job, console: Console, told: Callable[[str], None] | None =
     told: hears, where nobody named a vehicle file, of each that was used.
     """
     sources = find_runs(job.paths)
-    if job.cure is not None:
-        check_name(job.cure)
+    if job.correction_file is not None:
+        check_name(job.correction_file)
         if len(sources) != 1:
             raise ConfigurationError(f"--propose-cure: {len(sources)} runs were given, and a run.yaml describes one: "
                                      "name it")
@@ -65,8 +65,9 @@ def run_command(job: Job, console: Console, told: Callable[[str], None] | None =
     if told and not job.given:
         for file in sorted({run.vehicle_from for run in good}):
             told(file)
-    cures = {} if job.cure is None else {job.cure: proposal(sources[0], good[0].checked.findings, job.cure, job.read)}
-    list_files(write(good, failed, folder, job.json, cures, console), console)
+    target = job.correction_file
+    texts = {} if target is None else {target: run_yaml(sources[0], good[0].checked.findings, target, job.read)}
+    list_files(write(good, failed, folder, job.json, texts, console), console)
     return int(bool(failed) or any(run.checked.of(Severity.ERROR) for run in good))
 
 
@@ -89,15 +90,15 @@ def check_run(source: RunSource, job: Job) -> CheckedRun | FailedRun:
         if source.kind == "bag" and not job.given:
             car, _, car_from = configuration_of(records_of(source.where), None)
         run = read(source, car, job.read)
-        checked = checked_log(run.log, car, run.extras, MODELS)
+        checked = checked_log(run.log, car, run.auxiliary, MODELS)
     except PROBLEMS as error:
         return FailedRun(source.name, in_words(error, source))
     return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"])
 
 
 def write(good: Sequence[CheckedRun], failed: Sequence[FailedRun], folder: Path, json: Path | None,
-          cures: Mapping[Path, str], console: Console) -> dict[Path, str]:
-    """All files, with what they are. cures: text of a run.yaml by its file."""
+          texts: Mapping[Path, str], console: Console) -> dict[Path, str]:
+    """All files, with what they are. texts: text of a run.yaml by its file."""
     content = document(good, failed)
     page, numbers = folder / "report.html", json or folder / "check.json"
     with console.status("drawing, writing the page"):
@@ -105,8 +106,8 @@ def write(good: Sequence[CheckedRun], failed: Sequence[FailedRun], folder: Path,
         numbers.parent.mkdir(parents=True, exist_ok=True)
         numbers.write_text(as_text(content), encoding="utf-8")
     files = {page: "one page, with all comparisons", numbers: "every number, docs/manual/checks.md"}
-    for file, text in cures.items():
+    for file, text in texts.items():
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
-        files[file] = "the run with its cures, for every verb"
+        files[file] = "the run with its corrections, for every command"
     return files

@@ -18,15 +18,16 @@ ALIKE = 0.25  # part of the mean by which runs may differ and still be called al
 
 
 @dataclass(frozen=True)
-class Together:
+class AcrossRuns:
     """mean, interval: over the runs, between-run variance included (random effects, DerSimonian and Laird 1986), in
-    `unit`. between: standard deviation between runs beyond their own intervals. told: in how many runs it is a finding.
+    `unit`. between: standard deviation between runs beyond their own intervals. reported: runs in which it is a
+    finding.
     """
 
     name: str
     unit: str
     runs: int
-    told: int
+    reported: int
     mean: float
     interval: tuple[float, float]
     between: float
@@ -47,10 +48,11 @@ class Together:
                 "load or the day, or to a fault of some of the runs")
 
     def as_dict(self) -> dict[str, Any]:
-        return {**asdict(self), "text": self.text}
+        values = asdict(self)
+        return {**values, "told": values.pop("reported"), "text": self.text}
 
 
-def together(runs: Sequence[Checked]) -> list[Together]:
+def across_runs(runs: Sequence[Checked]) -> list[AcrossRuns]:
     """Every quantity that is a finding in one run at least and was measured in FEWEST, the most frequent first."""
     units = {one.name: one.unit for run in runs for one in run.findings if one.interval is not None}
     found = []
@@ -58,11 +60,11 @@ def together(runs: Sequence[Checked]) -> list[Together]:
         rows = np.array([run.estimates[name] for run in runs if name in run.estimates])
         if len(rows) < FEWEST:
             continue
-        told = sum(any(one.name == name for one in run.findings) for run in runs)
-        one = _pooled(name, unit, rows, told)
+        reported = sum(any(one.name == name for one in run.findings) for run in runs)
+        one = _pooled(name, unit, rows, reported)
         if not one.alike or not one.interval[0] <= null_of(name) <= one.interval[1]:
             found.append(one)
-    return sorted(found, key=lambda one: -one.told)
+    return sorted(found, key=lambda one: -one.reported)
 
 
 def pooled(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
@@ -75,12 +77,12 @@ def pooled(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[flo
     return found
 
 
-def _pooled(name: str, unit: str, rows: np.ndarray, told: int) -> Together:
+def _pooled(name: str, unit: str, rows: np.ndarray, reported: int) -> AcrossRuns:
     mean, interval, between, excess = _random_effects(rows)
     missed = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
     alike = missed <= binom.ppf(SURE, len(rows), 0.05) and (
         excess <= chi2.ppf(SURE, len(rows) - 1) or between < ALIKE * abs(mean - null_of(name)))
-    return Together(name, unit, len(rows), told, mean, interval, between, float(rows[:, 0].min()),
+    return AcrossRuns(name, unit, len(rows), reported, mean, interval, between, float(rows[:, 0].min()),
                     float(rows[:, 0].max()), bool(alike))
 
 

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.checks import Checked, Finding, Severity, together
+from st_core.checks import Checked, Finding, Severity, across_runs
 
 from ..terminal import line, report_problem
-from . import words
-from .document import CheckedRun, FailedRun
+from . import check_wording as words
+from .check_document import CheckedRun, FailedRun
 
 STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
@@ -34,14 +34,14 @@ def _show_finding(finding: Finding, console: Console) -> None:
          f"{escape(finding.text)}", console)
     about = [words.where(finding), words.effect(finding)]
     line(f"    [dim]{escape('; '.join(filter(None, about)))}[/dim]", console)
-    if finding.cure:
-        line(f"    cure, {escape(words.cure(finding.cure))}" if words.PLACE[finding.cure.kind] else
-             f"    cure: {escape(finding.cure.line)}", console)
+    if finding.advice:
+        place = words.PLACE[finding.advice.kind]
+        line(f"    {f'correction, {place}' if place else 'advice: '}{escape(finding.advice.line)}", console)
 
 
 def show_together(runs: Sequence[Checked], console: Console) -> None:
-    """What several runs say together: which of it may be believed."""
-    found = together(runs)
+    """Quantities measured in several runs, and whether they are consistent."""
+    found = across_runs(runs)
     if found:
         console.print("[bold]all runs together[/bold]", highlight=False)
     for one in found:

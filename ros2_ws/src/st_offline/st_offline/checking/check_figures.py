@@ -8,8 +8,8 @@ from st_core.checks import Checked, Finding, Identity, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation.drawing import BAD, TEXT, WARN, WIDTH, Drawn, Place, broken, finish, style, thinned
-from . import words
-from .document import residual_rms
+from . import check_wording as words
+from .check_document import residual_rms
 
 HEIGHT = 3.1  # inch
 GAP = 1.5  # s; no line across

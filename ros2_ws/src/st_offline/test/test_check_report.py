@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from st_core.checks import Channel, Checked, Cure, Finding, Identity, Severity
+from st_core.checks import Advice, Channel, Checked, Finding, Identity, Severity
 from st_core.vehicle import VehicleParameters
-from st_offline.checking import words
-from st_offline.checking.document import CheckedRun, FailedRun, document, documents, findings_in
+from st_offline.checking import check_wording as words
+from st_offline.checking.check_document import CheckedRun, FailedRun, document, documents, findings_in
+from st_offline.checking.check_report import say, show
 from st_offline.checking.page import title, write_page
-from st_offline.checking.proposal import proposal, with_cures
-from st_offline.checking.shown import say, show
+from st_offline.checking.run_corrections import run_yaml, with_corrections
 from st_recordings.output import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from support import ROOT
@@ -23,7 +23,7 @@ LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 
 
 def cure(**entry):
-    return Cure("run.yaml", f"correct: {json.dumps(entry['correct'])}" if "correct" in entry else str(entry), entry)
+    return Advice("run.yaml", f"correct: {json.dumps(entry['correct'])}" if "correct" in entry else str(entry), entry)
 
 
 DEGREES = Finding("yaw_rate_scale", Severity.ERROR, ("yaw_rate",), "yaw rate is 57.3 times too large: deg/s?", 57.3,
@@ -31,9 +31,10 @@ DEGREES = Finding("yaw_rate_scale", Severity.ERROR, ("yaw_rate",), "yaw rate is 
 JUMPS = Finding("position_jumps", Severity.WARNING, ("x", "y"), f"positions jump {HOSTILE}", 2, "1", None,
                 ((1.0, 1.5), (3.0, 3.25)), 0.31, cure(leave_out=[[1.0, 1.5], [3.0, 3.25]]))
 MOVED = Finding("measuring_point", Severity.WARNING, (), "the measuring point lies 1.50 m behind", -1.5, "m",
-                (-1.53, -1.47), (), 0.2, Cure("vehicle", "cg_to_ins_x: {value: -1.9, unit: m}", {"cg_to_ins_x": -1.9}))
+                (-1.53, -1.47), (), 0.2,
+                Advice("vehicle", "cg_to_ins_x: {value: -1.9, unit: m}", {"cg_to_ins_x": -1.9}))
 COARSE = Finding("resolution_coarse", Severity.NOTE, ("yaw",), "yaw comes in steps", np.nan, "rad",
-                 cure=Cure("look", "log more digits"))
+                 advice=Advice("look", "log more digits"))
 ALL = (DEGREES, JUMPS, MOVED, COARSE)
 
 
@@ -103,7 +104,7 @@ def test_the_terminal_holds_everything_and_obeys_no_name():
     say(HOSTILE, ALL, console)
     text = console.file.getvalue()
     for one in ALL:
-        assert text.count(one.text) == 2 and one.name in text and text.count(one.cure.line) == 2
+        assert text.count(one.text) == 2 and one.name in text and text.count(one.advice.line) == 2
     assert HOSTILE in text and "in the vehicle file: cg_to_ins_x" in text and "3.0 to 3.2 s" in text
 
 
@@ -119,7 +120,7 @@ def test_the_document_has_no_number_json_lacks():
     entry = content["runs"]["drive"]
     assert content["schema"] == 1 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
     assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "where",
-                                         "effect", "cure"}
+                                         "effect", "cure", "tried"}
     assert entry["channels"]["yaw_rate"]["missing"] == 3 and entry["identities"][0]["residual_rms"] > 10.0
 
 
@@ -145,7 +146,7 @@ def test_a_page_of_many_runs_stays_small(tmp_path):
 
 def test_a_proposal_holds_all_cures_with_their_findings(tmp_path):
     file = tmp_path / "cured" / "run.yaml"
-    text = proposal(source(tmp_path), ALL, file, ReadSettings(steering_sign=-1, offset=1.5))
+    text = run_yaml(source(tmp_path), ALL, file, ReadSettings(steering_sign=-1, offset=1.5))
     content = yaml.safe_load(text)
     assert content == {"name": "drive", "csv": "../drive.csv", "offset": 1.5,
                        "correct": {"yaw_rate": {"scale": 0.01745}}, "leave_out": [[1.0, 1.5], [3.0, 3.25]]}
@@ -157,30 +158,31 @@ def test_a_proposal_holds_all_cures_with_their_findings(tmp_path):
 
 
 def test_a_finding_of_two_lines_cannot_leave_its_comment(tmp_path):
-    odd = Finding("yaw_lag", Severity.NOTE, (), "late\nname: other", cure=Cure("look", "x\ny: 1"))
-    assert yaml.safe_load(proposal(source(tmp_path), [odd], tmp_path / "run.yaml", ReadSettings())) == {
+    odd = Finding("yaw_lag", Severity.NOTE, (), "late\nname: other", advice=Advice("look", "x\ny: 1"))
+    assert yaml.safe_load(run_yaml(source(tmp_path), [odd], tmp_path / "run.yaml", ReadSettings())) == {
         "name": "drive", "csv": "drive.csv"}
 
 
 def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_path):
-    other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", cure=cure(correct={"yaw_rate": {"scale": 2.0}}))
-    text = proposal(source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
+    correction = cure(correct={"yaw_rate": {"scale": 2.0}})
+    other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", advice=correction)
+    text = run_yaml(source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
     assert "#   not taken, a graver finding asks for another value: in its run.yaml: correct:" in text
 
 
 def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
     exchanged = Finding("position_axes", Severity.ERROR, ("x", "y"), "exchanged",
-                        cure=cure(columns={"x": "y", "y": "x"}))
+                        advice=cure(columns={"x": "y", "y": "x"}))
     for kind, taken in (("csv", True), ("bag", False)):
         run_of = replace(source(tmp_path), kind=kind)
-        text = proposal(run_of, [exchanged], tmp_path / "run.yaml", ReadSettings())
+        text = run_yaml(run_of, [exchanged], tmp_path / "run.yaml", ReadSettings())
         assert ("columns" in yaml.safe_load(text)) is taken
         assert ("#   not taken, a csv only has columns and units: in its run.yaml: " in text) is not taken
 
 
 def test_a_stretch_that_several_findings_leave_out_stands_there_once(tmp_path):
-    text = proposal(source(tmp_path), [JUMPS, replace(JUMPS, name="channel_frozen")], tmp_path / "run.yaml",
+    text = run_yaml(source(tmp_path), [JUMPS, replace(JUMPS, name="channel_frozen")], tmp_path / "run.yaml",
                     ReadSettings())
     assert yaml.safe_load(text)["leave_out"] == [[1.0, 1.5], [3.0, 3.25]]
 
@@ -191,17 +193,17 @@ def test_what_was_corrected_before_is_corrected_further():
               "leave_out": [[0.0, 1.0]], "units": {"t": "ms"}}
     new = {"correct": {"yaw_rate": {"scale": 3.0, "add": 0.25, "earlier": 0.02}, "position": {"ahead": 1.0}},
            "leave_out": [[5.0, 6.0]], "units": {"yaw": "deg"}}
-    after = with_cures(before, new)
+    after = with_corrections(before, new)
     assert after["correct"] == {"yaw_rate": {"scale": 6.0, "add": 3.0 * 0.5 + 0.25, "earlier": pytest.approx(0.12)},
                                 "y": {"scale": -1.0}, "position": {"ahead": 1.0}}
     assert after["leave_out"] == [[0.0, 1.0], [5.0, 6.0]] and after["units"] == {"t": "ms", "yaw": "deg"}
-    only_scaled = with_cures(before, {"correct": {"yaw_rate": {"scale": 3.0}}})["correct"]["yaw_rate"]
+    only_scaled = with_corrections(before, {"correct": {"yaw_rate": {"scale": 3.0}}})["correct"]["yaw_rate"]
     assert only_scaled == {"scale": 6.0, "add": 1.5, "earlier": 0.1}
 
 
 @pytest.mark.parametrize(("name", "message"), [("cure.yaml", "name it run.yaml"), ("run.yaml", "is there already")])
 def test_a_proposal_nobody_would_read_or_that_overwrites_is_refused(tmp_path, name, message):
-    from st_offline.checking.proposal import check_name
+    from st_offline.checking.run_corrections import check_name
 
     (tmp_path / name).write_text("name: mine\n")
     with pytest.raises(OutputError, match=message):
