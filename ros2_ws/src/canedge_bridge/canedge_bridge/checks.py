@@ -98,7 +98,7 @@ class CounterCheck:
         return step == 1
 
     def pass_over(self, time_ns: int) -> None:
-        """A frame came whose content is not to be believed: count it as the next one without reading it."""
+        """Counts a frame with invalid content as the next one, without reading its counter."""
         if self._last is not None:
             self._last = (self._last + 1) & self._field.mask
             self._last_ns = time_ns

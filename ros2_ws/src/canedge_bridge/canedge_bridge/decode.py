@@ -26,7 +26,7 @@ _TOLERATED = 10
 class Decoded:
     """One good frame.
 
-    values: our names, SI. valid: False where a counter or checksum set to `warn` was wrong; fault says which.
+    values: our names, SI. valid: False where a counter or checksum set to `warn` was wrong; fault names it.
     """
 
     message: str
@@ -67,7 +67,7 @@ class Plausibility:
     """
 
     def __init__(self, spec: SignalSpec, period: float, timeout: float):
-        """period: seconds between frames. timeout: seconds after which a value says nothing about the next."""
+        """period: seconds between frames. timeout: seconds after which two values are not compared."""
         self._spec = spec
         self._period = period
         self._remember_ns = int(timeout * 1e9)
@@ -281,7 +281,7 @@ def _modes(table: SignalTable, overrides: Mapping[str, str]) -> dict[str, tuple[
     for key, text in overrides.items():
         message, _, kind = key.partition(".")
         if message not in modes or kind not in ("", "counter", "checksum"):
-            raise TableError(f"check {key}: MESSAGE, MESSAGE.counter or MESSAGE.checksum wanted; messages are "
+            raise TableError(f"check {key}: MESSAGE, MESSAGE.counter or MESSAGE.checksum expected; messages are "
                              f"{', '.join(modes)}")
         if text not in list(Mode):
             raise TableError(f"check {key}: {text!r} is not one of {', '.join(Mode)}")

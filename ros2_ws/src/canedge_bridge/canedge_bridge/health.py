@@ -1,4 +1,4 @@
-"""What the node says about itself on /diagnostics."""
+"""Diagnostics of the CAN bridge."""
 
 import time
 from collections.abc import Callable

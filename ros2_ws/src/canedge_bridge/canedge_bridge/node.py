@@ -28,7 +28,7 @@ from .transport import check_channel, id_filters, open_bus
 
 # Four seconds at 250 Hz: what a reader that was held up (a busy machine, a laptop that slept) can still be sent again.
 QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-FRAMES_PERIOD = 0.1  # s; nobody waits for raw frames
+FRAMES_PERIOD = 0.1  # s; raw frames are not time-critical
 
 PARAMETERS = (
     Parameter("interface", "socketcan", "python-can interface: socketcan, udp_multicast (loopback only), ..."),
@@ -73,7 +73,7 @@ class CanedgeBridge(Node):
         bus_name = f"{settings.interface}:{settings.channel}"
         self._health = Health(bus_name, self._decoder, self._receiver.status, time.time_ns)
         self._diagnostics = Diagnostics(self, bus_name, self._health.checks)
-        # A change of the bus is worth telling at once, but only the executor's thread may publish diagnostics.
+        # A change of the bus is reported at once, but only the executor's thread may publish diagnostics.
         self._bus_changed = self.create_guard_condition(self._diagnostics.publish)
         self._report_start(bus_name)
         self._receiver.start()
@@ -135,7 +135,7 @@ class CanedgeBridge(Node):
             self._bus_changed.trigger()
 
     def _on_trouble(self, error: Exception) -> None:
-        # At the end the context goes before the thread does; what fails then is no news.
+        # At shutdown the context is destroyed before the thread ends; failures then are expected.
         if rclpy.ok():
             self.get_logger().error(f"a frame could not be handled: {error!r}", throttle_duration_sec=5.0)
 
@@ -178,6 +178,6 @@ def _read_vehicle(file: str) -> VehicleParameters:
 
 
 def main() -> int:
-    # python-can logs every failed attempt to open a bus; the node tells it once, through its diagnostics.
+    # python-can logs every failed attempt to open a bus; the node reports it once, in its diagnostics.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     return spin.run(CanedgeBridge)

@@ -1,4 +1,4 @@
-"""The receive side of a CAN bus: one supervised thread that opens, reads, notices trouble, and comes back by itself.
+"""The receive side of a CAN bus: one supervised thread that opens, reads, detects faults and reconnects.
 
 python-can's Notifier is not used: its thread ends at the first exception, and with it the data, for good.
 """
@@ -26,7 +26,7 @@ _FOREIGN_CLOCK_NS = 86_400 * 10**9
 
 
 class BusState(StrEnum):
-    """What the receive side knows of the bus."""
+    """State of the bus as seen by the receiver."""
 
     OK = "ok"                        # frames come
     SILENT = "silent"                # open, no error, but no frame for a while
@@ -83,7 +83,7 @@ class Receiver:
         self._stop = threading.Event()
         self._bus: can.BusABC | None = None
         self._back_off = BACK_OFF_FIRST
-        self._heard = 0.0
+        self._last_frame_at = 0.0
         self._last_error_frame = 0.0
         self._thread = threading.Thread(target=self._run, name="can receiver", daemon=True)
 
@@ -116,7 +116,7 @@ class Receiver:
 
     def _open(self) -> None:
         self._bus = self._open_bus()
-        self._heard = time.monotonic()
+        self._last_frame_at = time.monotonic()
         with self._lock:
             self._status.opened += 1
         self._set(BusState.SILENT, "no frame yet")
@@ -132,7 +132,7 @@ class Receiver:
     def _receive(self, bus: can.BusABC) -> None:
         frame = bus.recv(_POLL)
         if frame is None:
-            self._nothing_came()
+            self._handle_silence()
             return
         now_ns = time.time_ns()
         # python-can hands the kernel's nanoseconds over as a float: exact to 0.24 us.
@@ -153,7 +153,7 @@ class Receiver:
 
     def _data_frame(self, time_ns: int, now_ns: int) -> None:
         status = self._status
-        self._heard = time.monotonic()
+        self._last_frame_at = time.monotonic()
         with self._lock:
             self._delays.append(now_ns - time_ns)
             status.frames += 1
@@ -176,7 +176,7 @@ class Receiver:
     def _errors_are_recent(self) -> bool:
         return time.monotonic() - self._last_error_frame < _PASSIVE_FOR
 
-    def _nothing_came(self) -> None:
+    def _handle_silence(self) -> None:
         state = self._status.state
         up = link_is_up(self._network_interface)
         if up is None and self._network_interface:
@@ -185,7 +185,7 @@ class Receiver:
             self._set(BusState.DOWN, f"interface {self._network_interface} is down")
             return
         self._back_off = BACK_OFF_FIRST
-        quiet = time.monotonic() - self._heard > self._silence
+        quiet = time.monotonic() - self._last_frame_at > self._silence
         if state is BusState.DOWN:
             self._set(BusState.SILENT, "interface is up again, no frame yet")
         elif quiet and (state is BusState.OK or (state is BusState.ERROR_PASSIVE and not self._errors_are_recent())):
@@ -210,7 +210,7 @@ class Receiver:
         if changed:
             try:
                 self._on_state(state, reason)
-            except Exception as error:  # Telling others must not end what is told about.
+            except Exception as error:  # A failing callback must not end the receiver.
                 self._on_trouble(error)
 
 
@@ -251,7 +251,7 @@ _PASSIVE = 0x30
 
 @dataclass(frozen=True)
 class ErrorFrame:
-    """text: the classes in words. state: what the frame says the bus is in now; None if it says nothing about that."""
+    """text: the classes in words. state: of the bus as this frame reports it; None if it reports none."""
 
     text: str
     state: BusState | None

@@ -131,7 +131,7 @@ class MessageSpec:
 
 @dataclass(frozen=True)
 class SignalTable:
-    """messages: rows whose message the DBC has. absent: rows, not needed, that the DBC does not have."""
+    """messages: rows with a message in the DBC. absent: rows, not needed, without one."""
 
     dbc_file: Path
     signals_file: Path
@@ -162,8 +162,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     root.only("messages")
     rows = root.entry("messages")
     database = load_dbc(dbc_path, rows)
-    wanted = tuple(needed)
-    for name in wanted:
+    required = tuple(needed)
+    for name in required:
         if name not in rows:
             raise TableError(f"{table_path}: needed message {name} is not in the table; it has {', '.join(rows)}")
     known = {m.name: m for m in database.messages}
@@ -172,7 +172,7 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
         row = rows.entry(name)
         if [m.name for m in database.messages].count(name) > 1:
             raise TableError(f"{dbc_path}: has {name} more than once; leave one")
-        is_needed = name in wanted if wanted else row.boolean("needed")
+        is_needed = name in required if required else row.boolean("needed")
         if name in known:
             messages[name] = replace(_message(row, known[name], dbc_path), needed=is_needed)
         elif is_needed:
@@ -194,7 +194,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from None
     try:
         return cantools.database.load_string(text, "dbc", strict=False)
-    except Exception as error:  # cantools lets errors of its parsers through; all of them mean the same to the user.
+    except Exception as error:  # cantools raises whatever its parsers raise; all of it means the same to the user.
         first = error
     try:
         reduced = _reduced(text, frozenset(messages))
@@ -246,7 +246,7 @@ def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
         raise TableError(f"{dbc_path}: {dbc.name}: {words(error)}") from None
     for signal in dbc.signals:
         if signal.start < 0:
-            raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start}; 0 or more wanted")
+            raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start}; expected 0 or more")
         if not all(abs(number) <= LARGEST for number in (signal.scale, signal.offset)):
             raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {LARGEST:g}")
 
@@ -287,8 +287,8 @@ def _unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
     if UNITS[unit][0] != si_unit:
         possible = " or ".join(u for u, (si, _) in UNITS.items() if si == si_unit)
         missing = f", and {dbc_path} gives no unit" if not (dbc.unit or "") and not unit else ""
-        raise TableError(f"{origin}: {text!r} cannot become {si_unit!r} ({name}){missing}; write {possible!r} as it is "
-                         "sent")
+        raise TableError(f"{origin}: {text!r} cannot become {si_unit!r} ({name}){missing}; write {possible!r}, "
+                         "the unit of the sensor")
     if given and given != unit:
         raise TableError(f"{origin}: {text!r}, but {dbc_path} gives {dbc.unit!r}")
     return unit
@@ -357,7 +357,8 @@ def _sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_
     entry.choice("unit", (spec.unit,))
     shown = f"the recorded frame {data.hex(' ').upper()} of {dbc.name}"
     if len(data) != dbc.length:
-        raise TableError(f"{entry.origin}: {entry.path}.data: {shown} has {len(data)} bytes, the DBC says {dbc.length}")
+        raise TableError(f"{entry.origin}: {entry.path}.data: {shown} has {len(data)} bytes, the DBC "
+                         f"gives {dbc.length}")
     physical = cast("dict[str, float]", dbc.decode(data, decode_choices=False))  # of a plain message
     value = (spec.gain * physical[spec.dbc.name] + spec.bias) / spec.factor
     # The sign is left to steering_sign: which way the sensor counts is a property of the car, byte order is not.

@@ -25,7 +25,7 @@ def read_document(path: Path) -> Any:
 
 
 def words(error: object, limit: int = 300) -> str:
-    """What an error of somebody else's parser says, as one printable line of at most `limit` characters."""
+    """The message of a parser's error as one printable line of at most `limit` characters."""
     text = "".join(c if c.isprintable() else " " for c in str(error))
     return textwrap.shorten(text, limit, placeholder=" ...") or type(error).__name__
 
@@ -37,7 +37,7 @@ class Entry:
         self.origin = origin
         self.path = path
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
-            raise TableError(f"{origin}: {path or 'the document'}: a mapping of names wanted")
+            raise TableError(f"{origin}: {path or 'the document'}: expected a mapping of names")
         self._value = value
 
     def _fail(self, key: str, what: str) -> TableError:
@@ -71,7 +71,7 @@ class Entry:
     def entries(self, key: str) -> list["Entry"]:
         values = self._value.get(key, [])
         if not isinstance(values, list):
-            raise self._fail(key, "a list wanted")
+            raise self._fail(key, "expected a list")
         return [Entry(self.origin, f"{self._at(key)}[{i}]", value) for i, value in enumerate(values)]
 
     def text(self, key: str) -> str:
@@ -118,7 +118,7 @@ class Entry:
             return default
         value = self._value[key]
         if not isinstance(value, list) or len(value) != 2:
-            raise self._fail(key, "[minimum, maximum] wanted")
+            raise self._fail(key, "expected [minimum, maximum]")
         low, high = (self._number(key, v, -math.inf, math.inf) for v in value)
         if not low < high:
             raise self._fail(key, f"{low:g} is not below {high:g}")

@@ -79,7 +79,7 @@ class LoopbackMulticastBus(can.BusABC):
         self.filtered = 0
         self.malformed = 0
         self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        # A separate socket for sending has a port of its own, by which own frames are told from others.
+        # A separate socket for sending has a port of its own, which distinguishes own frames.
         self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._set_up(group, port)
@@ -141,7 +141,7 @@ class LoopbackMulticastBus(can.BusABC):
         return data, seconds + nanoseconds * 1e-9
 
     def _unpack(self, data: bytes, timestamp: float) -> can.Message | None:
-        """None for a frame that the filter holds back or that is not one; anybody can send anything to a group."""
+        """None for a frame that the filter rejects or that is malformed; any process can send to a multicast group."""
         try:
             fields = msgpack.unpackb(data, raw=False)
             if any(type(fields.get(name, kind())) is not kind for name, kind in _KINDS.items()):

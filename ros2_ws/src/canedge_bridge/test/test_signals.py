@@ -58,15 +58,15 @@ WHEEL = "Leaf_Steering/signals/SteeringWheelAngle"
     (put(WHEEL + "/sign", 2), "SteeringWheelAngle.sign: 2 is not one of 1, -1"),
     (put(WHEEL + "/scale", 1000), "SteeringWheelAngle.scale: 1000 is outside 0.01 to 100"),
     (put(WHEEL + "/range", [900, -900]), "SteeringWheelAngle.range: 900 is not below -900"),
-    (put(WHEEL + "/range", 900), "SteeringWheelAngle.range: [minimum, maximum] wanted"),
+    (put(WHEEL + "/range", 900), "SteeringWheelAngle.range: expected [minimum, maximum]"),
     (put("Leaf_Steering/signals/Wheel", {}), "Leaf_Steering has no signal Wheel"),
     (put("Leaf_Steering/samples", [{"data": "1D00", "signal": "SteeringWheelAngle", "value": 0, "unit": "deg"}]),
-     "has 2 bytes, the DBC says 5"),
+     "has 2 bytes, the DBC gives 5"),
     (put("Leaf_Steering/samples", [{"data": "xyz", "signal": "SteeringWheelAngle", "value": 0, "unit": "deg"}]),
      "samples[0].data: not hexadecimal bytes"),
     (put("RT_MilliTime/signals/UtcOffset", None), "GPS time needs all of gps_time, gps_utc_offset"),
     (put("Leaf_Brake", {"needed": True}), "has no message Leaf_Brake"),
-    (put("Leaf_Steering", []), "messages.Leaf_Steering: a mapping of names wanted"),
+    (put("Leaf_Steering", []), "messages.Leaf_Steering: expected a mapping of names"),
 ])
 def test_refused_with_one_line(edit, message, dbc_file, changed_table):
     path = changed_table(edit)

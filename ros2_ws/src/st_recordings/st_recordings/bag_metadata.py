@@ -146,7 +146,7 @@ def _duration(nanoseconds: int) -> dict[str, int]:
 
 
 def short_entries(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """What of a bag's metadata records (name -> {key: text}) goes into `custom_data` of metadata.yaml: "name.key"."""
+    """Short entries of a bag's metadata records (name -> {key: text}) as `custom_data` of metadata.yaml: "name.key"."""
     return {
         f"{name}.{key}": value
         for name, entries in records.items() if name != "rosbag2"

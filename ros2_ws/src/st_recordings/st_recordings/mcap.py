@@ -93,7 +93,7 @@ class BagWriter:
 
     @property
     def syncer(self) -> Syncer | None:
-        """How the disk follows; None where it is not asked to, or no longer."""
+        """State of the synchronisation with the disk; None without one."""
         return self._file.syncer
 
     def add_topic(
@@ -205,8 +205,8 @@ class BagWriter:
         """Closes a file that was taken from where it was made."""
         self.moved = True
         folder = self._file.folder()
-        gone = "deleted" if folder is None else f"renamed to {folder}"
-        self.error = f"recording stopped: {self.directory} was {gone}"
+        state = "deleted" if folder is None else f"renamed to {folder}"
+        self.error = f"recording stopped: {self.directory} was {state}"
         if folder is None:
             self.lost += self.message_count
         with contextlib.suppress(OSError):  # of the rest `recover` makes what there is to make

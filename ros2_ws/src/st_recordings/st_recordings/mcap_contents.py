@@ -1,4 +1,4 @@
-"""What an MCAP file holds, gathered record by record, and the index section that a closed file ends with.
+"""Inventory of an MCAP file, record by record, and the index section at the end of a closed file.
 
 The layout is that of https://mcap.dev/spec. Used where the library's writer cannot help: a file cut by a crash or by a
 full disk has all its chunks but no index.
@@ -81,7 +81,7 @@ class _ChunkEntry:
 
 
 class Contents:
-    """The running inventory of one file: what its index section will say. Times are log times [ns]."""
+    """The running inventory of one file: the content of its index section. Times are log times [ns]."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
@@ -153,7 +153,7 @@ class Contents:
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         data = stream.read(size)
         if len(data) != chunk.uncompressed_size:
-            raise DamagedError(f"chunk holds {len(data)} bytes, {chunk.uncompressed_size} announced")
+            raise DamagedError(f"chunk has {len(data)} bytes, {chunk.uncompressed_size} announced")
         schemas, channels = dict(self.schemas), dict(self.channels)
         messages: dict[int, MessageIndex] = {}
         position = 0

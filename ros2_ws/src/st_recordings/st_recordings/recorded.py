@@ -1,4 +1,4 @@
-"""Predictions and scores in a recording, as arrays: what the live nodes said, and how they were set."""
+"""Predictions and scores in a recording, as arrays: output of the live nodes, and their configuration."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -66,7 +66,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class RecordedConfiguration:
-    """What a recording says of the configuration it was made with; None where it does not.
+    """Configuration that a recording was made with, as far as it is in it; else None.
 
     vehicle: text of the vehicle file. nodes: parameters by node.
     """

@@ -1,7 +1,7 @@
 """Repairs a bag or an MCAP file that was cut by a crash, a kill or a full disk.
 
-Every whole chunk is kept byte for byte; what is missing behind it (indexes, summary, footer, metadata.yaml) is made
-anew. The original stays beside the repaired file as NAME.mcap.cut. A bag that needs no repair is left alone.
+Every whole chunk is kept byte for byte; what is missing behind it (indexes, summary, footer, metadata.yaml) is
+rebuilt. The original stays beside the repaired file as NAME.mcap.cut. A bag that needs no repair is left alone.
 """
 
 import contextlib
@@ -78,7 +78,7 @@ class RecoveryReport:
             span = f"{found.messages} messages over {seconds:.1f} s"
             lines.append(f"{found.path.name}: {span}, {state}{damage}{original}")
         if self.metadata_rebuilt:
-            lines.append(f"{FILE_NAME}: written anew")
+            lines.append(f"{FILE_NAME}: rebuilt")
         return "\n".join(lines)
 
 
@@ -86,7 +86,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
     """Makes a cut bag directory or .mcap file readable again.
 
     Args:
-        path: bag directory or one .mcap file (metadata.yaml beside it is left alone then).
+        path: bag directory or one .mcap file (its metadata.yaml is left alone then).
         output: new directory or file to write instead of repairing in place; must not exist. The original is untouched.
 
     Raises:
@@ -120,7 +120,7 @@ def _recover_directory(source: Path, target: Path) -> RecoveryReport:
     contents = [_recover_file(file, target / file.name, report) for file in files]
     report.topics = _topic_counts(contents)
     information = _information(report.files, contents, source)
-    if not _says_the_same(target / FILE_NAME, information):
+    if not _matches(target / FILE_NAME, information):
         information.save(target)
         report.metadata_rebuilt = True
     return report
@@ -181,7 +181,7 @@ def _is_closed(stream: BinaryIO, size: int, contents: Contents, found: FileRepor
         return False
     records = list(read_records(stream, size, summary_start))
     if not records or records[-1].offset != tail_start:
-        return False  # bytes that are no record lie in between
+        return False  # other bytes are in between
     statistics = [r for r in records if r.opcode == Opcode.STATISTICS]
     try:
         counts = [Statistics.read(ReadDataStream(BytesIO(r.content))).message_count for r in statistics]
@@ -247,7 +247,7 @@ def _free_name(source: Path) -> Path:
         name = source.with_name(f"{source.name}.cut{number if number > 1 else ''}")
         if not name.exists():
             return name
-    raise RecoveryError(f"{source}: too many .cut files beside it")
+    raise RecoveryError(f"{source}: too many .cut files in its folder")
 
 
 def _topic_counts(contents: list[Contents]) -> dict[str, int]:
@@ -287,17 +287,17 @@ def _qos_entries(text: str) -> list[dict[str, Any]]:
     return entries if isinstance(entries, list) else []
 
 
-def _says_the_same(path: Path, information: BagInformation) -> bool:
+def _matches(path: Path, information: BagInformation) -> bool:
     """Whether a metadata.yaml names the same files, topics and counts (the rest may be another recorder's)."""
-    wanted = information.document()["rosbag2_bagfile_information"]
+    expected = information.document()["rosbag2_bagfile_information"]
     try:
         there = yaml.safe_load(path.read_text())["rosbag2_bagfile_information"]
         counts = {t["topic_metadata"]["name"]: t["message_count"] for t in there["topics_with_message_count"]}
         return (
-            counts == {t["topic_metadata"]["name"]: t["message_count"] for t in wanted["topics_with_message_count"]}
-            and there["message_count"] == wanted["message_count"]
-            and there["relative_file_paths"] == wanted["relative_file_paths"]
-            and there["duration"] == wanted["duration"]
+            counts == {t["topic_metadata"]["name"]: t["message_count"] for t in expected["topics_with_message_count"]}
+            and there["message_count"] == expected["message_count"]
+            and there["relative_file_paths"] == expected["relative_file_paths"]
+            and there["duration"] == expected["duration"]
         )
     except (OSError, yaml.YAMLError, AttributeError, KeyError, TypeError):
         return False

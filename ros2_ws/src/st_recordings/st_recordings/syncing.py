@@ -1,4 +1,4 @@
-"""Brings a growing file to the disk beside its writer, so that a loss of power costs no more than its end."""
+"""Brings a growing file to the disk in a thread of its own, so that a loss of power costs no more than its end."""
 
 import os
 import threading
@@ -13,7 +13,7 @@ SHORTEST_PERIOD = 0.25
 class Syncer:
     """fdatasync of one file in a thread of its own, after each `wake`.
 
-    error: why the disk refused, empty while it has not. It stays: what was refused once may be missing, whatever the
+    error: of the disk, empty without one. It stays: data refused once may be missing, whatever the
     system says afterwards. longest: the slowest so far [s].
     """
 
@@ -84,7 +84,7 @@ def _sync_folder(folder: Path) -> None:
     try:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except FileNotFoundError:
-        return  # renamed or deleted meanwhile: the writer notices and tells
+        return  # renamed or deleted meanwhile: the writer notices and reports
     try:
         os.fsync(descriptor)
     finally:

@@ -1,4 +1,4 @@
-"""One reader for every recording: `find_runs` says which files make a run, `read` turns one into a DriveLog.
+"""One reader for every recording: `find_runs` groups files into runs, `read` turns one into a DriveLog.
 
     for source in find_runs(paths):
         try:

@@ -35,7 +35,7 @@ from .times import usable_rows
 
 OURS = {"recording", "configuration"}  # records that recorder and evaluator begin with
 CLOSING = "rosbag2"  # the metadata record that a recorder writes when it ends a recording
-# Where several topics have the type: the one whose name ends like this.
+# Where several topics have the type: the one with this end of its name.
 PREFERRED = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
@@ -45,7 +45,7 @@ _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", 
 
 @dataclass(frozen=True)
 class BagDrive:
-    """topics: type -> topic that was read. records: what the recording says about itself, name -> {key: text}.
+    """topics: type -> topic that was read. records: its metadata records, name -> {key: text}.
 
     auxiliary: what else is in it, for checks. frame: frame_id of the first odometry. unknown: "topic (type)" of what is
     neither read nor of the suite.
@@ -71,7 +71,7 @@ def is_bag(path: Path) -> bool:
 
 
 def holds_odometry(path: Path) -> bool:
-    """A look at the list of topics, for folders with all kinds of recordings; True where it cannot be told."""
+    """A look at the list of topics, for folders with all kinds of recordings; True where it cannot be decided."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         try:
             return _is_a_drive({t["topic_metadata"]["type"] for t in information(path)["topics_with_message_count"]})
@@ -133,7 +133,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
 
 
 def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
-    """The INS part of a bag, for a run whose steering is in a CAN log. Raises RunError."""
+    """The INS part of a bag, for a run with its steering in a CAN log. Raises RunError."""
     storage = open_bag(path)
     store = _store_of(storage, storage.topics(), None)
     topic = _odometry_topic(path, storage.topics(), odometry)
@@ -145,7 +145,7 @@ def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
 
 
 def lacks_steering(path: Path) -> bool:
-    """Whether a bag holds odometry and nothing that the suite knows as steering: its steering may be in a CAN log."""
+    """Whether a bag holds odometry and no steering topic of the suite: its steering may be in a CAN log."""
     try:
         types = {t.type_name for t in open_bag(path).topics() if t.count}
     except RunError:
@@ -170,7 +170,7 @@ def _odometry_topic(path: Path, topics: Sequence[Topic], name: str | None) -> To
 
 
 def _set_stamps(storage: Storage, topics: Mapping[str, str], columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
-    """Replaces stamps that say nothing by the times of receipt, and reports it.
+    """Replaces meaningless stamps by the times of receipt, and reports it.
 
     A driver or simulator that leaves header.stamp at 0, or at one value, or stamps two topics with clocks that have
     nothing in common, still has its messages recorded at the right moments.
@@ -274,7 +274,7 @@ def _one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str
     for raw in storage.messages(topic.name):
         try:
             message = store.deserialize_cdr(raw, topic.type_name)
-        except Exception as error:  # rosbags lets through what struct and numpy run into
+        except Exception as error:  # rosbags raises whatever struct and numpy raise
             raise RunError(path, f"a message of {topic.name} is damaged ({type(error).__name__})",
                            "record it again, or repair the bag with `st recover`") from None
         rows.append([_value(message, field) for field in fields])

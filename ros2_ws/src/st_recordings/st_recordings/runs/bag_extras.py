@@ -1,4 +1,4 @@
-"""What a bag holds beside odometry and steering, for checks; only what is read the quick way, and nothing is needed."""
+"""Further channels of a bag for the checks: optional, and read only where their layout is constant."""
 
 from collections.abc import Mapping, Sequence
 
@@ -23,12 +23,12 @@ _STATUS = ("header.stamp", "navigation_status", "position_mode", "position_accur
 
 
 def extra_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
-    """The topics that are read, one of a type, and their fields. Packets only for what no other topic says."""
+    """The topics that are read, one of a type, and their fields. Packets only if no other topic has their content."""
     of_type = {topic.type_name: topic for topic in topics if topic.count}
-    wanted = {of_type[name]: fields for name, fields in _FIELDS.items() if name in of_type}
+    fields_of = {of_type[name]: fields for name, fields in _FIELDS.items() if name in of_type}
     if NCOM in of_type and INS_ON_CAN in of_type and INS_STATUS in of_type:
-        wanted.pop(of_type[NCOM])
-    return wanted
+        fields_of.pop(of_type[NCOM])
+    return fields_of
 
 
 def bag_extras(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
@@ -92,7 +92,7 @@ def _status(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | No
         for data in storage.messages(topic.name):
             layout = layouts.of(data)
             rows.append([layout.value(data, field) for field in _STATUS])
-    except Exception:  # rosbags lets through what struct and numpy run into; a bag is no worse for it
+    except Exception:  # rosbags raises whatever struct and numpy raise; the extras are optional
         return None
     if not rows:
         return None

@@ -70,7 +70,7 @@ def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage
 
 
 def information(path: Path) -> dict[str, Any]:
-    """What metadata.yaml of a bag says; nothing where it cannot be read."""
+    """Content of metadata.yaml of a bag; empty where it cannot be read."""
     try:
         about = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     except (OSError, yaml.YAMLError, KeyError, TypeError):
@@ -320,7 +320,7 @@ class _Gathered:
     def _layout_of(self, first: bytes) -> Layout | None:
         try:
             return Layout(self._store, self._type_name, self._store.deserialize_cdr(first, self._type_name))
-        except Exception:  # rosbags lets through what struct and numpy run into; read one by one, it is said
+        except Exception:  # rosbags raises whatever struct and numpy raise; reading one by one reports it
             return None
 
     def columns(self) -> dict[str, np.ndarray]:

@@ -99,7 +99,7 @@ def _io(name: str) -> Any:
 
 def _by_line(make: Callable[[Lines, Found], Any], change: Callable[[str], str] = str,
              restart: str = "") -> Callable[[Path, Found], Iterator[Any]]:
-    """A reader of text that goes on behind a line it cannot read. restart: a line its header parser may consume."""
+    """A reader of text that continues behind a line it cannot read. restart: a line its header parser may consume."""
     def messages(file: Path, found: Found) -> Iterator[Any]:
         lines = Lines(file, change)
         try:

@@ -33,9 +33,9 @@ ABSOLUTE_FROM = 1_000_000_000
 
 @dataclass(frozen=True)
 class CanLog:
-    """One recording of one logger, whatever number of files it came in.
+    """One recording of one logger, in any number of files.
 
-    start_ns: start of the first session as its header says, else the first frame. absolute: whether times are UTC (as
+    start_ns: start of the first session by its header, else the first frame. absolute: whether times are UTC (as
     the logger's clock has it); else they count from the start of the log. warnings: whole sentences that name the file.
     """
 
@@ -90,7 +90,7 @@ def _read_one(file: Path) -> tuple[Frames, int, bool, Sequence[str]]:
     found = next((f for f in FORMATS if f.mark(head)), None)
     if found is None:
         if file.suffix.lower() in MF4_EXTENSIONS:
-            read_mf4(file)  # raises: says what is wrong with it as an MF4
+            read_mf4(file)  # raises the reason why it is not a valid MF4
         known = ", ".join(["MF4", *(f.name for f in FORMATS)])
         raise RunError(file, f"this is no CAN log that can be read ({known})", "take it off the list, or convert it")
     notes = []

@@ -16,7 +16,7 @@ from .frames import ERROR, EXTENDED, REMOTE, Frames
 
 @dataclass(frozen=True)
 class Signal:
-    """One of our signals as one message brought it: SI, signs as in the table.
+    """One signal of the table as one message carries it: SI, sign as in the table.
 
     time_ns: when the frame was logged, strictly increasing. valid: False where a counter or checksum set to `warn` was
     wrong. rows: the frames it came from, places in Frames.

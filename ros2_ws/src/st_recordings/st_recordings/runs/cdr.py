@@ -1,7 +1,7 @@
 """Many ROS messages of one type at once: columns to serialised bytes (CDR) and back, without a Python object each.
 
 A message whose texts and sequence lengths are the same in all instances is a fixed row of bytes. Where each number lies
-in it follows from the definition and one example, so a changed definition moves everything by itself.
+in it follows from the definition and one example, so it follows a changed definition.
 """
 
 import struct
@@ -46,7 +46,7 @@ def with_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]
         try:
             if text:
                 own |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
-        except Exception:  # rosbags lets through what its parser runs into
+        except Exception:  # rosbags raises whatever its parser raises
             continue
     different = {name for name, (_, fields) in own.items()
                  if name not in store.fielddefs or _plain(store.fielddefs[name][1]) != _plain(fields)}

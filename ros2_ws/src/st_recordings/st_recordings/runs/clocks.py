@@ -11,7 +11,7 @@ from .can_signals import CanSignals, Signal
 from .ins_log import Motion
 
 # What lies between the instant an INS value is true and its CAN frame reaching the logger (calculation, then the queue)
-# and its standard deviation, where nobody has measured it [s].
+# and its standard deviation, where it was not measured [s].
 INS_ON_CAN = (0.002, 0.002)
 # Wheel speeds are counted over a period before they are sent; yaw follows the steering wheel by a car's response time.
 WHEEL_SPEED = (0.015, 0.015)
@@ -19,7 +19,7 @@ STEERING_LEAD = (-0.06, 0.06)
 
 NO_INS_FRAMES = "the log holds no INS frames that the DBC describes (RT_..., rt.dbc of `st car new`)"
 
-# Standard deviation that tells something [m/s, rad/s, rad, 1/m].
+# Least standard deviation with information [m/s, rad/s, rad, 1/m].
 SMALLEST = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 CURVATURE_FROM = 3.0  # m/s; slower, yaw rate over speed is noise
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
@@ -50,7 +50,7 @@ def shared_signals(ins: Motion, can: CanSignals, latency: tuple[float, float] = 
 
 
 def substitute_signals(ins: Motion, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
-    """For a log without INS frames: wheel speed, else steering against curvature; and the warning that goes with it.
+    """For a log without INS frames: wheel speed, else steering against curvature; and its warning.
 
     steering_sign: +1 where the decoded sensor is left positive.
     """
@@ -58,7 +58,7 @@ def substitute_signals(ins: Motion, can: CanSignals, steering_sign: int = 1) -> 
     if speed is not None:
         values = _masked(ins, ins.time_ns, np.abs(ins.velocity_x))
         return ([_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, WHEEL_SPEED)],
-                f"{NO_INS_FRAMES}: aligned by the wheel speed, whose own delay is not known")
+                f"{NO_INS_FRAMES}: aligned by the wheel speed, of unknown delay")
     steering = can.first_of("steering_wheel_angle")
     if steering is None:
         return [], ""
@@ -125,7 +125,7 @@ def _checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tupl
 
 
 def _one_of_each(pairs: list[SharedSignal]) -> list[SharedSignal]:
-    """The first message of velocity, yaw rate and yaw; what a second one of the same says again confirms nothing."""
+    """The first message of velocity, yaw rate and yaw; a second one of the same confirms nothing."""
     return list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
 
 

@@ -129,10 +129,10 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
             if channel not in found or rank < found[channel][0]:
                 found[channel] = rank, _place(number, name, channel, unit)
     places = {channel: place for channel, (_, place) in found.items()}
-    for channel, wanted in layout.columns.items():
-        # What is no name of a column may be a channel: the cure of exchanged axes says {x: y, y: x}.
-        taken = found.get(wanted) if wanted not in names else None
-        number = taken[1].column if taken else _number_of(file, names, wanted, channel, layout)
+    for channel, named in layout.columns.items():
+        # A name without a column may be a channel: {x: y, y: x} exchanges the axes.
+        taken = found.get(named) if named not in names else None
+        number = taken[1].column if taken else _number_of(file, names, named, channel, layout)
         places[channel] = _place(number, names[number], channel, _unit_in(names[number], COLUMNS[channel].kind))
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         places.pop("yaw", None)
@@ -154,17 +154,17 @@ def _place(number: int, name: str, channel: str, unit: str | None) -> Place:
     return Place(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
 
 
-def _number_of(file: Path, names: Sequence[str], wanted: str, channel: str, layout: Layout) -> int:
+def _number_of(file: Path, names: Sequence[str], named: str, channel: str, layout: Layout) -> int:
     for same in (str, str.lower, plain):
-        alike = [number for number, name in enumerate(names) if same(name) == same(wanted)]
+        alike = [number for number, name in enumerate(names) if same(name) == same(named)]
         if alike:
             return alike[0]
-    raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {wanted[:60]!r}",
+    raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
                    f"it has {', '.join(names)[:300]}")
 
 
 def _meanings(name: str) -> list[tuple[str, int, str | None]]:
-    """(channel, rank among its names, unit said) of every channel a column may be."""
+    """(channel, rank among its names, unit stated) of every channel a column may be."""
     meanings: list[tuple[str, int, str | None]] = []
     for base, unit in _splits(name):
         if plain(base) in _CHANNEL_OF:

@@ -1,4 +1,4 @@
-"""How sure the INS says it is, as the 6 x 6 covariances of nav_msgs/Odometry: as the live bridge sends, in columns."""
+"""Accuracies reported by the INS as the 6 x 6 covariances of nav_msgs/Odometry, in columns."""
 
 import numpy as np
 from oxts_bridge.file_decoder import Columns
@@ -6,12 +6,12 @@ from oxts_bridge.file_decoder import Columns
 from .ncom import NcomLog
 from .status_channels import ACCURACIES, held, sent
 
-# As in oxts_bridge.convert: large enough that no filter believes it, finite so that none breaks.
+# As in oxts_bridge.convert: large enough that filters ignore it, finite so that none breaks.
 UNKNOWN_VARIANCE = 1e6
 
 
 class Covariances:
-    """Accuracies of one file; each holds from the packet that carries it until the next."""
+    """Accuracies of one file; each is valid from the packet that carries it until the next."""
 
     def __init__(self, columns: Columns):
         self._held = {}
@@ -22,8 +22,8 @@ class Covariances:
     def of(self, ins: NcomLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """(pose, twist) covariances, (n, 36) each, of the odometry of some fixes.
 
-        Pose: east, north, up, then rotations about the fixed axes. Twist: body axes. Variances of what the unit does
-        not vouch for, and of angular rates, are UNKNOWN_VARIANCE.
+        Pose: east, north, up, then rotations about the fixed axes. Twist: body axes. Variances that the unit does
+        not report, and those of angular rates, are UNKNOWN_VARIANCE.
         """
         packets = ins.rows[rows]
         yaw, pitch, roll = (a[rows] for a in (ins.yaw, ins.pitch, ins.roll))

@@ -62,7 +62,7 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
              steering: SteeringField | None = None) -> CsvDrive:
     """The drive in a table.
 
-    A row in which a channel holds no number is no sample of the INS, or of the steering, and still one of the other;
+    A row without a number in a channel is left out of the samples of the INS, or of the steering, not of the other;
     an acceleration is NaN there. vehicle: for a file with the hand wheel alone. yaw_scale: on the yaw as recorded; it
     comes before unwrapping, which takes jumps of 2 pi for turns and must see radians. steering: its sign is applied.
     Raises RunError.
@@ -94,7 +94,7 @@ def drive_of(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: 
 
 
 def ins_of(table: Table) -> InsLog:
-    """The INS part of a table, for a run whose steering is in a CAN log. Raises RunError."""
+    """The INS part of a table, for a run with its steering in a CAN log. Raises RunError."""
     _check_columns(table, INS_SIGNALS)
     notes = list(table.warnings)
     columns = _with_derived(table, notes)

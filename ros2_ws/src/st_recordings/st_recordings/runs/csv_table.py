@@ -61,7 +61,7 @@ def text_of(file: Path, size: int = -1) -> str:
 
 
 def header_of(file: Path) -> list[str]:
-    """Names of the columns; empty for what is no text."""
+    """Names of the columns; empty for a binary file."""
     try:
         lines = text_of(file, 1 << 16).splitlines()
         return _parted(lines[_header_line(lines)])[0] if lines else []
@@ -70,7 +70,7 @@ def header_of(file: Path) -> list[str]:
 
 
 def read_table(file: Path, layout: Layout) -> Table:
-    """Raises RunError for what is no text, has no time, or has a row that does not fit its header."""
+    """Raises RunError for a binary file, one without time, or has a row that does not fit its header."""
     check_readable(file)
     text = text_of(file).replace("\r\n", "\n")
     warnings: list[str] = []
@@ -136,7 +136,7 @@ def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
                    layout: Layout) -> tuple[dict[str, Place], str]:
     """Places with the units of a row below the names, and the rest of the body.
 
-    A first row without any number is a row of units, unless its cells only say that a value is missing. Raises
+    A first row without any number is a row of units, unless its cells only mark missing values. Raises
     RunError for a cell that is no unit of its channel, as a unit in brackets behind a name would not be one either.
     """
     first, _, rest = body.partition("\n")
@@ -153,7 +153,7 @@ def _with_unit_row(file: Path, places: dict[str, Place], body: str, delimiter: s
         unit = unit_named(kind, text)
         if unit is None:
             raise RunError(file, f"unit row: {text[:40]!r} of column {places[channel].name} is no unit of {kind}",
-                           f"known are {', '.join(UNITS[kind])}; or say it in a run.yaml, as units: {{{channel}: ...}}")
+                           f"known are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
         found[channel] = replace(places[channel], unit=unit, stated=True)
     return found, rest
 
@@ -182,7 +182,7 @@ def _with_points(file: Path, body: str, delimiter: str) -> str:
             marks.add(other)
     doubtful = sorted(c for m, with_it in ((",", commas), (".", points)) for c in with_it if _GROUPS[m].fullmatch(c))
     if doubtful and (len(marks) > 1 or not marks):
-        why = "both commas and points are decimal marks in it" if marks else "nothing in it tells which"
+        why = "both commas and points are decimal marks in it" if marks else "nothing in the file decides it"
         raise RunError(file, f"{doubtful[0]} may be a number with a decimal mark or with a thousands separator: {why}",
                        "export it without thousands separators")
     if len(marks) > 1:  # every cell has one mark, and it is a decimal mark

@@ -1,4 +1,4 @@
-"""What goes wrong with files: one sentence for the user, naming the file and what to do."""
+"""Errors about files: one sentence for the user, naming the file and what to do."""
 
 from pathlib import Path
 

@@ -37,7 +37,7 @@ class SteeringField:
 
 
 def unknown(topics: list[Topic], played: tuple[str, ...]) -> list[Topic]:
-    """What a bag holds that is neither played nor of the suite."""
+    """Topics of a bag that are neither played nor of the suite."""
     return [t for t in topics if t.count and t.name not in played
             and not t.type_name.startswith("st_msgs/") and not t.name.startswith(OURS)]
 
@@ -87,7 +87,7 @@ def steering_columns(where: Any, storage: Storage, topic: Topic, steering: Steer
     for log_ns, data in storage.timed(topic.name):
         try:
             message = store.deserialize_cdr(data, topic.type_name)
-        except Exception as error:  # rosbags lets through what struct and numpy run into
+        except Exception as error:  # rosbags raises whatever struct and numpy raise
             raise RunError(where, f"a message of {topic.name} is damaged ({type(error).__name__})",
                            "record it again, or repair the bag with `st recover`") from None
         stamps.append(stamp_of(message, log_ns))

@@ -1,4 +1,4 @@
-"""What a recording holds beside the drive, for checks: speed by the wheels, a second output of the INS, its quality."""
+"""Further channels of a recording, for checks: speed by the wheels, a second output of the INS, its quality."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""A run read into a DriveLog: decoded, its clocks aligned, and where every part of it came from."""
+"""A run read into a DriveLog: decoded, clocks aligned, with its provenance."""
 
 import hashlib
 import logging
@@ -34,8 +34,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     if source.problem is not None:
         raise source.problem
     # Hashing does not hold the interpreter; it is done when the rest is.
-    with ThreadPoolExecutor(1) as beside:
-        digests = beside.submit(hashes, source)
+    with ThreadPoolExecutor(1) as pool:
+        digests = pool.submit(hashes, source)
         loaded = _read(source, vehicle, settings)
     start_ns = int(loaded.log.ins_time_ns[0]) if len(loaded.log.ins_time_ns) else 0
     log, implausible = plausible(loaded.log, start_ns)
@@ -86,8 +86,8 @@ def treated(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None
         log = corrected(run.log, _left_to_correct(source), vehicle, left_out)
     except StCoreError as error:
         raise RunError(source.where, str(error)) from None
-    gone = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0
-    labels = tuple(replace(label, start=label.start - gone, end=label.end - gone) for label in run.labels)
+    cut = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0
+    labels = tuple(replace(label, start=label.start - cut, end=label.end - cut) for label in run.labels)
     return replace(
         run, log=log, labels=labels, provenance={**run.provenance, "corrected": list(phrases)},
         warnings=(*run.warnings, f"{source.where}: corrected as its run.yaml says: {'; '.join(phrases)}"),

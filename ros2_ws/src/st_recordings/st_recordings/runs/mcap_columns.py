@@ -66,10 +66,10 @@ def blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[
 
 def _unpacked(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
     """Chunks with their content. Unpacking takes most of the time and leaves the interpreter free: one is ahead."""
-    with ThreadPoolExecutor(1) as beside:
+    with ThreadPoolExecutor(1) as pool:
         coming: deque[tuple[ChunkIndex, Future[bytes]]] = deque()
         for chunk in chunks:
-            coming.append((chunk, beside.submit(_content, stream, chunk)))
+            coming.append((chunk, pool.submit(_content, stream, chunk)))
             if len(coming) > 1:
                 first, content = coming.popleft()
                 yield first, content.result()

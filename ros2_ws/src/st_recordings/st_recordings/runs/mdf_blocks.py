@@ -11,7 +11,7 @@ from typing import NamedTuple
 Buffer = bytes | mmap.mmap
 _HEADER = 24  # name, reserved, length, number of links
 _UNFINISHED = b"UnFinMF "
-_COUNTERS_OPEN, _LENGTH_OPEN, _LIST_OPEN = 1, 4, 16  # what an unfinalised file says it left undone
+_COUNTERS_OPEN, _LENGTH_OPEN, _LIST_OPEN = 1, 4, 16  # flags of an unfinalised file: what is incomplete
 _MOST_INFLATED = 1032  # deflate cannot pack tighter
 _MOST_WAYS = 5  # to pack records: three, each with the columns put together first or not (odd)
 _LONGEST_RECORD = 65536  # bytes; a CAN FD frame has some 90
@@ -39,7 +39,7 @@ class _Block(NamedTuple):
 def damage(data: Buffer) -> str:
     """What is missing or wrong in the blocks that lead to the frames; empty where nothing is.
 
-    asammdf believes these numbers, in C as well: a channel beside its record ends the process, a record of a gigabyte
+    asammdf does not validate these, in C either: a channel beside its record ends the process, a record of a gigabyte
     is allocated, links in a circle are followed for ever. Names, comments and sources may be cut off: not needed.
     The data block of a file that was never finalised has no length, so its end is not looked at.
     """
@@ -81,8 +81,8 @@ class _Walk:
         self._seen.add(at)
         name = bytes(self._data[at : at + 4])
         if name not in names:
-            wanted = " or ".join(n[2:].decode() for n in names)
-            raise Damage(f"there is no block at byte {at}, or another one than {wanted}")
+            expected = " or ".join(n[2:].decode() for n in names)
+            raise Damage(f"there is no block at byte {at}, or another one than {expected}")
         length, count = struct.unpack_from("<QQ", self._data, at + 8)
         end, content_at = at + length, at + _HEADER + 8 * count
         if name == b"##DT" and self._unfinished and not _HEADER <= length <= self._size - at:
@@ -219,7 +219,7 @@ class _Walk:
 
 
 def end_of_last_frame(data: Buffer) -> int | None:
-    """Where the last whole frame of an unfinalised file ends: behind a record whose payload was written too.
+    """Where the last whole frame of an unfinalised file ends: behind a record with its whole payload.
 
     Records of an unsorted data group: an identifier, then a fixed number of bytes, or a length and as many bytes.
     Source: ASAM MDF 4.1; checked on a real file cut at every byte of a stretch. None for a file without such a group.

@@ -42,7 +42,7 @@ def session_of(path: Path) -> tuple[str, int]:
     """(session, split): files with the same session are one recording, cut into splits.
 
     From the logger's own tree LOG/<device>/<8-digit session>/<8-digit split>[-hex].MF4, or from a flat copy named
-    <anything>_<8-digit session>_<8-digit split>; any other file is a session by itself.
+    <anything>_<8-digit session>_<8-digit split>; any other file is a session of its own.
     """
     match = _SPLIT.match(path.stem)
     if match and re.fullmatch(r"\d{8}", path.parent.name):
@@ -135,7 +135,7 @@ def _open_whole(path: Path, warnings: list[str]) -> Any:
         log = MDF(path, **AS_IT_IS)
         if all(_is_whole(log, group) for group in range(len(log.groups))):
             return log
-    except Exception:  # asammdf lets through whatever its parsing runs into; all of it means "cut or damaged".
+    except Exception:  # asammdf raises whatever its parsing raises; all of it means "cut or damaged".
         pass
     if log is not None:
         log.close()
@@ -282,7 +282,7 @@ def _payload(column: np.ndarray) -> np.ndarray:
 
 
 def _bus_of(log: Any, group: int) -> int:
-    """Bus of a group whose records do not say it (layout 2): from the group's name, CAN1_Rx."""
+    """Bus of a group without it in its records (layout 2): from the group's name, CAN1_Rx."""
     channel_group = log.groups[group].channel_group
     source = channel_group.acq_source
     for text in (channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None)):

@@ -112,7 +112,7 @@ def _extras(run: RawRun, steering_ns: np.ndarray, missing: dict[str, int]) -> Au
 
 
 def alignment_warnings(source: RunSource, alignment: Alignment, settings: ReadSettings) -> list[str]:
-    """Raises RunError for an alignment that must not be used; else what is to be said about it."""
+    """Raises RunError for an alignment that must not be used; else its warnings."""
     reasons = "; ".join(alignment.reasons)
     if alignment.verdict is Verdict.REFUSED or (alignment.verdict is Verdict.DOUBTFUL and not settings.doubtful):
         raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}",
@@ -121,7 +121,7 @@ def alignment_warnings(source: RunSource, alignment: Alignment, settings: ReadSe
 
 
 def steering_times(run: RawRun, settings: ReadSettings) -> np.ndarray:
-    """When the wheel stood as the frames say, on the INS clock [ns]."""
+    """When the steering angles were true, on the INS clock [ns]."""
     return run.alignment.to_reference_ns(run.steering.time_ns) - round(settings.steering_latency * 1e9)
 
 
@@ -136,7 +136,7 @@ def about_alignment(alignment: Alignment) -> dict[str, Any]:
 
 
 def clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
-    """What `align_clocks` is told: by the settings, else by the run's run.yaml, else nothing. Raises RunError."""
+    """Arguments of `align_clocks`: of the settings, else of the run's run.yaml. Raises RunError."""
     if settings.search and settings.search[0] >= settings.search[1]:
         raise RunError("--search", "{:g} is not below {:g}".format(*settings.search))
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")

@@ -26,7 +26,7 @@ RECONSTRUCTED = " (reconstructed)"  # behind the name of the topic that it was c
 
 
 class Reconstruction:
-    """Of one recording. records: what it says about itself: parameters of the nodes, DBC, table and vehicle."""
+    """Of one recording. records: its metadata records: parameters of the nodes, DBC, table and vehicle."""
 
     def __init__(self, path: Path, storage: Storage, records: Mapping[str, Mapping[str, str]], store: Typestore):
         self._path, self._storage, self._store = path, storage, store
@@ -64,15 +64,15 @@ class Reconstruction:
             raise RunError(self._path, "none of its raw packets has a fix and a time", "record with the unit locked")
         stamps, *values = zip(*rows, strict=True)
         names = [field for field in fields if not field.endswith("stamp")]
-        # Altitude is not among the fields that are asked for.
+        # Altitude is not among the requested fields.
         chosen = [values[k] for k in (0, 1, *range(3, len(values)))]
         return {"header.stamp": np.array(stamps, np.int64),
                 **{name: np.array(column) for name, column in zip(names, chosen, strict=True)}}
 
     def _origin(self, bridge: Mapping[str, Any]) -> Origin:
-        said = next((t for t in self._topics if t.name.endswith(ORIGIN) and t.count), None)
-        if said is not None:
-            fix: Any = self._store.deserialize_cdr(next(self._storage.messages(said.name)), said.type_name)
+        origin = next((t for t in self._topics if t.name.endswith(ORIGIN) and t.count), None)
+        if origin is not None:
+            fix: Any = self._store.deserialize_cdr(next(self._storage.messages(origin.name)), origin.type_name)
             return Origin(GIVEN, (fix.latitude, fix.longitude, fix.altitude))
         source = bridge.get("origin_source", FIRST_FIX)
         latitude, longitude, altitude = (float(bridge.get(f"origin_{name}", math.nan))

@@ -1,4 +1,4 @@
-"""The configuration files whose text a recording carries."""
+"""Configuration files stored as text in a recording."""
 
 from collections.abc import Mapping
 from pathlib import Path

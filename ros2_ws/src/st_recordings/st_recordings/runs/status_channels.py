@@ -1,4 +1,4 @@
-"""What NCOM packets say of the unit's own state, as columns: modes and accuracies, each held until the next is sent."""
+"""Status channels of NCOM packets as columns: modes and accuracies, each held until the next is sent."""
 
 import numpy as np
 from oxts_bridge.channels import decode_channel
@@ -29,7 +29,7 @@ def held(index: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarr
 
 
 def ins_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
-    """What the unit says of itself at some of its packets (places, with a time that rises)."""
+    """Quality that the unit reports at some of its packets (places, with a time that rises)."""
     position = held(*sent(columns, 3, ACCURACIES[3]), packets)
     heading = held(*sent(columns, 5, ("HeadingAcc",)), packets)[:, 0]
     return InsQuality(columns.utc_ns[packets], columns.navigation_status[packets].astype(float),

@@ -142,7 +142,7 @@ def _filled(utc_ns: np.ndarray, fix_ns: np.ndarray) -> np.ndarray:
 
 
 def _records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> dict[str, Any]:
-    """What the bag says about itself."""
+    """Metadata records of the bag."""
     alignment = {k: v if isinstance(v, str) else json.dumps(v) for k, v in about_alignment(run.alignment).items()}
     latitude, longitude, altitude = run.ins.origin
     return {

@@ -42,7 +42,7 @@ class Reader:
 
     @property
     def needs_can(self) -> bool:
-        """Whether a recording of this kind is no drive without CAN logs."""
+        """Whether a recording of this kind needs CAN logs for a drive."""
         return self.lacks_steering is None
 
     def is_ins_only(self, path: Path) -> bool:

@@ -27,7 +27,7 @@ def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
 
 
 def _recorded_labels(records: Mapping[str, Mapping[str, str]]) -> tuple[Label, ...]:
-    """Labels that came with an imported run."""
+    """Labels of an imported run."""
     return tuple(Label(*entry) for entry in json.loads(records.get("import", {}).get("labels", "[]")))
 
 
