@@ -1,5 +1,5 @@
-"""Rows of the benchmark of bands as the table of docs/manual/bands.md: a part measured anew renews its own rows. A
-second table, of all of them, holds them against what was aimed at."""
+"""Rows of the benchmark of bands as the table of docs/measurements/bands.md: a part that is measured replaces its rows.
+A second table compares all of them with the aims."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -7,7 +7,8 @@ from pathlib import Path
 from _markers import line, part, renew, table
 from st_recordings.paths import project_root
 
-PAGE, NAME, SUMMARY = project_root() / "docs" / "manual" / "bands.md", "table of held-out runs", "held against the aims"
+PAGE = project_root() / "docs" / "measurements" / "bands.md"
+NAME, SUMMARY = "table of held-out runs", "held against the aims"
 AIMS = {"90 % covers": (86.0, 94.0), "50 % covers": (45.0, 55.0), "worst cell of 200 starts": (80.0, 100.0)}
 """Per cent."""
 RATIO = 1.15

@@ -1,6 +1,7 @@
 """Bands on runs they were not learnt from: coverage, worst cell, interval score against parametric alternatives.
 
-ST_BANDS=genesis, virtual, manoeuvres, mended or changes: that part only. Each renews its rows of docs/manual/bands.md.
+ST_BANDS=genesis, virtual, manoeuvres, mended or changes: that part only. Each replaces its rows of
+docs/measurements/bands.md.
 """
 
 import os

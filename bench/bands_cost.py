@@ -1,4 +1,4 @@
-"""What bands cost: a tick, and latency over the wire, with and without them in turns; for docs/manual/bands.md.
+"""What bands cost: a tick, and latency over the wire, with and without them in turns; for docs/measurements/bands.md.
 
 ST_BENCH_TURNS, ST_BENCH_SECONDS change the runs over the wire. Needs an idle machine.
 """
