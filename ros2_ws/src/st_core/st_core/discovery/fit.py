@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from .known import Quantities, prior_deviations
-from .loss import Loss, Quadratic
+from .loss import Loss, Quadratic, rho
 from .space import GAIN
 
 ITERATIONS, SHARES = 5, (1.0, 0.5, 0.2)  # of a fit; of a step, until the loss falls
@@ -389,6 +389,11 @@ class Problem:
         for k, d in steps.items():
             mine = fold[self.block] == k
             result[mine] -= np.einsum("p,pnm->nm", d, slopes[:, mine])
+        before, after = (self.loss.scaled(each) for each in (rows, result))
+        if rho(after).sum() - rho(before).sum() > TRUSTED * self.number:  # the slopes reach no further
+            for k, d in steps.items():
+                mine = fold[self.block] == k
+                result[mine] = self.errors.at(self.moved(fit.vector, fit.which, d))[mine]
         return result
 
     @cached_property
