@@ -11,23 +11,23 @@ from st_core.discovery.decision import (
     CHANCE,
     FILE,
     FORCES,
+    IRRELEVANT,
     MINOR,
     NEGLIGIBLE,
     NULL,
     SENSORS,
     STATED,
-    UNWORTHY,
     VARIES,
     WORDS,
     Answer,
     Checks,
     Rival,
     alternative,
-    comes_and_goes,
     decide,
     judge,
+    naming_verdict,
     varies_over,
-    worth_a_name,
+    varies_relevantly,
 )
 from st_core.discovery.discover import by_sensors
 from st_core.discovery.evidence import AgainstFile, Agreement, Evidence
@@ -62,12 +62,12 @@ NOTHING = Answer([], {}, [], left=1.0, seen=0.9)
     (replace(GOOD, healthy=0.3), CHANCE, {"gain": 0.2, "healthy": 0.3}),
     (replace(GOOD, healthy=0.1), STATED, {}),
     (MAYBE_NULL, NULL, {"chance": 0.2, "doubt": 0.05}),
-    (CHEAP, UNWORTHY, {"gain": 0.02, "position": 0.015}),
+    (CHEAP, IRRELEVANT, {"gain": 0.02, "position": 0.015}),
     (replace(CHEAP, gain=0.03), STATED, {}),
     (replace(CHEAP, position=0.03), STATED, {}),
     (replace(CHEAP, position_somewhere=0.03), STATED, {}),
     (replace(SHOWN, gain=0.0, chance=0.5, null=0.5, size=0.6), STATED, {}),  # a sensor's error, however little it costs
-    (replace(SHOWN, gain=0.0, chance=0.5, size=0.4), UNWORTHY, {"share": 0.0, "position": 0.0}),
+    (replace(SHOWN, gain=0.0, chance=0.5, size=0.4), IRRELEVANT, {"share": 0.0, "position": 0.0}),
     (replace(SHOWN, gain=0.0, shares={"yaw_rate": (0.05, 3.0)}), STATED, {}),
     (replace(SHOWN, gain=0.0, size=0.6, sensors=0.01), NEGLIGIBLE, {}),  # another value than the sensors say
     (replace(SHOWN, gain=0.0, size=0.6, sensors_null=0.02), NEGLIGIBLE, {}),  # the sensors may mean nothing by it
@@ -96,7 +96,7 @@ def test_rules_are_asked_in_their_order():
     for mend in mended:
         asked.append(judge(worst, LIMITS).rule)
         worst = replace(worst, **mend)
-    assert asked == [NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, BOUND, VARIES]
+    assert asked == [NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, BOUND, VARIES]
     assert judge(worst, LIMITS).rule == STATED
 
 
@@ -115,7 +115,7 @@ def test_rules_are_asked_in_their_order():
     (replace(WEAK, left=5.0, sensors=0.6, sensors_null=0.001), STATED, {}),  # the sensors say so among themselves
 ])
 def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
-    verdict = worth_a_name(evidence, LIMITS)
+    verdict = naming_verdict(evidence, LIMITS)
     assert verdict.rule == rule and verdict.subject == "mass" and verdict.text
     assert {k: verdict.figures[k] for k in figures} == figures
 
@@ -126,7 +126,7 @@ def test_effect_that_holds_is_named_or_kept(evidence, rule, figures):
     (GOOD, Checks(worse_axle="rear"), FORCES),
     (replace(GOOD, position=-0.03), Checks(), MINOR)])  # its own step makes the held-out error larger
 def test_what_intervals_and_axles_say_of_an_effect(evidence, checks, rule):
-    verdict = worth_a_name(evidence, LIMITS, checks)
+    verdict = naming_verdict(evidence, LIMITS, checks)
     assert verdict.rule == rule and verdict.text
 
 
@@ -145,11 +145,11 @@ def test_level_over_which_an_effect_varies(agreement, level):
 @pytest.mark.parametrize(("gain", "chance", "healthy", "told"), [
     (0.2, 1e-4, 0.0, True), (0.2, 0.02, 0.0, False), (0.02, 1e-4, 0.0, False), (0.2, 1e-4, 0.3, False)])
 def test_effect_with_a_value_of_its_own_in_each_part(gain, chance, healthy, told):
-    assert comes_and_goes(replace(GOOD, gain=gain, chance=chance, healthy=healthy), LIMITS) == told
+    assert varies_relevantly(replace(GOOD, gain=gain, chance=chance, healthy=healthy), LIMITS) == told
 
 
 def test_what_comes_and_goes_must_be_worth_it():
-    assert not comes_and_goes(replace(GOOD, position=0.01, position_somewhere=0.01), LIMITS)
+    assert not varies_relevantly(replace(GOOD, position=0.01, position_somewhere=0.01), LIMITS)
     cheap = replace(EDGE, position=0.01, position_somewhere=0.01)
     assert decide(replace(NOTHING, refused=[cheap]), LIMITS)[0] == "none"
 
@@ -223,16 +223,16 @@ def test_outcome(answer, outcome, figures):
 TURNED = {
     "false_alarm": (lambda limits: judge(LUCKY, limits).rule, 1.0, CHANCE, STATED),
     "doubt": (lambda limits: judge(DENIED, limits).rule, 1e-9, SENSORS, STATED),
-    "worth": (lambda limits: judge(CHEAP, limits).rule, 1e-9, UNWORTHY, STATED),
-    "worth_position": (lambda limits: judge(CHEAP, limits).rule, 1e-9, UNWORTHY, STATED),
-    "size": (lambda limits: judge(replace(SHOWN, size=0.4), limits).rule, 1e-9, UNWORTHY, STATED),
+    "relevant": (lambda limits: judge(CHEAP, limits).rule, 1e-9, IRRELEVANT, STATED),
+    "relevant_position": (lambda limits: judge(CHEAP, limits).rule, 1e-9, IRRELEVANT, STATED),
+    "size": (lambda limits: judge(replace(SHOWN, size=0.4), limits).rule, 1e-9, IRRELEVANT, STATED),
     "negligible": (lambda limits: judge(SMALL, limits).rule, 1e-9, NEGLIGIBLE, STATED),
     "rival": (lambda limits: alternative(replace(EQUAL, share=0.4), limits).rule, 1e-9, "explains less",
               "alternative"),
-    "peak": (lambda limits: worth_a_name(GOOD, limits, Checks(driven=0.5)).rule, 1e-9, MINOR, STATED),
+    "peak": (lambda limits: naming_verdict(GOOD, limits, Checks(driven=0.5)).rule, 1e-9, MINOR, STATED),
     "file": (lambda limits: judge(HEAVY, limits).rule, 1e9, FILE, STATED),
     "bound": (lambda limits: judge(replace(EDGE, bound=0.001), limits).rule, 1e-9, BOUND, STATED),
-    "beside": (lambda limits: alternative(AMONG, limits).rule, 1e-9, "alternative", "explains less"),
+    "unexplained_share": (lambda limits: alternative(AMONG, limits).rule, 1e-9, "alternative", "explains less"),
     "left": (lambda limits: decide(replace(NOTHING, left=9.0), limits)[0], 1e9, "unknown", "none"),
     "shown": (lambda limits: decide(replace(NOTHING, seen=0.1), limits)[0], 1e-9, "not_testable", "none"),
 }
@@ -258,17 +258,17 @@ def test_limit_turns_an_answer(limit):
     ("doubt", 0.9, lambda limits: judge(LOCAL, limits).rule, VARIES, STATED),
     ("doubt", 1e-9, lambda limits: alternative(WORSE, limits).rule, "explains less", "alternative"),
     ("doubt", 0.9, lambda limits: judge(MAYBE_NULL, limits).rule, NULL, STATED),
-    ("worth", 1e-9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
+    ("relevant", 1e-9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.01, 5.0)}), limits).rule, MINOR,
      STATED),
-    ("worth", 1e-9, lambda limits: comes_and_goes(TOLD, limits), False, True),
-    ("false_alarm", 1.0, lambda limits: comes_and_goes(LUCKY, limits), False, True),
-    ("worth_position", 1e-9, lambda limits: worth_a_name(SLIGHT, limits).rule, MINOR, STATED),
-    ("beside", 1e-9, lambda limits: worth_a_name(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
-    ("left", 1e9, lambda limits: worth_a_name(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
-    ("doubt", 1e-9, lambda limits: worth_a_name(replace(SEEN, gain=0.1, left=5.0, sensors=0.01), limits).rule,
+    ("relevant", 1e-9, lambda limits: varies_relevantly(TOLD, limits), False, True),
+    ("false_alarm", 1.0, lambda limits: varies_relevantly(LUCKY, limits), False, True),
+    ("relevant_position", 1e-9, lambda limits: naming_verdict(SLIGHT, limits).rule, MINOR, STATED),
+    ("unexplained_share", 1e-9, lambda limits: naming_verdict(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
+    ("left", 1e9, lambda limits: naming_verdict(replace(WEAK, left=5.0), limits).rule, MINOR, STATED),
+    ("doubt", 1e-9, lambda limits: naming_verdict(replace(SEEN, gain=0.1, left=5.0, sensors=0.01), limits).rule,
      MINOR, STATED),
     ("left", 1e9, lambda limits: alternative(AMONG, limits).rule, "alternative", "explains less"),
-    ("left", 1e9, lambda limits: worth_a_name(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule, STATED,
+    ("left", 1e9, lambda limits: naming_verdict(replace(SLIGHT, shares={"yaw": (0.1, 5.0)}), limits).rule, STATED,
      MINOR),
 ])
 def test_limit_that_is_asked_again_turns_that_too(limit, off, asked, on, without):

@@ -12,7 +12,7 @@ from st_core.discovery import DiscoverySettings, fit_effects
 from st_core.discovery.fit import FOLDS, Problem, Slopes, bounded
 from st_core.discovery.loss import FURTHEST, NU, Errors, Loss, rho, weight
 from st_core.discovery.space import GAIN, Space
-from st_core.discovery.windows import ASKED, Signals, Windows
+from st_core.discovery.windows import LOOKUP_CACHE_SIZE, Signals, Windows
 from st_core.log_signals import LogSignals
 
 FEW = ("steering_offset", "mass", "yaw_inertia")
@@ -50,7 +50,7 @@ def test_instants_that_are_asked_for_again_are_found_again(leaf):
     (log,) = recorded(leaf, {}, 1, ["slalom"])
     plain, kept = LogSignals(log, 0.1, 1.0), Signals(log, 0.1)
     draw = np.random.default_rng(2)
-    for _ in range(3 * ASKED):  # arrays of one length, each at the place of one that is gone
+    for _ in range(3 * LOOKUP_CACHE_SIZE):  # arrays of one length, each at the place of one that is gone
         wanted = draw.integers(-10**7, int(log.ins_time_ns[-1]) + 10**7, 50)
         for _ in range(2):
             for name in ("x", "yaw_rate"):

@@ -6,7 +6,7 @@ from discovery_drives import COLUMNS, linear_problem, recorded
 from st_core.discovery import DiscoverySettings, Limits, certificate, waterfall
 from st_core.discovery.evidence import screen
 from st_core.discovery.fit import Problem
-from st_core.discovery.following import TOLD, apart, catalogue, following, separability, shows
+from st_core.discovery.following import MIN_SEPARATION, apart, catalogue, following, separability, shows
 from st_core.discovery.loss import Errors, Loss
 from st_core.discovery.result import FoundEffect
 from st_core.discovery.space import Space
@@ -246,7 +246,7 @@ def test_suggested_drive_tells_the_pair_apart(leaf):
     options = catalogue(problem, fit)
     told = following(problem, fit, answer, options, design)
     assert told.separates == ("yaw_inertia", "steering_lag") and told.name in {m.name for m in CATALOGUE}
-    assert told.strength == max(told.options.values()) >= TOLD and told.strength > before.strength
+    assert told.strength == max(told.options.values()) >= MIN_SEPARATION and told.strength > before.strength
     more, again = driven(leaf, ("weave", *[told.name] * told.times), true, ("yaw_inertia",))
     more.loss.scale = problem.loss.scale
     after, = separability(more, again, answer, design)

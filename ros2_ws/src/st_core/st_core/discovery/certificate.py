@@ -45,15 +45,15 @@ def _power(problem: Problem, fit: Fit, index: int, share: float, information: fl
     rows = problem.errors.at(fit.vector)
     before, after = problem.position(rows), problem.position(rows + share * slopes)
     moved = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
-    needed = max(needed, 2.0 * _asked(problem, rows, moved, limits) * problem.number / scores.design)
+    needed = max(needed, 2.0 * _required(problem, rows, moved, limits) * problem.number / scores.design)
     return float(stats.ncx2.sf(needed, 1, max(2.0 * share**2 * information / scores.design, 1e-9)))
 
 
-def _asked(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) -> float:
+def _required(problem: Problem, rows: np.ndarray, moved: float, limits: Limits) -> float:
     """Gain for each scored error a name is given for. rows: errors of the answer. moved [m]: fall of the mean position
     error."""
-    asked = limits.negligible if moved > limits.worth_position else limits.worth
-    return max(asked, limits.beside) if left_over(problem, rows) > limits.left else asked
+    required = limits.negligible if moved > limits.relevant_position else limits.relevant
+    return max(required, limits.unexplained_share) if left_over(problem, rows) > limits.left else required
 
 
 def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
@@ -72,16 +72,18 @@ def driven(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable
             moved = problem.space.inside(moved)
             change = rows - np.nan_to_num(problem.errors.at(moved))
             shift = float(np.nanmean(problem.position(rows + change) - problem.position(rows)))
-            asked = _asked(problem, rows, shift, limits)
-            found = sum(effect in _found(problem, fit, rows, change, slopes, asked, limits, rng) for _ in range(DRAWS))
+            required = _required(problem, rows, shift, limits)
+            found = sum(effect in _found(problem, fit, rows, change, slopes, required, limits, rng)
+                        for _ in range(DRAWS))
             powers.append(Power(effect, free.parameter, free.unit, share * free.usual, found / DRAWS, DRAWS))
         tick()
     draws = FLIPS // 4
-    alarms = sum(bool(_found(problem, fit, rows, 0.0 * rows, slopes, limits.worth, limits, rng)) for _ in range(draws))
+    alarms = sum(bool(_found(problem, fit, rows, 0.0 * rows, slopes, limits.relevant, limits, rng))
+                 for _ in range(draws))
     return Certificate(tuple(powers), alarms, draws, True)
 
 
-def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slopes: np.ndarray, asked: float,
+def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slopes: np.ndarray, required: float,
            limits: Limits, rng: np.random.Generator) -> list[str]:
     """Names that would be stated, alone or as a set, on one imitated drive; none if nothing would. asked: gain for each
     scored error a name is given for."""
@@ -103,7 +105,7 @@ def _found(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, slo
                       for s in own.values()], axis=0)
     share = float(gains[best].sum()) / problem.number
     sure = chance(own[best], gains[best], Scores(own, largest, 1.0, {}), len(own)) <= limits.false_alarm
-    if not sure or share < asked:
+    if not sure or share < required:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.doubt) * gains[best].sum()
             or (e in twins_of(best) and gains[e].sum() > limits.rival * gains[best].sum())]

@@ -7,17 +7,17 @@ from .evidence import AgainstFile, Evidence, share_of
 from .limits import Limits
 from .result import Outcome, Reason
 
-STATED, NEGLIGIBLE, CHANCE, NULL, UNWORTHY, SENSORS, FILE, BOUND, VARIES, MINOR, FORCES = (
-    "stated", "too small", "may be chance", "not surely there", "not worth it", "refuted by the sensors",
+STATED, NEGLIGIBLE, CHANCE, NULL, IRRELEVANT, SENSORS, FILE, BOUND, VARIES, MINOR, FORCES = (
+    "stated", "too small", "may be chance", "not significant", "not relevant", "refuted by the sensors",
     "refuted by the vehicle file", "on a bound", "varies", "minor", "refuted by the axle forces")
 
 
 @dataclass(frozen=True)
 class Checks:
-    """What an effect is asked once intervals and axle curves are known. null_outside: the interval of one of its values
-    leaves out the null. crossing: parameter whose interval crosses a bound, "" for none. driven [1]: share of the peak
-    force that was driven, of an effect that is a peak. worse_axle: axle whose measured forces the effects that act on
-    it describe less well than the vehicle file does, this one among them; "" for none."""
+    """What is checked of an effect once intervals and axle curves are known. null_outside: the interval of one of its
+    values leaves out the null. crossing: parameter whose interval crosses a bound, "" for none. driven [1]: share of
+    the peak force that was driven, of an effect that is a peak. worse_axle: axle whose measured forces the effects
+    that act on it describe less well than the vehicle file does, this one among them; "" for none."""
 
     null_outside: bool = True
     crossing: str = ""
@@ -58,13 +58,13 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         refused = _by_chance(e, limits)
         if refused:
             return refused
-    elif not worth_it(e, limits):
-        return Reason(UNWORTHY, e.name, _worth(e, limits), "the sensors say so among themselves, but it is small and "
-                      f"takes away {_most(e, limits):.1%} of the errors in any channel, {100 * position_of(e):.1f} cm "
-                      "after 5 s")
+    elif not is_relevant(e, limits):
+        return Reason(IRRELEVANT, e.name, _relevance(e, limits), "the sensors show it among themselves, but it "
+                      f"takes away {_most(e, limits):.1%} of the errors in any channel and {100 * position_of(e):.1f} "
+                      "cm after 5 s")
     if e.sensors is not None and e.sensors < limits.doubt:
         return Reason(SENSORS, e.name, {"chance": e.sensors, "doubt": limits.doubt},
-                      f"its value contradicts what the sensors say among themselves (probability {e.sensors:.2g})")
+                      f"its value contradicts what the sensors show among themselves (probability {e.sensors:.2g})")
     known = e.against_file
     if known is not None and known.deviations > limits.file:
         return Reason(FILE, e.name, {"value": known.value, "file": known.file, "deviation": known.deviation,
@@ -81,7 +81,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
 
 
 def predicts(e: Evidence, limits: Limits) -> Reason:
-    """The verdict on one effect as a correction that only has to help, everywhere: what it means is not asked."""
+    """The verdict on one effect as a correction that only has to help, everywhere: whatever it means."""
     return _by_chance(e, limits) or _varying(e, limits) or Reason(
         STATED, e.name, {"gain": e.gain, "chance": e.chance}, f"it takes away {e.share:.1%} of the size of the errors")
 
@@ -119,12 +119,12 @@ def _by_chance(e: Evidence, limits: Limits) -> Reason | None:
     if e.null > limits.doubt:
         return Reason(NULL, e.name, {"chance": e.null, "doubt": limits.doubt},
                       f"values as far from their null come by chance with probability {e.null:.2g}")
-    if e.gain < limits.worth and position_of(e) < limits.worth_position:
-        return Reason(UNWORTHY, e.name, {"gain": e.gain, "position": position_of(e), "worth": limits.worth,
-                                         "worth_position": limits.worth_position},
-                      f"it is sure, but takes away {e.share:.1%} of the size of the errors and "
-                      f"{100 * position_of(e):.1f} cm after 5 s; {limits.worth:.1%} or "
-                      f"{100 * limits.worth_position:.0f} cm are asked for")
+    if e.gain < limits.relevant and position_of(e) < limits.relevant_position:
+        return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_of(e), "relevant": limits.relevant,
+                                         "relevant_position": limits.relevant_position},
+                      f"it is significant, but takes away {e.share:.1%} of the size of the errors and "
+                      f"{100 * position_of(e):.1f} cm after 5 s; {limits.relevant:.1%} or "
+                      f"{100 * limits.relevant_position:.0f} cm are required")
     return None
 
 
@@ -139,10 +139,10 @@ def position_of(e: Evidence) -> float:
     return max(e.position, e.position_somewhere)
 
 
-def worth_it(e: Evidence, limits: Limits) -> bool:
-    """Whether a name is asked for: by the channel where it acts most, by the position, or as an error of a sensor that
-    is surely there."""
-    return (_most(e, limits) >= limits.worth or position_of(e) >= limits.worth_position
+def is_relevant(e: Evidence, limits: Limits) -> bool:
+    """Whether an effect is large enough for a name: by the channel where it acts most, by the position, or as a
+    significant error of a sensor."""
+    return (_most(e, limits) >= limits.relevant or position_of(e) >= limits.relevant_position
             or (confirmed(e, limits) and e.size >= limits.size))
 
 
@@ -150,13 +150,13 @@ def _most(e: Evidence, limits: Limits) -> float:
     return max((share for share, over in e.shares.values() if over > limits.left), default=0.0)
 
 
-def _worth(e: Evidence, limits: Limits) -> dict[str, float]:
-    return {"share": _most(e, limits), "position": position_of(e), "worth": limits.worth,
-            "worth_position": limits.worth_position}
+def _relevance(e: Evidence, limits: Limits) -> dict[str, float]:
+    return {"share": _most(e, limits), "position": position_of(e), "relevant": limits.relevant,
+            "relevant_position": limits.relevant_position}
 
 
-def worth_a_name(e: Evidence, limits: Limits, checks: Checks | None = None) -> Reason:
-    """Whether an effect that holds is stated, or only kept beside what is, so that it does not bend other values."""
+def naming_verdict(e: Evidence, limits: Limits, checks: Checks | None = None) -> Reason:
+    """Whether an effect that holds is stated, or only kept, so that it does not bend other values."""
     sure, checks = confirmed(e, limits), checks or Checks()
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle are "
@@ -167,21 +167,22 @@ def worth_a_name(e: Evidence, limits: Limits, checks: Checks | None = None) -> R
     if checks.driven < limits.peak:
         return Reason(MINOR, e.name, {"driven": checks.driven, "peak": limits.peak},
                       f"{checks.driven:.0%} of the peak force was driven: the curve is stated up to there, no peak")
-    if e.position < -limits.worth_position:
-        return Reason(MINOR, e.name, {"position": e.position, "worth_position": limits.worth_position},
+    if e.position < -limits.relevant_position:
+        return Reason(MINOR, e.name, {"position": e.position, "relevant_position": limits.relevant_position},
                       f"without it the held-out position error is {-100 * e.position:.1f} cm smaller: kept, not named")
-    if e.left > limits.left and e.gain < limits.beside and not sure:
-        return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "beside": limits.beside, "limit": limits.left},
-                      f"it is sure, but takes away {e.share:.1%} of the errors, and {e.left:.1f} times the noise is "
-                      "left with it: it may imitate what no effect describes; kept, not named")
+    if e.left > limits.left and e.gain < limits.unexplained_share and not sure:
+        return Reason(MINOR, e.name, {"gain": e.gain, "left": e.left, "unexplained_share": limits.unexplained_share,
+                                      "limit": limits.left},
+                      f"it is significant, but takes away {e.share:.1%} of the errors, and {e.left:.1f} times the "
+                      "noise remains with it: it may imitate what no effect describes; kept, not named")
     if not checks.null_outside and not sure:
         return Reason(MINOR, e.name, {"gain": e.gain}, "it takes away something, but in other sets of effects that are "
                       "nearly as good its value is near its null: kept, not named")
-    if worth_it(e, limits):
-        return Reason(STATED, e.name, _worth(e, limits), f"it takes away {_most(e, limits):.1%} of the errors of the "
-                      f"start in the channel where it acts most, and {100 * position_of(e):.1f} cm after 5 s")
-    return Reason(MINOR, e.name, _worth(e, limits), f"it is sure, but takes away {_most(e, limits):.1%} of the errors "
-                  f"of the start in any channel that is above the noise, and {100 * position_of(e):.1f} cm after 5 s: "
+    if is_relevant(e, limits):
+        return Reason(STATED, e.name, _relevance(e, limits), f"it takes away {_most(e, limits):.1%} of the errors of "
+                      f"the start in the channel where it acts most, and {100 * position_of(e):.1f} cm after 5 s")
+    return Reason(MINOR, e.name, _relevance(e, limits), f"significant, but it takes away {_most(e, limits):.1%} of the "
+                  f"errors of the start in any channel above the noise, and {100 * position_of(e):.1f} cm after 5 s: "
                   "kept, not named")
 
 
@@ -190,27 +191,27 @@ WORDS = {"run": "the runs", "site": "the sites", "time": "the time in the runs",
 
 
 def varies_over(e: Evidence, limits: Limits) -> str:
-    """The level over which an effect surely differs so much that the next part may show none of it; "" for none."""
+    """The level over which an effect differs so much that the next part may show none of it; "" for none."""
     found = [level for level, a in e.agreement.items() if a.differ < limits.false_alarm and a.absent > limits.doubt]
     return max(found, key=lambda level: e.agreement[level].absent, default="")
 
 
-def comes_and_goes(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect that has another value in each part of the driving is told as bound to it."""
-    return e.chance < limits.false_alarm and e.gain > max(limits.worth, e.healthy) and worth_it(e, limits)
+def varies_relevantly(e: Evidence, limits: Limits) -> bool:
+    """Whether an effect with another value in each part of the driving is reported as bound to it."""
+    return e.chance < limits.false_alarm and e.gain > max(limits.relevant, e.healthy) and is_relevant(e, limits)
 
 
 def alternative(rival: Rival, limits: Limits) -> Reason:
-    """Whether another name stays beside a stated one."""
+    """Whether another name is an alternative to a stated one."""
     verdict = judge(rival.evidence, limits)
     figures = {"share": rival.share, "no_worse": rival.worse, "less": rival.less, "rival": limits.rival,
-               "doubt": limits.doubt, "beside": limits.beside}
-    unexplained = rival.evidence.left > limits.left and rival.less < limits.beside
+               "doubt": limits.doubt, "unexplained_share": limits.unexplained_share}
+    unexplained = rival.evidence.left > limits.left and rival.less < limits.unexplained_share
     place = f"in the place of {rival.instead.replace('_', ' ')} it explains {rival.share:.0%} of what that does"
     if rival.share < limits.rival or (rival.worse < limits.doubt and not unexplained):
         return Reason("explains less", rival.name, figures, f"{place}, and is no worse with probability "
                       f"{rival.worse:.2g}")
-    if verdict.rule not in (STATED, UNWORTHY):
+    if verdict.rule not in (STATED, IRRELEVANT):
         return verdict
     return Reason("alternative", rival.name, figures, f"{place}; no worse with probability {rival.worse:.2g}")
 
@@ -223,22 +224,23 @@ def decide(a: Answer, limits: Limits) -> tuple[Outcome, Reason]:
     kept = {name: [r for r in others if alternative(r, limits).rule == "alternative"]
             for name, others in a.rivals.items()}
     if len(a.stated) > 1:
-        return because("several", f"{len(a.stated)} effects are sure, worth it, and do not surely come and go",
+        return because("several", f"{len(a.stated)} effects are significant, relevant and not known to vary",
                        effects=len(a.stated))
     if a.stated:
         name = a.stated[0].name
         others = kept.get(name, [])
         if others:
             return because("ambiguous", f"{1 + len(others)} names explain it equally well", names=1 + len(others))
-        return because("named", "one effect is sure, worth it, and does not surely come and go")
-    verdicts = [judge(e, limits) for e in a.refused if worth_it(e, limits)]
+        return because("named", "one effect is significant, relevant and not known to vary")
+    verdicts = [judge(e, limits) for e in a.refused if is_relevant(e, limits)]
     if a.bound or any(v.rule == VARIES for v in verdicts):
-        return because("bound", "something is sure, but not the same everywhere")
+        return because("bound", "something is significant, but not the same everywhere")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
-        return because("unknown", "something is sure, but no effect of the library describes it within its bounds")
+        return because("unknown", "something is significant, but no effect of the library describes it within "
+                       "its bounds")
     if a.left > limits.left:
-        return because("unknown", f"errors are {a.left:.1f} times the noise, and no effect of the library surely takes "
-                       "them away", left=a.left, limit=limits.left)
+        return because("unknown", f"errors are {a.left:.1f} times the noise, and no effect of the library reduces them "
+                       "significantly", left=a.left, limit=limits.left)
     if a.seen < limits.shown:
         return because("not_testable", f"{a.seen:.0%} of the library would be seen in these drives at a usual size",
                        seen=a.seen, shown=limits.shown)

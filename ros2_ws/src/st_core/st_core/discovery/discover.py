@@ -22,13 +22,13 @@ from .decision import (
     Answer,
     Checks,
     alternative,
-    comes_and_goes,
     decide,
+    is_relevant,
     judge,
+    naming_verdict,
     predicts,
     varies_over,
-    worth_a_name,
-    worth_it,
+    varies_relevantly,
 )
 from .evidence import Evidence, Joint, chance, joint, share_of
 from .fit import Fit, Problem
@@ -125,7 +125,7 @@ class _Work:
         settings, space, limits = self.settings, self.space, self.limits
         self.problem, by_column = self._problem()
         problem = self.problem
-        self._say_little(problem)
+        self._warn_if_thin(problem)
         parts = levels(self.windows)
         search = Search(problem, limits, parts, self.sensors, settings.seed, self._tick("searching"))
         found = search.run()
@@ -140,7 +140,6 @@ class _Work:
                        if np.isfinite(position).any() else 1.0)
         everything = [replace(self._effect(n, found, parts, all_free, unexplained), joint=self._joint(search, found, n))
                       for n in found.order]
-        # A reference is asked by its own drives instead: what it does not know of the car is in the intervals.
         left_out = waterfall.left_out(problem, found.fit)
         axles = self._axles(found, all_free)
         named = self._named(found, everything, axles, left_out)
@@ -149,11 +148,11 @@ class _Work:
         steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
         gap, gap_named = (waterfall.gaps(ends, base, each, floor) for each in (fit, found.fit))
         lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in bound), None), ends)
-        told = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
+        power = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
                 if settings.certify else certificate.predicted(problem, found.fit, found.scores, limits))
         stated = {*(name for e in effects for name in (e.name, *e.alternatives)), *(e.name for e in minor)}
         driven = self._catalogue(found, effects)
-        untestable = self._untestable(told, stated, driven)
+        untestable = self._untestable(power, stated, driven)
         seen = 1.0 - sum(n.name in space.hypotheses for n in untestable) / len(space.hypotheses)
         left = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
                 if "position_5s" in gap_named else 1.0)
@@ -168,9 +167,9 @@ class _Work:
             reasons=(why, *self._reasons(found, named)), candidates=self._candidates(found, named),
             where=statements, not_testable=untestable,
             next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
-            separability=separability(problem, found.fit, effects, found.scores.design), certificate=told,
+            separability=separability(problem, found.fit, effects, found.scores.design), certificate=power,
             signature=self._left(left, statements),
-            runs=self._who(), start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
+            runs=self._run_table(), start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None,
             named=space.at(problem.put_back(found.fit, *(e.name for e in denied))) if found.fit.names else None,
             warnings=tuple(self.warnings),
@@ -180,7 +179,7 @@ class _Work:
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
         """What predicts best with the answer in it, whatever the vehicle file says, and the problem it is of; the
-        answer itself where that is not worth it. With a reference all that its drives show is free already."""
+        answer itself where that gains too little. With a reference all that its drives show is free already."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, found.fit
@@ -192,9 +191,9 @@ class _Work:
         gain = float((free.held_out_apart(found.fit) - free.held_out_apart(fit)).sum()) / problem.number
         named, best = (float(np.nanmean(p.position(p.held_out_rows(f, p.apart))))
                        for p, f in ((problem, found.fit), (free, fit)))
-        return (problem, found.fit) if gain < self.limits.worth or best > named else (free, fit)
+        return (problem, found.fit) if gain < self.limits.relevant or best > named else (free, fit)
 
-    # What goes in
+    # Inputs
 
     def _problem(self) -> tuple[Problem, dict[str, float]]:
         """What is searched, from the fit to the reference if there is one, and the noise of every column."""
@@ -223,17 +222,17 @@ class _Work:
     def _channels(self, settings: DiscoverySettings) -> DiscoverySettings:
         logs = [*self.runs, *self.reference]
         left_out = [c for c in settings.channels if not all(CHANNELS[c].is_in(log) for log in logs)]
-        told = [c for c in left_out if not CHANNELS[c].recorded or any(CHANNELS[c].is_in(log) for log in logs)]
-        if told:
-            self.warnings.append(f"{', '.join(told)}: not measured in every run, left out; effects that need "
-                                 f"{'it' if len(told) == 1 else 'them'} are not looked at")
+        missing = [c for c in left_out if not CHANNELS[c].recorded or any(CHANNELS[c].is_in(log) for log in logs)]
+        if missing:
+            self.warnings.append(f"{', '.join(missing)}: not measured in every run, left out; effects that need "
+                                 f"{'it' if len(missing) == 1 else 'them'} are not looked at")
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
     def _by_sensors(self, identities: Sensors) -> dict[str, tuple[float, float, float]]:
         return {f"{effect}.{p.name}": identities[p.identity] for effect in self.space.hypotheses
                 for p in get_effect(effect).parameters if p.identity and p.identity in identities}
 
-    def _say_little(self, problem: Problem) -> None:
+    def _warn_if_thin(self, problem: Problem) -> None:
         if len(self.runs) < 3:
             self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'}: whether runs agree cannot be "
                                  "said; stretches of them are compared instead")
@@ -250,7 +249,7 @@ class _Work:
         elif min((rate > 0.5).sum(), (rate < -0.5).sum()) < 0.05 * turning.sum():
             self.warnings.append("bends to one side only: offsets of sensors and steering look like changes of the car")
 
-    # What comes out
+    # Results
 
     def _effect(self, name: str, found: Found, parts: Mapping[str, Level], everything: Joint | None,
                 unexplained: float) -> FoundEffect:
@@ -283,15 +282,16 @@ class _Work:
 
     def _named(self, found: Found, everything: Sequence[FoundEffect], axles: Axles | None,
                left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
-        """The verdict on each effect of the answer. A reference is asked by its own drives instead of intervals: what
-        it does not know of the car is in those."""
-        worse, driven = {}, 1.0
+        """The verdict on each effect of the answer. With a reference its own drives decide instead of
+        intervals, which hold what it leaves open."""
+        worse: dict[str, str] = {}
+        driven = 1.0
         if axles is not None and not self.reference:
             driven = max(axles.driven_shares().values())
             for axle in axles.worse(self.space.at(self.space.null), left_out):
                 worse |= dict.fromkeys(axles.acting(axle, [e.name for e in everything]), axle)
-        return {e.name: worth_a_name(found.evidence[e.name], self.limits, Checks(
-            bool(self.reference) or surely(e), "" if self.reference else crossing(e),
+        return {e.name: naming_verdict(found.evidence[e.name], self.limits, Checks(
+            bool(self.reference) or null_excluded(e), "" if self.reference else crossing(e),
             driven if e.name == "friction" else 1.0, worse.get(e.name, ""))) for e in everything}
 
     def _effective(self, whole: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
@@ -301,28 +301,27 @@ class _Work:
                      for n in fit.names if n not in found.fit.names)
 
     def _bound(self, found: Found, parts: Mapping[str, Level]) -> list[tuple[BoundEffect, Fit | None]]:
-        """What is sure but not the same everywhere: effects that were refused for that, or else the one that comes and
-        goes most."""
-        said: list[tuple[BoundEffect, Fit | None]] = []
+        """What is significant but not the same everywhere: effects refused for that, else the one that varies most."""
+        collected: list[tuple[BoundEffect, Fit | None]] = []
         # One fact is not both named and "not named": not what is in the answer, nor what could stand in its place.
         taken = [*found.fit.names, *(r.name for others in found.rivals.values() for r in others
                                      if alternative(r, self.limits).rule == "alternative")]
         for name, (evidence, verdict, fit) in found.refused.items():
             if (verdict.rule == VARIES and not self.space.overlaps(name, taken)
-                    and worth_it(evidence, self.limits) and not said):
+                    and is_relevant(evidence, self.limits) and not collected):
                 level = varies_over(evidence, self.limits)
-                said.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
+                collected.append((BoundEffect(name, level, waterfall.parameters(self.problem, fit, name, {}),
                                          _values(evidence)[level], evidence.position), fit))
-        if not said:
+        if not collected:
             for v in varying(self.problem, found.fit, parts):
                 evidence = evidence_of(self.problem, found.fit, v, parts)
-                if comes_and_goes(evidence, self.limits) and not self.space.overlaps(v.name, taken):
-                    said.append((self._coming(v, evidence.position), None))
+                if varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, taken):
+                    collected.append((self._coming(v, evidence.position), None))
                     break
-        for bound, _ in said:
-            self.warnings.append(f"something that resembles {bound.resembles} is sure, but differs over "
-                                 f"{WORDS[bound.to]}: it is told, not named")
-        return said
+        for bound, _ in collected:
+            self.warnings.append(f"something that resembles {bound.resembles} is significant, but differs over "
+                                 f"{WORDS[bound.to]}: it is reported, not named")
+        return collected
 
     def _coming(self, v: Varying, position: float) -> BoundEffect:
         """Shares are of the largest change any part shows. position [m]: fall of the error."""
@@ -334,9 +333,9 @@ class _Work:
         return BoundEffect(v.name, v.level, {v.parameter: found}, shares, position)
 
     def _reasons(self, found: Found, named: Mapping[str, Reason]) -> list[Reason]:
-        said = list(named.values())
-        said += [alternative(r, self.limits) for others in found.rivals.values() for r in others]
-        return [*said, *(verdict for _, verdict, _ in found.refused.values())]
+        collected = list(named.values())
+        collected += [alternative(r, self.limits) for others in found.rivals.values() for r in others]
+        return [*collected, *(verdict for _, verdict, _ in found.refused.values())]
 
     def _candidates(self, found: Found, named: Mapping[str, Reason]) -> tuple[Candidate, ...]:
         problem, space, rows = self.problem, self.space, []
@@ -362,7 +361,7 @@ class _Work:
                 if verdict.rule == STATED:
                     verdict = Reason("explains less", name, {"gain": gain},
                                      f"it takes away {share_of(gain):.1%} of the size of the errors; others take away "
-                                     "more, and were asked first")
+                                     "more, and were tried first")
             else:
                 verdict, gain = Reason("part of the answer", name, {}, "a part of what is stated, or made of it"), 0.0
             rows.append(Candidate(name, get_effect(name).kind, values, share_of(gain), verdict.rule, verdict.text))
@@ -374,21 +373,22 @@ class _Work:
         self._tick("next drive")()
         return catalogue(self.problem, found.fit)
 
-    def _untestable(self, told: Certificate, stated: set[str], driven: Catalogue | None) -> tuple[NotTestable, ...]:
-        said = []
+    def _untestable(self, power: Certificate, stated: set[str],
+                    driven: Catalogue | None) -> tuple[NotTestable, ...]:
+        collected = []
         for name in self.space.hypotheses:
-            powers = [p for p in told.powers if p.effect == name]
+            powers = [p for p in power.powers if p.effect == name]
             if name in stated or max((p.found for p in powers), default=0.0) >= self.limits.shown:
                 continue
             largest = max(powers, key=lambda p: p.size)
             drive = shows(self.problem, name, driven) if driven else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
-            said.append(NotTestable(name, f"{size} of it would be found with probability "
+            collected.append(NotTestable(name, f"{size} of it would be found with probability "
                                           f"{largest.found:.2f}; it shows in {get_effect(name).excited_by}", drive))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
-            said.append(NotTestable(name, f"it needs the signal {signals}, which is not there"))
-        return (*said, *(NotTestable(name, reason) for name, reason in ALREADY_GIVEN.items()))
+            collected.append(NotTestable(name, f"it needs the signal {signals}, which is not there"))
+        return (*collected, *(NotTestable(name, reason) for name, reason in ALREADY_GIVEN.items()))
 
     @staticmethod
     def _floor(by_column: Mapping[str, float]) -> dict[str, float]:
@@ -413,12 +413,12 @@ class _Work:
         return where(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference,
                      {c: v for c, v in floor.items() if c != "position_5s"}, float(fit.vector[-1]))
 
-    def _who(self) -> tuple[Run, ...]:
+    def _run_table(self) -> tuple[Run, ...]:
         site = sites(self.windows)
-        said = [Run(log.name, "suspect", log.overlap, int(site[self.windows.run == k][0])
+        collected = [Run(log.name, "suspect", log.overlap, int(site[self.windows.run == k][0])
                     if (self.windows.run == k).any() else 0, int((self.windows.run == k).sum()))
                 for k, log in enumerate(self.runs)]
-        return (*said, *(Run(log.name, "reference", log.overlap, 0, 0) for log in self.reference))
+        return (*collected, *(Run(log.name, "reference", log.overlap, 0, 0) for log in self.reference))
 
     def _tick(self, stage: str) -> Callable[[], None]:
         def tick() -> None:
@@ -443,7 +443,7 @@ def crossing(effect: FoundEffect) -> str:
     return ""
 
 
-def surely(effect: FoundEffect) -> bool:
+def null_excluded(effect: FoundEffect) -> bool:
     """Whether the interval of one of its values leaves out the null."""
     return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
 

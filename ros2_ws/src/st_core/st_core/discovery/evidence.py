@@ -408,9 +408,9 @@ def agreement(problem: Problem, fit: Fit, effect: str, part: np.ndarray, called:
 
 
 def pooled(shares: np.ndarray, variances: np.ndarray, names: list[str]) -> Agreement:
-    said = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
+    collected = {n: (float(s), float(np.sqrt(v))) for n, s, v in zip(names, shares, variances, strict=True)}
     if len(shares) < 2:
-        return Agreement(said, 1.0, 0.0)
+        return Agreement(collected, 1.0, 0.0)
     mean, error, between, q = random_effects(shares, variances)
-    return Agreement(said, float(stats.chi2.sf(q, len(shares) - 1)),
+    return Agreement(collected, float(stats.chi2.sf(q, len(shares) - 1)),
                      float(stats.norm.sf(mean / np.sqrt(between + error**2))))

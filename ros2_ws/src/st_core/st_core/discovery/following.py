@@ -19,7 +19,7 @@ from .suggested_drive import drive
 from .windows import Windows
 
 TIMES = 3  # each manoeuvre is driven, as ISO 7401 asks for at least
-TOLD = 3.0  # standard deviations a pair must be put apart
+MIN_SEPARATION = 3.0  # standard deviations a pair must be put apart
 FASTER = 1.15  # times the speed driven: further off nobody has seen how large errors are
 MOST_LATERAL = 9.0  # m/s^2: beyond that the simulation of the base says little
 
@@ -87,13 +87,13 @@ def separability(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], des
     """Of every stated name and its alternatives, in the drives at hand."""
     h = _curvature(problem, fit)
     values = (fit.vector - problem.space.null) / problem.space.scale
-    said = []
+    collected = []
     for effect in effects:
         rest = tuple(n for n in fit.names if n != effect.name)
         for other in effect.alternatives:
-            said.append(Separability(effect.name, other,
+            collected.append(Separability(effect.name, other,
                                      *apart(h, problem, rest, effect.name, other, values, design)))
-    return tuple(said)
+    return tuple(collected)
 
 
 def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven: Catalogue,
@@ -113,7 +113,7 @@ def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven
         pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
     name = max(weakest, key=lambda n: weakest[n][0], default="")
-    if not name or weakest[name][0] < TOLD:
+    if not name or weakest[name][0] < MIN_SEPARATION:
         return None
     strength, pair = weakest[name]
     chosen = next(m for m in CATALOGUE if m.name == name)

@@ -86,20 +86,20 @@ class Search:
         return self._held(found).fit
 
     def _near(self, found: Found) -> list[Near]:
-        """Sets tried that are worse by less than `limits.beside` of what is left; none where that is noise."""
+        """Sets tried that are worse by less than `limits.unexplained_share` of what is left; none if that is noise."""
         p, limits = self.problem, self.limits
         if max((e.left for e in found.evidence.values()), default=0.0) <= limits.left:
             return []
-        most = found.fit.held_out.sum() + limits.beside * p.number
+        most = found.fit.held_out.sum() + limits.unexplained_share * p.number
         return [near for scale, near, loss in self._tried if scale is p.loss.scale and loss < most]
 
-    def _from(self, fit: Fit, anew: bool = False) -> Found | None:
-        """Steps until nothing is accepted; None where they lead to a set another start has been at, if not `anew`."""
+    def _from(self, fit: Fit, revisit: bool = False) -> Found | None:
+        """Steps until nothing is accepted; None if they lead to a set of another start, unless `revisit`."""
         found = Found(fit, list(fit.names))
         here: set[frozenset[str]] = set()
         while True:
             key = frozenset(found.fit.names)
-            if key in self._seen - here and not anew:
+            if key in self._seen - here and not revisit:
                 return None
             if key in here:
                 return found
@@ -122,7 +122,7 @@ class Search:
         """Without the effects that fail the test, weakest first."""
         while fit.names:
             found = Found(fit, list(fit.names), known=self._scores(fit))
-            weakest = self._measured(found, self.limits.worth)
+            weakest = self._measured(found, self.limits.relevant)
             if not weakest:
                 break
             fit = self._renewed(self._less(fit, weakest))
@@ -140,7 +140,7 @@ class Search:
         return fit
 
     def _best(self, answers: list[Found]) -> Found:
-        """At the scale of the one with the smallest errors; one effect more must be worth it."""
+        """At the scale of the one with the smallest errors; one effect more must pay for itself."""
         p = self.problem
         if len(answers) > 1:
             smallest = min(answers, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
@@ -158,10 +158,11 @@ class Search:
         gains = found.scores.gains
         least = max(limits.negligible * p.number, NEAR * max((g.sum() for g, _ in gains.values()), default=0.0))
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum()) if gains[e][0].sum() > NEAR * least]
-        # What is sure goes first: where much is noise, something gains more by chance.
-        surely = [e for e in ranked if chance(found.scores.own[e], gains[e][0], found.scores, len(p.space.hypotheses))
+        # What is significant comes first: where much is noise, something gains more by chance.
+        library = len(p.space.hypotheses)
+        significant = [e for e in ranked if chance(found.scores.own[e], gains[e][0], found.scores, library)
                   <= limits.false_alarm]
-        contenders = (surely or ranked)[:CONTENDERS]
+        contenders = (significant or ranked)[:CONTENDERS]
         contenders += [m for e in contenders for m in get_effect(e).members if m in gains and m not in contenders]
         fits = {effect: self._more(found.fit, effect, gains[effect][1]) for effect in contenders}
         if not fits:
@@ -217,7 +218,7 @@ class Search:
         return order
 
     def _finer(self, without: Fit, fits: dict[str, Fit]) -> tuple[Fit, dict[str, Fit]]:
-        """Contenders once more at the scale of the best: beside errors of a metre they all look alike."""
+        """Contenders refitted at the scale of the best: large errors mask their differences."""
         p = self.problem
         best = max(fits, key=lambda e: self._gain(without, fits[e]))
         gain = self._gain(without, fits[best])
@@ -232,12 +233,12 @@ class Search:
         return evidence(self.problem, without, fit, effect, scores, self.levels, self.sensors)
 
     def _backward(self, fit: Fit, scores: Scores) -> Fit:
-        """Without what is no longer needed beside the rest."""
+        """Without what the other effects make superfluous."""
         p = self.problem
         while len(fit.names) > max(len(self._fixed), 1):
             promised = {n: self.promised(fit, n) for n in fit.names if n not in self._fixed}
             weakest = min(promised, key=promised.__getitem__)
-            if promised[weakest] > 3.0 * self.limits.worth * p.number:
+            if promised[weakest] > 3.0 * self.limits.relevant * p.number:
                 return fit
             without = self._less(fit, weakest)
             if self._judge(self._evidence(without, fit, weakest, scores), self.limits).rule == STATED:
@@ -279,7 +280,7 @@ class Search:
             now = cost(names)
             missed = {n: cost([m for m in names if m != n]) - now for n in names}
             weakest = min(missed, key=missed.__getitem__)
-            if missed[weakest] > self.limits.worth * p.number and len(names) <= self.limits.most:
+            if missed[weakest] > self.limits.relevant * p.number and len(names) <= self.limits.most:
                 break
             names.remove(weakest)
         if not names or frozenset(names) in self._seen:
@@ -294,8 +295,8 @@ class Search:
             better = self._exchanged(found)
             if better is None:
                 return found
-            further = self._from(self._renewed(better), anew=True)
-            assert further is not None  # begun anew
+            further = self._from(self._renewed(better), revisit=True)
+            assert further is not None  # may revisit
             further.order = [n for n in dict.fromkeys((*found.order, *further.fit.names)) if n in further.fit.names]
             found = further
         return self._held(found)
@@ -346,8 +347,8 @@ class Search:
                               float(difference.sum()) / p.number, self._evidence(without, fit, other, found.scores),
                               p.space.values(other, fit.vector))
                 found.rivals[name].append(rival)
-                surely = rival.worse > 1.0 - self.limits.doubt
-                if surely and frozenset(fit.names) not in self._seen and self._judge(
+                better_for_certain = rival.worse > 1.0 - self.limits.doubt
+                if better_for_certain and frozenset(fit.names) not in self._seen and self._judge(
                         rival.evidence, self.limits).rule == STATED and (
                         better is None or fit.held_out.sum() < better.held_out.sum()):
                     better = fit

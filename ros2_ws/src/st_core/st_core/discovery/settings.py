@@ -1,4 +1,4 @@
-"""What a discovery may be told."""
+"""Options of a discovery."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -88,13 +88,13 @@ def usual_size(effect: str, unit: str) -> float:
 
 
 def _chosen(takes_part: Sequence[str], settings: DiscoverySettings, known: Sequence[str]) -> tuple[str, ...]:
-    wanted = settings.effects
-    for name in wanted or ():
+    requested = settings.effects
+    for name in requested or ():
         if name not in EFFECTS:
             get_effect(name)
         if name not in known:
             raise ConfigurationError(f"effects: {name} does not apply to this base; there are {', '.join(known)}")
-    chosen = tuple(n for n in takes_part if (wanted is None or n in wanted)
+    chosen = tuple(n for n in takes_part if (requested is None or n in requested)
                    and set(get_effect(n).needs) <= set(settings.channels))
     if not chosen:
         raise ConfigurationError("effects: none of those wanted can be tried on this base with these channels")

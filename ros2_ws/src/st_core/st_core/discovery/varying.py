@@ -38,9 +38,9 @@ def varying(problem: Problem, fit: Fit, levels: Mapping[str, Level]) -> list[Var
     q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.everything(fit.vector).values)
     usable = {name: level for name, level in levels.items() if len(np.unique(level[0])) < problem.blocks / 2}
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]
-    said = [_one(problem, fit, q, effect, name, level, len(library) * len(usable))
+    collected = [_one(problem, fit, q, effect, name, level, len(library) * len(usable))
             for name, level in usable.items() for effect in library]
-    return sorted((s for s in said if s), key=lambda s: -s.gain)
+    return sorted((s for s in collected if s), key=lambda s: -s.gain)
 
 
 def _design(problem: Problem, part: np.ndarray, seen: list, g: np.ndarray, hh: np.ndarray) -> float:

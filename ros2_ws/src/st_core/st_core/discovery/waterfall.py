@@ -102,12 +102,12 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     return result
 
 
-def _over_parts(said: Mapping[str, tuple[float, float]]) -> float:
+def _over_parts(collected: Mapping[str, tuple[float, float]]) -> float:
     """Half width of the interval that holds the value of the next part in 95 %, in shares of the value: where parts
     differ, the equations of the model are not those of the car. 0 where two parts or less speak."""
-    if len(said) < 3:
+    if len(collected) < 3:
         return 0.0
-    shares, deviations = np.array(list(said.values())).T
+    shares, deviations = np.array(list(collected.values())).T
     _, error, between, _ = random_effects(shares, np.square(deviations))
     return TWO_SIDED * float(np.sqrt(between + error**2))
 
@@ -122,7 +122,7 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
     fit = problem.fit((), problem.everything(problem.start))
     problem.loss.rescale(fit.vector)
     fit = base = problem.renewed(fit)
-    said, before = [], ends.of(fit)
+    collected, before = [], ends.of(fit)
     for k, effect in enumerate(order):
         if k == len(order) - 1:
             fit = final
@@ -135,11 +135,11 @@ def steps(problem: Problem, final: Fit, order: Sequence[str], ends: Ends,
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
         key = "position_5s" if "position_5s" in after else next(iter(after))
         old, new = ends.by_run(before[key]), ends.by_run(after[key])
-        said.append(Step(effect, "added", get_effect(effect).kind, parameters(problem, fit, effect, levels), position,
-                         changes, {n: (old[n], new[n]) for n in new}))
+        collected.append(Step(effect, "added", get_effect(effect).kind, parameters(problem, fit, effect, levels),
+                              position, changes, {n: (old[n], new[n]) for n in new}))
         before = after
     problem.loss.scale = scale
-    return said, base
+    return collected, base
 
 
 def gaps(ends: Ends, base: Fit, final: Fit, floor: Mapping[str, float]) -> dict[str, Gap]:

@@ -28,7 +28,7 @@ from .where_samples import sample
 RESAMPLES = 1000  # of the bootstrap
 MOST_RANGES = 3  # statements about conditions per channel
 SIDED = ("lateral acceleration", "steering angle", "steering rate")
-CONTRAST = 1.15  # a range is worth a sentence when it is so many times worse than the channel everywhere
+CONTRAST = 1.15  # a range is reported when it is so many times worse than the channel everywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +93,11 @@ def _statements(channel: str, bins: Sequence[BinExcess], parts: Sequence[Part], 
     if not any(b.significant for b in mine):
         return []
     whole = next(b for b in mine if b.range.quantity == EVERYWHERE)
-    said = [_range_statement(group, mine, whole, learnt) for group in _groups(mine)]
+    collected = [_range_statement(group, mine, whole, learnt) for group in _groups(mine)]
     # Ranked by what is sure: a range with few observations can seem very bad by chance.
-    told = sorted((s for s in said if s.interval[0] > 1.0 and s.excess >= CONTRAST * whole.excess),
+    clear = sorted((s for s in collected if s.interval[0] > 1.0 and s.excess >= CONTRAST * whole.excess),
                   key=lambda s: -s.interval[0])
-    statements = [*told[:MOST_RANGES]]
+    statements = [*clear[:MOST_RANGES]]
     if whole.significant:
         statements.append(WhereStatement(channel, EVERYWHERE, whole.excess, whole.interval))
     statements += [_part_statement(part, whole, samples) for part in parts if part.channel == channel]

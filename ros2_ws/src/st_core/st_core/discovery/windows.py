@@ -30,12 +30,12 @@ from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
 STEP = 0.05  # s, of the integration
-GUESSED = 0.75  # s until a guessed sideslip is forgotten
+SIDESLIP_SETTLING_TIME = 0.75  # s until a guessed sideslip is forgotten
 MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is known there too
 SLOWEST = 1.5  # m/s. Slower windows say nothing of lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
-REMEMBERED = 4  # recordings, as sensors and steering of the last models change them, and what follows from them
-ASKED = 8  # sets of instants remembered, with where they lie between the samples
+RECORDING_CACHE_SIZE = 4  # recordings as the last models correct them, and what follows from them
+LOOKUP_CACHE_SIZE = 8  # sets of instants remembered, with where they lie between the samples
 SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 
 
@@ -61,13 +61,13 @@ class Signals(LogSignals):
         other.log = log
         return other
 
-    def _between(self, times: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, ...]:
-        key = _memory(times), _memory(wanted)
+    def _between(self, times: np.ndarray, requested: np.ndarray) -> tuple[np.ndarray, ...]:
+        key = _memory(times), _memory(requested)
         known = self._places.pop(key, None)
         # The same place in memory may hold other numbers by now: to compare them takes a hundredth of a search.
-        if known is None or not (np.array_equal(known[0], times) and np.array_equal(known[1], wanted)):
-            known = times.copy(), wanted.copy(), super()._between(times, wanted)
-        return _remember(self._places, key, known, ASKED)[2]
+        if known is None or not (np.array_equal(known[0], times) and np.array_equal(known[1], requested)):
+            known = times.copy(), requested.copy(), super()._between(times, requested)
+        return _remember(self._places, key, known, LOOKUP_CACHE_SIZE)[2]
 
 
 class Batch(LogBatch):
@@ -98,7 +98,7 @@ def _memory(array: np.ndarray) -> tuple:
     return array.ctypes.data, array.shape, array.strides
 
 
-def _remember(kept: OrderedDict, key: tuple, value: Any, most: int = REMEMBERED) -> Any:
+def _remember(kept: OrderedDict, key: tuple, value: Any, most: int = RECORDING_CACHE_SIZE) -> Any:
     kept[key] = value
     while len(kept) > most:
         kept.popitem(last=False)
@@ -118,7 +118,7 @@ class Errors:
 
 def score_points(settings: DiscoverySettings) -> np.ndarray:
     """Multiples of STEP after the start at which errors are taken."""
-    first = 0.0 if "velocity_y" in settings.channels else GUESSED
+    first = 0.0 if "velocity_y" in settings.channels else SIDESLIP_SETTLING_TIME
     points = np.maximum(np.round((first + settings.horizon * np.array(SHARES)) / STEP), 1).astype(int)
     return np.unique(points)
 

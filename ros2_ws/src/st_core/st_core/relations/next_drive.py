@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..discovery.following import TIMES, TOLD, simulated
+from ..discovery.following import MIN_SEPARATION, TIMES, simulated
 from ..discovery.loss import Errors, Loss
 from ..discovery.windows import Windows
 from ..effects._law import COUNT
@@ -45,14 +45,14 @@ class NextDrives:
         return best if best is not None and MIN_IMPROVEMENT * best.deviation.max() <= deviation.max() else None
 
     def most_separating(self) -> tuple[Option, str] | None:
-        """The option of largest minimum separation over the rivals, and that rival; None below TOLD or without
-        MIN_IMPROVEMENT."""
+        """The option of largest minimum separation over the rivals, and that rival; None below MIN_SEPARATION, or
+        without MIN_IMPROVEMENT."""
         weakest = [(option, min(option.apart, key=option.apart.__getitem__)) for option in self.options if option.apart]
         best = max(weakest, key=lambda pair: pair[0].apart[pair[1]], default=None)
         if best is None:
             return None
         option, rival = best
-        return best if option.apart[rival] >= max(TOLD, MIN_IMPROVEMENT * self.now[rival]) else None
+        return best if option.apart[rival] >= max(MIN_SEPARATION, MIN_IMPROVEMENT * self.now[rival]) else None
 
 
 def thin_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:

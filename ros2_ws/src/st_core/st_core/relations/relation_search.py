@@ -110,7 +110,7 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
 
     Every candidate is added to the answer and fitted together with it; effects that a parameter of the vehicle file can
     reproduce are projected out as evidence. A relation is reported if its p-value over all candidates is below
-    `limits.false_alarm`, if its held-out gain reaches `limits.worth` of the residual or `limits.worth_position`
+    `limits.false_alarm`, if its held-out gain reaches `limits.relevant` of the residual or `limits.relevant_position`
     significantly, if the predicted path improves at level `limits.false_alarm` (not required of a sensor relation), and
     if it harms no run. Relations that the drives do not separate from it are listed, and redundant effects of the
     answer. reported: (finding, channel) of `st check`; a relation that only imitates a late or wrong sensor that a
@@ -161,7 +161,7 @@ def _selected(screened: Sequence[Screened], fits: RelationFits, without: Relatio
     if not accepted:
         first = next(one for one in significant if one in against)
         return RelationSearch(None, against[first], tried, visible)
-    best = best_of(accepted, limits.worth * number)
+    best = best_of(accepted, limits.relevant * number)
     relation, why = _described(best, fitted, without, fits, chances, settings, vehicle, stated)
     return RelationSearch(relation, why, tried, visible)
 

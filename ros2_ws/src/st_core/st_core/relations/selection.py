@@ -110,7 +110,7 @@ def too_small(fits: RelationFits, candidate: Candidate, falls: np.ndarray, close
 
     The path is not asked of sensor relations, nor with fewer than two blocks with a position.
     """
-    little = falls.sum() < limits.worth * fits.loss.number and mean_of(closer) < limits.worth_position
+    little = falls.sum() < limits.relevant * fits.loss.number and mean_of(closer) < limits.relevant_position
     if little or lower_bound(falls, limits.doubt) <= 0.0:
         return f"{candidate.name} is significant, but {gain_text(fits, falls, closer, limits)}"
     blocks = by_block(fits, closer)
@@ -203,7 +203,7 @@ def redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit
         alone = fits.without_effect(candidate, fit, name)
         more = alone.held_out - fit.held_out
         position = float(np.nanmean(held_out_positions(fits, alone) - with_both))
-        relevant = more.sum() >= limits.worth * fits.loss.number or position >= limits.worth_position
+        relevant = more.sum() >= limits.relevant * fits.loss.number or position >= limits.relevant_position
         kept = relevant and lower_bound(more, limits.doubt) > 0.0
         if not kept and lower_bound(without.held_out - alone.held_out, limits.doubt) > 0.0:
             found[name] = max(float(-np.expm1(-more.sum() / fits.loss.number)), 0.0)

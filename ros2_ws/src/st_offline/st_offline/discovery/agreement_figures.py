@@ -67,9 +67,9 @@ def _agreed(effects: Sequence[FoundEffect]) -> str:
     counts = {name: (report_text.showing(shares), len(shares)) for name, shares in by_name.items()}
     every = [name for name, (shown, of) in counts.items() if shown == of]
     some = [f"{name} in {shown} of {of}" for name, (shown, of) in counts.items() if shown < of]
-    told = [f"in every run that can tell by itself: {', '.join(every)}"] if every else []
-    told += [f"{', '.join(some)} runs that can tell"] if some else []
-    text = "; ".join(told) or "what each part of the driving shows by itself"
+    sentences = [f"in every run that can tell by itself: {', '.join(every)}"] if every else []
+    sentences += [f"{', '.join(some)} runs that can tell"] if some else []
+    text = "; ".join(sentences) or "what each part of the driving shows by itself"
     return text[0].upper() + text[1:]
 
 
@@ -94,14 +94,14 @@ def bound(scene: Scene) -> Drawn | None:
     shown = _map_levels(scene, one)
     count = len(groups) if shown else 0
     with style():
-        told = report_text.clearest(one.values, MOST_ROWS)
-        height = max(2.6 if count else 0.0, 1.2 + 0.2 * len(told))
+        sentences = report_text.clearest(one.values, MOST_ROWS)
+        height = max(2.6 if count else 0.0, 1.2 + 0.2 * len(sentences))
         figure = plt.figure(figsize=(WIDTH, height))
         grid = GridSpec(1, 1 + count, figure, width_ratios=[1.2, *[1.0] * count])
         axes = figure.add_subplot(grid[0])
-        _shares(axes, list(enumerate(told)))
-        axes.set_yticks(range(len(told)), [v.where for v in told], fontsize=7)
-        axes.set(ylim=(len(told) - 0.5, -0.5), xlabel="share")
+        _shares(axes, list(enumerate(sentences)))
+        axes.set_yticks(range(len(sentences)), [v.where for v in sentences], fontsize=7)
+        axes.set(ylim=(len(sentences) - 0.5, -0.5), xlabel="share")
         if count:
             _maps(figure, [figure.add_subplot(grid[k + 1]) for k in range(count)], groups, shown, scene)
         title = (f"Tied to {one.to}, and not named: something like {quantities.plain(one.resembles)} "

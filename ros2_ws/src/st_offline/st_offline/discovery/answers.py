@@ -39,7 +39,7 @@ def keep(file: Path, found: Discovery) -> None:
     """Into the file that `kept` reads; nothing where it cannot be written."""
     models = {name: getattr(found, name) for name in MODELS}
     content = found.document() | {name: model and _model(model) for name, model in models.items()}
-    put(file, lambda beside: beside.write_text(json.dumps(content), encoding="utf-8"))
+    put(file, lambda temporary: temporary.write_text(json.dumps(content), encoding="utf-8"))
 
 
 def kept(file: Path) -> Discovery | None:

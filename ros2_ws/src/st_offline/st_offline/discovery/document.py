@@ -74,8 +74,8 @@ def model_file(found: Discovery, request: Request, update: VehicleUpdate) -> Mod
             intervals[one.name, name] = (min(low, total), max(high, total))
     files = {f"{d.name}: {Path(name).name}": digest for d in (*request.drives, *request.healthy) if d.log is not None
              for name, digest in d.about["files"].items()}
-    beside = f", beside vehicle.yaml with {', '.join(update.folded)}" if update.folded else ""
-    note = f"st discover, outcome {found.outcome}, from {request.base}{beside}"
+    companion = f", used with the vehicle.yaml that has {', '.join(update.folded)}" if update.folded else ""
+    note = f"st discover, outcome {found.outcome}, from {request.base}{companion}"
     about = Provenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
     stated = {e.name: e.parameters for e in found.effects}
     whole = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")

@@ -117,9 +117,9 @@ def put(file: Path, write: Callable[[Path], object]) -> None:
     """Written beside and moved into place, so that a start cut short leaves nothing half. A full disk is no reason."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        beside = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
-        write(beside)
-        beside.replace(file)
+        temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
+        write(temporary)
+        temporary.replace(file)
     except OSError:
         return
 
@@ -145,7 +145,7 @@ def _keep(file: Path, drive: Drive) -> None:
     arrays = {f.name: getattr(drive.log, f.name) for f in fields(DriveLog)
               if isinstance(getattr(drive.log, f.name), np.ndarray)}
     about = json.dumps({"name": drive.name, **drive.about})
-    put(file, lambda beside: np.savez(beside, about=about, **arrays))
+    put(file, lambda temporary: np.savez(temporary, about=about, **arrays))
 
 
 def _restored(file: Path) -> Drive | None:

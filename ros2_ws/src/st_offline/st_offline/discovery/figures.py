@@ -155,7 +155,7 @@ def gap(scene: Scene) -> Drawn | None:
 def _gap_title(found: Discovery) -> str:
     if not found.model:
         return "Error of the base model on held-out driving"
-    certain = report_text.surely_changed(found.gap)
+    certain = report_text.significantly_changed(found.gap)
     if not certain:
         return "No held-out error surely changes with what was found"
     first = certain[0]

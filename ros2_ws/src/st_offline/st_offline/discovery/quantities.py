@@ -93,12 +93,12 @@ def fitted(name: str, numbers: Mapping[str, float]) -> str:
 def fitted_shortly(name: str, numbers: Mapping[str, float]) -> str:
     """The same in few digits; what changes nothing at 1 is a factor."""
     known = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
-    told = []
+    sentences = []
     for key, number in numbers.items():
         unit, null = (known[key].unit, known[key].null) if key in known else ("1", 0.0)
         shown = f"× {number:.2f}" if (unit, null) == ("1", 1.0) else with_unit(f"{number * factor(unit):.2g}", unit)
-        told.append(f"{plain(key) + ' ' if len(numbers) > 1 else ''}{shown}")
-    return ", ".join(told)
+        sentences.append(f"{plain(key) + ' ' if len(numbers) > 1 else ''}{shown}")
+    return ", ".join(sentences)
 
 
 def change(size_of: float, unit: str) -> str:

@@ -96,13 +96,13 @@ def title(found: Discovery) -> str:
     """The answer in a line."""
     if found.outcome == "not_testable":
         return "These drives show too little to say what may be missing"
-    told = ", ".join(f"{by_any_name(found, e)} ({share_of(e.name, found.steps)})" for e in found.effects)
+    sentences = ", ".join(f"{by_any_name(found, e)} ({share_of(e.name, found.steps)})" for e in found.effects)
     if found.outcome == "unknown":
-        known = f"; in addition {told}" if told else ""
+        known = f"; in addition {sentences}" if sentences else ""
         return f"{changes(found)}: something is missing that no known effect explains{known}"
     more = f"; {UNEXPLAINED}: {found.signature[0]}" if found.signature else ""
-    if told:
-        return f"{changes(found)}: {told}{more}"
+    if sentences:
+        return f"{changes(found)}: {sentences}{more}"
     if found.outcome == "bound":
         tied = ", ".join(f"something like {plain(b.resembles)} ({metres(b.position_5s)}), tied to {b.to}"
                          for b in found.bound)
@@ -115,11 +115,11 @@ def drives(found: Discovery) -> list[tuple[str, str]]:
     lines = []
     for role in ("suspect", "reference"):
         mine = [run for run in found.runs if run.role == role]
-        told = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in mine)
+        sentences = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in mine)
         sites = len({run.site for run in mine})
         where = f" at {sites} sites (overlapping tracks are one site)" if sites > 1 else ""
         lines.append((role, f"{len(mine)} run{'' if len(mine) == 1 else 's'}, {sum(r.seconds for r in mine):.0f} s"
-                      f"{where}: {told}" if mine else "none; the search starts from the vehicle file"))
+                      f"{where}: {sentences}" if mine else "none; the search starts from the vehicle file"))
     return lines
 
 
@@ -139,14 +139,14 @@ def what(found: Discovery) -> list[str]:
 
 def clearest(values_of: Sequence[Value], most: int) -> list[Value]:
     """The parts that say most, in their order."""
-    told = sorted(values_of, key=lambda v: -abs(v.share) / max(v.deviation, 1e-9))[:most]
-    return [v for v in values_of if v in told]
+    sentences = sorted(values_of, key=lambda v: -abs(v.share) / max(v.deviation, 1e-9))[:most]
+    return [v for v in values_of if v in sentences]
 
 
 def tied(one: BoundEffect) -> str:
-    told = clearest(one.values, MOST_PARTS)
-    shown = "; ".join(f"{v.where}: {v.share:.2f} ± {SURE * v.deviation:.2f}" for v in told)
-    more = f" and {len(one.values) - len(told)} more" if len(one.values) > len(told) else ""
+    sentences = clearest(one.values, MOST_PARTS)
+    shown = "; ".join(f"{v.where}: {v.share:.2f} ± {SURE * v.deviation:.2f}" for v in sentences)
+    more = f" and {len(one.values) - len(sentences)} more" if len(one.values) > len(sentences) else ""
     return (f"something like {plain(one.resembles)} {short_values(one.parameters)} removes {metres(one.position_5s)} "
             f"but is not the same everywhere, so it is no property of the car; tied to {one.to}, with the shares "
             f"{shown}{more}")
@@ -159,35 +159,35 @@ def showing(entries: Sequence[Value]) -> int:
 
 def agreed(effect: FoundEffect) -> str:
     """In how many runs (of few runs: parts of them) and sites an effect shows. Places are too small to ask."""
-    told = []
+    sentences = []
     for level in ("run", "site"):
         shown = effect.agreement.get(level, ())
         called = "parts of the runs" if any(", part " in v.where for v in shown) else f"{level}s"
-        told += [f"{showing(shown)} of {len(shown)} {called}"] if shown else []
+        sentences += [f"{showing(shown)} of {len(shown)} {called}"] if shown else []
     entries = [v for level in ("run", "site") for v in effect.agreement.get(level, ())]
     if not entries:
         return ""
     low, high = min(entries, key=lambda v: v.share), max(entries, key=lambda v: v.share)
-    return (f"{plain(effect.name)} is visible separately in {', '.join(told)}; smallest share {low.share:.2f} "
+    return (f"{plain(effect.name)} is visible separately in {', '.join(sentences)}; smallest share {low.share:.2f} "
             f"of the value ({low.where}), largest {high.share:.2f} ({high.where})")
 
 
 def sure(found: Discovery) -> list[str]:
     """The rules that decided, and how far the parts of the driving agree."""
-    told = [reason.text for reason in found.reasons if reason.subject == "answer"]
-    told += filter(None, map(agreed, found.effects))
+    sentences = [reason.text for reason in found.reasons if reason.subject == "answer"]
+    sentences += filter(None, map(agreed, found.effects))
     certificate = found.certificate
     if certificate.driven:
-        told.append(f"with the same inputs and without any effect, something was stated {certificate.alarms} of "
+        sentences.append(f"with the same inputs and without any effect, something was stated {certificate.alarms} of "
                     f"{certificate.of} times")
-    return told
+    return sentences
 
 
 def parts(budget: Sequence[BudgetLine]) -> str:
     """The gap budget in a sentence, largest part first."""
-    told = [f"{one.part} {span(one)}" for one in sorted(budget, key=lambda b: -max(b.last, b.first))
+    sentences = [f"{one.part} {span(one)}" for one in sorted(budget, key=lambda b: -max(b.last, b.first))
             if max(one.last, one.first) >= LEAST]
-    return "; ".join(told)
+    return "; ".join(sentences)
 
 
 def span(one: BudgetLine) -> str:
@@ -214,15 +214,15 @@ def left(found: Discovery) -> str:
 
 def blind(found: Discovery) -> list[str]:
     """What these drives cannot show, and what they do."""
-    told = [visible(found)] if visible(found) else []
+    sentences = [visible(found)] if visible(found) else []
     if found.not_testable:
         largest = {p.effect: p for p in sorted(found.certificate.powers, key=lambda p: abs(p.size))}
         ranked = sorted(found.not_testable, key=lambda n: _rank(n.name))
         names = ", ".join(plain(n.name) + (f" of {change(largest[n.name].size, largest[n.name].unit)}"
                                            if n.name in largest else "") for n in ranked[:MOST_BLIND])
         more = len(found.not_testable) - MOST_BLIND
-        told.append(f"cannot be seen: {names}{f' and {more} more, listed below' if more > 0 else ''}")
-    return told
+        sentences.append(f"cannot be seen: {names}{f' and {more} more, listed below' if more > 0 else ''}")
+    return sentences
 
 
 def visible(found: Discovery) -> str:
@@ -232,8 +232,8 @@ def visible(found: Discovery) -> str:
         if power.found >= SHOWN:
             best.setdefault(power.effect, power)
     ranked = sorted(best.values(), key=lambda p: _rank(p.effect))
-    told = [f"{plain(p.effect)} of {change(p.size, p.unit)}" for p in ranked[:MOST_BLIND]]
-    return f"would show {', '.join(told)}{', …' if len(ranked) > MOST_BLIND else ''}" if told else ""
+    sentences = [f"{plain(p.effect)} of {change(p.size, p.unit)}" for p in ranked[:MOST_BLIND]]
+    return f"would show {', '.join(sentences)}{', …' if len(ranked) > MOST_BLIND else ''}" if sentences else ""
 
 
 def _rank(name: str) -> tuple[bool, int]:
@@ -260,9 +260,9 @@ def summary(found: Discovery, update: VehicleUpdate | None) -> list[str]:
 
 def assumed(found: Discovery) -> list[str]:
     """Which quantities of the vehicle file bind, how firmly, and what contradicts them."""
-    told = [f"{a.key} {a.value:.4g} ± {a.deviation:.2g} {a.unit.removesuffix('1')}".rstrip()
+    sentences = [f"{a.key} {a.value:.4g} ± {a.deviation:.2g} {a.unit.removesuffix('1')}".rstrip()
             + ("" if a.stated else " (default)") for a in found.assumed if not a.key.startswith("tyre_")]
-    lines = [f"{', '.join(told)}; `uncertainty` in an entry of the file changes that"] if told else []
+    lines = [f"{', '.join(sentences)}; `uncertainty` in an entry of the file changes that"] if sentences else []
     refuted = {r.subject: r.text for r in found.reasons if r.rule == FILE}
     return [*lines, *(f"{plain(name)}: {text}" for name, text in refuted.items())]
 
@@ -270,12 +270,12 @@ def assumed(found: Discovery) -> list[str]:
 def properties(found: Discovery) -> list[str]:
     """What is known of stiffness, mass, inertia and lengths together, where that differs from the vehicle file; and the
     force of each axle at the largest driven slip."""
-    told = [f"{one.name} × {one.value / one.file:.3g} of the file's ({one.interval[0] / one.file:.3g} to "
+    sentences = [f"{one.name} × {one.value / one.file:.3g} of the file's ({one.interval[0] / one.file:.3g} to "
             f"{one.interval[1] / one.file:.3g})" for one in found.combinations
             if one.file and not one.interval[0] <= one.file <= one.interval[1]]
-    told += [f"{c.axle} axle force {force_ratio(c)}" for c in found.axle_curves
+    sentences += [f"{c.axle} axle force {force_ratio(c)}" for c in found.axle_curves
              if found.model and not c.low[-1] <= c.file[-1] <= c.high[-1]]
-    return told
+    return sentences
 
 
 def force_ratio(curve: ForceCurve) -> str:
@@ -290,50 +290,50 @@ def corrections(found: Discovery) -> list[str]:
         return []
     gap, named = (one.get("position_5s") for one in (found.gap, found.gap_named))
     fall = f" ({metres(named.augmented)} → {metres(gap.augmented)} after 5 s)" if gap and named else ""
-    told = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effective)
-    return [f"{told}{fall}: helps to predict, is no property; in model.yaml, marked effective"]
+    sentences = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effective)
+    return [f"{sentences}{fall}: helps to predict, is no property; in model.yaml, marked effective"]
 
 
 def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     """What the user may do with the answer."""
-    told = []
+    sentences = []
     if update is not None and not update.text and update.error[1] > update.error[0]:
-        told.append(f"vehicle.yaml is not written: by itself it would make the position error after 5 s "
+        sentences.append(f"vehicle.yaml is not written: by itself it would make the position error after 5 s "
                     f"{metres(update.error[0])} → {metres(update.error[1])} on held-out drives; use model.yaml")
-    told += update.objections if update is not None else ()
+    sentences += update.objections if update is not None else ()
     if update is not None and update.folded:
         same = ", ".join(f"{plain(e.name)} {short_values(e.parameters)}" for e in found.effects
                          if e.name in update.folded)
-        told.append(f"use vehicle.yaml: {keys(update.changes)}, the same correction as {same}")
-        told += [f"vehicle.yaml holds the first of {by_any_name(found, e)}; these drives do not tell them apart: "
+        sentences.append(f"use vehicle.yaml: {keys(update.changes)}, the same correction as {same}")
+        sentences += [f"vehicle.yaml holds the first of {by_any_name(found, e)}; these drives do not tell them apart: "
                  "measure one of them on the car" for e in found.effects if e.name in update.folded and e.alternatives]
     for name, change_of in (update.kept if update is not None else {}).items():
-        told.append(f"{plain(name)} is in model.yaml: these recordings contain the angle of the road wheels, or play "
+        sentences.append(f"{plain(name)} is in model.yaml: these recordings contain the road wheel angle, or play "
                     "in the steering acts before it, and no entry of a vehicle file corrects that; for recordings of "
                     f"the steering wheel, set {keys(change_of)}")
     rest = [e for e in found.effects if update is None or e.name not in update.folded]
     sensors = [plain(e.name) for e in rest if e.kind == "sensors"]
     if sensors:
-        told.append(f"{', '.join(sensors)}: model.yaml corrects for it; when the sensors are repaired, or the "
+        sentences.append(f"{', '.join(sensors)}: model.yaml corrects for it; when the sensors are repaired, or the "
                     "recordings corrected in run.yaml, run st discover again: this model would correct twice")
     others = [plain(e.name) for e in rest if e.kind != "sensors" and (update is None or e.name not in update.kept)]
     if others:
-        told.append(f"predict with model.yaml, which adds {', '.join(others)}")
+        sentences.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if found.minor and found.effects:
         kept = ", ".join(by_any_name(found, e) for e in found.minor)
-        told.append(f"model.yaml also contains {kept}: part of the fit, but too small compared with what remains; "
+        sentences.append(f"model.yaml also contains {kept}: part of the fit, but too small compared with what remains; "
                     "do not take it for a property of the car")
     if found.signature and found.effects:
-        told.append("more is missing than is named, and a name may stand for a part of it: compare the values with "
-                    "what you know of the car")
+        sentences.append("more is missing than is named, and a name may be a part of it: compare the values with what "
+                         "you know of the car")
     if found.outcome == "unknown" or found.signature:
-        told.append("see where and when the model fails; you can add your own effect (docs/manual/effects.md)")
+        sentences.append("see where and when the model fails; you can add your own effect (docs/manual/effects.md)")
     shows = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
     if found.outcome == "not_testable":
-        told.append(f"drive more{': ' + ', '.join(shows) if shows else ''}, and add it to the runs")
+        sentences.append(f"drive more{': ' + ', '.join(shows) if shows else ''}, and add it to the runs")
     if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
-        told.append("do the next drive and add it to the runs")
-    return told or ["nothing"]
+        sentences.append("do the next drive and add it to the runs")
+    return sentences or ["nothing"]
 
 
 def keys(changes_of: Mapping[str, Sequence[float]]) -> str:
@@ -356,8 +356,8 @@ def verdict(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, l
              ("parts of the error", [parts(found.budget)]), ("what remains", [left(found)]),
              ("the base fails most", misses(found)), ("these drives", blind(found)),
              ("next drive", [following(found)])]
-    said = [(question, [text for text in answer if text]) for question, answer in lines]
-    return [(question, answer) for question, answer in said if answer]
+    collected = [(question, [text for text in answer if text]) for question, answer in lines]
+    return [(question, answer) for question, answer in collected if answer]
 
 
 def misses(found: Discovery) -> list[str]:
@@ -379,7 +379,7 @@ def condition(w: WhereStatement) -> str:
     return f"{where}: {w.excess:.1f} times the expected error ({low:.1f} to {min(high, MOST_TIMES):.1f})"
 
 
-def surely_changed(gap: Mapping[str, Gap]) -> list[str]:
+def significantly_changed(gap: Mapping[str, Gap]) -> list[str]:
     """Names of what changed for sure, the largest relative change first."""
     certain = [n for n in WORDS if n in gap and (gap[n].interval[0] > 0.0 or gap[n].interval[1] < 0.0)]
     return sorted(certain, key=lambda n: -abs(gap[n].augmented / gap[n].base - 1.0))

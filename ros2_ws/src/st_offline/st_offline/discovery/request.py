@@ -33,7 +33,7 @@ class Request:
     effects: Path | None = None
     output: Path | None = None
     jobs: int = 1
-    formats: Sequence[str] = ()
+    formats: tuple[str, ...] = ()
     report: bool = True
     cached: bool = True
     force: bool = False

@@ -139,7 +139,7 @@ def _remaining(found: Discovery, car: VehicleParameters, folded: Sequence[type[E
     """What predicts on the updated vehicle as the whole model does on the original; without effective corrections where
     that cannot be had."""
     assert found.model is not None and found.named is not None
-    values = {}
+    values: dict[str, dict[str, float]] = {}
     for effect in folded:
         values[effect.name] = {}
         for p in (p for p in effect.parameters if p.fit):
