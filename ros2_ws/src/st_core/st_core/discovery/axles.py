@@ -34,10 +34,11 @@ COMBINATIONS = (
 
 
 class Axles:
-    """Both axles under an answer. Raises StCoreError for a base model without tyres, or drives without slip."""
+    """Both axles under an answer. unexplained: errors that are left over those of noise, which widens bands and
+    intervals as those of the values. Raises StCoreError for a base model without tyres, or drives without slip."""
 
     def __init__(self, problem: Problem, fit: Fit, everything: Joint | None, runs: Sequence[DriveLog],
-                 vehicle: VehicleParameters):
+                 vehicle: VehicleParameters, unexplained: float):
         if problem.space.model.base.axles is None:
             raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
@@ -50,7 +51,9 @@ class Axles:
             which = everything.which[inside]
             covariance = np.zeros((len(self.model.vector),) * 2)
             covariance[np.ix_(which, which)] = everything.covariance[np.ix_(inside, inside)] * np.outer(
-                problem.space.scale[which], problem.space.scale[which])
+                problem.space.scale[which], problem.space.scale[which]) * max(unexplained, 1.0) ** 2
+            model_error = np.array([p.model_error for _, p in self.model.free])[which]
+            covariance[which, which] += np.square(model_error)
             self.draws = drawn_models(self.model, covariance, vehicle, DRAWS)
 
     def _regressions(self) -> tuple[AxleRegression, AxleRegression]:

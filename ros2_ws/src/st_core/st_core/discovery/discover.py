@@ -141,7 +141,7 @@ class _Work:
         everything = [replace(self._effect(n, found, parts, all_free, unexplained), joint=self._joint(search, found, n))
                       for n in found.order]
         left_out = waterfall.left_out(problem, found.fit)
-        axles = self._axles(found, all_free)
+        axles = self._axles(found, all_free, unexplained)
         named = self._named(found, everything, axles, left_out)
         effects, minor, denied = ([e for e in everything if named[e.name].rule == rule]
                                   for rule in (STATED, MINOR, FORCES))
@@ -273,10 +273,10 @@ class _Work:
                  for q in self.problem.quantities if q is not None}
         return tuple(known.values())
 
-    def _axles(self, found: Found, all_free: Joint | None) -> Axles | None:
+    def _axles(self, found: Found, all_free: Joint | None, unexplained: float) -> Axles | None:
         """Forces of the axles under the answer; None for a base without tyres, or driving without slip."""
         try:
-            return Axles(self.problem, found.fit, all_free, self.runs, self.vehicle)
+            return Axles(self.problem, found.fit, all_free, self.runs, self.vehicle, unexplained)
         except StCoreError:
             return None
 
