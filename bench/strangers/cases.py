@@ -79,11 +79,11 @@ def cases(half: str) -> dict[str, Case]:
 
 def new_user() -> Case:
     """Ratio of the file 8 % too large; mass, inertia, CG and stiffness of the file true."""
-    n = CARS["hatchback"].numbers
+    n = CARS["own_car"].numbers
     known = {"yaw_inertia": n.inertia, "cornering_stiffness_front": n.stiffness_front,
              "cornering_stiffness_rear": n.stiffness_rear, "cg_height": n.height}
     drives = tuple((name, 2.2 + 0.2 * k, 75.0) for k, name in enumerate(ROADS))
-    return Case(NEW_USER, "hatchback", {"ratio": 0.08}, known, {}, drives, 7, {})
+    return Case(NEW_USER, "own_car", {"ratio": 0.08}, known, {}, drives, 7, {})
 
 
 def _drawn(name: str, car: Stranger, faults: tuple[str, ...], number: int, seed: int) -> Case:

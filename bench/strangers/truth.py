@@ -15,6 +15,9 @@ from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, MULTI_BODY, ROLLIN
 REAL = 0.03
 """Relative deviation from the file below which an effect does not count as being in the car."""
 REAL_HEIGHT = 0.03  # m
+OUTER_WHEEL = 0.02
+"""Largest relative excess steer by the laden outer wheel of a parallel linkage, t delta / (2 L) times the load shift:
+the car turns like one with a smaller ratio."""
 PACKAGE_FRICTION = 1.049  # p_dy1 of commonroad-vehicle-models
 STEADY_TURN, STEADY_STEER, SLOWEST = 0.15, 0.12, 6.0
 """rad/s^2, rad/s of the road wheels, m/s: rows of the axle force curve."""
@@ -86,6 +89,8 @@ def _values(case: Case, car, file, vehicle: VehicleParameters, curves: dict) -> 
             ("gyro_bias", "yaw_rate_bias", lambda s: s)):
         if name in hidden:
             found[effect] = [value(hidden[name])] * 2
+    if "steering_ratio" in found and car.description == FOUR_WHEELS:
+        found["steering_ratio"][0] *= 1 - OUTER_WHEEL * (1 - n.ackermann)
     return found
 
 

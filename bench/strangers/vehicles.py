@@ -155,4 +155,6 @@ SEALED = (
         1430.0, 2200.0, 2.63, 1.03, 0.52, 1.55, 128e3, 132e3, 1.02, TABLE, 1.0, roll_stiffness=75e3,
         roll_damping=4500.0, roll_inertia=480.0, relaxation=0.35, roll_steer=0.02), 14.0, -0.30, 200, 100, 0.1),
 )
-CARS = {car.name: car for car in (*DEVELOPMENT, *SEALED)}
+OWN_CAR = replace(
+    next(car for car in DEVELOPMENT if car.name == "hatchback"), name="own_car").changed(ackermann=1.0)
+CARS = {car.name: car for car in (*DEVELOPMENT, *SEALED, OWN_CAR)}
