@@ -148,7 +148,7 @@ def test_effect_with_a_value_of_its_own_in_each_part(gain, chance, healthy, told
     assert varies_relevantly(replace(GOOD, gain=gain, chance=chance, healthy=healthy), LIMITS) == told
 
 
-def test_what_comes_and_goes_must_be_worth_it():
+def test_what_varies_must_be_relevant():
     assert not varies_relevantly(replace(GOOD, position=0.01, position_somewhere=0.01), LIMITS)
     cheap = replace(EDGE, position=0.01, position_somewhere=0.01)
     assert decide(replace(NOTHING, refused=[cheap]), LIMITS)[0] == "none"

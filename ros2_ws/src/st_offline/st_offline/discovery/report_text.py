@@ -31,6 +31,7 @@ LEAST = 0.005  # m; a step that changes the position by less is told by the chan
 MOST_WORST = 2
 MOST_TIMES = 1000.0  # the expected error: beyond that predictions diverge
 SURE = 1.96
+OVER_MASS = ("front_stiffness", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
 SHOWN = Limits().shown
 
 
@@ -131,10 +132,19 @@ def what(found: Discovery) -> list[str]:
         others = ", ".join(map(plain, effect.alternatives))
         joint = f" (with {', '.join(map(plain, effect.joint))} only: they cancel)" if effect.joint else ""
         parts.append(f"{plain(effect.name)}{f' (or {others}: not ruled out)' if others else ''}{joint}, {effect.kind}: "
-                     + values(effect.name, effect.parameters) + (f"; {physics}" if physics else ""))
+                     + values(effect.name, effect.parameters) + condition_of(found, effect)
+                     + (f"; {physics}" if physics else ""))
     if found.outcome == "unknown" or found.signature:
         parts.append("; ".join(("something that is not in the library", *found.signature)))
     return parts or ["no effect is added to the model"]
+
+
+def condition_of(found: Discovery, effect: FoundEffect) -> str:
+    """Which quantity of the vehicle file a value rests on: stiffness and inertia act over the mass only."""
+    mass = next((a for a in found.assumed if a.key == "mass"), None)
+    if mass is None or effect.name not in OVER_MASS:
+        return ""
+    return f", if the mass is {mass.value:.4g} ± {mass.deviation:.2g} kg"
 
 
 def clearest(values_of: Sequence[Value], most: int) -> list[Value]:
