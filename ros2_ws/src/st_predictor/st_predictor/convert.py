@@ -115,6 +115,7 @@ def planned_inputs(message: "InputPlan", base_frame: str, vehicle: VehicleParame
 def planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
                     vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> "PlannedPrediction":
     """The message without issued_at and compute_time. plan_ns: stamp of the plan; inputs: on the half-step grid."""
+    assert PLANNED is not None  # without it no plan is received
     message = PLANNED(
         model=model, step=trajectory.step, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
         cg_to_ins_x=float(vehicle.cg_to_ins_x), cg_to_ins_y=float(vehicle.cg_to_ins_y),

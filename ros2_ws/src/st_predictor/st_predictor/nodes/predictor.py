@@ -77,16 +77,14 @@ class PredictorNode(Node):
         file = params.load_model(values, self._vehicle)
         models = [*values.models, *([file.model()] if file else [])]
         found = params.checked(values, lambda: [get_model(model) for model in models])
-        runners, backend = {}, "on Python floats"
-        if values.compiled:
-            runners, backend = compile_models(found, self._vehicle, settings)
+        runners, backend = compile_models(found if values.compiled else (), self._vehicle, settings)
         self._core = params.checked(values, lambda: Predictor(self._vehicle, found, settings, runners))
         self._hash = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         if file:
             self._hash[found[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
         own = {found[-1].name: file.hash} if file else {}
         self._bands = PredictionBands(values, self._vehicle, {m: own.get(m, "") for m in self._core.models}, settings)
-        return backend
+        return backend or "on Python floats"
 
     def _make_publishers(self) -> None:
         # After a reader was stopped, Fast DDS resends the whole queue. With 50, half a megabyte per topic, a recorder
