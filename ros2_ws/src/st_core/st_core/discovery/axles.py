@@ -12,7 +12,7 @@ from ..identification.axle_curve import axle_curve, axle_force, drawn_models, fo
 from ..identification.cornering_stiffness import AXLES, AxleRegression, axle_regressions
 from ..log import DriveLog
 from ..readings import corrected_log
-from ..vehicle import VehicleParameters
+from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .evidence import Joint
 from .fit import Fit, Problem
 from .result import Combination, ForceCurve
@@ -128,6 +128,8 @@ def _combined(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     """(5,) COMBINATIONS of a model."""
     front, rear = (float(axle_force(model, vehicle, axle, np.array([SLOPE_AT]))[0]) / SLOPE_AT for axle in AXLES)
     car = model.effective_vehicle(vehicle)
+    limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # a draw may be no car any more
+    front, rear = (min(max(stiffness, limits.minimum), limits.maximum) for stiffness in (front, rear))
     soft = replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear)
     understeer = understeer_coefficient(soft)
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
