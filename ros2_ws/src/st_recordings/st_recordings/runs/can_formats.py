@@ -111,6 +111,8 @@ def _by_line(make: Callable[[Lines, Found], Any], change: Callable[[str], str] =
                 except StopIteration:
                     break
                 except Exception:  # readers of python-can raise whatever int() and indexing raise
+                    if found.bad and found.bad[-1] == lines.position:
+                        break  # at the end of the file, for what its header lacks
                     found.bad.append(lines.position)
                     if restart:
                         lines.unread(restart)

@@ -47,7 +47,14 @@ class Table:
 
 
 def text_of(file: Path, size: int = -1) -> str:
-    """The text of a file in UTF-8, UTF-16 (as spreadsheets write it) or Windows-1252. Raises RunError for no text."""
+    """The text of a file in UTF-8, UTF-16 (as spreadsheets write it) or Windows-1252, with \\n at the end of lines.
+
+    Raises RunError for a binary file.
+    """
+    return _decoded(file, size).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _decoded(file: Path, size: int) -> str:
     with file.open("rb") as stream:
         raw = stream.read(size)
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -72,7 +79,7 @@ def header_of(file: Path) -> list[str]:
 def read_table(file: Path, layout: Layout) -> Table:
     """Raises RunError for a binary file, one without time, or has a row that does not fit its header."""
     check_readable(file)
-    text = text_of(file).replace("\r\n", "\n")
+    text = text_of(file)
     warnings: list[str] = []
     at = _header_line(text.split("\n", HEADER_WITHIN + 1)[:HEADER_WITHIN], layout)
     if at:
@@ -170,7 +177,8 @@ def _with_points(file: Path, body: str, delimiter: str) -> str:
         return body
     if not quoted and "." not in body and not _GROUPED_CELL.search(body):
         return body.replace(",", ".")
-    cells = {cell.strip(' \r"') for row in csv.reader(io.StringIO(body), delimiter=delimiter) for cell in row}
+    table = _cells(file, io.StringIO(body), delimiter)
+    cells = {cell.strip(' \r"') for row in table for cell in row}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
     marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
@@ -186,12 +194,18 @@ def _with_points(file: Path, body: str, delimiter: str) -> str:
         raise RunError(file, f"{doubtful[0]} may be a number with a decimal mark or with a thousands separator: {why}",
                        "export it without thousands separators")
     if len(marks) > 1:  # every cell has one mark, and it is a decimal mark
-        return "\n".join(delimiter.join(cell.replace(",", ".") for cell in row)
-                         for row in csv.reader(io.StringIO(body), delimiter=delimiter))
+        return "\n".join(delimiter.join(cell.replace(",", ".") for cell in row) for row in table)
     decimal = next(iter(marks), ",")
     separator = "." if decimal == "," else ","
     return "\n".join(delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _looks_numeric(cell) else cell
-                                    for cell in row) for row in csv.reader(io.StringIO(body), delimiter=delimiter))
+                                    for cell in row) for row in table)
+
+
+def _cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
+    try:
+        return list(csv.reader(lines, delimiter=delimiter, skipinitialspace=delimiter == " "))
+    except csv.Error as error:
+        raise RunError(file, f"a row cannot be read ({error})", "correct or remove that row") from None
 
 
 def _looks_numeric(cell: str) -> bool:
@@ -208,7 +222,7 @@ def _rows(file: Path, body: str, delimiter: str, width: int, warnings: list[str]
         return _parsed(lines, delimiter, width)
     except ValueError as first:
         error = first
-    cells = [len(row) for row in csv.reader(lines, delimiter=delimiter or " ", skipinitialspace=not delimiter.strip())]
+    cells = [len(row) for row in _cells(file, lines, delimiter)]
     whole = [line for line, count in zip(lines, cells, strict=False) if count in (width, width + 1)]
     lost = len(lines) - len(whole)
     if whole and 2 * lost < len(lines):

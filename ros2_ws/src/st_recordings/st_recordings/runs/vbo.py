@@ -36,7 +36,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     velocity is zero and the yaw rate, without a channel for it, is the derivative of the course: a warning says so.
     """
     check_readable(file)
-    text = text_of(file).replace("\r\n", "\n")
+    text = text_of(file)
     sections = _sections(text)
     if not {"column names", "data"} <= sections.keys():
         raise RunError(file, "this is no VBO file: sections [column names] and [data] are missing",
