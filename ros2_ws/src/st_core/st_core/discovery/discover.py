@@ -42,8 +42,10 @@ from .result import (
     BoundEffect,
     Candidate,
     Certificate,
+    Combination,
     Discovery,
     FittedParameter,
+    ForceCurve,
     FoundEffect,
     NotTestable,
     Reason,
@@ -141,7 +143,7 @@ class _Work:
         everything = [replace(self._effect(n, found, parts, all_free, unexplained), joint=self._joint(search, found, n))
                       for n in found.order]
         left_out = waterfall.left_out(problem, found.fit)
-        axles = self._axles(found, all_free, unexplained)
+        axles, curves, combinations = self._axles(found, all_free, unexplained)
         named = self._named(found, everything, axles, left_out)
         effects, minor, denied = ([e for e in everything if named[e.name].rule == rule]
                                   for rule in (STATED, MINOR, FORCES))
@@ -173,8 +175,8 @@ class _Work:
             model=space.at(fit.vector) if fit.names else None,
             named=space.at(problem.put_back(found.fit, *(e.name for e in denied))) if found.fit.names else None,
             warnings=tuple(self.warnings),
-            left_out=left_out, axle_curves=axles.curves(space.at(base.vector)) if axles else (),
-            assumed=self._assumed(), combinations=axles.combinations(space.at(base.vector)) if axles else (),
+            left_out=left_out, axle_curves=curves,
+            assumed=self._assumed(), combinations=combinations,
             acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
@@ -273,12 +275,16 @@ class _Work:
                  for q in self.problem.quantities if q is not None}
         return tuple(known.values())
 
-    def _axles(self, found: Found, all_free: Joint | None, unexplained: float) -> Axles | None:
-        """Forces of the axles under the answer; None for a base without tyres, or driving without slip."""
+    def _axles(self, found: Found, all_free: Joint | None,
+               unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
+        """(forces of the axles under the answer, their curves, what acts together); nothing for a base without tyres,
+        driving without slip, or values so uncertain that they are no car."""
+        base = self.space.at(self.problem.start)
         try:
-            return Axles(self.problem, found.fit, all_free, self.runs, self.vehicle, unexplained)
+            axles = Axles(self.problem, found.fit, all_free, self.runs, self.vehicle, unexplained)
+            return axles, axles.curves(base), axles.combinations(base)
         except StCoreError:
-            return None
+            return None, (), ()
 
     def _named(self, found: Found, everything: Sequence[FoundEffect], axles: Axles | None,
                left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
