@@ -22,7 +22,7 @@ from .vehicles import CARS, DESCRIPTIONS
 
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
 KEPT = ("outcome", "effects", "minor", "effective", "combinations", "bound", "signature", "gap", "gap_named",
-        "axle_curves", "axle_forces", "axles", "not_named", "refuted", "contradicted", "mended")
+        "axle_curves", "assumed", "mended")
 """Parts of discovery.json that the score or a reader of misses uses."""
 
 

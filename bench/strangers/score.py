@@ -40,11 +40,9 @@ def named(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
 def alternatives(effect: Mapping[str, Any]) -> set[str]:
     """Effects in the same set: alternatives and joint names."""
     found = set()
-    for key in ("alternatives", "joint", "set", "with", "joint_with"):
-        listed = effect.get(key) or ()
-        for one in listed if isinstance(listed, list | tuple) else [listed]:
-            found.add(one.get("name") if isinstance(one, Mapping) else str(one))
-    return found - {None}
+    for key in ("alternatives", "joint"):
+        found |= set(effect.get(key) or ())
+    return found
 
 
 def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
@@ -65,7 +63,9 @@ def hidden(result: Mapping[str, Any]) -> dict[str, bool]:
     for one in named(result["answer"]):
         stated |= {one["name"], *alternatives(one)}
     for one in result["answer"].get("combinations", ()) or ():
-        stated |= {str(part) for part in (one.get("effects") or ()) if isinstance(one, Mapping)}
+        low, high = one["interval"]
+        if not low <= one["file"] <= high:  # it contradicts the file
+            stated |= set(one["effects"])
     stated |= {part for name in list(stated) for part in MEMBERS.get(name, ())}
     return {name: bool(stated & set(about["accepted"])) for name, about in result["truth"]["hidden"].items()}
 
@@ -91,7 +91,7 @@ def band(result: Mapping[str, Any]) -> tuple[int, int]:
             continue
         slip = np.abs(np.array(curve["slip"], float))
         order = np.argsort(slip)
-        edges = np.sort(np.abs(np.array([curve["low"], curve["high"]], float)), axis=0)[:, order]
+        edges = np.array([curve["low"], curve["high"]], float)[:, order]
         for point, force in zip(true["slip"], true["force"], strict=True):
             if slip.min() <= point <= slip.max():
                 low, high = (np.interp(point, slip[order], edge) for edge in edges)
@@ -99,22 +99,9 @@ def band(result: Mapping[str, Any]) -> tuple[int, int]:
     return inside, count
 
 
-def axle_bands(answer: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """By axle slip, low, high of the stated force curves; empty where the answer has none."""
-    curves = next((answer[key] for key in ("axle_curves", "axle_forces", "axles") if answer.get(key)), {})
-    found = {}
-    for axle in ("front", "rear"):
-        one = curves.get(axle) if isinstance(curves, Mapping) else next(
-            (c for c in curves if isinstance(c, Mapping) and c.get("axle") == axle), None)
-        if not one:
-            continue
-        low, high = one.get("low"), one.get("high")
-        if low is None and one.get("band"):
-            pairs = np.array(one["band"], float)
-            low, high = (pairs[:, 0], pairs[:, 1]) if pairs.shape[1] == 2 else pairs
-        if low is not None:
-            found[axle] = {"slip": one.get("slip") or one.get("slips"), "low": list(low), "high": list(high)}
-    return found
+def axle_bands(answer: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """By axle the stated force curve (slip, low, high); empty for an answer without curves."""
+    return {curve["axle"]: curve for curve in answer.get("axle_curves") or ()}
 
 
 def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
