@@ -91,6 +91,8 @@ def _values(case: Case, car, file, vehicle: VehicleParameters, curves: dict) -> 
             found[effect] = [value(hidden[name])] * 2
     if "steering_ratio" in found and car.description == FOUR_WHEELS:
         found["steering_ratio"][0] *= 1 - OUTER_WHEEL * (1 - n.ackermann)
+    if "steering_delay" in found and found.get("steering_lag"):
+        found["steering_delay"][1] += found["steering_lag"][1]  # the lag of the wheels acts against a late sensor
     return found
 
 
