@@ -232,8 +232,8 @@ class Decoder:
                 raise ValueError(f"{message}.{name}: {value} cannot be sent")
             if name in ours:
                 raw[ours[name].dbc.name] = _raw_of(ours[name], value)
-                if ours[name].sign_signal is not None:
-                    raw[ours[name].sign_signal.name] = int(ours[name].to_physical(value) < 0)
+                if (sign_signal := ours[name].sign_signal) is not None:
+                    raw[sign_signal.name] = int(ours[name].to_physical(value) < 0)
             elif name in by_name:
                 raw[name] = _to_raw(by_name[name], value)
             else:

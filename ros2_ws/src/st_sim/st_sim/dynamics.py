@@ -215,7 +215,7 @@ def air_force(
     return 0.5 * AIR_DENSITY * airspeed * drag_area * along, side
 
 
-# Long on purpose: one set of equations over two dozen shared symbols, evaluated twice per step of 2 ms.
+# long: one set of equations over two dozen shared symbols, evaluated twice per step of 2 ms.
 def derivative(  # noqa: PLR0915
     s: Sequence[float], rack_target: float, drive_force: float, here: tuple, c: Constants
 ) -> tuple[tuple, tuple]:

@@ -1,4 +1,4 @@
-"""Is a recording what it says it is? What breaks an identity is a sensor, a unit, a clock or a projection.
+"""Consistency checks of a recording: a violated identity is a fault of a sensor, unit, clock or projection.
 
     checked = check(log, vehicle, auxiliary)
     for finding in checked.findings: print(finding.severity, finding.text, finding.advice)

@@ -1,4 +1,4 @@
-"""One quantity over several runs: what belongs to the sensor is alike in all of them, what differs is of the place."""
+"""One quantity over several runs: consistent for a fault of the sensor, varying for an influence of the place."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -41,8 +41,8 @@ class AcrossRuns:
         digits = max(1 - math.floor(math.log10(max(half, 1e-9))), 0)
         unit = "" if self.unit == "1" else f" {self.unit}"
         if self.alike:
-            return (f"{self.name} is alike in all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}{unit}: "
-                    "it belongs to the sensor, its mounting, the projection or the car, and may be believed")
+            return (f"{self.name} is consistent across all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}"
+                    f"{unit}: it belongs to the sensor, its mounting, the projection or the car, and is reliable")
         return (f"{self.name} differs between the {self.runs} runs by more than their intervals allow, "
                 f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it belongs to the place, the "
                 "load or the day, or to a fault of some of the runs")

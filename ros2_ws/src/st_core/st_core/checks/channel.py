@@ -1,4 +1,4 @@
-"""One channel against the same quantity from others: scale, bias and lag become findings."""
+"""Findings of scale, bias and lag of one channel against the same quantity from others."""
 
 import math
 from collections.abc import Mapping
@@ -14,14 +14,14 @@ from .regression import Estimate, with_systematic
 
 @dataclass(frozen=True)
 class Expected:
-    """What of a channel is worth a word.
+    """Smallest errors of a channel that are reported.
 
-    against: what it is compared with, in words. unit: of the channel.  lag [s], bias [unit]: least
-    that is findings; scale: least deviation from 1. grave: (lag, scale, bias) from which on it is a warning whatever it
-    does to a prediction: identification and discovery use the channel too. reach: position after 5 s per unit of
+    against: name of the reference. unit: of the channel. lag [s], bias [unit]: smallest that are reported; scale:
+    smallest deviation from 1. grave: (lag, scale, bias) from which on the finding is a warning whatever its effect on a
+    prediction, since identification and discovery use the channel too. reach: position after 5 s per unit of
     error [m]. correlation: below which the two are not compared.
-    least_spread: standard deviation of the channel below which no lag is findings [unit].
-    factors: names of units by the factor they make. why: what a bias may come from, in words.
+    least_spread: standard deviation of the channel below which no lag is reported [unit].
+    factors: names of units by their factor. why: possible causes of a bias, for the text.
     """
 
     channel: str
@@ -36,10 +36,6 @@ class Expected:
     correlation: float = LIMITS.correlation
     factors: Mapping[float, str] = field(default_factory=dict)
     why: str = ""
-
-    @property
-    def reference(self) -> str:
-        return f"{self.against} say{'' if ' and ' in self.against else 's'}"
 
 
 def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.0,
@@ -56,10 +52,10 @@ def judged(found: Agreement | None, expected: Expected, scale_before: float = 1.
     if factor is not None:
         findings.append(_gross(scale, factor, expected))
     elif abs(scale.value - 1.0) >= expected.scale and scale.shifted(-1.0).significant and not _diluted(scale, found):
-        text = f"{name} is {in_words(scale)} times what {expected.reference}"
+        text = f"{name} is {in_words(scale)} times its value from {expected.against}"
         findings.append(_finding("scale", text, scale, "1", abs(scale.value - 1.0) * found.spread, expected,
                              {"scale": 1.0 / scale.value}, abs(scale.value - 1.0) >= expected.grave[1]))
-    # A scale that is findings is divided out before the bias is taken off.
+    # A scale that is reported is divided out before the bias is subtracted.
     size, divided = abs(scale.value), scale.value if findings else 1.0
     if _is_lag(found, lag, expected):
         findings.append(_lag(found, lag, expected))
@@ -106,7 +102,7 @@ def size_of(one: Estimate) -> str:
 
 
 def or_else(found: Agreement, response: float = 0.0) -> str:
-    """What the lag may be instead, in words; response: of the car, as in the lag that is findings [s]."""
+    """Other lags that fit as well, as text; response: of the car, included in the reported lag [s]."""
     other = sorted(late + response for late in found.alike)
     named = " or ".join(f"{'lags' if late > 0.0 else 'leads'} by {abs(late):.2f} s" for late in other)
     return f" (or {named}: the drive repeats itself, and that fits as well)" if named else ""
@@ -124,7 +120,7 @@ def _factor(scale: float, expected: Expected) -> float | None:
 def _gross(scale: Estimate, factor: float, expected: Expected) -> Finding:
     other_way = "it counts the other way" if factor < 0.0 else ""
     reason = " and ".join(filter(None, (expected.factors.get(abs(factor), ""), other_way)))
-    text = (f"{expected.channel} is {in_words(scale)} times what {expected.reference}"
+    text = (f"{expected.channel} is {in_words(scale)} times its value from {expected.against}"
             + (f": {reason}?" if reason else ""))
     exact = float(f"{1.0 / factor:.6g}")
     return Finding(f"{expected.channel}_scale", Severity.WARNING, (expected.channel,), text, scale.value, "1",
@@ -144,7 +140,7 @@ def _finding(kind: str, text: str, one: Estimate, unit: str, error: float, expec
 
 
 def _advice(channel: str, correct: dict[str, float]) -> Advice:
-    """Wheel speeds and a second INS output are no channels of a run: there is nothing to paste."""
+    """Correction of a channel; for wheel speeds and a second INS output, which a run.yaml cannot correct, a hint."""
     if channel in ("wheel_speed", "ins_speed"):
         return Advice("look", "look at the source of it: unit, wheel radius, clock")
     return Advice.correct(channel, **correct)
@@ -152,7 +148,7 @@ def _advice(channel: str, correct: dict[str, float]) -> Advice:
 
 def identity(found: Agreement | None, expected: Expected, title: str, measured: float = 1.0,
              derived: float = 1.0) -> Identity | None:
-    """measured, derived: units that were taken out before, put in again: the picture is of what was recorded."""
+    """Series of a figure. measured, derived: units that were divided out; the figure shows values as recorded."""
     return None if found is None else Identity(
         expected.channel, title, expected.unit, expected.channel, f"from {expected.against}", found.time,
         measured * found.measured, derived * found.derived,

@@ -1,4 +1,4 @@
-"""All checks of one recording, in the order that lets one fault be findings once."""
+"""All checks of one recording, in an order in which one fault gives one finding."""
 
 from dataclasses import replace
 
@@ -19,7 +19,8 @@ from .steps import steps
 from .trial import tried
 from .units_and_axes import correct_units, nominal_rate, time_unit, yaw_is_late
 
-SHORTEST = 50  # INS samples; less than a few seconds says nothing but how they were stamped
+SHORTEST = 50  # INS samples; in fewer only the time stamps can be checked
+Compared = tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]
 ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 
 
@@ -60,27 +61,15 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
     if not any(one.name == "samples_repeated" and {"x", "y"} & set(one.channels) for one in stuck):
         motion, stepping = steps(motion)  # held positions step by nature
         findings += stepping
-    before = _factors(coarse)
     speed = motion.velocity_x
-    compared = _sensors(motion, before, auxiliary, start_ns, seed)
-    rate = None if unit else nominal_rate(compared[1], compared[2])
-    if rate and rate.value:
-        findings.append(rate)
-        scaled = motion.with_(time=motion.time / rate.value, steering_time=motion.steering_time / rate.value)
-        compared = _sensors(scaled, {**before, "time_unit": rate.value}, auxiliary, start_ns, seed)
+    rate, compared = _sensors_at_true_rate(motion, unit, _factors(coarse), auxiliary, start_ns, seed)
     motion, fine, estimates, identities = compared
-    findings += _once(coarse, fine, estimates)
-    if vehicle is not None:
-        hand_wheel = log.steering_wheel_angle is not None
-        frozen = {channel for one in stuck if one.name == "channel_frozen" for channel in one.channels}
-        comparisons = [] if broken & {*STEERING} else [vehicle_relations.steering(motion, vehicle, hand_wheel, seed)]
-        if not frozen & {"velocity_y", "yaw_rate"}:  # what stands still says nothing of where the INS sits
-            comparisons.append(vehicle_relations.rear_axle(motion, vehicle, seed))
-        for found, more, shown in comparisons:
-            findings += found
-            estimates |= more
-            identities += [shown] if shown else []
-        findings += vehicle_relations.believable(motion)
+    findings += rate + _once(coarse, fine, estimates)
+    hand_wheel = log.steering_wheel_angle is not None
+    for found, more, shown in _with_vehicle(motion, vehicle, hand_wheel, broken, stuck, seed):
+        findings += found
+        estimates |= more
+        identities += [shown] if shown else []
     findings += vehicle_relations.standstill(motion.with_(velocity_x=speed))
     if vehicle is not None:
         findings = tried(findings, log, vehicle)
@@ -88,8 +77,34 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None, auxiliary: Au
                    {name: (one.value, *one.interval) for name, one in estimates.items()})
 
 
+def _sensors_at_true_rate(motion: Motion, unit: Finding | None, before: dict[str, float], auxiliary: AuxiliaryData,
+                          start_ns: int, seed: int) -> tuple[list[Finding], Compared]:
+    """(the finding of a wrong sampling rate, result of `_sensors` with the times at the true rate)."""
+    compared = _sensors(motion, before, auxiliary, start_ns, seed)
+    rate = None if unit else nominal_rate(compared[1], compared[2])
+    if rate is None or not rate.value:
+        return [], compared
+    scaled = motion.with_(time=motion.time / rate.value, steering_time=motion.steering_time / rate.value)
+    return [rate], _sensors(scaled, {**before, "time_unit": rate.value}, auxiliary, start_ns, seed)
+
+
+def _with_vehicle(motion: Motion, vehicle: VehicleParameters | None, hand_wheel: bool, broken: set[str],
+                  stuck: list[Finding], seed: int) -> list[vehicle_relations.Comparison]:
+    """Comparisons of steering, rear axle and lateral acceleration with the vehicle; broken or frozen channels left out.
+    """
+    if vehicle is None:
+        return []
+    frozen = {channel for one in stuck if one.name == "channel_frozen" for channel in one.channels}
+    comparisons = []
+    if not broken & {*STEERING}:
+        comparisons.append(vehicle_relations.steering(motion, vehicle, hand_wheel, seed))
+    if not frozen & {"velocity_y", "yaw_rate"}:  # both are needed to locate the INS
+        comparisons.append(vehicle_relations.rear_axle(motion, vehicle, seed))
+    return [*comparisons, (vehicle_relations.believable(motion), {}, None)]
+
+
 def _ordered(findings: list[Finding]) -> tuple[Finding, ...]:
-    """The gravest first; last of each severity what no prediction depends on."""
+    """Sorted by severity, then by effect; findings of accelerations last, since no prediction depends on them."""
     return tuple(sorted(findings, key=lambda one: (ORDER.index(one.severity), one.of_acceleration,
                                                -(one.effect or np.inf))))
 
@@ -110,7 +125,7 @@ def _gross_aligned(motion: Motion, seed: int) -> tuple[Motion, list[Finding]]:
 
 
 def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
-    """Where yaw lags or leads the yaw rate: is it the yaw? Then positions say so too."""
+    """Correction and finding of a yaw that lags or leads the yaw rate, if positions confirm that the yaw is wrong."""
     if found is None or not (found.lag.significant and found.late) or abs(found.lag.value) < LIMITS.lag or (
             abs(found.correlation) < LIMITS.correlation):
         return motion, []
@@ -128,7 +143,7 @@ def _late_yaw(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Fin
 
 
 def _factors(coarse: list[Finding]) -> dict[str, float]:
-    """What correct_units() has divided out, of a turned yaw what it has taken off, by the name of the finding."""
+    """Factors that correct_units() has divided by (of a yaw offset: the angle subtracted), by name of the finding."""
     found = {}
     for one in coarse:
         correct = one.advice.entry.get("correct", {}) if one.advice else {}
@@ -143,7 +158,7 @@ def _factors(coarse: list[Finding]) -> dict[str, float]:
 
 
 def _once(coarse: list[Finding], fine: list[Finding], estimates: dict[str, Estimate]) -> list[Finding]:
-    """Units, signs and turns with the values that the finer identities give them; what is left of one is part of it."""
+    """Findings of units, signs and offsets with the values refined by the identities; a residual is part of it."""
     known, left = {one.name for one in coarse}, {one.name for one in fine}
     findings = []
     for one in coarse:
@@ -157,14 +172,14 @@ def _once(coarse: list[Finding], fine: list[Finding], estimates: dict[str, Estim
 
 
 def _of_all(advice: Advice, value: float) -> Advice:
-    """That of a unit or a turn, where the whole value is more than it."""
+    """Correction by the whole value instead of the unit or offset alone."""
     (channel, (key,)), = advice.entry["correct"].items()
     return Advice.correct(channel, **{key: float(f"{1.0 / value if key == 'scale' else -value:.6g}")})
 
 
 def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData, start_ns: int,
-             seed: int) -> tuple[Motion, list[Finding], dict[str, Estimate], list[Identity]]:
-    """The identities that no vehicle parameter can break."""
+             seed: int) -> Compared:
+    """The identities that hold for any vehicle parameters."""
     shown = [position.identity(motion, before)]
     motion, findings = position.lateral_sign(motion)
     found, expected = inertial.yaw_rate(motion, seed)
@@ -184,7 +199,7 @@ def _sensors(motion: Motion, before: dict[str, float], auxiliary: AuxiliaryData,
         fine = estimates.get("position_scale" if name == "position_scale" else "velocity_scale")
         if fine is not None:
             estimates[name] = fine.scaled(before.get(name, 1.0))
-    if found and found.scale.value:  # a yaw rate that stands still says nothing
+    if found and found.scale.value:  # a constant yaw rate has no scale
         scale = found.scale.inverse().scaled(before.get("yaw_scale", 1.0))
         estimates["yaw_scale"] = with_systematic("yaw_scale", scale)
     panel = identity(found, expected, "yaw rate: sensor against change of yaw", before.get("yaw_rate_scale", 1.0),

@@ -11,7 +11,7 @@ SCHEMA = 1  # of check.json; keys are added, never renamed, within a number
 
 
 class Severity(StrEnum):
-    """error: an evaluation would be meaningless. warning: it would be biased. note: worth knowing, harmless here."""
+    """error: an evaluation would be meaningless. warning: it would be biased. note: harmless here."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -23,7 +23,7 @@ class Advice:
     """What removes a finding. line: to be pasted, one line.
 
     kind: "run.yaml": `entry` is to be merged into the run's run.yaml; "vehicle": a value of the vehicle file;
-    "option": of the command line; "look": nothing to paste, `line` says what to look at.
+    "option": of the command line; "look": nothing to paste, `line` names what to look at.
     """
 
     kind: Literal["run.yaml", "vehicle", "option", "look"]
@@ -39,10 +39,10 @@ class Advice:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with a recording, or worth knowing of it.
+    """One fault or property of a recording.
 
     name: stable, a key of docs/manual/checks.md. channels: fields of DriveLog (or time, wheel_speed, ins) it is about.
-    value, interval: estimate and its 95 % interval in `unit`; None where there is nothing to estimate. text: one
+    value, interval: estimate and its 95 % interval in `unit`; None if nothing is estimated. text: one
     sentence. where: stretches in s after the first INS measurement; empty for the whole run. effect: by about how much
     it moves the predicted or measured position after 5 s [m]; None where that means nothing. tried: prediction error
     of the run after 5 s before and after the correction [m]; None where it was not tried.
@@ -151,7 +151,7 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class InsQuality:
-    """What the unit says of itself, each (n,) at time_ns [ns]; NaN where not known.
+    """Status reported by the unit, each (n,) at time_ns [ns]; NaN where not known.
 
     navigation_status: NCOM byte 21, 4 = locked. position_mode: NCOM mode number, 6 = RTK integer, 5 = RTK float, -1 or
     NaN unknown. position_accuracy: horizontal standard deviation [m]. heading_accuracy: standard deviation [rad].
@@ -170,8 +170,9 @@ class AuxiliaryData:
 
     missing: channel -> rows that held no usable value and were left out. wheel_speed: of the wheels or the car's own
     speed signal [m/s]. ins_speed: forward speed from a second output of the INS (its CAN frames, the NCOM packets
-    beside an odometry) [m/s]. corrected: what run.yaml corrected, a phrase each. implausible: findings on samples that
-    the reading left out, see `plausibility`. start_ns: first recorded INS measurement; None for that of the drive.
+    recorded with an odometry) [m/s]. corrected: what run.yaml corrected, a phrase each. implausible: findings
+    of samples that the reader left out, see `plausibility`. start_ns: first recorded INS measurement; None for that of
+    the drive.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)

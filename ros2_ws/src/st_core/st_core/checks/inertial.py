@@ -29,9 +29,9 @@ SPEED_SPREAD = 0.5  # m/s; at one speed only slip and noise would be compared
 WHEEL_LAG = 0.15  # s; wheel speeds are averaged over some turns
 FACTORS = {1.0 / G: "g"}
 LEANS = ": mounted askew, or the road is not level?"
-SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 once too often"}
+SPEED_FACTORS = {3.6: "km/h", 2.23694: "mph", 1.0 / 3.6: "divided by 3.6 twice"}
 
-Told = tuple[list[Finding], dict[str, Estimate], Identity | None]
+Judged = tuple[list[Finding], dict[str, Estimate], Identity | None]
 
 
 def yaw_rate(motion: Motion, seed: int) -> tuple[Agreement | None, Expected]:
@@ -62,7 +62,8 @@ def corrected_yaw_rate(motion: Motion, found: Agreement) -> Motion:
     return motion.with_(yaw_rate=np.interp(motion.time + late, motion.time, rate))
 
 
-def accelerations(motion: Motion, seed: int) -> list[Told]:
+def accelerations(motion: Motion, seed: int) -> list[Judged]:
+    """Findings of both accelerations against the derivative of velocity."""
     derivative = {"acceleration_x": _slope(motion.time, motion.velocity_x) - motion.velocity_y * motion.yaw_rate,
                   "acceleration_y": _slope(motion.time, motion.velocity_y) + motion.velocity_x * motion.yaw_rate}
     speed = float(np.median(np.abs(motion.velocity_x)))
@@ -82,7 +83,7 @@ def accelerations(motion: Motion, seed: int) -> list[Told]:
     return findings
 
 
-def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor: float, seed: int) -> list[Told]:
+def speeds(motion: Motion, auxiliary: AuxiliaryData, start_ns: int, time_factor: float, seed: int) -> list[Judged]:
     """Other sources of the speed against the INS's forward speed. time_factor: by which all stamps run too fast."""
     findings = []
     for name, series, scale, lag in (("wheel_speed", auxiliary.wheel_speed, WHEEL_SCALE, WHEEL_LAG),

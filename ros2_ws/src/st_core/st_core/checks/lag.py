@@ -1,10 +1,10 @@
-"""One channel against the same quantity from other channels: how late, how large, how far off.
+"""One channel against the same quantity from other channels: lag, scale and bias.
 
     measured(t) = scale derived(t - lag) + bias
 
 The lag is that of `st align` (clock_fit: joint fit of offset and gain behind a common low-pass), scale and bias a
 regression at that lag, each with the interval of resampled blocks. A drive that repeats itself fits as well a period
-later: of the lags that only chance tells apart the least one is taken, and the others are named beside it.
+later: of the lags that do not differ significantly the smallest is taken, and the others are named too.
 """
 
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ LEAST = 15.0  # s in common
 NOTHING, UNITY = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
 LATE = 0.95  # level of the test for a lag
 SHIFT = 0.3  # s to both sides of a lag that must fit worse, or the drive carries none
-CLEARLY = 1.25  # factor by which a bias must leave less than a scale before it is findings instead
+CLEARLY = 1.25  # ratio of residuals, scale over bias, from which a bias is reported instead
 CERTAIN = 0.98  # correlation from which on noise makes less than 4 % of a scale
-RESAMPLED = 1e-4  # share of the variance; interpolation and filters leave 1 % of a signal, so less tells nothing apart
-OFF_GRID = 0.1  # share of the variance that half a step beside its place takes from a maximum, at the cut-offs in use
+RESAMPLED = 1e-4  # share of the variance; interpolation and filters leave 1 % of a signal, less is ignored
+OFF_GRID = 0.1  # share of the variance by which a maximum is lower half a step away, at the cut-offs in use
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from .finding import Severity
 
-HORIZON = 5.0  # s, over which effects are findings
+HORIZON = 5.0  # s, over which effects are judged
 
 
 @dataclass(frozen=True)
@@ -16,13 +16,13 @@ class Limits:
     unit: factor beyond which a ratio is a unit, a sign or an axis and no calibration; channel_unit: the same of an
     accelerometer or a wheel, which a rolling body or a tyre may change more. settling [s]: for so long a model
     remembers a wrong start of its yaw rate. lag [s]: below it is filtering inside a sensor; from grave_lag on it would
-    pass for a delay of the steering. correlation: two roads to a
-    quantity that agree less have not been shown to be one quantity.
+    pass for a delay of the steering. correlation: two estimates
+    of a quantity below it are not compared.
     bias_acceleration [m/s^2]: 0.1 is 0.6 degrees of mounting or road. tyre [m/s^2]: no road tyre gives more.
     steering_unit: factor by which steering and curvature of any healthy car may differ beyond the understeer of its
     file (ratio, wheelbase, guessed stiffnesses). steering_lag [s]: what a car itself may need. steering_offset [rad]:
     at the road wheels.
-    mounting [m]: how well a tape finds the measuring point. heading [rad]: 0.1 degree, what a dual antenna knows.
+    mounting [m]: accuracy of a tape measure. heading [rad]: 0.1 degree, accuracy of a dual antenna.
     """
 
     min_reported_effect: float = 0.02
@@ -59,7 +59,7 @@ SYSTEMATIC = {
     "heading_misaligned": 0.001, "steering_offset": 0.001, "position_reference": 0.02, "measuring_point": 0.05,
     "map_shear": 0.001,
 }
-"""To what an identity itself holds, half of a 95 % interval, in the finding's unit (scales: share of the value): what
-resampling cannot see, as filters, interpolation between samples, roll, and for the steering the car's own response.
-By finding, else by the last part of its name. It is added in quadrature (GUM: type B beside type A). Set from what the
-estimates missed the known truth by on the development drives of bench/checks; the sealed drives had no part in it."""
+"""Systematic uncertainty of an identity, half of a 95 % interval, in the finding's unit (scales: share of the value):
+filters, interpolation between samples, roll, and for the steering the car's own response, which resampling does not
+cover. By finding, else by the last part of its name. Added in quadrature (GUM: type B to type A). Set from the errors
+of the estimates on the development drives of bench/checks; the sealed drives were not used."""

@@ -1,5 +1,5 @@
-"""The working copy that checks are made on: arrays in seconds, corrected by what was found so far, so that one fault is
-findings once. Nothing of it leaves the checks."""
+"""Working copy of a drive for the checks: arrays in seconds, corrected by the findings so far, so that one fault gives
+one finding."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,7 +11,7 @@ from ..filtering import NANOSECOND
 from ..log import DriveLog
 
 LONGEST_GAP = 0.25  # s between samples; nothing is integrated across a longer one
-MOVING = 1.0  # m/s; below it a car says little
+MOVING = 1.0  # m/s; slower driving is not used
 FEWEST_WINDOWS = 5  # that must show the car driving
 COHERENT = 0.5  # cosine between the ways of successive windows: 1 straight on, 0 for a random walk
 LEAST_SIGNAL = 10.0  # standard deviations of the velocity's noise
@@ -76,7 +76,7 @@ class Motion:
 
 
 def is_driven(motion: Motion) -> bool:
-    """Whether the car drives at all, in whatever units: positions go on in the direction they came from, or the forward
+    """Whether the car drives at all, in whatever units: positions keep their direction of travel, or the forward
     velocity is far beyond its own noise. Noise and a wandering receiver do neither."""
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time)))) if len(motion.time) > 1 else 1.0
     over = windows(motion.time, length, max(LONGEST_GAP, 0.5 * length))
@@ -129,7 +129,7 @@ def windows(time: np.ndarray, length: float, longest_gap: float = LONGEST_GAP) -
 
 
 def stretches(times: np.ndarray, apart: float) -> tuple[tuple[float, float], ...]:
-    """Instants [s] that are no further apart than that, as (first, last)."""
+    """Groups of instants [s] at most `apart` from each other, as (first, last)."""
     if not len(times):
         return ()
     edges = [0, *(np.flatnonzero(np.diff(times) > apart) + 1).tolist(), len(times)]

@@ -39,7 +39,7 @@ STEP_TIME = 0.05  # s
 @dataclass(frozen=True)
 class Plausible:
     """What a road car can do in one channel. step: largest change between samples up to STEP_TIME apart [unit], in
-    proportion beyond. largest: magnitude [unit] that is out of range; inf where there is no such limit."""
+    proportion beyond. largest: magnitude [unit] that is out of range; inf without a limit."""
 
     unit: str
     step: float
@@ -150,8 +150,7 @@ def _channel(name: str, time: np.ndarray, values: np.ndarray | None) -> _Channel
 
 
 def _moving(log: DriveLog) -> np.ndarray:
-    """Whether the car moves by its velocity or its positions, a bool for each INS sample; a dropout of one is no stop.
-    """
+    """Whether the car moves by its velocity or its positions, for each INS sample; a dropout of one is not a stop."""
     if len(log.ins_time_ns) < 2:
         return np.zeros(len(log.ins_time_ns), bool)
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
@@ -197,7 +196,7 @@ def _wrapped(channel: _Channel) -> np.ndarray:
     size = float(np.median(np.abs(change)))
     ends = channel.values[places] + channel.values[places + 1]
     wraps = (np.abs(np.abs(change) - size) < WRAP_SPREAD * size) & (np.abs(ends) < WRAP_SYMMETRY * size)
-    # Beside a wrap the channel approaches the end of its range: neighbours of a spike or of a sentinel do not.
+    # Next to a wrap the channel approaches the end of its range: neighbours of a spike or of a sentinel do not.
     if wraps.sum() < 2 or wraps.mean() < MOST or np.abs(channel.values).max() > (0.5 + WRAP_SPREAD) * size:
         return places[:0]
     level = np.zeros(len(channel.values), np.int64)
@@ -244,9 +243,9 @@ def _sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.n
 
 def _spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     """Samples further than the limit from the median of their surroundings (Hampel 1974, with a physical limit), and
-    stretches in which most steps are large.
+    stretches in which most steps are large and unlike their neighbours: equal large steps are a turn in another unit.
 
-    Only samples beside a large step are looked at. Surroundings end at gaps.
+    Only samples next to a large step are examined. Surroundings end at gaps.
     """
     if not large.any():
         return np.zeros(0, np.int64)
@@ -262,7 +261,9 @@ def _spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
         known = (around == inside) & (stretch[inside] == stretch[part][:, None])
         middle = np.nanmedian(np.where(known, channel.values[inside], np.nan), axis=1) if len(part) else np.zeros(0)
         found.append(part[np.abs(channel.values[part] - middle) > channel.limit])
-    dense = np.convolve(large & ~channel.split, np.ones(2 * half + 1), "same") > half
+    uneven = np.abs(np.diff(channel.values, 2)) > channel.limit
+    rough = np.concatenate(([False], uneven)) | np.concatenate((uneven, [False]))
+    dense = np.convolve(large & rough & ~channel.split, np.ones(2 * half + 1), "same") > half
     for first, last in _spans(dense):
         places = first + np.flatnonzero(large[first:last + 1])
         found += [np.arange(places[0] + 1, places[-1] + 1)] if len(places) else []
@@ -287,8 +288,8 @@ def _finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
         "sample_spikes": f"{channel.name} is {value:.4g} {unit} {when}, " + (
             f"in sample {channel.rows[samples[0]] + 1}" if len(samples) == 1 else f"the largest of {count}")
             + ", which its neighbours exclude",
-        "sentinel_values": f"{channel.name} holds {value:.6g} {unit} {when} ({count}): "
-                           + ("0 while the car moves" if value == 0.0 else "a value that stands for no measurement"),
+        "sentinel_values": f"{channel.name} is {value:.6g} {unit} {when} ({count}): "
+                           + ("0 while the car moves" if value == 0.0 else "a code for a missing measurement"),
         "out_of_range": f"{channel.name} reaches {value:.4g} {unit} {when} ({count}), beyond any road car",
         "channel_wraps": f"{channel.name} wraps around at ±{np.abs(channel.values).max():.4g} {unit} "
                          f"{when} ({count}): its signal is too short for the values of this drive",

@@ -1,8 +1,8 @@
-"""Positions against velocity and yaw: an identity that no vehicle parameter can break.
+"""Positions against velocity and yaw: an identity that holds for any vehicle parameters.
 
     p(t2) - p(t1) = integral of R(yaw) v dt
 
-over windows of a second. What is left of it is explained by at most a few causes, each linear in its size:
+over windows of a second. Its residual is explained by at most a few causes, each linear in its size:
 
     x or y scale s        p = s p_true                           s - 1 times the derived way along that axis
     map shear h           x = x_true + h y_true                  h times the way north, in x
@@ -24,18 +24,18 @@ from .regression import Estimate, Regression, matters, with_systematic
 WINDOW = 1.0  # s
 LEAST = 10  # windows
 ROUNDS = 3
-MOST, NEARLY_ALL = 0.5, 0.25  # what may be left; a yaw that leads is rare
-CLEARLY = 1.1  # factor of loss by which the scale of one axis must explain more than that of the velocity
-LEAST_GAIN = 0.01  # m in a second by which a sign must explain positions better: RTK noise makes 1 cm
+MOST, NEARLY_ALL = 0.5, 0.25  # largest residual share of the lag of positions; a yaw that leads is rare
+CLEARLY = 1.1  # ratio of losses from which the scale of one axis is preferred to that of the velocity
+LEAST_GAIN = 0.01  # m; least reduction of the misfit over a second by another sign: RTK noise is 1 cm
 LEAST_ACROSS = 0.02  # m/s root mean square of velocity_y
 SPHERE = 0.005  # a map projected with one radius of the earth is wrong by up to half a per cent per axis
 AXES = {"x_scale", "y_scale"}
 TEXT = {
-    "x_scale": "x is {value:.4f} ± {half:.4f} of what velocity says: projected with the cosine of another latitude?",
-    "y_scale": "y is {value:.4f} ± {half:.4f} of what velocity says: another earth radius or scale?",
-    "sphere": "{axis} is {value:.4f} ± {half:.4f} of what velocity says: projected as if the earth were a sphere?",
+    "x_scale": "x is {value:.4f} ± {half:.4f} times the integrated velocity: scaled by the cosine of another latitude?",
+    "y_scale": "y is {value:.4f} ± {half:.4f} times the integrated velocity: another earth radius or scale?",
+    "sphere": "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity: projected on a spherical earth?",
     "map_shear": "x {grows} by {size:.4f} ± {half:.4f} m for each metre north: projected far from its origin?",
-    "velocity_scale": "velocity is {value:.4f} ± {half:.4f} times what positions say",
+    "velocity_scale": "velocity is {value:.4f} ± {half:.4f} times the rate of change of positions",
     "yaw_offset": "yaw is {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too far {side} for positions and velocities",
     "position_lag": "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s",
     "velocity_lag": "velocities {lag} positions and yaw by {size:.3f} ± {half:.3f} s",
@@ -49,7 +49,7 @@ CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "yaw_offs
 
 
 def regression(motion: Motion, seed: int) -> Regression:
-    """The identity's rest over windows and what each cause would do to it."""
+    """Regression of the identity's residual over windows on the effects of each cause."""
     over = windows(motion.time, WINDOW)
     east, north = motion.velocity_map
     cosine, sine, rate = np.cos(motion.yaw), np.sin(motion.yaw), motion.yaw_rate
@@ -69,17 +69,16 @@ def regression(motion: Motion, seed: int) -> Regression:
 
 
 def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
-    """(motion with the causes taken out, the findings, every cause's estimate in the value of its finding).
-    """
+    """(motion with the causes removed, the findings, estimates of every cause as values of its finding)."""
     found: dict[str, Estimate] = {}
     corrected = motion
-    for _ in range(ROUNDS):  # what is not linear in a large cause comes out in the next round
+    for _ in range(ROUNDS):  # the nonlinear part of a large cause is removed in the next round
         problem = regression(corrected, seed)
         if len(problem.time) < LEAST:
             return motion, [], {}
         effects = {name: max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9) for name in problem.columns}
         least = {name: max(LIMITS.min_reported_effect / effect, _least(name)) for name, effect in effects.items()}
-        # A large cause casts shadows on the others, which are gone in the next round.
+        # A large cause biases the estimates of the others until it is removed in the next round.
         found = {name: one for name, one in _refined(problem, found, least).items() if matters(one, least[name])}
         corrected = _corrected(motion, found)
         if not found:
@@ -89,15 +88,15 @@ def position(motion: Motion, seed: int) -> tuple[Motion, list[Finding], dict[str
 
 
 def misfit(motion: Motion) -> float:
-    """Median distance over a second between positions and what velocity and yaw say [m], scales of the map aside."""
+    """Median distance over a second between positions and integrated velocity [m], scales of the map removed."""
     problem = regression(motion, 0)
     return problem.fit(("x_scale", "y_scale"))[1] if len(problem.time) >= LEAST else np.inf
 
 
 def positions_confirm_yaw_lag(motion: Motion, earlier: Motion, late: float) -> bool:
-    """Whether positions say that yaw is `late` [s] rather than that they are late themselves; earlier: that corrected.
+    """Whether yaw lags by `late` [s] rather than the positions; earlier: the motion with that lag corrected.
 
-    At one speed both fit; then it is the yaw if mending it takes most of the lag of the positions away.
+    At a constant speed both fit; then it is the yaw if its correction reduces the lag of the positions to a small part.
     """
     fits = [regression(one, 0) for one in (motion, earlier)]
     if len(fits[0].time) < LEAST:
@@ -108,7 +107,7 @@ def positions_confirm_yaw_lag(motion: Motion, earlier: Motion, late: float) -> b
 
 
 def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """The sign of velocity_y: the other way round it fits positions better than any other cause could."""
+    """(motion, finding) with the sign of velocity_y reversed where that fits positions better than any other cause."""
     if float(np.sqrt(np.mean(motion.velocity_y**2))) < LEAST_ACROSS:
         return motion, []
     mirrored = motion.with_(velocity_y=-motion.velocity_y)
@@ -130,7 +129,7 @@ def lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, float]) -> dict[str, Estimate]:
-    """Values of the causes found before, made finer, and further causes."""
+    """Refined values of the previous causes, and further causes."""
     free = {name: value for name, value in least.items() if name not in found}
     if AXES & found.keys():
         free.pop("velocity_scale", None)
@@ -144,7 +143,7 @@ def _refined(problem: Regression, found: dict[str, Estimate], least: dict[str, f
 
 
 def _one_scale(problem: Regression, causes: dict[str, Estimate], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the causes; scales of both axes that are one, or of the only axis that was driven, are the velocity's.
+    """Names of the causes; equal scales of both axes, or that of the only axis driven, are attributed to velocity.
 
     Positions come from satellites; one factor in both of their axes is far rarer than a wrong speed.
     """
@@ -156,14 +155,14 @@ def _one_scale(problem: Regression, causes: dict[str, Estimate], always: tuple[s
         one = abs(causes["x_scale"].value - causes["y_scale"].value) < SPHERE
     else:
         _, scale, _ = problem.fit([*always, *causes])
-        # A drive along one axis tells them apart by what it moved along the other.
+        # On a drive along one axis, the motion along the other decides between them.
         one = (problem.loss([*always, *others, "velocity_scale"], scale)
                <= CLEARLY * problem.loss([*always, *causes], scale))
     return (*others, "velocity_scale") if one else tuple(causes)
 
 
 def _all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]:
-    """Every cause by itself beside those found, in the value of its finding: what these drives tell of it."""
+    """Estimate of each cause, fitted with those found, as value of its finding."""
     findings = {}
     for name in problem.columns:
         twins = AXES if name == "velocity_scale" else {"velocity_scale"} if name in AXES else set()
@@ -176,7 +175,7 @@ def _all(problem: Regression, found: dict[str, Estimate]) -> dict[str, Estimate]
 
 
 def _is_wrong(name: str, shown: Estimate) -> bool:
-    """Whether the interval, with what the identity itself does not know, leaves out the value of a right channel."""
+    """Whether the interval, systematic uncertainty included, excludes the value of a correct channel."""
     low, high = shown.shifted(-1.0 if name.endswith("_scale") else 0.0).interval
     return low * high > 0.0
 
@@ -203,7 +202,7 @@ def _finding(name: str, one: Estimate, problem: Regression) -> Finding:
 
 
 def _shown(name: str, one: Estimate) -> Estimate:
-    """A cause in the value of its finding: a right channel has scale 1."""
+    """A cause as value of its finding: a correct channel has scale 1."""
     if name == "velocity_scale":
         return with_systematic(name, one.shifted(1.0).inverse())
     return with_systematic(name, one.shifted(1.0) if name.endswith("_scale") else one)
@@ -211,7 +210,7 @@ def _shown(name: str, one: Estimate) -> Estimate:
 
 def _advice(name: str, value: float) -> Advice:
     if name == "map_shear":
-        return Advice("look", "project latitude and longitude again, with an origin near the drive")
+        return Advice("look", "project latitude and longitude with an origin near the drive")
     channel, entry = {
         "x_scale": ("x", {"scale": 1.0 / value}), "y_scale": ("y", {"scale": 1.0 / value}),
         "velocity_scale": ("velocity", {"scale": 1.0 / value}), "yaw_offset": ("yaw", {"add": -value}),
@@ -245,7 +244,7 @@ def _corrected(motion: Motion, found: dict[str, Estimate]) -> Motion:
 
 
 def identity(motion: Motion, before: Mapping[str, float]) -> Identity:
-    """Way over a second, for the eye. before: units that were taken out, put in again for the picture."""
+    """Distance per second for a figure. before: units that were divided out; the figure shows values as recorded."""
     over = windows(motion.time, WINDOW)
     east, north = motion.velocity_map
     derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))

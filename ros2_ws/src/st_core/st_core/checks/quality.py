@@ -1,4 +1,4 @@
-"""What the INS says of itself: modes and accuracies."""
+"""Modes and accuracies reported by the INS."""
 
 import numpy as np
 

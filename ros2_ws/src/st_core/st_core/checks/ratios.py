@@ -1,4 +1,4 @@
-"""How large turns and ways are by one road over another: of yaw, yaw rate, course, position and velocity."""
+"""Ratios of turn angles and distances estimated from yaw, yaw rate, course, position and velocity."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from .motion import Motion, Windows, integral, weighted_median, windows
 
-LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m in a window, from which on it says something
+LEAST_TURN, LEAST_WAY = 0.02, 0.5  # rad and m; windows with less motion are not used
 LEAST_WINDOWS = 5
 NOTHING = 1e-10  # a ratio of two channels below it: nanoseconds make 1e-9
 ALIKE = 1.2  # two ratios that differ by less than this factor are one
@@ -14,7 +14,7 @@ ALIKE = 1.2  # two ratios that differ by less than this factor are one
 
 @dataclass(frozen=True)
 class Ratios:
-    """Medians over the windows, NaN where there is too little motion. way: position over velocity. Turns: yaw over
+    """Medians over the windows, NaN with too little motion. way: position over velocity. Turns: yaw over
     integrated yaw rate, yaw over course, yaw rate over course.
     """
 
@@ -44,22 +44,22 @@ def _way_ratio(way: np.ndarray, run: np.ndarray) -> float:
 
 
 def _moving(ratio: float) -> float:
-    """NaN where one of the two stands still: that is no unit."""
+    """The ratio; NaN if one of the two channels is constant."""
     return ratio if NOTHING < abs(ratio) < 1.0 / NOTHING else float("nan")
 
 
 def _slope(top: np.ndarray, bottom: np.ndarray) -> float:
-    """Robust slope of top over bottom, beside a small constant: a bias of the yaw rate is none of its scale."""
+    """Robust slope of top over bottom with a small constant: a bias of the yaw rate does not change its scale."""
     if len(top) < LEAST_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < LEAST_TURN:
         return float("nan")
     less, more = sorted((top, bottom), key=lambda turns: float(np.percentile(np.abs(turns), 95)))
     if float(np.percentile(np.abs(less), 95)) < LEAST_TURN and float(np.std(more)) < 0.5 * abs(float(np.mean(more))):
         return float("nan")  # one hardly turns, the other is a bias
     weights, slope = np.ones(len(top)), float("nan")
-    # The constant is held by as much as windows that turn by LEAST_TURN would: a circle says nothing about it.
-    held = (len(top) * LEAST_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
+    # Prior of the constant, equal to windows that turn by LEAST_TURN: a circle does not determine it.
+    prior = (len(top) * LEAST_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
     for _ in range(8):
-        rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + held]])
+        rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + prior]])
         slope, constant = np.linalg.lstsq(rows, [weights @ (bottom * top), weights @ top])[0]
         rest = np.abs(top - slope * bottom - constant)
         weights = 1.0 / np.maximum(1.0, rest / (3.0 * max(float(np.median(rest)), 1e-12)))
@@ -72,7 +72,7 @@ def _against_course(motion: Motion, over: Windows, way: np.ndarray) -> tuple[flo
         return float("nan"), float("nan")
     course = np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x)))
     scale = float(np.median(way)) if len(way) else 0.0
-    # Consecutive windows in which the car got on: else the course is noise.
+    # Consecutive windows in which the car moves: else the course is noise.
     usable = (over.last[:-1] == over.first[1:]) & (np.minimum(way[1:], way[:-1]) > max(0.3 * scale, 1e-12))
     turn = np.diff(course)[usable]
     usable_turn = np.abs(turn) < 1.5

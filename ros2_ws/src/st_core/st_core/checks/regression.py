@@ -1,8 +1,8 @@
-"""Robust linear regression of what is left of an identity, its intervals by resampling blocks of driving.
+"""Robust linear regression of the residual of an identity, with intervals by resampling blocks of driving.
 
 Neighbouring samples share their errors, so whole blocks are drawn again (identification.blocks), and an
 interval is as wide as the blocks are few and alike. Causes are added one at a time, the one that explains most first,
-all fitted anew together, until no further one is sure and large enough to matter.
+all refitted together, until no further one is significant and large enough to matter.
 """
 
 from collections.abc import Mapping, Sequence
@@ -68,7 +68,7 @@ class Regression:
         self._blocks = blocks(time)
 
     def rest(self, theta: Mapping[str, float]) -> np.ndarray:
-        """(n, m) that is left of y."""
+        """(n, m) residual of y."""
         return self.y - sum((value * self.columns[name] for name, value in theta.items()), np.zeros_like(self.y))
 
     def fit(self, names: Sequence[str]) -> tuple[dict[str, float], float, np.ndarray]:
@@ -109,7 +109,7 @@ class Regression:
         found = {}
         for k, name in enumerate(names):
             deviation = float(np.sqrt(drawn.covariance[k, k]))
-            # The covariance is widened by what blocks share already; how well that is known is no worse than FREEDOM.
+            # The covariance is widened by what blocks share already; its degrees of freedom are at least FREEDOM.
             freedom = max(float(drawn.freedom[k]), FREEDOM)
             found[name] = Estimate(theta[name], deviation, symmetric_interval(theta[name], deviation, freedom))
         return found
@@ -126,10 +126,10 @@ class Regression:
 
     def causes(self, candidates: Mapping[str, float], always: Sequence[str] = (),
                alongside: Sequence[str] = ()) -> dict[str, Estimate]:
-        """The causes that are sure and matter, found one at a time and fitted together.
+        """The causes that are significant and large enough, found one at a time and fitted together.
 
-        candidates: by name, the smallest value worth a word. always: causes fitted beside them whatever they are.
-        alongside: causes with which a candidate may become sure: what they leave otherwise looks like slow noise.
+        candidates: by name, the smallest value reported. always: causes that are fitted in any case.
+        alongside: causes with which a candidate may become significant: left out, they look like slow noise.
         """
         chosen: list[str] = []
         left = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]
@@ -138,7 +138,7 @@ class Regression:
             losses = {name: self.loss([*always, *chosen, name], scale) for name in left}
             best = min(losses, key=losses.__getitem__)
             left.remove(best)
-            # A cause that takes the certainty from those found before is one of them in other words.
+            # A cause that makes previous ones insignificant is collinear with them.
             for extra in ((), [name for name in alongside if name not in (*always, *chosen, best)]):
                 joint = self.estimates([*always, *chosen, best, *extra])
                 if all(matters(joint[name], candidates[name]) for name in (*chosen, best)):
@@ -149,7 +149,7 @@ class Regression:
 
 
 def with_systematic(name: str, one: Estimate) -> Estimate:
-    """With what the identity itself does not know, see limits.SYSTEMATIC; name: of the finding it is the value of."""
+    """With the systematic uncertainty of the identity, see limits.SYSTEMATIC; name: of the finding with this value."""
     kind = name.rpartition("_")[2]
     half = SYSTEMATIC.get(name, SYSTEMATIC.get(kind, 0.0)) * (abs(one.value) if kind in ("scale", "sign") else 1.0)
     low, high = (one.value + sign * float(np.hypot(end - one.value, half))

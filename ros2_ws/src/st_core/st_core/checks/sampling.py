@@ -14,6 +14,7 @@ STEERING = ("road_wheel_angle", "steering_wheel_angle")
 HELD = 0.7  # share of the changes that come at the same interval in a channel held at a lower rate
 FEW = 0.01  # share of rows below which a fault of single rows is a note
 MISSED = 0.05  # share of the time lost in gaps from which on whole conditions may be missing
+EVEN = 0.05  # relative; mean spacing of a slower sensor against rows per sample: a gap shifts it by its share
 SLOWER = 1.5  # rows between two samples of a slower sensor, on average
 SLOWEST = 15.0  # Hz; positions held at a lower rate are half a metre old at 15 m/s, on average a quarter
 FROZEN = 1.5  # s without any change; quieter channels are given ten times their own usual pause
@@ -70,7 +71,7 @@ def resolution(values: np.ndarray) -> float:
 
 
 def timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding] = ()) -> list[Finding]:
-    """Stamps, gaps and missing rows. left_out: findings whose samples were left out, which makes no gap."""
+    """Stamps, gaps and missing rows. left_out: findings of samples that were left out, which do not count as gaps."""
     findings = []
     for signal, stamps in auxiliary.stamps.items():
         findings += _stamps(signal, np.asarray(stamps, np.int64))
@@ -106,14 +107,15 @@ def _missing(channel: str, count: int, share: float, slower: float) -> Finding:
 def _slower_rate(time: np.ndarray, rows: np.ndarray, missing: float) -> float:
     """Hz of samples [s] that are evenly spaced, to a row, among all rows [s], but for one in a hundred; else 0.
 
-    missing: share of the rows without one. A hole leaves the others a row apart: that is no slower sensor.
+    missing: share of the rows without one. After a gap the others are a row apart: that is not a slower sensor.
     """
     spacing, between = np.diff(time), np.diff(rows)
     if len(spacing) < 20 or len(between) < 20:
         return 0.0
     row = float(np.median(between))
     usual = row / max(1.0 - missing, 1e-9)
-    even = np.mean(np.abs(spacing - usual) > 1.05 * row) <= FEW
+    within = np.abs(spacing - usual) <= 1.05 * row
+    even = np.mean(~within) <= FEW and abs(float(spacing[within].mean()) / usual - 1.0) <= EVEN
     return 1.0 / usual if usual >= SLOWER * row and even else 0.0
 
 
@@ -213,19 +215,19 @@ def _frozen(name: str, time: np.ndarray, row: np.ndarray, motion: Motion, step: 
         return []
     seconds = float(lasted[bad].sum())
     where = tuple((float(time[first[k]]), float(time[last[k]])) for k in bad)
-    text = f"{name} stands still for {seconds:.1f} s while the car moves"
+    text = f"{name} is constant for {seconds:.1f} s while the car moves"
     throughout = seconds > 0.5 * float(time[-1] - time[0])
     severity = Severity.ERROR if throughout and name not in SPARED else Severity.WARNING
     ins = name != "road_wheel_angle"
     stretches = [[round(a, 2), round(b, 2)] for a, b in where]
     advice = (Advice("look", f"nothing can be made of it: record {name}") if throughout else
             Advice("run.yaml", f"leave_out: {stretches}", {"leave_out": stretches}) if ins else
-            Advice("look", "look at the steering sensor: its frames stand still there"))
+            Advice("look", "look at the steering sensor: its frames repeat one value there"))
     return [Finding("channel_frozen", severity, (name,), text, seconds, "s", None, where, None, advice)]
 
 
 def _should_change(name: str, begin: float, end: float, motion: Motion, step: float) -> bool:
-    """Whether the other channels say that this one changed meanwhile, by more than its own rounding `step`."""
+    """Whether this channel should have changed by more than its resolution `step`, according to the others."""
     inside = (motion.time >= begin) & (motion.time <= end)
     if inside.sum() < 3:
         return False
@@ -278,7 +280,7 @@ def _rounded(name: str, motion: Motion, speed: float) -> list[Finding]:
 
 
 def unfrozen(motion: Motion, findings: Sequence[Finding]) -> Motion:
-    """Without the samples of what stands still; what is left out is a gap."""
+    """Motion without the samples of frozen channels; they become gaps."""
     for one in findings:
         if one.name != "channel_frozen":
             continue

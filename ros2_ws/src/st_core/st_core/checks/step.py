@@ -24,7 +24,7 @@ def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log
                   step: float) -> Finding | None:
     """The finding `step_too_long`, for all of the models together; None where the step [s] is short enough.
 
-    Its value is the minimum_slip_speed [m/s] that cures it, as printed; where none does, the step [s].
+    Its value is the minimum_slip_speed [m/s] that corrects it, as printed; where none does, the step [s].
     Checked by: test_checks_step.py.
     """
     chosen = [get_model(model) for model in models]
@@ -59,6 +59,6 @@ def _advice(models: Sequence[Model], vehicle: VehicleParameters, speeds: Sequenc
 
 
 def _stretches(log: DriveLog, chosen: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """Where a mask over the INS samples holds, in s after the first of them; () for the whole run."""
+    """Stretches selected by a mask over the INS samples, in s after the first of them; () for the whole run."""
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     return () if chosen.all() else stretches(seconds[chosen], TOGETHER)

@@ -47,7 +47,7 @@ def _even(time: np.ndarray) -> np.ndarray:
 
 
 def _rests(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """(d_k [m], east + i north; its part along the track over the speed [s], NaN where the car stands): n - 1 each."""
+    """(d_k [m], east + i north; its part along the track over the speed [s], NaN at standstill): n - 1 each."""
     east, north = motion.velocity_map
     rest = (np.diff(motion.x) - np.diff(integral(motion.time, east))
             + 1j * (np.diff(motion.y) - np.diff(integral(motion.time, north))))
@@ -114,7 +114,7 @@ def _jumps(motion: Motion, rest: np.ndarray, stale: np.ndarray, rounding: float)
     where = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large))
     median, largest = float(np.median(sizes)), float(sizes.max())
     text = (f"positions jump {count} time{'s' if count > 1 else ''}, by {median:.2f} m in the median, {largest:.2f} m "
-            "at most, which velocity knows nothing of")
+            "at most, not explained by velocity")
     share = min(count * 5.0 / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
     severity = LIMITS.severity(effect) if largest < LIMITS.warning else max(

@@ -1,7 +1,7 @@
 """Every proposed correction is applied to the run it was found in, and proposed only if predictions do not get worse.
 
 The error is the distance between the measured position and that of the linear single-track model, 5 s after starts that
-lie 5 s apart, so that they share no driving; both come from the drive as corrected. A steering ratio or offset of the
+lie 5 s apart, so that they do not overlap; both come from the drive as corrected. A steering ratio or offset of the
 vehicle file that is wrong would favour corrections that happen to compensate it, so both are fitted before and after:
 
     e = e_0 + (de/dg) g + (de/do) o,    g, o: gain [1] and offset [rad] of the road wheel angle, least squares
@@ -35,7 +35,7 @@ State = tuple[DriveLog, VehicleParameters]
 def tried(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
     """The findings with the error [m] before and after their correction, without the corrections that do harm.
 
-    Corrections of errors are applied together, since one wrong unit hides another; then each warning by itself. A
+    Corrections of errors are applied together, since one wrong unit hides another; then each warning separately. A
     warning that its correction refutes becomes a note. Corrections that no prediction depends on are not tried.
     """
     tested = [one for one in findings if _is_tested(one)]

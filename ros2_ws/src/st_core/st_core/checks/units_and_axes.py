@@ -1,4 +1,4 @@
-"""Units, signs and axes: factors that no calibration has.
+"""Units, signs and axes: factors too large for a calibration error.
 
 Yaw change has three estimates (yaw, integrated yaw rate, course over ground), distance two (change of position,
 integrated velocity); the outlier of three is wrong:
@@ -19,7 +19,7 @@ from .motion import Motion, Windows, integral, windows
 from .ratios import LEAST_WAY, LEAST_WINDOWS, near, ratios
 from .regression import Estimate
 
-LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; share of the way by which positions may miss velocity and yaw
+LEAST_FOLLOWED, FOLLOWS = 0.2, 0.02  # rad of turning; largest misfit of positions, share of the distance
 ALONG = 0.1  # of the way, and of what yaw leaves: velocities that miss positions by less are those of the map
 LEAST_RATE = 0.005  # of the time; crystals are wrong by 0.0001, nominal rates by a whole sample
 CLEARLY = 0.8  # factor of the misfit
@@ -47,7 +47,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _one_yaw(found: list[Finding]) -> list[Finding]:
-    """A yaw that counts clockwise, and not from north, is one finding: each cure alone leaves an error."""
+    """A yaw that counts clockwise, and not from north, is one finding: each correction alone leaves an error."""
     findings = {one.name: one for one in found}
     if not {"yaw_convention", "yaw_offset"} <= findings.keys():
         return found
@@ -76,7 +76,7 @@ def time_unit(motion: Motion) -> tuple[Motion, Finding | None]:
         return motion, None
     factor = 1.0 / found.way
     unit = unit_of(factor, TIMES)
-    # One ratio alone may as well be the velocity's unit; then only a unit of time is believed.
+    # One ratio alone may also be the unit of velocity; then only a unit of time is accepted.
     if not unit and (len(both) < 2 or 1 / 10 < factor < 10):
         return motion, None
     words, advice = "", Advice("look", "look at the clock that stamps the rows")
@@ -140,7 +140,7 @@ def _turns(motion: Motion) -> tuple[Motion, Finding | None]:
 
 
 def _follows(motion: Motion) -> bool:
-    """Whether positions go where yaw and velocity say, but for a turn and the unit of one of them."""
+    """Whether positions follow yaw and velocity, except for a constant rotation and a unit."""
     over = windows(motion.time, 1.0)
     way = np.hypot(over.change(motion.x), over.change(motion.y))
     run = over.change(integral(motion.time, motion.speed))
@@ -156,7 +156,7 @@ def _yaw_rate(motion: Motion, factor: float, against: str = "yaw") -> tuple[Moti
     exact = float(np.copysign(size, factor))
     reason = (f": {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
               ": it counts the other way (left is positive)" if exact == -1.0 else "")
-    text = f"yaw_rate is {factor:.3g} times what {against} says{reason}"
+    text = f"yaw_rate is {factor:.3g} times the rate of change of {against}{reason}"
     return (motion.with_(yaw_rate=motion.yaw_rate / exact),
             _error("yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact)))
 
@@ -164,7 +164,7 @@ def _yaw_rate(motion: Motion, factor: float, against: str = "yaw") -> tuple[Moti
 def _yaw(motion: Motion, factor: float) -> tuple[Motion, Finding]:
     size = _angle(factor)
     if factor > 0.0:
-        text = (f"yaw is {factor:.3g} times what yaw rate and course say"
+        text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
                 + (f": {ANGLES[size]}?" if size in ANGLES else ""))
         corrected = motion.with_(yaw=_without_wraps(motion, motion.yaw / size))
         return corrected, _error("yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
@@ -220,11 +220,11 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
         return motion, None
     speed, length = unit_of(1.0 / r.way, SPEEDS), unit_of(r.way, LENGTHS)
     if length and not speed:
-        text = f"x and y are {r.way:.4g} times what velocity says: {LENGTHS[length]}?"
+        text = f"x and y are {r.way:.4g} times the integrated velocity: {LENGTHS[length]}?"
         finding = _error("position_scale", ("x", "y"), text, r.way, Advice.correct("position", scale=1.0 / length))
         return motion.with_(x=motion.x / length, y=motion.y / length), finding
     if not speed and r.way < FARTHEST:
-        text = f"x and y are {r.way:.3g} times what velocity says: latitude and longitude? Metres are expected"
+        text = f"x and y are {r.way:.3g} times the integrated velocity: latitude and longitude? Metres are expected"
         advice = Advice("look", "project latitude and longitude to east and north")
         return motion.with_(x=motion.x / r.way, y=motion.y / r.way), _error(
             "position_scale", ("x", "y"), text, r.way, advice)
@@ -235,7 +235,8 @@ def _way(motion: Motion) -> tuple[Motion, Finding | None]:
     alone = _misfit(forward) < 0.8 * _misfit(both)
     name, channel = ("velocity_x_scale", "velocity_x") if alone else ("velocity_scale", "velocity")
     channels = ("velocity_x",) if alone else ("velocity_x", "velocity_y")
-    text = f"{' and '.join(channels)} {'is' if alone else 'are'} {1.0 / r.way:.3g} times what positions say{unit}"
+    text = (f"{' and '.join(channels)} {'is' if alone else 'are'} {1.0 / r.way:.3g} times the rate of change of "
+            f"positions{unit}")
     return (forward if alone else both), _error(name, channels, text, 1.0 / r.way,
                                                 Advice.correct(channel, scale=1.0 / factor))
 
@@ -255,7 +256,7 @@ def _misfit(motion: Motion) -> float:
 
 
 def _of_map(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Velocities east and north: positions go their way without any yaw."""
+    """Velocities in the map frame: positions follow them without rotation by yaw."""
     over, measured, derived = _ways(motion, motion.velocity_x, motion.velocity_y)
     if len(over) < LEAST_WINDOWS or not np.ptp(motion.yaw) > LEAST_FOLLOWED:
         return motion, None

@@ -1,8 +1,8 @@
-"""Identities with the car, within bounds so generous that only a fault of the recording leaves them.
+"""Relations that involve the vehicle, with bounds so wide that only a faulty recording exceeds them.
 
 Steering: atan(L r / v_x) is what a car without slip steers; ratio and wheelbase of a real one change it by some ten per
 cent, understeer at 20 m/s may nearly double it, a wrong unit makes it 57 times as large. Rear axle: a slow car's rear
-axle goes where it points, so at the INS point
+axle moves where it points, so at the INS point
 
     v_y = -a v_x + d r - s v_x^2 r      a: heading reported too far left, d: ahead of the rear axle, s: slip of the rear
 """
@@ -20,19 +20,19 @@ from .limits import HORIZON, LIMITS
 from .motion import MOVING, Motion, windows
 from .regression import Estimate, Regression, with_systematic
 
+Comparison = tuple[list[Finding], dict[str, Estimate], Identity | None]
+"""(findings, estimates by name of the finding, what a figure shows or None)."""
 CUTOFF = 1.5  # Hz
 SLOW, GENTLE = 2.0, 4.0  # m/s from which, m/s^2 up to which an axle's slip is linear
 DEGREE = 180.0 / np.pi
 WINDOW = 0.5  # s
 ONE_BEND = 0.9  # cosine between speed and yaw rate over the drive: 1 on a circle
 LEAST_ANGLE = 0.01  # rad, root mean square
-STOPPED = 1e-6  # of what curvature says; a steering that reads nothing has stopped, which is findings elsewhere
+STOPPED = 1e-6  # of the angle derived from curvature; a constant steering angle is reported as frozen instead
 
 
-def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed: int,
-             ) -> tuple[list[Finding], dict[str, Estimate], Identity | None]:
-    """Curvature against steering. hand_wheel: whether its angle was recorded, so that the vehicle file has its offset.
-    """
+def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed: int) -> Comparison:
+    """Curvature against steering. hand_wheel: whether its angle was recorded; its offset is in the vehicle file."""
     moving = motion.velocity_x > SLOW
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
@@ -49,7 +49,7 @@ def steering(motion: Motion, vehicle: VehicleParameters, hand_wheel: bool, seed:
                               or abs(float(found.derived.mean())) > found.spread):
         found = replace(found, scale=scale, bias=NOTHING)
     scale = with_systematic("steering_scale", found.scale)
-    # Steering that falls where curvature rises is the driver's answer to what else turns the car: of no age.
+    # Steering that falls where curvature rises is the driver's reaction to another yaw moment: it has no lag.
     answers = found.correlation * scale.value < 0.0
     late = with_systematic("steering_lag", found.lag.shifted(response))
     findings = [one for one in (_unit(scale, own, vehicle),
@@ -124,7 +124,7 @@ def _unit(scale: Estimate, own: float, vehicle: VehicleParameters) -> Finding | 
     words = " and ".join(filter(None, (reason, other_way)))
     name = "steering_sign" if exact == 1.0 else "steering_scale"
     or_else = "  # or, for CAN logs, the other steering_sign in car.yaml" if name == "steering_sign" else ""
-    text = f"road_wheel_angle is {value:.3g} times what yaw rate and speed say" + (f": {words}?" if words else "")
+    text = f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed" + (f": {words}?" if words else "")
     advice = Advice.correct("road_wheel_angle", scale=float(f"{1.0 / signed:.6g}"))
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", scale.interval, (), None,
                    replace(advice, line=f"{advice.line}{or_else}"))
@@ -134,7 +134,7 @@ def _late(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParame
           or_else: str) -> Finding | None:
     if not late.significant or not found.late or abs(late.value) < LIMITS.steering_lag:
         return None
-    # A late input leads the path astray by the turn that is missed meanwhile.
+    # A late input turns the path by the angle missed during the lag.
     missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
     effect = _sideways(missed / HORIZON * 2.0, speed, vehicle)
     verb = "lags" if late.value > 0.0 else "leads"
@@ -151,7 +151,7 @@ def _offset(found: Agreement, speed: float, vehicle: VehicleParameters, hand_whe
     if not one.significant or abs(one.value) < LIMITS.steering_offset:
         return None
     text = (f"the road wheels read {size_of(one)} rad ({abs(one.value) * DEGREE:.1f} deg) too far {side(one)} when "
-            "the car goes straight: the steering offset is wrong")
+            "driving straight: the steering offset is wrong")
     effect = _sideways(one.value, speed, vehicle)
     # Once the sign is corrected, where that is wrong too.
     left = one.value * float(np.sign(found.scale.value))
@@ -160,7 +160,7 @@ def _offset(found: Agreement, speed: float, vehicle: VehicleParameters, hand_whe
 
 
 def _straight(left: float, vehicle: VehicleParameters, hand_wheel: bool) -> Advice:
-    """left: what the road wheels read when the car goes straight [rad]."""
+    """Correction of the offset. left: reading of the road wheel angle when driving straight [rad]."""
     if not hand_wheel:
         return Advice.correct("road_wheel_angle", add=float(f"{-left:.4g}"))
     wheel = vehicle.steering_wheel_offset + left * vehicle.steering_ratio
@@ -173,13 +173,12 @@ def side(one: Estimate) -> str:
 
 
 def _at_most_warning(effect: float) -> Severity:
-    """What may be the car's and no fault of the recording stops nothing."""
+    """At most a warning, since the cause may be the car rather than the recording."""
     severity = LIMITS.severity(effect)
     return Severity.WARNING if severity is Severity.ERROR else severity
 
 
-def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int,
-              ) -> tuple[list[Finding], dict[str, Estimate], Identity | None]:
+def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int) -> Comparison:
     """Heading against the straight-on course, and where the INS point lies."""
     over = windows(motion.time, WINDOW)
     columns = [over.mean(motion.time, c) for c in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
@@ -206,19 +205,19 @@ def rear_axle(motion: Motion, vehicle: VehicleParameters, seed: int,
 def _rear_axle(problem: Regression, vehicle: VehicleParameters) -> dict[str, Estimate]:
     """heading [rad], point [m ahead of the rear axle], slip [s^2/m].
 
-    Where the drive cannot tell the slip of the axle from the point, the slip is that of the vehicle file, give or take
-    half of it.
+    Where the drive cannot separate the slip of the axle from the point, the slip is that of the vehicle file within
+    half of its value.
     """
     free = problem.estimates(("heading", "point", "slip"))
     expected = vehicle.mass * vehicle.cg_to_front_axle / (vehicle.wheelbase * vehicle.cornering_stiffness_rear)
     if free["slip"].deviation < 0.25 * expected:
         return free
-    held = []
+    fixed = []
     for slip in (expected, 0.5 * expected, 1.5 * expected):
         rest = problem.rest({"slip": slip})
-        held.append(Regression(problem.time, rest, problem.columns, problem.seed).estimates(("heading", "point")))
+        fixed.append(Regression(problem.time, rest, problem.columns, problem.seed).estimates(("heading", "point")))
     return {"slip": Estimate(expected, 0.25 * expected, (0.5 * expected, 1.5 * expected)), **{
-        name: _widened(held[0][name], max(abs(other[name].value - held[0][name].value) for other in held[1:]))
+        name: _widened(fixed[0][name], max(abs(other[name].value - fixed[0][name].value) for other in fixed[1:]))
         for name in ("heading", "point")}}
 
 
@@ -231,8 +230,8 @@ def _heading(one: Estimate, forward: np.ndarray) -> Finding | None:
     if not one.significant or abs(one.value) < LIMITS.heading:
         return None
     effect = abs(one.value) * float(np.median(forward)) * HORIZON
-    text = (f"the heading points {size_of(one)} rad ({abs(one.value) * DEGREE:.2f} deg) to the {side(one)} of where "
-            "the car goes when it goes straight: the INS is mounted askew, or the road is banked")
+    text = (f"the heading points {size_of(one)} rad ({abs(one.value) * DEGREE:.2f} deg) to the {side(one)} of the "
+            "course when driving straight: the INS is mounted at an angle, or the road is banked")
     return Finding("heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, one.value, "rad",
                    one.interval, (), effect, Advice.correct("heading", add=float(f"{-one.value:.4g}")))
 
@@ -257,7 +256,7 @@ def _point(one: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding
 
 
 def believable(motion: Motion) -> list[Finding]:
-    """Lateral acceleration that no tyre gives, where it lasts."""
+    """Finding of a lasting lateral acceleration above the limit of road tyres."""
     over = windows(motion.time, WINDOW)
     if not len(over):
         return []
@@ -273,7 +272,7 @@ def believable(motion: Motion) -> list[Finding]:
 
 
 def standstill(motion: Motion) -> list[Finding]:
-    """What the INS says moves while its position stands."""
+    """Findings of a velocity or yaw rate other than 0 while position and yaw are constant."""
     over = windows(motion.time, 2.0)
     if not len(over):
         return []
@@ -287,7 +286,7 @@ def standstill(motion: Motion) -> list[Finding]:
         inside = values[still]
         if len(inside) >= 2 and abs(np.median(inside)) >= least:
             value = float(np.median(inside))
-            text = f"{name} is {value:.3g} {unit} while position and yaw stand still"
+            text = f"{name} is {value:.3g} {unit} while position and yaw are constant"
             where = tuple((float(t), float(t) + 2.0) for t in over.time[still][:20])
             findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, where=where,
                                     advice=Advice("look", f"look at the bias of {name}")))

@@ -132,15 +132,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     place = Place(folder, task.formats, f"{slug(source.name)}-")
     figures = run_figures(Drawing(evaluation, models, task.vehicle, signals, task.starts, place))
     marks.append(time.perf_counter())
-    about = {
-        "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
-        "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
-        "labels": "given" if run.labels else "detected",
-        "alignment": {"verdict": run.alignment.verdict.value, "method": run.alignment.method,
-                      "reasons": list(run.alignment.reasons)},
-        "warnings": list(run.warnings), "inputs_ahead": list(ahead), "provenance": dict(run.provenance),
-        "findings": findings,
-    }
+    about = {**_about(run, evaluation), "inputs_ahead": list(ahead), "findings": findings}
     sums = _band_sums(scorer, run, models, signals, task) if scorer else {}
     if adaptive:
         sums |= adaptive.sums()
@@ -148,6 +140,18 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         source.name, "", ranking(evaluation, "lateral"), about, statistics.by_model(evaluation),
         statistics.by_second(evaluation), statistics.by_bin(evaluation), statistics.by_manoeuvre(evaluation, parts),
         figures, sums, dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True)))
+
+
+def _about(run: LoadedRun, evaluation: LogEvaluation) -> dict[str, Any]:
+    """Length, alignment and provenance of a run, and how many predictions were made and skipped."""
+    return {
+        "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
+        "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
+        "labels": "given" if run.labels else "detected",
+        "alignment": {"verdict": run.alignment.verdict.value, "method": run.alignment.method,
+                      "reasons": list(run.alignment.reasons)},
+        "warnings": list(run.warnings), "provenance": dict(run.provenance),
+    }
 
 
 def _findings(source: RunSource, run: LoadedRun, task: Task, models: Sequence[Model]) -> list[dict[str, Any]] | Refused:

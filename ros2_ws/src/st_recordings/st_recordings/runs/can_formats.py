@@ -129,7 +129,9 @@ def _candump(lines: Lines, found: Found) -> Any:
 
 
 def _asc(lines: Lines, found: Found) -> Any:
-    class Reader(_io("asc").ASCReader):
+    base: Any = _io("asc").ASCReader
+
+    class Reader(base):
         def _datetime_to_timestamp(self, text: str) -> float:
             try:
                 return super()._datetime_to_timestamp(text)
@@ -157,7 +159,9 @@ def _asc_line(line: str) -> str:
 
 
 def _trc(lines: Lines, found: Found) -> Any:
-    class Reader(_io("trc").TRCReader):
+    base: Any = _io("trc").TRCReader
+
+    class Reader(base):
         def _parse_line(self, line: str) -> Any:
             return self._parse_cols(tuple(line.split(maxsplit=self._num_columns))) if line else None
 

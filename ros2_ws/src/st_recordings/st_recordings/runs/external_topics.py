@@ -20,14 +20,15 @@ class SteeringField:
     """Where the steering angle is, in which unit and with which sign.
 
     topic: of a bag, "" for a table. field: path in its messages, as "drive.steering_angle"; column of a table.
-    quantity: road (mean of the front wheels) or wheel (the hand wheel, offset not removed). unit: rad or deg.
+    quantity: road (mean of the front wheels) or wheel (the hand wheel, offset not removed). unit: rad or deg; None for
+    that in the heading of the column of a table, rad in a bag.
     sign: 1 where the number is positive to the left, -1 where to the right.
     """
 
     topic: str
     field: str = "data"
     quantity: Literal["road", "wheel"] = "road"
-    unit: Literal["rad", "deg"] = "rad"
+    unit: Literal["rad", "deg"] | None = None
     sign: int = 1
 
     @property
