@@ -27,7 +27,7 @@ def test_a_sheared_map(log, shear, verb):
 
 
 def test_a_spherical_earth(log):
-    assert said(times(0.997, "x")(log), "x_scale").endswith("projected as if the earth were a sphere?")
+    assert said(times(0.997, "x")(log), "x_scale").endswith("projected on a spherical earth?")
 
 
 @pytest.mark.parametrize(("bias", "side"), [(0.6, "high"), (-0.6, "low")])
