@@ -63,13 +63,14 @@ class Reference(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """inputs: (road_wheel_angle, velocity_x_dot) for the next step. predicted: (steps, states).
+    """inputs: (road_wheel_angle, velocity_x_dot) for the next step. planned: (steps, 2), those of every step.
 
-    wall, cpu: of the solver [s]. solved: False when it gave up, or for rti, found nothing finite; the inputs are then
-    the last iterate, or the last inputs.
+    predicted: (steps, states), at the end of each. wall, cpu: of the solver [s]. solved: False when it gave up, or for
+    rti, found nothing finite; the inputs are then the last iterate, or the last inputs.
     """
 
     inputs: tuple[float, float]
+    planned: np.ndarray
     predicted: np.ndarray
     wall: float
     cpu: float
@@ -162,11 +163,14 @@ class Controller:
         self._last, self._guess, self._duals = (0.0, 0.0), None, None
 
     def control(self, state: tuple[float, ...], road: Reference,
-                corridor: tuple[np.ndarray, np.ndarray] | None = None) -> Solution:
+                corridor: tuple[np.ndarray, np.ndarray] | None = None,
+                measured: tuple[float, float] | None = None) -> Solution:
         """The inputs for the next step from the six states at the CG; yaw and the yaw of the road need no wrapping.
 
         corridor: least and largest distance from the road at the end of each step, left + (steps,) [m].
+        measured: present inputs, where the car does not follow the last solution.
         """
+        self._last = self._last if measured is None else measured
         start = self.symbolic.start(state, self._last).full().ravel()
         if self._guess is None:
             self._guess = self._rollout(start)
@@ -181,12 +185,13 @@ class Controller:
         statistics = self._solve.stats()
         if not np.all(np.isfinite(rows)):
             self._guess, self._duals = None, None
-            return Solution(self._last, np.empty((0, self._states)), wall, cpu, statistics["iter_count"], False)
+            return Solution(self._last, np.empty((0, 2)), np.empty((0, self._states)), wall, cpu,
+                            statistics["iter_count"], False)
         t = self.tuning
         angle, acceleration = np.clip(rows[0, :2], [-t.angle, t.acceleration[0]], [t.angle, t.acceleration[1]])
         self._last = float(angle), float(acceleration)
         self._guess, self._duals = np.vstack([rows[1:], rows[-1]]), (found["lam_x"], found["lam_g"])
-        return Solution(self._last, rows[:, 2:], wall, cpu, statistics["iter_count"],
+        return Solution(self._last, rows[:, :2], rows[:, 2:], wall, cpu, statistics["iter_count"],
                         self.solver == "rti" or bool(statistics["success"]))
 
     def _rollout(self, start: np.ndarray) -> np.ndarray:

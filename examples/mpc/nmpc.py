@@ -54,7 +54,7 @@ def main() -> int:
         models = {}
         for name in options.model:
             # The plant is the vehicle named here; a model file may hold another, as one that was identified.
-            model, own = load_model(name, vehicle, str(options.vehicle), asked=False)
+            model, own = load_model(name, vehicle, str(options.vehicle), requested=False)
             models[model.name] = model, own
     except (OSError, StCoreError, SimulationError) as error:
         print(f"nmpc.py: {error}", file=sys.stderr)

@@ -197,6 +197,13 @@ def _contradiction(plan: PlannedInputs, start_ns: int, state: VehicleState, inpu
     return ""
 
 
+def model_inputs(model: Model, planned: InputSequence) -> InputSequence:
+    """Planned inputs that a model takes: without tyres the slip-free angle of a path, else the road wheel angle."""
+    if model.axles is None and SLIP_FREE in planned.signals:
+        return InputSequence(planned.signals[SLIP_FREE], planned.velocity_x_dot)
+    return planned
+
+
 def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: float, steering_time_ns: np.ndarray,
                    road_wheel_angle: np.ndarray, maximum_gap: float) -> InputSequence:
     """Planned inputs as the wheels of a model follow them: with delay, play and lag, of what was recorded before too.
@@ -204,8 +211,7 @@ def wheel_sequence(model: Model, planned: InputSequence, start_ns: int, step: fl
     planned: on the half-step grid from start_ns. steering_time_ns, road_wheel_angle: recorded; later samples are not
     used. A model without tyres takes the slip-free angle of a path. maximum_gap [s].
     """
-    if model.axles is None and SLIP_FREE in planned.signals:
-        planned = InputSequence(planned.signals[SLIP_FREE], planned.velocity_x_dot)
+    planned = model_inputs(model, planned)
     if not has_memory(model):
         return planned
     grid = start_ns + np.round(np.arange(len(planned.road_wheel_angle)) * (0.5 * step / NANOSECOND)).astype(np.int64)

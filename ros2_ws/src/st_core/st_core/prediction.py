@@ -16,7 +16,7 @@ from .filtering import NANOSECOND
 from .frozen_steering import FrozenAngle, FrozenSteering
 from .model_view import ModelView
 from .models import Model, get_model
-from .planned_inputs import PlannedInputs, plan_problem, wheel_sequence
+from .planned_inputs import PlannedInputs, model_inputs, plan_problem, wheel_sequence
 from .stability import warn_if_too_long
 from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 from .vehicle import VehicleParameters
@@ -184,6 +184,10 @@ class Predictor:
     def car(self, model: str) -> VehicleParameters:
         """The car as that model takes it to be, for the lever arm from its CG to the INS."""
         return self._views[model].car
+
+    def model_inputs(self, model: str, planned: InputSequence) -> InputSequence:
+        """Planned inputs that a model takes (`planned_inputs.model_inputs`)."""
+        return model_inputs(self._views[model].model, planned)
 
     def add_ins(self, sample: InsSample) -> bool:
         """Take an INS sample; False if it was refused (see MeasurementHistory)."""

@@ -157,6 +157,9 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, live: Pr
     result.n_settling = int((~kept).sum())
     starts_ns, live_states = live.starts_ns[kept], live.states[kept]
     ahead: dict[Mode, Ahead] = {PLAN: planned.inputs_at} if planned else {}
+    if PLAN in scores:  # the inputs of a plan that the recorder missed are not known
+        scores = {**scores, PLAN: scores[PLAN].at(planned.starts_ns)} if planned else {
+            mode: one for mode, one in scores.items() if mode != PLAN}
     for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, ahead):
         computed, recorded = block.trajectories[model.name, "forecast"], live_states[rows]
         known = np.isfinite(computed).all(axis=(1, 2)) & np.isfinite(recorded).all(axis=(1, 2))

@@ -1,5 +1,6 @@
 """Plans on plan/inputs: published, recorded and scored as mode plan; refused with a reason if they cannot be used."""
 
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 from bags import health, nanoseconds, read_messages
 from ros_processes import Processes
 from st_core.vehicle import VehicleParameters
+from st_live.verification import verify
 from st_msgs.msg import InputPlan
 from st_predictor import convert
 from support import ROOT
@@ -86,10 +88,31 @@ def test_a_plan_that_cannot_be_used_is_refused_and_inputs_are_held(driven, place
         assert any(level == 1 and "inputs are held" in text and reason in text for level, text in texts), texts
 
 
+@pytest.fixture(scope="module")
+def path_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a drive with plans of speed and curvature."""
+    folder = tmp_path_factory.mktemp("path")
+    drive(folder, "--path", "--good", "14")
+    return folder
+
+
 @live
 @pytest.mark.slow
-def test_a_plan_of_speed_and_curvature_predicts_far_better_than_held_inputs(tmp_path: Path) -> None:
-    _, messages = drive(tmp_path, "--path", "--good", "14")
+def test_a_recording_with_plans_is_verified_and_replayed(path_folder: Path, tmp_path: Path) -> None:
+    replayed = tmp_path / "replayed"
+    done = subprocess.run([str(ROOT / "st"), "replay", str(path_folder / "bag"), "--fast", "--vehicle", str(LEAF),
+                           "--output", str(replayed)], capture_output=True, text=True, timeout=180, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for recording in (path_folder / "bag", replayed):
+        found = verify(recording, LEAF)
+        assert found is not None and found.largest < 1.0e-6
+        assert all(c.n_planned > 60 and c.n_scores["plan"] > 40 and not c.n_disagree for c in found.comparisons)
+
+
+@live
+@pytest.mark.slow
+def test_a_plan_of_speed_and_curvature_predicts_far_better_than_held_inputs(path_folder: Path) -> None:
+    messages = read_messages(path_folder / "bag")
     assert np.median(errors(messages, "linear", "plan")) < 0.3 * np.median(errors(messages, "linear", "forecast"))
 
 

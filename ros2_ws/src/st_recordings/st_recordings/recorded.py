@@ -63,6 +63,11 @@ class Scores:
     cut: np.ndarray
     jumped: np.ndarray
 
+    def at(self, starts_ns: np.ndarray) -> "Scores":
+        """Those of the given start times [ns]."""
+        kept = np.isin(self.starts_ns, starts_ns)
+        return Scores(self.starts_ns[kept], self.errors[kept], self.complete[kept], self.cut[kept], self.jumped[kept])
+
 
 @dataclass(frozen=True)
 class RecordedConfiguration:

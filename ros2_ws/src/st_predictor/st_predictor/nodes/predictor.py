@@ -166,9 +166,10 @@ class PredictorNode(Node):
     def _publish_planned(self, start: Start, inputs: InputSequence, plan_ns: int) -> None:
         for model, publisher in self._plan_outputs.items():
             began = time.perf_counter()
-            trajectory = self._core.run(start, model, inputs)
+            own = self._core.model_inputs(model, inputs)
+            trajectory = self._core.run(start, model, own)
             compute_time = time.perf_counter() - began
-            message = convert.planned_message(start, model, plan_ns, inputs, trajectory, self._core.car(model),
+            message = convert.planned_message(start, model, plan_ns, own, trajectory, self._core.car(model),
                                               self._map_frame, self._hash[model])
             message.compute_time = compute_time
             message.issued_at = self.get_clock().now().to_msg()

@@ -1,0 +1,180 @@
+"""Planner node: publishes plan/inputs ten times a second, the optimal way along a road from where the car is.
+
+    ROS_DOMAIN_ID=7 ./st demo --scenario S6 --duration 40                         in one terminal
+    ROS_DOMAIN_ID=7 ./st shell -- python examples/mpc/plan_node.py                in another: the road of S6
+    ... plan_node.py --course course.yaml                                         the line of an earlier drive
+
+Subscribes to ins/odometry and vehicle/steering. Each plan is one solution of the controller of nmpc.py over 5.6 s, from
+the measured state and steering. The node plans, it does not drive: its plan is a good forecast only while the driver
+follows the same line and speed. The line of a course, of the INS point, is taken as that of the CG. The mode `plan` is
+explained in docs/manual/forecast.md.
+"""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+from controller import Controller, Reference, Solution
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.utilities import remove_ros_args
+from st_core.course import SPACING, Course, Pass, Visit
+from st_core.errors import StCoreError
+from st_core.frames import ins_to_cg
+from st_core.models import MODELS, get_model
+from st_core.types import VehicleState
+from st_core.vehicle import VehicleParameters
+from st_live import transport
+from st_msgs.msg import InputPlan, Steering
+from st_predictor import convert
+from st_recordings.paths import config
+from st_ros import spin
+from st_ros.polling import PolledSubscription
+from st_ros.stamps import from_nanoseconds
+from st_sim.scenarios import RoadPlan, load
+from st_sim.settings import SimulationError
+
+STEPS = 56
+"""of 0.1 s: the horizon of the predictor, 5 s, and the 0.5 s for which a plan may be used, after its first step."""
+ROAD_LENGTH = 5000.0
+"""m of a scenario's road; S6 takes a quarter of an hour."""
+LOWEST_SPEED = 2.0
+"""m/s. Slower, the models with tyres are too stiff for the step of the controller."""
+MAX_DEVIATION = 3.0
+"""m between planned and reference positions. More is another minimum of the cost, from which the solver does not
+return."""
+MAX_GAP = 0.1
+"""s between the newest odometry and the newest steering."""
+
+
+def scenario_course(name: str) -> Course:
+    """The road of a scenario as a course. Raises SimulationError for one without a fixed road."""
+    plan = load(name)
+    if not isinstance(plan, RoadPlan):
+        raise SimulationError(f"--road {name}: its road depends on the driver; choose one of constant course, as S6")
+    along = plan.start + np.arange(-50.0, ROAD_LENGTH, SPACING)
+    points = [(*plan.path.pose(s), plan.path.curvature(s), plan.speed_at(s)) for s in along.tolist()]
+    return Course((Pass(name, (), np.array(points)),))
+
+
+def next_place(course: Course, last: Visit, state: VehicleState) -> Visit | None:
+    """The place on the course near the car that continues the last one; None off the road.
+
+    The nearest one may be of another lap, which leads elsewhere.
+    """
+    return min(course.near(state.x, state.y, state.yaw), default=None,
+               key=lambda place: (place.number != last.number, abs(place.row - last.row)))
+
+
+def reference(course: Course, place: Visit, state: VehicleState, steps: int, step: float) -> Reference | None:
+    """The road at the end of each step [s] for a car at its speed; None close to the end of the road."""
+    points = course.passes[place.number].points[place.row:]
+    x, y, yaw = points[0, :3]
+    along = np.arange(len(points)) * SPACING
+    ahead = [float(np.cos(yaw) * (state.x - x) + np.sin(yaw) * (state.y - y))]
+    for _ in range(steps):
+        middle = ahead[-1] + 0.5 * step * np.interp(ahead[-1], along, points[:, 4])
+        ahead.append(ahead[-1] + step * np.interp(middle, along, points[:, 4]))
+    if ahead[-1] > along[-1]:
+        return None
+    directions = np.unwrap(points[:, 2])
+    return Reference(*(np.interp(ahead[1:], along, column)
+                       for column in (points[:, 0], points[:, 1], directions, points[:, 4])))
+
+
+def plan_message(stamp_ns: int, measured: tuple[float, float], solution: Solution, step: float) -> InputPlan:
+    """The plan of a solution: measured inputs at its stamp, each planned pair in the middle of its step [s]."""
+    count = len(solution.planned)
+    inputs = np.vstack([measured, solution.planned, solution.planned[-1]])
+    seconds = [0.0, *((np.arange(count) + 0.5) * step), count * step]
+    message = InputPlan(time=seconds, road_wheel_angle=inputs[:, 0].tolist(), velocity_x_dot=inputs[:, 1].tolist())
+    message.header.stamp, message.header.frame_id = from_nanoseconds(stamp_ns), "base_link"
+    return message
+
+
+def _deviation(solution: Solution, road: Reference) -> float:
+    """Largest distance between planned and reference positions [m]."""
+    return float(np.hypot(solution.predicted[:, 0] - road.x, solution.predicted[:, 1] - road.y).max())
+
+
+class Planner(Node):
+    """Publishes a plan every step of its controller; none while the car is slow, off the road, or not measured."""
+
+    def __init__(self, controller: Controller, course: Course):
+        super().__init__("planner")
+        self._controller, self._course = controller, course
+        qos = QoSProfile(depth=200)
+        self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
+        self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
+        self._publisher = self.create_publisher(InputPlan, "plan/inputs", QoSProfile(depth=10))
+        self._place = Visit(0, 0, 0.0)
+        self._sample = None
+        self._angle, self._angle_ns = 0.0, 0
+        self._counts = {"published": 0, "without a road": 0, "not solved": 0, "slow or not measured": 0}
+        self._longest = 0.0
+        self.create_timer(controller.tuning.step, self._plan)
+
+    def _plan(self) -> None:
+        self._counts[self._publish_plan()] += 1
+
+    def _publish_plan(self) -> str:
+        before = self._sample
+        for message, _, _ in self._odometry.take():
+            sample = convert.ins_sample(message, "map")
+            if not isinstance(sample, str):
+                self._sample = sample
+        for message, _, _ in self._steering.take():
+            if message.valid:
+                self._angle, self._angle_ns = message.road_wheel_angle, convert.to_nanoseconds(message.header.stamp)
+        now, car = self._sample, self._controller.vehicle
+        if now is None or before is None or now.time_ns <= before.time_ns or now.velocity_x < LOWEST_SPEED \
+                or abs(now.time_ns - self._angle_ns) * 1e-9 > MAX_GAP:
+            self._controller.forget()
+            return "slow or not measured"
+        state = ins_to_cg(now, car.cg_to_ins_x, car.cg_to_ins_y)
+        step = self._controller.tuning.step
+        place = next_place(self._course, self._place, state)
+        road = reference(self._course, place, state, self._controller.steps, step) if place else None
+        self._place = place or self._place
+        if road is None:
+            self._controller.forget()
+            return "without a road"
+        gained = (now.velocity_x - before.velocity_x) / ((now.time_ns - before.time_ns) * 1e-9)
+        measured = self._angle, gained
+        solution = self._controller.control(state.as_tuple(), road, measured=measured)
+        self._longest = max(self._longest, solution.wall)
+        if not solution.solved or _deviation(solution, road) > MAX_DEVIATION:
+            self._controller.forget()
+            return "not solved"
+        self._publisher.publish(plan_message(now.time_ns, measured, solution, step))
+        return "published"
+
+    def close(self) -> None:
+        counts = ", ".join(f"{count} {name}" for name, count in self._counts.items())
+        print(f"plans: {counts}; longest solution {self._longest * 1000:.0f} ms", flush=True)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--road", default="S6", help="a scenario of the virtual Leaf with a fixed road")
+    parser.add_argument("--course", type=Path, help="course.yaml of st course build, instead of --road")
+    parser.add_argument("--model", default="linear", choices=[*MODELS])
+    parser.add_argument("--vehicle", type=Path, default=config("vehicle/leaf.yaml"))
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    try:
+        vehicle = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
+        course = scenario_course(options.road) if options.course is None else Course.from_yaml(
+            options.course.read_text(encoding="utf-8"), str(options.course))
+    except (OSError, StCoreError, SimulationError) as error:
+        print(f"plan_node.py: {error}", file=sys.stderr)
+        return 2
+    os.environ.update(transport.loopback(os.environ))  # as the nodes of st demo and st live
+    controller = Controller(get_model(options.model), vehicle, STEPS)
+    return spin.run(lambda: Planner(controller, course))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
