@@ -1,4 +1,4 @@
-"""Corruption matrix of `st check`: known faults put into real and virtual drives, and what is said of them."""
+"""Corruption matrix of `st check`: known faults put into real and virtual drives, and the findings."""
 
 from .command import main
 

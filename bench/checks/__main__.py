@@ -1,4 +1,4 @@
-"""python -m bench.checks: run the matrix and print what came out; see `main`."""
+"""python -m bench.checks: run the matrix and print the results; see `main`."""
 
 import sys
 

@@ -23,27 +23,27 @@ Setting = tuple[str, float]
 
 
 def main(jobs: int) -> str:
-    """Prints as it goes; the page's table."""
-    settings: list[Setting] = [("as it is", 1.0)]
+    """Table of the page; each row is printed when it is ready."""
+    settings: list[Setting] = [("unchanged", 1.0)]
     settings += [(field.name, factor) for field in fields(LIMITS) for factor in (0.5, 2.0)]
     found: dict[Setting, str] = {}
     for setting, words in zip(settings, over(_scored, settings, jobs), strict=True):
         found[setting] = words
         print(*setting, words, flush=True)
-    rows = [("as it is", "", found["as it is", 1.0], "")]
+    rows = [("unchanged", "", found["unchanged", 1.0], "")]
     rows += [(field.name, f"{getattr(LIMITS, field.name):g}", found[field.name, 0.5], found[field.name, 2.0])
              for field in fields(LIMITS)]
     return table(("limit", "value", "at half", "at twice"), rows)
 
 
 def _scored(setting: Setting) -> str:
-    """Right cases of the smaller sizes; healthy drives with an error or a warning; new errors beside a fault."""
+    """Right cases of the smaller sizes; healthy drives with an error or a warning; further errors of a faulty drive."""
     name, factor = setting
     before = None if factor == 1.0 else getattr(LIMITS, name)
     as_recorded.cache_clear()
     try:
         if before is not None:
-            object.__setattr__(LIMITS, name, factor * before)  # frozen for everybody else
+            object.__setattr__(LIMITS, name, factor * before)  # a frozen dataclass
         records = [record for drive in map(Drive, _loaded()) for kind in KINDS.values()
                    if (record := score(drive, kind, kind.sizes[0])) is not None]
         alarms = sum(any(one.severity is not Severity.NOTE for one in checked(_healthy(scenario)).findings)
@@ -52,8 +52,8 @@ def _scored(setting: Setting) -> str:
         if before is not None:
             object.__setattr__(LIMITS, name, before)
     right = 100.0 * sum(r["right"] for r in records) / len(records)
-    beside = sum(bool(r["new"]["error"] or r["new"]["warning"]) for r in records)
-    return f"{right:.1f} % right, {beside} with other findings, {alarms} alarms"
+    additional = sum(bool(r["new"]["error"] or r["new"]["warning"]) for r in records)
+    return f"{right:.1f} % right, {additional} with other findings, {alarms} alarms"
 
 
 @lru_cache

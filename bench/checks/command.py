@@ -19,7 +19,7 @@ PAGE = Path("docs") / "manual" / "checks.md"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="st bench checks", description=(
-        "Known faults put into real and virtual drives, and what `st check` says of them. The sealed drives are run "
+        "Known faults put into real and virtual drives, and the findings of `st check`. The sealed drives are run "
         "once, at the end; look at those of development as often as you like."))
     parser.add_argument("--sealed", action="store_true", help="the sealed drives, with sizes drawn by seed")
     parser.add_argument("--kind", action="append", choices=sorted(KINDS), metavar="NAME", help="may be repeated")
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=35.0, help="of a healthy drive")
     parser.add_argument("--speed", action="store_true", help="time of 1, 10 and 30 minutes instead")
     parser.add_argument("--ablation", action="store_true", help="each limit at half and at twice its value instead")
-    parser.add_argument("--real", action="store_true", help="what is said of every recorded drive instead")
+    parser.add_argument("--real", action="store_true", help="findings of every recorded drive instead")
     chosen = parser.parse_args(arguments)
     if chosen.list:
         return _list()
@@ -98,9 +98,9 @@ def _in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
                 continue
             corrupted, truth = kind.edit(clean, size.value)
             print(f"== {kind.name} {size.label}: {kind.how} {truth:.5g}; expected {' or '.join(kind.findings)}")
-            for title, said in (("as recorded", as_recorded(clean)), ("corrupted", checked(corrupted))):
+            for title, result in (("as recorded", as_recorded(clean)), ("corrupted", checked(corrupted))):
                 print(f"-- {title}")
-                for finding in said.findings:
+                for finding in result.findings:
                     advice = finding.advice.line if finding.advice else "-"
                     print(f"{short(finding)}\n    {finding.text}\n    where {finding.where}; correction: {advice}")
     return 0

@@ -1,4 +1,4 @@
-"""What can be wrong with a recording: each kind as an edit of a good one, with what `st check` should say of it.
+"""What can be wrong with a recording: each kind as an edit of a good one, with the expected finding of `st check`.
 
 An edit returns the corrupted recording and the truth about it: for `how` "times" the factor the named value is
 multiplied by, for "plus" what is added to it, for "is" the value itself; "named" has no value.
@@ -43,7 +43,7 @@ class Kind:
     """findings: any of them is the right name. shows: whether a drive can show it at all. channel: the finding must be
     about. tolerance: by how much of the truth a value may miss where it is a share, a count, a step or a gross factor.
     also: further findings that are true of it. before: what the drive is given first, corrupted or not. either_side: a
-    real drive gets it on the side on which it is off already; on the other it might cure it.
+    real drive gets it on the side on which it is off already; on the other the two might cancel.
     """
 
     name: str
@@ -81,7 +81,7 @@ def reverse(change: Edit) -> Edit:
 
 
 def road_wheel(change: Edit) -> Edit:
-    """As a recording that holds the angle of the road wheels only."""
+    """A recording with the angle of the road wheels only."""
     return lambda r, size: change(r.with_log(steering_wheel_angle=None), size)
 
 
@@ -135,13 +135,13 @@ TIME = (
          tolerance=SHARE),
 )
 POSITIONS = (
-    Kind("x scaled", ("x_scale",), "times", times("x"), two(0.964, 1.05), v.goes_both_ways),
-    Kind("y scaled", ("y_scale",), "times", times("y"), two(0.964, 1.05), v.goes_both_ways),
+    Kind("x scaled", ("x_scale",), "times", times("x"), two(0.964, 1.05), v.moves_in_x_and_y),
+    Kind("y scaled", ("y_scale",), "times", times("y"), two(0.964, 1.05), v.moves_in_x_and_y),
     Kind("positions in other units", ("position_scale",), "times", times(*POSITION),
          units(("feet", FOOT), ("mm", 1e3)), v.moves),
     Kind("axes exchanged", ("position_axes",), "named", f.exchanged, units(("y, x", 1.0), ("-y, -x", -1.0)),
-         v.goes_both_ways),
-    Kind("axis mirrored", ("position_axes",), "named", f.mirrored, units(("x", 0.0), ("y", 1.0)), v.goes_both_ways),
+         v.moves_in_x_and_y),
+    Kind("axis mirrored", ("position_axes",), "named", f.mirrored, units(("x", 0.0), ("y", 1.0)), v.moves_in_x_and_y),
     Kind("positions late", ("position_lag",), "plus", delay(*POSITION), two(0.05, 0.2, "s"), v.turns_and_accelerates),
     Kind("positions stale", ("position_stale",), "is", f.stale_positions, two(0.1, 0.3, "of the rows"), v.moves,
          tolerance=SHARE, also=("samples_repeated",)),
@@ -186,7 +186,7 @@ VELOCITIES = (
     Kind("velocity_y sign", ("velocity_y_scale",), "times", times("velocity_y"), whole_and_half(-1.0),
          v.slides_and_bends),
     Kind("velocities late", ("velocity_lag",), "plus", delay(*VELOCITY), two(0.15, 0.4, "s"), v.turns_and_accelerates),
-    Kind("velocity at standstill", ("standstill_motion",), "is", f.creeping, two(0.1, 0.3, "m/s"), v.stands,
+    Kind("velocity at standstill", ("standstill_motion",), "is", f.creeping, two(0.1, 0.3, "m/s"), v.stops,
          tolerance=SHARE),
 )
 ACCELERATIONS = (
@@ -220,7 +220,7 @@ INS = (
     Kind("measuring point moved back", ("measuring_point",), "plus", reverse(of_log(moved)), two(0.8, 1.5, "m"),
          v.bends_slowly),
     Kind("INS askew", ("heading_misaligned",), "plus", of_log(turned), two(0.02, 0.05, "rad"),
-         v.bends_and_goes_straight, either_side=True),
+         v.bends_and_straights, either_side=True),
     Kind("without RTK", ("ins_mode",), "is", f.without_rtk, two(0.2, 0.6, "of the time"), v.moves, tolerance=SHARE,
          before=with_good_quality),
     Kind("poor accuracy", ("ins_accuracy",), "is", f.poor_accuracy, two(0.5, 2.0, "m"), v.moves, tolerance=SHARE,

@@ -61,6 +61,6 @@ def real_files() -> list[Path]:
 
 
 def _file(name: str) -> Path:
-    # What is nowhere is looked for in the first folder, and named there by the reader.
+    # A drive that is in no folder gets a path in the first one; the reader reports it as missing.
     found = [file for file in real_files() if file.stem == name]
     return found[0] if found else data_folder() / "hyundai_genesis_oxts" / f"{name}.csv"

@@ -50,7 +50,7 @@ def _without(r: Recording, gaps: list[tuple[float, float]]) -> Edited:
 
 
 def stamps_twice(r: Recording, share: float) -> Edited:
-    """That share of all rows recorded is the row before once more; a reader leaves them out."""
+    """That share of all recorded rows repeats the previous row; a reader leaves them out."""
     generator = _generator(r)
 
     def doubled(time: np.ndarray) -> np.ndarray:
@@ -155,7 +155,7 @@ def with_systematic(channel: str) -> Callable[[Recording, float], Edited]:
 
 
 def frozen(*channels: str) -> Callable[[Recording, float], Edited]:
-    """The first of them moves most in that stretch. True value: for how long it says the same then, s."""
+    """The first of them moves most in that stretch. True value: how long it is constant, s."""
     def edit(r: Recording, seconds: float) -> Edited:
         start = liveliest(r, channels[0], seconds)
         if start is None:

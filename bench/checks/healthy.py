@@ -1,4 +1,4 @@
-"""Virtual drives nothing is wrong with: no error may be said of them, and next to no warning."""
+"""Virtual drives without a fault: checks should report no error and almost no warning."""
 
 import time
 from collections import Counter
@@ -15,15 +15,15 @@ FIRST_SEED = 1000
 BATCH = 5
 """Drives of one scenario in one task."""
 
-Said = tuple[str, int, list[tuple[str, str]]]
+Findings = tuple[str, int, list[tuple[str, str]]]
 
 
 def main(seeds: int, seconds: float, jobs: int) -> tuple[str, int]:
-    """Every scenario with that many seeds: (what was found, exit status 1 with an error among what is said)."""
+    """Every scenario with that many seeds: (findings, exit status 1 if an error is among them)."""
     tasks = [(scenario, range(FIRST_SEED + first, FIRST_SEED + min(first + BATCH, seeds)), seconds)
              for scenario in SCENARIOS for first in range(0, seeds, BATCH)]
     begin, counts, names = time.monotonic(), Counter(), Counter()
-    for part in over(_said, tasks, jobs):
+    for part in over(_findings, tasks, jobs):
         for scenario, seed, findings in part:
             counts["drives"] += 1
             worst = {severity for severity, _ in findings}
@@ -41,11 +41,11 @@ def main(seeds: int, seconds: float, jobs: int) -> tuple[str, int]:
     return text, int(bool(counts["error"]))
 
 
-def _said(task: tuple[str, range, float]) -> list[Said]:
+def _findings(task: tuple[str, range, float]) -> list[Findings]:
     scenario, seeds, seconds = task
-    result = []
+    found = []
     for seed in seeds:
-        said = checked(virtual_drive(scenario, seed, seconds))
-        result.append((scenario, seed, [(f.severity, short(f)) for f in said.findings
-                                        if f.severity is not Severity.NOTE]))
-    return result
+        result = checked(virtual_drive(scenario, seed, seconds))
+        found.append((scenario, seed, [(f.severity, short(f)) for f in result.findings
+                                       if f.severity is not Severity.NOTE]))
+    return found

@@ -1,4 +1,4 @@
-"""A drive with all that was recorded beside it, and the edits several corruptions share."""
+"""A drive with its auxiliary recordings, and the edits that several corruptions share."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,7 @@ STEERING = ("road_wheel_angle", "steering_wheel_angle")
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """real: measured; what it holds of its own is not known. vehicle: the file a user would have beside it.
+    """real: measured; its own faults are not known. vehicle: the file that a user would have with it.
 
     own: what right sensors show on a car that is not real: finding -> value, where that is not 1 or 0.
     """
@@ -74,7 +74,7 @@ def kept(recording: Recording, ins: np.ndarray, steering: np.ndarray) -> Recordi
 
 
 def late(recording: Recording, seconds: float, *channels: str) -> Recording:
-    """Each channel says at t what was true at t - seconds; the ends, where nobody knows that, are cut off."""
+    """Each channel delayed by `seconds`; the ends, where its value is unknown, are cut off."""
     log, fields = recording.log, {}
     for channel in channels:
         if (values := getattr(log, channel)) is not None:
@@ -94,7 +94,7 @@ def _at(time_ns: np.ndarray, values: np.ndarray, seconds: float) -> np.ndarray:
 
 
 def with_good_quality(recording: Recording) -> Recording:
-    """As a unit with RTK says all the time."""
+    """The status of a unit with RTK throughout."""
     time = recording.log.ins_time_ns
     level = np.ones(len(time))
     return recording.with_auxiliary(quality=InsQuality(time, LOCKED * level, RTK_INTEGER * level, 0.01 * level,

@@ -1,4 +1,4 @@
-"""Was it right? What `check` says of a corrupted drive against the truth, as plain data.
+"""Scores of the findings of `check` on a corrupted drive against the truth, as plain data.
 
 Truth of a virtual drive is absolute: its sensors are known. A real drive has offsets of its own, so truth is what the
 same quantity is estimated to be on the drive as recorded, combined with the edit: times for factors, plus for offsets.
@@ -58,25 +58,25 @@ def score(drive: Drive, kind: Kind, size: Size) -> Record | None:
         return None
     value = size.value * side(kind, clean)
     corrupted, change = kind.edit(clean, value)
-    said, raised = answer(corrupted)
+    result, raised = answer(corrupted)
     before = as_recorded(clean)
-    finding = of_kind(said, kind)
+    finding = of_kind(result, kind)
     truth, source = true_value(kind, size, clean, change)
     inside = finding is not None and is_inside(kind, finding, truth)
     named = finding is not None
-    collateral = new_findings(said, before, kind)
+    collateral = new_findings(result, before, kind)
     return {
         "drive": clean.name, "real": clean.real, "kind": kind.name, "size": size.label, "edit": value, "truth": truth,
         "truth_from": source, "named": named, "inside": inside, "right": named and inside,
         "as_note": named and finding.severity is Severity.NOTE,
-        "said": raised or (None if finding is None else short(finding)),
+        "reported": raised or (None if finding is None else short(finding)),
         "new": {severity.value: [short(f) for f in collateral if f.severity is severity] for severity in Severity},
     }
 
 
-def of_kind(said: Checked, kind: Kind) -> Finding | None:
+def of_kind(result: Checked, kind: Kind) -> Finding | None:
     """The gravest finding with a right name, about the right channel."""
-    for finding in said.findings:
+    for finding in result.findings:
         if finding.name in kind.findings and (kind.channel is None or kind.channel in finding.channels):
             return finding
     return None
@@ -120,10 +120,10 @@ def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:
     return abs(finding.value - truth) <= max(kind.tolerance * abs(truth), COUNT_TOLERANCE)
 
 
-def new_findings(said: Checked, before: Checked, kind: Kind) -> list[Finding]:
-    """What the corruption brought beside its own name."""
+def new_findings(result: Checked, before: Checked, kind: Kind) -> list[Finding]:
+    """Findings caused by the corruption other than its own."""
     known = {finding.name for finding in before.findings} | {*kind.findings, *kind.also}
-    return [finding for finding in said.findings if finding.name not in known]
+    return [finding for finding in result.findings if finding.name not in known]
 
 
 def short(finding: Finding) -> str:

@@ -11,7 +11,7 @@ REPEATS = 3
 
 
 def main() -> str:
-    """Prints as it goes; the page's table."""
+    """Table of the page; each row is printed when it is ready."""
     longest = virtual_drive("S6", 1, 60.0 * MINUTES[-1])
     start = int(longest.log.ins_time_ns[0])
     rows = []

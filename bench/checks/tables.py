@@ -62,7 +62,7 @@ def as_text(document: Record) -> str:
 def failure(r: Record) -> str:
     others = "; ".join((*r["new"]["error"], *r["new"]["warning"])) or "nothing"
     truth = "" if r["truth"] is None else f", true {r['truth']:.4g} (from {r['truth_from']})"
-    return f"{r['drive']}: {r['kind']} {r['size']}{truth}: said {r['said'] or 'not its name'}; beside it {others}"
+    return f"{r['drive']}: {r['kind']} {r['size']}{truth}: reported {r['reported'] or 'not its name'}; others {others}"
 
 
 def put_into(page: Path, mark: str, text: str) -> None:

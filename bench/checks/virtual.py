@@ -66,7 +66,7 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
 def _own(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:
     """What is true of right sensors: noise wanders, and its mean over the drive is a bias.
 
-    The body leans outwards and lifts its nose: accelerometers feel the gravity that goes with that, and the yaw rate
+    The body leans outwards and lifts its nose: accelerometers measure that part of gravity as well, and the yaw rate
     is that about an axis of the leaning body, cos(roll) cos(pitch) of the true one.
     """
     def mean(value: Callable[[InsReading], float]) -> float:

@@ -26,7 +26,7 @@ STRAIGHT, STRAIGHT_SHARE = 0.005, 0.1
 SLOW, SLOW_TURNING = 8.0, 0.3
 """m/s, and rad^2/s of yaw rate squared below it: faster, tyre slip moves the point about which the car turns."""
 SPEEDS = 0.1
-"""Standard deviation of the speed over its mean. At one speed a point further ahead is a sample that came early."""
+"""Standard deviation of the speed over its mean. At one speed a point further ahead looks like an early sample."""
 ONE_WAY = 0.2
 """Share of the way along the axis that is travelled less."""
 LEVER = 1.5
@@ -51,7 +51,7 @@ def slides_and_bends(r: Recording, size: float = 0.0) -> bool:
     return bends(r) and float(np.sqrt(np.mean(r.log.velocity_y**2))) > SLIDING
 
 
-def bends_and_goes_straight(r: Recording, size: float = 0.0) -> bool:
+def bends_and_straights(r: Recording, size: float = 0.0) -> bool:
     return bends(r) and float(np.mean(np.abs(_curvature(r)) < STRAIGHT)) > STRAIGHT_SHARE
 
 
@@ -64,7 +64,7 @@ def bends_slowly(r: Recording, size: float = 0.0) -> bool:
     return bends(r) and float(np.sum((r.log.yaw_rate[1:] ** 2 * np.diff(r.time))[slow])) > SLOW_TURNING
 
 
-def goes_both_ways(r: Recording, size: float = 0.0) -> bool:
+def moves_in_x_and_y(r: Recording, size: float = 0.0) -> bool:
     ways = [np.abs(np.diff(r.log.x)).sum(), np.abs(np.diff(r.log.y)).sum()]
     return moves(r) and min(ways) > ONE_WAY * sum(ways)
 
@@ -102,7 +102,7 @@ def steers_and_bends(r: Recording, size: float = 0.0) -> bool:
     return steers(r) and bends(r)
 
 
-def stands(r: Recording, size: float = 0.0) -> bool:
+def stops(r: Recording, size: float = 0.0) -> bool:
     return float(np.mean(standing(r))) * r.log.duration > STANDING
 
 

@@ -81,7 +81,7 @@ class MeasurementHistory:
             return 0.0
         before = slice(max(0, after - 1 - position_jumps.NOISE_STEPS), after)
         usual = self.ins.times[before].tolist(), self.ins.rows[before].tolist()
-        return size if position_jumps.stands_out(size, *usual) else 0.0
+        return size if position_jumps.exceeds_noise(size, *usual) else 0.0
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Take a road wheel angle [rad], left +, measured at time_ns. False if it was refused."""

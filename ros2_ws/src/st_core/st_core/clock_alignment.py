@@ -1,8 +1,8 @@
-"""The clocks of two recordings put on one time by the signals that both hold.
+"""Alignment of the clocks of two recordings by the signals that both contain.
 
     t_reference = t_other + offset + drift (t_other - t_0)
 
-`reference` is the INS recording, `other` the CAN log. Every result says how sure it is and why.
+`reference` is the INS recording, `other` the CAN log. Every result has an uncertainty and a verdict with reasons.
 """
 
 from collections.abc import Sequence
@@ -35,9 +35,9 @@ STEP_SEARCH = 5.0, 40.0  # s; the second where one offset does not fit the whole
 
 
 def by_hand(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
-    """An offset somebody measured: reference minus other clock. Its uncertainty is not known (NaN).
+    """Alignment with a measured offset, reference minus other clock. Its uncertainty is not known (NaN).
 
-    signals: what it is checked with, within 5 s of it; it is used as given whatever they say.
+    signals: checked against it within 5 s; the offset is used as given in any case.
     """
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused()
@@ -64,7 +64,7 @@ def align(signals: Sequence[SharedSignal], minimum_overlap: float | None = None,
         minimum_overlap: [s]; default 40 % of the shorter recording, and where nothing fits then, 20 s.
         search: bounds of reference minus other time [s]; default everywhere.
 
-    Never raises for what is in a recording: an alignment that is refused says why. Holds for drifts of a few hundred
+    Never raises for what is in a recording: a refused alignment has its reasons. Valid for drifts of a few hundred
     ppm and recordings of up to two days. Checked by: the synthetic pair in tests/golden/test_alignment.py, and
     simulated clocks in test_clock_alignment.py (the standard deviations too).
     """
@@ -198,7 +198,7 @@ def _judged(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: i
         doubts.append(f"little motion: the offset is only known to {solution.offset_deviation * 1e3:.1f} ms")
     for row in result.signals:
         if abs(row.difference) > max(AGREEMENT, 3 * row.deviation):
-            doubts.append(f"{row.name} by itself gives an offset {row.difference * 1e3:+.1f} ms away")
+            doubts.append(f"{row.name} alone gives an offset {row.difference * 1e3:+.1f} ms away")
     if abs(result.drift_ppm) > UNUSUAL_DRIFT_PPM:
         doubts.append(f"a drift of {result.drift_ppm:.0f} ppm is more than two quartz clocks have")
     lags = window_lags(pairs, solution.offset, STEP_SEARCH[weakest < GOOD_PEAK])
@@ -248,7 +248,7 @@ def standstill_masked(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np
                       threshold: float = 0.3, margin: float = 2.0) -> np.ndarray:
     """The values, NaN where the speed stays below `threshold` [m/s] for `margin` [s] around.
 
-    Standstill tells nothing about time but correlates with every other standstill.
+    Standstill has no information about time but correlates with every other standstill.
     """
     moving_ns = speed_time_ns[np.isfinite(speed) & (np.abs(speed) > threshold)]
     if not len(moving_ns):

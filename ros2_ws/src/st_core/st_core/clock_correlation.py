@@ -10,7 +10,7 @@ RATE = 100.0  # Hz of the grid on which signals are filtered
 DECIMATION = 5  # the filtered signals hold nothing above a few hertz, so the fit needs no more than 20 Hz
 STEP = DECIMATION / RATE
 LONGEST_GAP = 0.15  # s; a longer one is not bridged
-FILTER_SETTLES = 0.5  # s at 1 Hz cut-off: what is masked beside a gap, inversely proportional to the cut-off
+FILTER_SETTLES = 0.5  # s at 1 Hz cut-off: masked on both sides of a gap, inversely proportional to the cut-off
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
         values: NaN where not to be used.
         cutoff: of the low-pass [Hz], the same for both recordings, so that it shifts neither against the other.
         angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], in which the unknown zero of
-            the angle is gone. Filtered first: a difference of neighbours would be all rounding.
+            the angle cancels. Filtered first: a difference of neighbours would be all rounding.
     """
     good = np.isfinite(values)
     time, values = time[good], np.unwrap(values[good]) if angle else values[good]

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from .clock_correlation import STEP, Resampled, masked_correlation
 
-DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm; a short recording says less than that
+DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm; a short recording is less certain
 BLOCK = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
 
@@ -83,7 +83,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     for _ in range(ITERATIONS):
         normal, gradient, _, _ = _normal_equations(pairs, interpolants, parameters, middle, free_drift)
         step = np.linalg.solve(normal, -gradient)
-        # Beyond the width of the correlation peak the linear model says nothing: walk there in several steps.
+        # Beyond the width of the correlation peak the linear model is not valid: approach it in several steps.
         step[0] = np.clip(step[0], -0.3, 0.3)
         parameters += step
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
@@ -132,7 +132,7 @@ def _normal_equations(pairs: Sequence[Pair], interpolants: Sequence[_Interpolant
         derivatives = [rows.slope, rows.slope * (rows.time - middle)] if free_drift else [rows.slope]
         jacobian = np.zeros((2, len(rows.time)))
         for k, derivative in enumerate(derivatives):
-            # What gain and bias can take up says nothing about time.
+            # The part that gain and bias explain has no information about time.
             gain, bias = _line(rows.other, derivative, weight)
             jacobian[k] = (derivative - gain * rows.other - bias) / scale
         score = jacobian * (weight * residual / scale)

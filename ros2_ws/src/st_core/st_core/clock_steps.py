@@ -26,7 +26,7 @@ class WindowLag:
 
 
 def window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:
-    """The lag of every stretch of 30 s by itself, relative to `offset`, searched within +/- `search` [s].
+    """The lag of every stretch of 30 s, relative to `offset`, searched within +/- `search` [s].
 
     Stretches that do not vary enough to be placed within 50 ms, or that fit at two places, are left out.
     """

@@ -1,4 +1,4 @@
-"""Clock alignment by frames in which the unit itself says what time it is."""
+"""Clock alignment by frames in which the unit sends its own time."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -12,7 +12,7 @@ from .clock_types import LONGEST_SPAN, STEP_TOO_LARGE, UNUSUAL_DRIFT_PPM, Alignm
 
 def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
                         latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
-    """Offset and drift from frames in which the unit itself says what time it is.
+    """Offset and drift from frames in which the unit sends its own time.
 
     Args:
         other_time_ns: when each frame was logged.

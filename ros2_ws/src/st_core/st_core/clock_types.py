@@ -44,7 +44,7 @@ class SharedSignal:
 
 @dataclass(frozen=True)
 class SignalLag:
-    """One signal by itself: its offset minus the common one [s], deviation [s], residual over spread, correlation."""
+    """One signal alone: its offset minus the common one [s], deviation [s], residual over spread, correlation."""
 
     name: str
     difference: float
@@ -57,7 +57,7 @@ class SignalLag:
 class Alignment:
     """How to turn the other clock into the reference clock.
 
-    at_ns: instant on the other clock at which `offset_ns` holds. drift_ppm: how much faster the reference clock runs.
+    at_ns: instant on the other clock of `offset_ns`. drift_ppm: how much faster the reference clock runs.
     offset_deviation [s], drift_deviation [ppm]: one standard deviation; the offset's includes that of the latency.
     method: "time frame", "shared signals", "by hand" or "none". overlap: common time [s].
     peak, second_peak: (offset in s, correlation) of the coarse search, None without one.

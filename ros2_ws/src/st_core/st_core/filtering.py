@@ -25,7 +25,7 @@ NANOSECOND = 1.0e-9
 
 
 def advance(filtered: float, before: float, now: float, spacing: float, cutoff: float) -> tuple[float, float]:
-    """(filtered, derivative) at a sample `now`, `spacing` [s] after `before`, whose filtered value was `filtered`."""
+    """(filtered, derivative) at a sample `now`, `spacing` [s] after `before` with the filtered value `filtered`."""
     x = 2.0 * math.pi * cutoff * spacing
     drop = -math.expm1(-x)  # 1 - e
     g = drop / x

@@ -1,9 +1,9 @@
-"""A steering angle that stands still while the car turns differently: a sensor that repeats itself.
+"""Detects a steering angle that stays constant while the car's turn changes: a sensor that repeats one value.
 
     delta' = l (1 + K v^2) r / v
 
-is the angle a steady turn would take, filtered; under a held wheel it stays about where it is, whatever the speed. The
-bounds are wide: bank, wind, braking and tyres at their limit move it as well. Checked by: test_frozen_steering.py.
+is the angle of a steady turn, filtered; with a constant steering angle it is nearly constant at any speed. The bounds
+are wide: bank, wind, braking and tyres at their limit change it as well. Checked by: test_frozen_steering.py.
 """
 
 import math
@@ -24,7 +24,7 @@ RESOLUTION = 1.0e-9
 
 @dataclass(frozen=True)
 class FrozenAngle:
-    """angle: where the road wheel angle has stood [rad], for so many seconds. low, high: of delta' meanwhile [rad]."""
+    """angle: constant road wheel angle [rad]; seconds: its duration; low, high: range of delta' meanwhile [rad]."""
 
     angle: float
     seconds: float
@@ -33,7 +33,7 @@ class FrozenAngle:
 
 
 class FrozenSteering:
-    """Fed with the measurements in the order of their arrival; `found` says what stands still at the moment."""
+    """Consumes measurements in the order of arrival; `found` is the angle that is frozen at present."""
 
     def __init__(self, vehicle: VehicleParameters):
         self._wheelbase, self._understeer = vehicle.wheelbase, understeer_coefficient(vehicle)
@@ -44,7 +44,7 @@ class FrozenSteering:
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
         """road_wheel_angle [rad], left +, measured at time_ns."""
         self._newest_ns = time_ns
-        # NaN, the first one and a time that went back begin anew too.
+        # NaN, the first angle and a time that goes back restart the detection too.
         if abs(road_wheel_angle - self._angle) <= RESOLUTION and time_ns >= self._since_ns:
             return
         self._angle, self._since_ns = road_wheel_angle, time_ns
@@ -62,13 +62,13 @@ class FrozenSteering:
             self._implied = implied
             return
         self._implied += (implied - self._implied) * spacing / TIME_CONSTANT
-        # The low-pass and the tyres still follow what the wheel did before it stood.
+        # The low-pass and the tyres still follow the steering before it became constant.
         if sample.time_ns > self._since_ns + 3.0 * TIME_CONSTANT / NANOSECOND:
             self._low, self._high = min(self._low, self._implied), max(self._high, self._implied)
 
     @property
     def found(self) -> FrozenAngle | None:
-        """None while the angle moves, or stands and the car turns as it says."""
+        """None while the angle changes, or while the turn of the car agrees with it."""
         if not self._high - self._low > LEAST + SHARE * abs(self._angle):
             return None
         return FrozenAngle(self._angle, (self._newest_ns - self._since_ns) * NANOSECOND, self._low, self._high)

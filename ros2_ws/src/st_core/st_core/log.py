@@ -33,10 +33,10 @@ class DriveLog(_Further):
     x, y: INS point in the map frame, east and north [m]. yaw: from east counter-clockwise, unwrapped [rad].
     velocity_x, velocity_y: body axes, forward and left, at the INS point [m/s]. yaw_rate: left turn + [rad/s].
     acceleration_x, acceleration_y: body axes, forward and left, as the source defines them [m/s^2]; others are in
-    `channels.CHANNELS`. None if not there, NaN where a sample of the others came without it.
+    `channels.CHANNELS`. None if not there, NaN where the source has no value of it at a sample.
 
-    road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as the sensor says, left +, offset not
-    removed [rad]; None where the source holds only the road wheel angle.
+    road_wheel_angle: mean of the front axle, left + [rad]. steering_wheel_angle: as measured, left +, offset not
+    removed [rad]; None where the source has only the road wheel angle.
 
     Raises StCoreError, naming the log and the signal, when an array breaks these rules.
     """
@@ -71,7 +71,7 @@ class DriveLog(_Further):
                 if value.shape != time.shape:
                     raise StCoreError(f"{self.name}: {signal} has {value.size} values, {base} has {len(time)}")
                 if signal not in OPTIONAL_INS_SIGNALS and not np.isfinite(value).all():
-                    raise StCoreError(f"{self.name}: {signal} holds values that are not finite")
+                    raise StCoreError(f"{self.name}: {signal} has values that are not finite")
                 self._keep(signal, value, float)
 
     def _keep(self, field: str, value: np.ndarray, dtype: type) -> None:

@@ -24,7 +24,7 @@ def same(log: DriveLog, other: DriveLog, *names: str) -> bool:
 
 
 class LogSignals:
-    """Measurements of a DriveLog at wanted instants; NaN where not known.
+    """Measurements of a DriveLog at given instants; NaN where not known.
 
     maximum_gap [s]: nothing is known between samples further apart. filter_cutoff [Hz] and acceleration: how the
     forward acceleration is made of the forward speed, see `filtering.filtered_derivative`.
@@ -61,9 +61,9 @@ class LogSignals:
         """Road wheel angle [rad], left +, at instants of any shape [ns]."""
         return self.sample(self.log.steering_time_ns, self.log.road_wheel_angle, times_ns)
 
-    def sample(self, time_ns: np.ndarray, values: np.ndarray, wanted_ns: np.ndarray) -> np.ndarray:
-        """Any signal, known at time_ns [ns, rising], at wanted instants of any shape [ns]."""
-        return self._at(time_ns, [values], wanted_ns)[0]
+    def sample(self, time_ns: np.ndarray, values: np.ndarray, at_ns: np.ndarray) -> np.ndarray:
+        """Any signal, known at time_ns [ns, rising], at instants `at_ns` of any shape [ns]."""
+        return self._at(time_ns, [values], at_ns)[0]
 
     def states_at(self, times_ns: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
         """States at the CG, (n, 6), columns as types.STATE_NAMES; see `frames.ins_to_cg`."""
@@ -72,12 +72,12 @@ class LogSignals:
         return np.stack([x - cosine * d_x + sine * d_y, y - sine * d_x - cosine * d_y,
                          velocity_x + yaw_rate * d_y, velocity_y - yaw_rate * d_x, yaw, yaw_rate], axis=-1)
 
-    def _at(self, times: np.ndarray, columns: list[np.ndarray], wanted: np.ndarray) -> list[np.ndarray]:
-        wanted = np.asarray(wanted, np.int64)
+    def _at(self, times: np.ndarray, columns: list[np.ndarray], instants: np.ndarray) -> list[np.ndarray]:
+        instants = np.asarray(instants, np.int64)
         if not len(times):
-            return [np.full(wanted.shape, np.nan) for _ in columns]
-        place = self._between(times, wanted)
+            return [np.full(instants.shape, np.nan) for _ in columns]
+        place = self._between(times, instants)
         return [at(column, *place) for column in columns]
 
-    def _between(self, times: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, ...]:
-        return between(times, wanted, self._gap_ns)
+    def _between(self, times: np.ndarray, instants: np.ndarray) -> tuple[np.ndarray, ...]:
+        return between(times, instants, self._gap_ns)

@@ -1,9 +1,9 @@
-"""A position that velocity knows nothing of: the displacement between two samples against integrated velocity.
+"""Jumps of the position: displacement between two samples that is not explained by integrated velocity.
 
     d = p_k - p_{k-1} - dt (v_{k-1} + v_k) / 2,   v = R(yaw) (v_x, v_y)
 
-RTK lost and found again, another unit on the wire, an origin that was set anew: |d| is then a step, while noise and
-what the trapezoid leaves out stay within `allowed`. Checked by: test_position_jumps.py.
+RTK lost and found again, another unit on the network, a new origin: |d| is then a step, while noise and the error
+of the trapezoid rule stay within `allowed`. Checked by: test_position_jumps.py.
 """
 
 import math
@@ -11,18 +11,18 @@ from collections.abc import Sequence
 
 from .filtering import NANOSECOND
 
-# Positions with RTK have 2 cm of noise, those of an INS far less from sample to sample; what is above is no noise [m].
+# Positions with RTK have 2 cm of noise, those of an INS far less from sample to sample; a larger step is not noise [m].
 LEAST = 0.3
-# Of the way driven: scale of the velocity, a heading that is askew.
+# Share of the distance driven: scale of the velocity, a heading error.
 SHARE = 0.1
-# Nothing on tyres accelerates harder [m/s^2]: what the trapezoid can be wrong by over a longer time.
+# Largest acceleration on tyres [m/s^2]: bounds the error of the trapezoid rule over longer steps.
 ACCELERATION = 10.0
-# After a longer silence a car may be anywhere [s].
+# Longer gaps are not judged, since the car may be anywhere [s].
 LONGEST = 10.0
-# Positions may be noisier than RTK's: a jump stands out from the median of the steps before it, of this many at most
-# and at least ...
+# Positions may be noisier than RTK's: a jump exceeds NOISE_FACTOR times the median of the previous steps, at most and
+# at least of this many, ...
 NOISE_STEPS, FEWEST_STEPS, NOISE_FACTOR = 20, 5, 6.0
-# ... unless it is so large that noise is no excuse [m].
+# ... or is larger than any noise [m].
 NO_NOISE = 5.0
 
 X, Y, YAW, VELOCITY_X, VELOCITY_Y = range(5)  # places in a row of alignment.INS_COLUMNS
@@ -35,8 +35,8 @@ def excess(spacing: float, before: Sequence[float], after: Sequence[float]) -> f
     return size if size > allowed and spacing <= LONGEST else 0.0
 
 
-def stands_out(size: float, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bool:
-    """Whether a step of `size` [m] is none of the noise in the samples before it, which end with the one it left."""
+def exceeds_noise(size: float, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bool:
+    """Whether a step of `size` [m] is larger than the noise of the samples before it; the last is where it started."""
     if size > NO_NOISE:
         return True
     if len(times_ns) <= FEWEST_STEPS:

@@ -337,7 +337,7 @@ def test_log_with_nan_is_refused_in_words(leaf):
     log = recorded(leaf, {}, 9, ("step",))[0]
     holes = log.velocity_y.copy()
     holes[300:400] = np.nan
-    with pytest.raises(StCoreError, match="step 1: velocity_y holds values that are not finite"):
+    with pytest.raises(StCoreError, match="step 1: velocity_y has values that are not finite"):
         replace(log, velocity_y=holes)
 
 

@@ -11,7 +11,7 @@ from st_core.checks import Advice, Channel, Checked, Finding, Identity, Severity
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import check_wording as words
 from st_offline.checking.check_document import CheckedRun, FailedRun, document, documents, findings_in
-from st_offline.checking.check_report import say, show
+from st_offline.checking.check_report import print_findings, show
 from st_offline.checking.page import title, write_page
 from st_offline.checking.run_corrections import run_yaml, with_corrections
 from st_recordings.output import OutputError
@@ -101,7 +101,7 @@ def test_the_gravest_comes_first():
 def test_the_terminal_holds_everything_and_obeys_no_name():
     console = Lines()
     show(run(HOSTILE), console)
-    say(HOSTILE, ALL, console)
+    print_findings(HOSTILE, ALL, console)
     text = console.file.getvalue()
     for one in ALL:
         assert text.count(one.text) == 2 and one.name in text and text.count(one.advice.line) == 2
@@ -168,7 +168,7 @@ def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_pat
     other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", advice=correction)
     text = run_yaml(source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
-    assert "#   not taken, a graver finding asks for another value: in its run.yaml: correct:" in text
+    assert "#   not taken, a graver finding has another value: in its run.yaml: correct:" in text
 
 
 def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
@@ -201,7 +201,7 @@ def test_what_was_corrected_before_is_corrected_further():
     assert only_scaled == {"scale": 6.0, "add": 1.5, "earlier": 0.1}
 
 
-@pytest.mark.parametrize(("name", "message"), [("cure.yaml", "name it run.yaml"), ("run.yaml", "is there already")])
+@pytest.mark.parametrize(("name", "message"), [("cure.yaml", "name it run.yaml"), ("run.yaml", "exists; choose another name")])
 def test_a_proposal_nobody_would_read_or_that_overwrites_is_refused(tmp_path, name, message):
     from st_offline.checking.run_corrections import check_name
 

@@ -1,4 +1,4 @@
-"""Do the measurements agree with each other? What `st_core.checks` finds in the newest driving, for /diagnostics."""
+"""Consistency of the newest measurements, judged by `st_core.checks`, for /diagnostics."""
 
 import math
 import time
@@ -13,10 +13,10 @@ from st_core.log import INS_SIGNALS, DriveLog
 from st_core.timeseries import TimeSeries
 from st_core.vehicle import VehicleParameters
 
-MINUTE = 60.0  # s, the oldest that is looked at
-RECENT = 30.0  # s that are judged where the car moves all the time: a fault is told, and gone again, within that
-ENOUGH, MOVING = 20.0, 1.0  # s of driving above so many m/s, without which nothing is said
-LONGEST_STEP = 0.25  # s between samples; what is missing is no driving
+MINUTE = 60.0  # s, age of the oldest measurement used
+RECENT = 30.0  # s that are judged while the car moves all the time: a fault is reported and cleared within that time
+ENOUGH, MOVING = 20.0, 1.0  # s of driving above so many m/s, required for a verdict
+LONGEST_STEP = 0.25  # s between samples; gaps do not count as driving
 SAMPLE_NS = 20_000_000  # one sample of so much time is used
 PERIOD = 10.0  # s of measurement from one check to the next
 SHARE = 0.018  # of a core: where a check costs more than PERIOD allows, it comes less often
@@ -36,10 +36,11 @@ class Verdict:
 
 
 class Consistency:
-    """Judges a history again and again: the newest 30 s, or as much of the last minute as holds 20 s of driving, and
-    nothing before a jump of the position, which is told where it is found.
+    """Judges a history periodically: the newest 30 s, or as much of the last minute as contains 20 s of driving, and
+    nothing before a jump of the position, which is reported where it is detected.
 
-    A fault is told when it is found twice in a row, because half a minute may mislead once, and forgotten at once.
+    A fault is reported when two successive checks find it, since one check of half a minute may be wrong, and cleared
+    by the first check without it.
     `verdict` is the newest; seconds: processor time that all checks took together. share: of a core they may take.
     """
 
@@ -113,16 +114,16 @@ def _since(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _waiting(driven: float) -> Verdict:
     return Verdict("", f"not judged: {driven:.0f} s of driving in the last minute or since the position jumped, "
-                   f"{ENOUGH:g} s above {MOVING:g} m/s wanted")
+                   f"{ENOUGH:g} s above {MOVING:g} m/s required")
 
 
 def _verdict(findings: Sequence[Finding], before: Set[str], seconds: float) -> Verdict:
     """findings: the gravest first. before: names of what was wrong at the check before."""
     values = {one.name: _value(one) for one in findings}
     wrong = [one for one in findings if one.severity != "note"]
-    if told := [one for one in wrong if one.name in before]:
-        severity = told[0].severity
-        return Verdict(severity.value, "; ".join(one.text for one in told if one.severity is severity), values)
+    if confirmed := [one for one in wrong if one.name in before]:
+        severity = confirmed[0].severity
+        return Verdict(severity.value, "; ".join(one.text for one in confirmed if one.severity is severity), values)
     new = f", to be confirmed: {', '.join(one.name for one in wrong)}" if wrong else ""
     return Verdict("note" if findings else "", f"signals agree in the newest {seconds:.0f} s{new}", values)
 

@@ -119,7 +119,7 @@ def test_a_car_that_stands_is_not_judged(road: np.ndarray) -> None:
     parked[:, 4:7] = 0.0
     verdict = Live().drive(parked).said[-1][1]
     assert verdict == Verdict("", "not judged: 0 s of driving in the last minute or since the position jumped, "
-                              "20 s above 1 m/s wanted")
+                              "20 s above 1 m/s required")
 
 
 def test_halts_reach_further_back(road: np.ndarray) -> None:

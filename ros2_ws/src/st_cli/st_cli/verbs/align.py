@@ -21,7 +21,7 @@ def align(
     output: Path | None = typer.Option(None, help="Folder for alignment.json and alignment.png."),
     read_options: ReadOptions = ReadOptions(),
 ) -> None:
-    """Find offset and drift between the clocks of INS and CAN log, say how sure they are, and draw both signals.
+    """Find offset and drift between the clocks of INS and CAN log, report their uncertainty, and draw both signals.
 
     Exit status 0: good or doubtful (see the reasons). 1: no alignment. 2: files that cannot be read.
     """
@@ -55,7 +55,7 @@ def align(
 
 
 def sentence(alignment, start_ns: int, absolute: bool) -> str:
-    """For a title: what came out. start_ns: of the CAN log; absolute: whether INS time is UTC."""
+    """Result in one sentence, for a title. start_ns: of the CAN log; absolute: whether INS time is UTC."""
     offset = (f"offset {_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
               else f"CAN log starts at INS time {_seconds(alignment.to_reference_ns(start_ns))} s")
     if alignment.method == "by hand":
@@ -94,7 +94,7 @@ def report(pair, console) -> None:
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
         table.add_column("signal")
-        for name in ("by itself, ms", "correlation", "residual / spread"):
+        for name in ("alone, ms", "correlation", "residual / spread"):
             table.add_column(name, justify="right")
         for row in alignment.signals:
             alone = f"{row.difference * 1e3:+.2f} ± {row.deviation * 1e3:.2f}"

@@ -1,4 +1,4 @@
-"""`st check`: what is wrong with a recording, before a model is blamed for it."""
+"""`st check`: faults of a recording, before they are attributed to a model."""
 
 from pathlib import Path
 
@@ -20,8 +20,8 @@ def check(
 ) -> None:
     """Find what is wrong with recordings: units, signs, clocks, axes, projections, reference points, sensors.
 
-    Nothing is corrected; each finding says what cures it. Exit status: 0 no error was found, 1 one was, or a run could
-    not be read, 2 nothing could be read.
+    Nothing is corrected; each finding names its correction. Exit status: 0 no error was found, 1 one was, or a run
+    could not be read, 2 nothing could be read.
     """
     # Imported when it runs: the drawing libraries take a second that `st --help` need not wait.
     from rich.console import Console

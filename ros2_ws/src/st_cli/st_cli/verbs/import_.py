@@ -15,13 +15,13 @@ def import_(
     ),
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
     force: bool = typer.Option(False, "--force", help="Write also runs in which `st check` finds an error."),
-    strict: bool = typer.Option(False, "--strict", help="Refuse runs whose alignment is doubtful."),
+    strict: bool = typer.Option(False, "--strict", help="Refuse runs with a doubtful alignment."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Write INS recording and CAN logs as one rosbag2 MCAP: aligned, in one time base, raw packets and frames kept.
 
     `ros2 bag play` of it drives the live nodes, and every st verb reads it. Exit status 0: all runs written; 1: some
-    were not (each says why); 2: nothing could be done.
+    were not (each with its reason); 2: nothing could be done.
     """
     from rich.console import Console
     from st_recordings.output import OutputError, new_folder
@@ -56,7 +56,7 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
 
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
     from st_offline.alignment_figure import alignment_figure
-    from st_offline.checking.check_report import say
+    from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import checked_run
     from st_recordings.runs.write import import_run
 
@@ -72,7 +72,7 @@ def _import_one(source, parameters, folder: Path, settings, force: bool, console
     seconds = time.perf_counter() - began
     for warning in done.warnings:
         console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
-    say(source.name, done.findings, console)
+    print_findings(source.name, done.findings, console)
     alignment = done.run.alignment
     text = sentence(alignment, done.run.can.start_ns, absolute=True)
     if done.run.shared:

@@ -1,4 +1,4 @@
-"""`st ncom`: what the unit said, as CSV."""
+"""`st ncom`: data of the unit as CSV."""
 
 from pathlib import Path
 

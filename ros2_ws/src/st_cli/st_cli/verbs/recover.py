@@ -8,7 +8,7 @@ import typer
 def recover(
     path: Path = typer.Argument(..., help="A bag directory or an .mcap file that was not closed.", exists=True),
     output: Path | None = typer.Option(
-        None, "--output", help="Where the repaired recording goes; default: in place, the cut file is kept beside it."
+        None, "--output", help="Path of the repaired recording; default: in place, the cut file is kept."
     ),
 ) -> None:
     """Repair a recording cut off by a crash or power loss; complete ones are left as they are."""

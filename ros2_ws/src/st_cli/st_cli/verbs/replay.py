@@ -29,7 +29,7 @@ def replay(
     from st_live.suite import SuiteError
     from st_live.view.live import LiveView
     from st_offline.checking.check_document import documents
-    from st_offline.checking.check_report import say
+    from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import passed_bag
     from st_recordings.output import new_folder
 
@@ -39,7 +39,7 @@ def replay(
         bag, _ = recordings_of(bag)
         page = LiveView(view, view_address, view_save)
         findings = passed_bag(bag, vehicle, force, read)
-        say(bag.name, findings, console)
+        print_findings(bag.name, findings, console)
         shared.report_default_car_of_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
         outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, page, bands, read)

@@ -27,13 +27,13 @@ def verify(
     from st_live.configuration import recordings_of
     from st_live.suite import SuiteError
     from st_live.verification import verify_command
-    from st_offline.checking.check_report import say
+    from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import passed_bag
 
     with refusals("verify", SuiteError):
         vehicle, read = read_options.resolve()
         report_default_car_of_bag("verify", bag, vehicle)
         console = Console()
-        say(bag.name, passed_bag(recordings_of(bag)[0], vehicle, force, read), console)
+        print_findings(bag.name, passed_bag(recordings_of(bag)[0], vehicle, force, read), console)
         status = verify_command(bag, vehicle, tolerance, replayed, output, console, read)
     raise typer.Exit(status)

@@ -1,1 +1,1 @@
-"""Recordings checked: the gate every verb passes them through, and what `st check` does, says and writes."""
+"""Recordings checked: the gate every verb passes them through, and the work and the output of `st check`."""

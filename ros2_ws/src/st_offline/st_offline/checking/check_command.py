@@ -1,4 +1,4 @@
-"""What `st check` does: read, check, say it, write it down."""
+"""`st check`: read runs, check them, print and write the findings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,10 +41,10 @@ class Job:
     correction_file: Path | None = None
 
 
-def run_command(job: Job, console: Console, told: Callable[[str], None] | None = None) -> int:
+def run_command(job: Job, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
     """Exit status: 0 no error was found, 1 one was, or a run could not be read. Raises ConfigurationError, OutputError.
 
-    told: hears, where nobody named a vehicle file, of each that was used.
+    report_vehicle: called with each vehicle file in use, if none was given.
     """
     sources = find_runs(job.paths)
     if job.correction_file is not None:
@@ -62,9 +62,9 @@ def run_command(job: Job, console: Console, told: Callable[[str], None] | None =
     for run in runs:
         show(run, console)
     show_together([run.checked for run in good], console)
-    if told and not job.given:
+    if report_vehicle and not job.given:
         for file in sorted({run.vehicle_from for run in good}):
-            told(file)
+            report_vehicle(file)
     target = job.correction_file
     texts = {} if target is None else {target: run_yaml(sources[0], good[0].checked.findings, target, job.read)}
     list_files(write(good, failed, folder, job.json, texts, console), console)

@@ -41,7 +41,7 @@ def documents(findings: Sequence[Finding]) -> list[dict[str, Any]]:
 
 
 def findings_in(about: Mapping[str, Any]) -> list[Finding]:
-    """Findings back from what a report says of a run (its key "findings")."""
+    """Findings of a run, read from a report (its key "findings")."""
     return [_finding(entry) for entry in about.get("findings", ())]
 
 

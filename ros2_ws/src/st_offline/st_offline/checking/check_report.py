@@ -48,7 +48,7 @@ def show_together(runs: Sequence[Checked], console: Console) -> None:
         line(f"  {escape(one.text)}", console)
 
 
-def say(name: str, findings: Sequence[Finding], console: Console) -> None:
-    """The findings of a run a line each, for verbs that speak of other things."""
+def print_findings(name: str, findings: Sequence[Finding], console: Console) -> None:
+    """Prints the findings of a run, one line each, for verbs other than `st check`."""
     for finding in findings:
         line(f"[{STYLE[finding.severity]}]{escape(name)}: {escape(words.line(finding))}[/]", console)

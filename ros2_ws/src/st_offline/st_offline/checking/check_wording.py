@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from st_core.checks import Advice, Checked, Finding, Severity
 
 MOST_STRETCHES = 4
-MOST_TOLD = 3  # findings in a headline
+MOST_LISTED = 3  # findings in a headline
 GRAVITY = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {
     Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
@@ -41,13 +41,13 @@ def verdict(checked: Checked) -> str:
 
 
 def answer(checked: Checked) -> str:
-    """The verdict as a reader of the page wants it: what is most seriously wrong."""
+    """Verdict with the most severe findings."""
     if not checked.findings:
         return verdict(checked)
     worst = min(checked.findings, key=gravity).severity
-    told = [one.text for one in checked.findings if one.severity is worst]
-    more = f"; and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
-    return f"{counts(checked.findings)}: {'; '.join(told[:MOST_TOLD])}{more}"
+    texts = [one.text for one in checked.findings if one.severity is worst]
+    more = f"; and {len(texts) - MOST_LISTED} more" if len(texts) > MOST_LISTED else ""
+    return f"{counts(checked.findings)}: {'; '.join(texts[:MOST_LISTED])}{more}"
 
 
 def unit(text: str) -> str:

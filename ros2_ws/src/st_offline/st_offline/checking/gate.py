@@ -20,17 +20,17 @@ from .check_document import documents
 
 STEP = PredictionSettings().step
 PROBLEMS = (RunError, StCoreError, MemoryError, OSError)
-"""What may be wrong with one of many runs: the others go on."""
-ADVICE = "mend it as `st check` proposes, or go on all the same with --force"
+"""Errors that concern one of many runs; the others are processed."""
+ADVICE = "correct it as `st check` proposes, or use it in spite of that with --force"
 
 
 class Refused(RunError):
-    """A recording whose signals are so wrong that an evaluation would be meaningless. findings: all of the run."""
+    """A recording with signals so wrong that an evaluation would be meaningless. findings: all of the run."""
 
     def __init__(self, where: Path | str, findings: Sequence[Finding]):
         self.findings = tuple(findings)
-        said = "; ".join(f"{one.name}: {one.text}" for one in findings if one.severity is Severity.ERROR)
-        super().__init__(where, said, ADVICE)
+        errors = "; ".join(f"{one.name}: {one.text}" for one in findings if one.severity is Severity.ERROR)
+        super().__init__(where, errors, ADVICE)
 
     def __reduce__(self):  # errors travel between processes by their arguments
         return Refused, (self.path, self.findings)
@@ -54,7 +54,7 @@ def refuse(where: Path | str, findings: Sequence[Finding], force: bool) -> None:
 
 def checked_run(where: Path | str, vehicle: VehicleParameters,
                 force: bool) -> Callable[[LoadedRun], tuple[Finding, ...]]:
-    """What `import_run` asks before it writes: findings of a drive; raises Refused for one that may not be used."""
+    """Function for `import_run`: returns the findings of a drive, or raises Refused for one that may not be used."""
     def findings_of(run: LoadedRun) -> tuple[Finding, ...]:
         findings = checked_log(run.log, vehicle, run.auxiliary).findings
         refuse(where, findings, force)
@@ -64,12 +64,12 @@ def checked_run(where: Path | str, vehicle: VehicleParameters,
 
 
 def passed_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
-    """Findings of a recording as it is to be played or compared: with the vehicle, the models and the step it carries,
-    where it carries them. Raises Refused, and RunError for what cannot be read.
+    """Findings of a recording for playing or comparing: with the vehicle, the models and the step stored in it, if any.
+    Raises Refused, and RunError for what cannot be read.
     """
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = configuration_of(run.provenance["recorded"], vehicle)
-    # What the hand wheel's angle was taken for until the vehicle was known.
+    # Until the vehicle is known, the angle of the hand wheel is read as that of the road wheels.
     steering = settings.steering if settings else None
     log = run.log.with_steering(car) if steering is not None and steering.quantity == "wheel" else run.log
     predictor = recorded.nodes.get("predictor", {})

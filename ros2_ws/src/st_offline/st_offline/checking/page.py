@@ -14,15 +14,15 @@ from .check_figures import panel
 
 
 def title(good: Sequence[CheckedRun]) -> str:
-    """The answer in a sentence."""
+    """Verdict over all runs in one sentence."""
     if len(good) == 1:
         return f"{good[0].name}: {words.answer(good[0].checked)}"
     worst = {severity: [run.name for run in good if run.checked.of(severity)] for severity in words.GRAVITY[:2]}
     if not any(worst.values()):
         return f"{len(good)} runs: no error and no warning"
-    said = [f"{severity.value}s in {len(names)} of {len(good)} runs ({', '.join(names)})"
+    counts = [f"{severity.value}s in {len(names)} of {len(good)} runs ({', '.join(names)})"
             for severity, names in worst.items() if names]
-    sentence = "; ".join(said)
+    sentence = "; ".join(counts)
     return sentence[0].upper() + sentence[1:]
 
 

@@ -18,15 +18,15 @@ from st_recordings.runs.sources import RUN_FILE, RUN_SUFFIX
 from . import check_wording as words
 
 OF_A_CSV = {"columns", "units"}
-HEAD = "# Proposed by st check. What it corrects is said by every verb that reads it.\n"
+HEAD = "# Proposed by st check. Every verb that reads it lists the corrections.\n"
 
 
 def check_name(file: Path) -> None:
     """Raises OutputError for a file that no verb would read, or that is there already."""
     if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
-        raise OutputError(f"--propose-cure {file}: name it run.yaml or NAME.run.yaml, else no verb takes it for a run")
+        raise OutputError(f"--propose-cure {file}: name it run.yaml or NAME.run.yaml, or no verb reads it as a run")
     if file.exists():
-        raise OutputError(f"--propose-cure {file}: is there already; name another (nothing is ever overwritten)")
+        raise OutputError(f"--propose-cure {file}: exists; choose another name (existing files are not overwritten)")
 
 
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
@@ -41,10 +41,10 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
         lines.append(f"# {one.severity.value}: {one.name}: {printable(one.text)}\n")
         if one.advice is None:
             continue
-        wanted = one.advice.kind == "run.yaml" and one.severity is not Severity.NOTE
-        readable = wanted and (source.kind == "csv" or not OF_A_CSV & one.advice.entry.keys())
+        applicable = one.advice.kind == "run.yaml" and one.severity is not Severity.NOTE
+        readable = applicable and (source.kind == "csv" or not OF_A_CSV & one.advice.entry.keys())
         if not (readable and merge(corrections, one.advice.entry)):
-            reason = ("" if not wanted else "not taken, a graver finding asks for another value: " if readable else
+            reason = ("" if not applicable else "not taken, a graver finding has another value: " if readable else
                       "not taken, a csv only has columns and units: ")
             lines.append(f"#   {reason}{printable(words.correction(one.advice))}\n")
     if read.steering_sign != 1 or read.steering_latency:
@@ -56,7 +56,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
 
 
 def merge(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
-    """Adds an entry in place, lists one after another; False, and nothing is added, where it says something else."""
+    """Adds an entry in place, lists one after another; returns False without adding anything if it contradicts."""
     if not _agree(corrections, entry):
         return False
     _add(corrections, plain(entry))
@@ -64,7 +64,7 @@ def merge(corrections: dict[str, Any], entry: Mapping[str, Any]) -> bool:
 
 
 def with_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run.yaml with corrections of what it still shows. What was corrected before is corrected further:
+    """Settings of a run.yaml with further corrections, combined with those it already has:
 
         scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
     """
@@ -116,7 +116,7 @@ def _files(source: RunSource, file: Path) -> dict[str, Any]:
 
 
 def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
-    """What the run.yaml it was read by said, and the options of the command line, which count more."""
+    """Settings of the run.yaml it was read by, overridden by the options of the command line."""
     given = {"dbc": read.dbc, "signals": read.signals, "offset": read.offset,
              "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
     settings = {**source.settings, **{key: value for key, value in given.items() if value is not None}}

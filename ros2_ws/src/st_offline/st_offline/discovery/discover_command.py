@@ -24,7 +24,7 @@ from st_recordings.plain_json import as_text, finite
 from st_recordings.runs import find_runs
 
 from ..checking.check_document import findings_in
-from ..checking.check_report import say
+from ..checking.check_report import print_findings
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
 from . import answers
@@ -69,7 +69,7 @@ def run_command(request: Request, console: Console) -> int:
                   else None)
         files = write_results(found, request, update, folder, drawn, seconds, relations, report)
     for drive in (*drives, *healthy):
-        say(drive.name, findings_in(drive.about), console)
+        print_findings(drive.name, findings_in(drive.about), console)
     failed = [d for d in (*drives, *healthy) if d.problem]
     show(found, update, failed, files, earlier, console, report)
     return 1 if failed else 0

@@ -18,7 +18,7 @@ from ..bands.bands_report import HOW_TO_GET, adaptive_table, bands_table
 from ..bands.error_shares import finished_shares, shares_table
 from ..bands.scoring import pooled_sums
 from ..checking.check_document import findings_in
-from ..checking.check_report import say
+from ..checking.check_report import print_findings
 from ..terminal import line, list_files, progress_bars, report_problem
 from .drawing import check_formats
 from .evaluation_report import Choices, finding, settings_in_words, write_results
@@ -65,7 +65,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
 
         advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
     for report in found:
-        say(report.name, findings_in(report.about), console)
+        print_findings(report.name, findings_in(report.about), console)
     list_files({files[key]: what for key, what in FILE_DESCRIPTIONS.items()}, console)
     failed = [report for report in found if report.problem]
     for report in failed:

@@ -25,7 +25,7 @@ from st_recordings.results import versions
 from st_recordings.runs.load import file_hashes
 
 from ..checking.check_document import documents
-from ..checking.check_report import say
+from ..checking.check_report import print_findings
 from ..discovery.vehicle_update import edited
 from ..evaluation.drawing import Drawn, Place
 from ..pages import template
@@ -93,7 +93,7 @@ def _compared(found: Identification, vehicle: VehicleParameters) -> Identificati
 def show(found: Sequence[Identification], vehicle: VehicleParameters, stale: Sequence[str], console: Console) -> None:
     """Table and verdicts in the terminal."""
     for name, findings in checked(found).items():
-        say(name, findings, console)
+        print_findings(name, findings, console)
     for one in found:
         table = Table(title=one.what, title_justify="left", box=None, padding=(0, 1))
         for head in HEADS:
