@@ -201,7 +201,7 @@ def test_what_was_corrected_before_is_corrected_further():
     assert only_scaled == {"scale": 6.0, "add": 1.5, "earlier": 0.1}
 
 
-@pytest.mark.parametrize(("name", "message"), [("cure.yaml", "name it run.yaml"), ("run.yaml", "exists; choose another name")])
+@pytest.mark.parametrize(("name", "message"), [("cure.yaml", "name it run.yaml"), ("run.yaml", "exists; choose")])
 def test_a_proposal_nobody_would_read_or_that_overwrites_is_refused(tmp_path, name, message):
     from st_offline.checking.run_corrections import check_name
 
