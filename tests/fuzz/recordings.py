@@ -1,4 +1,4 @@
-"""Fuzz targets: recordings from other machines. Bags to repair and to read, CAN logs, CSV drives."""
+"""Fuzz targets: recordings from other machines. Bags to repair and to read, CAN logs, CSV drives, VBOX files."""
 
 import tempfile
 from collections.abc import Callable
@@ -21,7 +21,9 @@ from st_recordings.runs.bag import ODOMETRY, STEERING, definitions, read_bag
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import decode_signals, load_signal_table
 from st_recordings.runs.cdr import typestore
+from st_recordings.runs.columns import Layout
 from st_recordings.runs.errors import RunError
+from st_recordings.runs.vbo import read_vbo
 from support import ROOT
 
 from .harness import Target, one_line
@@ -201,6 +203,38 @@ def _csv_seed() -> list[bytes]:
     return [_written(lambda file: write_drive(file, weave(1.0)), "drive.csv").replace(b"\n", b"\r\n", 3)]
 
 
+def _vbo(data: bytes, folder: Path) -> str:
+    file = folder / "drive.vbo"
+    file.write_bytes(data)
+    try:
+        drive = csv.drive_of(read_vbo(file, Layout()))
+    except RunError as error:
+        return one_line(error, data)
+    return f"read, {len(drive.warnings)} warnings"
+
+
+VBO = b"""File created on 03/09/2025 @ 12:00:00
+
+[header]
+satellites
+time
+latitude
+longitude
+velocity kmh
+heading
+steering wheel angle
+
+[channel units]
+deg
+
+[column names]
+sats time lat long velocity heading steering_wheel_angle
+
+[data]
+""" + b"".join(b"010 1200%05.2f +03120.%08d +00090.00000000 036.000 %06.2f %+.4E\n" % (k / 10, k * 5000, k % 3, k * 0.5)
+              for k in range(20))
+
+
 MCAP_WORDS = (b"\x89MCAP0\r\n", b"\x06" + b"\xff" * 8, b"\x0f\x0d\0\0\0\0\0\0\0", b"zstd", b"lz4", b"\x04", b"\x03")
 MF4_WORDS = (b"##DG", b"##CG", b"##CN", b"##DT", b"##DZ", b"##DL", b"##HL", b"##SD", b"##CC", b"MDF     ", b"UnFinMF ")
 LOG_WORDS = (b"(1.0) can0 002#1D000007B0\n", b"##", b"#R", b" R", b"date Mon Sep 30 15:06:13.191 2022\n", b"CANFD",
@@ -217,4 +251,6 @@ TARGETS = (
     Target("log_trc", lambda: [_log(TRCWriter, "x.trc")], _can_log(".trc"), LOG_WORDS, text=True),
     Target("log_blf", lambda: [_log(BLFWriter, "x.blf")], _can_log(".blf"), (b"LOBJ", b"LOGG")),
     Target("csv", _csv_seed, _csv, (b"nan", b"inf", b"1e400", b"\xef\xbb\xbf", b";", b"\t", b'"', b"\0"), text=True),
+    Target("vbo", lambda: [VBO, VBO.replace(b"\n", b"\r\n")], _vbo,
+           (b"nan", b"1e400", b"235959.99", b"[data]\n", b"[column names]\n", b"[channel units]\n", b"\0"), text=True),
 )

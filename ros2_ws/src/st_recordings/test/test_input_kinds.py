@@ -3,9 +3,12 @@ what is not used, or refused in one true sentence."""
 
 import json
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 from mcap.writer import CompressionType, IndexType
@@ -18,6 +21,7 @@ from st_recordings.runs import ReadSettings, RunError, find_runs, read
 from st_recordings.runs.bag import definitions
 from st_recordings.runs.cdr import typestore
 from st_recordings.runs.external_topics import SteeringField
+from support import shared
 
 CAR = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
 WHEEL = ReadSettings(steering=SteeringField("", "Steer", "wheel", "deg"))
@@ -269,6 +273,30 @@ def test_steering_frames_that_do_not_fit_the_dbc_are_named(tmp_path: Path, drive
     (tmp_path / "run.log").write_text(changed(frames_of(drive[0]), change))
     with pytest.raises(RunError, match=error):
         read(find_runs([tmp_path])[0], CAR)
+
+
+def test_a_cut_blf_is_read_up_to_the_cut_with_a_warning(tmp_path: Path, drive) -> None:
+    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
+    blf = tmp_path / "run.blf"
+    with can.BLFWriter(str(blf)) as writer:
+        for message in can.LogReader(str(drive[0] / "run.log")):
+            message.channel = int(str(message.channel)[-1])
+            writer.on_message_received(message)
+    (whole,) = find_runs([tmp_path])
+    assert_same(read(whole, CAR).log, drive[1], lost=0, steering=0.003)
+    blf.write_bytes(blf.read_bytes()[: blf.stat().st_size // 2])
+    run = read(find_runs([tmp_path])[0], CAR)
+    assert_warned(run.warnings, r"run\.blf: .*(cut|header)")
+
+
+@pytest.mark.parametrize("options", [(), ("--no-fd",)], ids=["with FD group", "without FD group"])
+def test_an_mf4_of_firmware_with_virtual_channels(tmp_path: Path, drive, options: tuple[str, ...]) -> None:
+    make = shared("failing/canedge_current_firmware_mf4/make.py")
+    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
+    subprocess.run([sys.executable, make, drive[0] / "run.log", tmp_path / "run.MF4", *options], check=True)
+    run = read(find_runs([tmp_path])[0], CAR)
+    assert_same(run.log, drive[1], lost=0, steering=0.003)
+    assert not [w for w in run.warnings if "alignment" not in w]
 
 
 # Bags.
