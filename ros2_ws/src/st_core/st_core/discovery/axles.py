@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..augmented import AugmentedModel
+from ..effects import COMBINATIONS, EFFECTS
 from ..errors import StCoreError
 from ..handling import understeer_coefficient
 from ..identification.axle_curve import axle_curve, axle_force, drawn_models, force_error
@@ -23,14 +24,6 @@ STEEPEST = 0.35  # rad of slip: beyond every peak of a road tyre
 ACTS = 0.01  # of the force: an effect that changes it by less does not act on an axle
 SLOPE_AT = 0.005  # rad of slip at which the stiffness of an axle is taken
 GAIN_SPEED = 20.0  # m/s of the steady-state yaw gain
-COMBINATIONS = (
-    ("front cornering stiffness over mass", "N/(rad kg)", ("front_stiffness", "steering_compliance", "mass")),
-    ("rear cornering stiffness over mass", "N/(rad kg)", ("rear_stiffness", "mass", "cg_position")),
-    ("yaw inertia over mass", "m^2", ("yaw_inertia", "mass")),
-    ("understeer gradient K", "s^2/m^2", ("front_stiffness", "rear_stiffness", "cg_position")),
-    ("steady-state yaw gain at 20 m/s", "1/s", ("steering_ratio", "front_stiffness", "rear_stiffness")),
-)
-"""Name, unit, and effects that act on it alike: what predictions depend on, whichever single quantity is behind it."""
 
 
 class Axles:
@@ -83,8 +76,9 @@ class Axles:
         drawn = np.array([_combined(one, self.vehicle) for one in self.draws]) if self.draws else value[None]
         low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
         low, high = np.minimum(low, value).tolist(), np.maximum(high, value).tolist()
-        return tuple(Combination(name, unit, float(value[i]), (low[i], high[i]), float(file[i]), effects)
-                     for i, (name, unit, effects) in enumerate(COMBINATIONS))
+        changing = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
+        return tuple(Combination(name, unit, float(value[i]), (low[i], high[i]), float(file[i]), changing[name])
+                     for i, (name, unit) in enumerate(COMBINATIONS.items()))
 
     def driven_shares(self) -> dict[str, float]:
         """Force at the largest driven slip over the largest of the curve, by axle [1]."""

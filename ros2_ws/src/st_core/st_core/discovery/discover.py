@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from ..augmented import AugmentedModel
 from ..channels import CHANNELS, OF_COLUMN
 from ..effects import get_effect
 from ..errors import StCoreError
@@ -48,6 +50,7 @@ from .result import (
     ForceCurve,
     FoundEffect,
     NotTestable,
+    Outcome,
     Reason,
     Run,
     Value,
@@ -103,6 +106,18 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
     return space.at(problem.renewed(fit).vector)
 
 
+class _Names(NamedTuple):
+    """The effects of an answer by verdict, the verdicts by name, and the axles under the answer."""
+
+    stated: tuple[FoundEffect, ...]
+    minor: tuple[FoundEffect, ...]
+    denied: tuple[FoundEffect, ...]
+    verdicts: dict[str, Reason]
+    left_out: Mapping[str, Mapping[str, Mapping[str, float]]]
+    curves: tuple[ForceCurve, ...]
+    combinations: tuple[Combination, ...]
+
+
 class _Work:
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                  reference: Sequence[DriveLog], settings: DiscoverySettings, progress: Progress | None,
@@ -124,19 +139,49 @@ class _Work:
         self.threads = parallel
 
     def result(self) -> Discovery:
-        settings, space, limits = self.settings, self.space, self.limits
+        settings, space = self.settings, self.space
         self.problem, by_column = self._problem()
         problem = self.problem
         self._warn_if_thin(problem)
         parts = levels(self.windows)
-        search = Search(problem, limits, parts, self.sensors, settings.seed, self._tick("searching"))
+        search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._tick("searching"))
         found = search.run()
         whole, fit = self._corrected(found, parts)
         self._tick("explaining")()
         ends = waterfall.Ends(whole, settings.seed)
         bound = self._bound(found, parts)
-        all_free = joint(problem, found.fit) if problem.prior is None else None
         floor = self._floor(by_column)
+        names = self._names(search, found, parts, floor)
+        effects = names.stated
+        steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
+        gap, gap_named = (waterfall.gaps(ends, base, each, floor) for each in (fit, found.fit))
+        lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in bound), None), ends)
+        power = self._certificate(found)
+        driven = self._catalogue(found, effects)
+        untestable = self._untestable(power, names, driven)
+        left = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
+                if "position_5s" in gap_named else 1.0)
+        outcome, why = self._outcome(found, effects, untestable, left, len(bound))
+        statements = self._where(base, floor) if settings.where else ()
+        return Discovery(
+            outcome=outcome, effects=effects, minor=names.minor,
+            effective=(*names.denied, *self._effective(whole, fit, found)),
+            bound=tuple(b for b, _ in bound), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
+            reasons=(why, *self._reasons(found, names.verdicts)), candidates=self._candidates(found, names.verdicts),
+            where=statements, not_testable=untestable,
+            next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
+            separability=separability(problem, found.fit, effects, found.scores.design), certificate=power,
+            signature=self._left(left, statements), runs=self._run_table(),
+            start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
+            model=space.at(fit.vector) if fit.names else None, named=self._named_model(found, names),
+            warnings=tuple(self.warnings), left_out=names.left_out, axle_curves=names.curves,
+            assumed=self._assumed(), combinations=names.combinations,
+            acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
+
+    def _names(self, search: Search, found: Found, parts: Mapping[str, Level], floor: Mapping[str, float]) -> _Names:
+        """The effects of the search with the verdict on each name, and what they mean for the axles."""
+        problem = self.problem
+        all_free = joint(problem, found.fit) if problem.prior is None else None
         position = problem.position(problem.held_out_rows(found.fit, problem.apart))
         unexplained = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
@@ -144,40 +189,29 @@ class _Work:
                       for n in found.order]
         left_out = waterfall.left_out(problem, found.fit)
         axles, curves, combinations = self._axles(found, all_free, unexplained)
-        named = self._named(found, everything, axles, left_out)
-        effects, minor, denied = ([e for e in everything if named[e.name].rule == rule]
-                                  for rule in (STATED, MINOR, FORCES))
-        steps, base = waterfall.steps(problem, found.fit, found.order, ends, parts)
-        gap, gap_named = (waterfall.gaps(ends, base, each, floor) for each in (fit, found.fit))
-        lines = waterfall.budget(problem, base, found.fit, fit, next((fit for _, fit in bound), None), ends)
-        power = (certificate.driven(problem, found.fit, limits, settings.seed, self._tick("certifying"))
-                if settings.certify else certificate.predicted(problem, found.fit, found.scores, limits))
-        stated = {*(name for e in effects for name in (e.name, *e.alternatives)), *(e.name for e in minor)}
-        driven = self._catalogue(found, effects)
-        untestable = self._untestable(power, stated, driven)
-        seen = 1.0 - sum(n.name in space.hypotheses for n in untestable) / len(space.hypotheses)
-        left = (gap_named["position_5s"].augmented / max(floor.get("position_5s", 0.0), 1e-9)
-                if "position_5s" in gap_named else 1.0)
-        answer = Answer([found.evidence[e.name] for e in effects], found.rivals,
-                        [e for e, *_ in found.refused.values()], left, seen, len(bound))
-        outcome, why = decide(answer, limits)
-        statements = self._where(base, floor) if settings.where else ()
-        return Discovery(
-            outcome=outcome, effects=tuple(effects), minor=tuple(minor),
-            effective=(*denied, *self._effective(whole, fit, found)),
-            bound=tuple(b for b, _ in bound), steps=tuple(steps), gap=gap, gap_named=gap_named, budget=tuple(lines),
-            reasons=(why, *self._reasons(found, named)), candidates=self._candidates(found, named),
-            where=statements, not_testable=untestable,
-            next_manoeuvre=following(problem, found.fit, effects, driven, found.scores.design) if driven else None,
-            separability=separability(problem, found.fit, effects, found.scores.design), certificate=power,
-            signature=self._left(left, statements),
-            runs=self._run_table(), start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
-            model=space.at(fit.vector) if fit.names else None,
-            named=space.at(problem.put_back(found.fit, *(e.name for e in denied))) if found.fit.names else None,
-            warnings=tuple(self.warnings),
-            left_out=left_out, axle_curves=curves,
-            assumed=self._assumed(), combinations=combinations,
-            acceleration_gain=float(fit.vector[-1]), noise={c: g.augmented for c, g in gap.items()})
+        verdicts = self._verdicts(found, everything, axles, left_out)
+        stated, minor, denied = (tuple(e for e in everything if verdicts[e.name].rule == rule)
+                                 for rule in (STATED, MINOR, FORCES))
+        return _Names(stated, minor, denied, verdicts, left_out, curves, combinations)
+
+    def _named_model(self, found: Found, names: _Names) -> AugmentedModel | None:
+        """The model without the names that the axle forces contradict; None where no effect was found."""
+        if not found.fit.names:
+            return None
+        return self.space.at(self.problem.put_back(found.fit, *(e.name for e in names.denied)))
+
+    def _certificate(self, found: Found) -> Certificate:
+        if not self.settings.certify:
+            return certificate.predicted(self.problem, found.fit, found.scores, self.limits)
+        return certificate.driven(self.problem, found.fit, self.limits, self.settings.seed, self._tick("certifying"))
+
+    def _outcome(self, found: Found, effects: Sequence[FoundEffect], untestable: Sequence[NotTestable], left: float,
+                 bound: int) -> tuple[Outcome, Reason]:
+        """left: position error over that of the noise [1]. bound: number of effects that vary over the drives."""
+        hypotheses = self.space.hypotheses
+        seen = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
+        return decide(Answer([found.evidence[e.name] for e in effects], found.rivals,
+                             [e for e, *_ in found.refused.values()], left, seen, bound), self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
         """What predicts best with the answer in it, whatever the vehicle file says, and the problem it is of; the
@@ -286,8 +320,8 @@ class _Work:
         except StCoreError:
             return None, (), ()
 
-    def _named(self, found: Found, everything: Sequence[FoundEffect], axles: Axles | None,
-               left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
+    def _verdicts(self, found: Found, everything: Sequence[FoundEffect], axles: Axles | None,
+                  left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Reason]:
         """The verdict on each effect of the answer. With a reference its own drives decide instead of
         intervals, which hold what it leaves open."""
         worse: dict[str, str] = {}
@@ -298,7 +332,7 @@ class _Work:
                 worse |= dict.fromkeys(axles.acting(axle, [e.name for e in everything]), axle)
         return {e.name: naming_verdict(found.evidence[e.name], self.limits, Checks(
             bool(self.reference) or null_excluded(e), "" if self.reference else crossing(e),
-            driven if e.name == "friction" else 1.0, worse.get(e.name, ""))) for e in everything}
+            driven if get_effect(e.name).at_peak_force else 1.0, worse.get(e.name, ""))) for e in everything}
 
     def _effective(self, whole: Problem, fit: Fit, found: Found) -> tuple[FoundEffect, ...]:
         ends = waterfall.Ends(whole, self.settings.seed)
@@ -379,8 +413,9 @@ class _Work:
         self._tick("next drive")()
         return catalogue(self.problem, found.fit)
 
-    def _untestable(self, power: Certificate, stated: set[str],
+    def _untestable(self, power: Certificate, names: _Names,
                     driven: Catalogue | None) -> tuple[NotTestable, ...]:
+        stated = {*(name for e in names.stated for name in (e.name, *e.alternatives)), *(e.name for e in names.minor)}
         collected = []
         for name in self.space.hypotheses:
             powers = [p for p in power.powers if p.effect == name]

@@ -5,6 +5,7 @@ import pkgutil
 
 from ._base import (
     ANY,
+    COMBINATIONS,
     DYNAMIC,
     EFFECT_KINDS,
     EFFECTS,
@@ -26,5 +27,6 @@ for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
     if not _module.startswith("_"):
         importlib.import_module(f"{__name__}.{_module}")
 
-__all__ = ["ANY", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "Effect", "Instant", "Measured",
-           "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register", "source_file", "twins_of"]
+__all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "Effect", "Instant",
+           "Measured", "Parameter", "applicable", "get_effect", "load_file", "load_folder", "register", "source_file",
+           "twins_of"]

@@ -21,6 +21,10 @@ ANY = frozenset(KINDS)
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
+COMBINATIONS = {"front cornering stiffness over mass": "N/(rad kg)", "rear cornering stiffness over mass": "N/(rad kg)",
+                "yaw inertia over mass": "m^2", "understeer gradient K": "s^2/m^2",
+                "steady-state yaw gain at 20 m/s": "1/s"}
+"""Unit by name: ratios of vehicle parameters that determine predictions, whichever single parameter is in error."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +149,8 @@ class Effect:
     extra_units: of the extra states, for those who export the model.
     kind: one of EFFECT_KINDS, what it belongs to. slot: one of SLOTS, where it acts. needs: channels without any one
     of which it leaves no trace, or only that of another effect. members: names of the effects it is the sum of.
+    combinations: names of COMBINATIONS that it changes. ratio_to: key of the vehicle file; driving shows only the ratio
+    of its quantity to that one. at_peak_force: drives show it only near the largest force of an axle.
     costly: computes the tyres again; leave it out of a fast model where it is at null.
     order: among the effects at one hook, low acts first. Source of the twins: sensitivity vectors of a single-track
     car, steady circle, step, sweep and limit.
@@ -159,6 +165,9 @@ class Effect:
     twins: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     members: ClassVar[tuple[str, ...]] = ()
+    combinations: ClassVar[tuple[str, ...]] = ()
+    ratio_to: ClassVar[str] = ""
+    at_peak_force: ClassVar[bool] = False
     applies_to: ClassVar[frozenset[str]] = DYNAMIC
     lifts: ClassVar[tuple[str, str] | None] = None
     signals: ClassVar[tuple[str, ...]] = ()
@@ -262,11 +271,13 @@ def _check_words(effect: type[Effect]) -> None:
 
 
 def _check_names(effect: type[Effect]) -> None:
-    for key in ("twins", "needs", "members"):
+    for key in ("twins", "needs", "members", "combinations"):
         if not isinstance(getattr(effect, key), tuple):
             raise ConfigurationError(f"{key} must be a tuple of names, also of one: (\"name\",)")
     if not set(effect.needs) <= set(CHANNELS):
         raise ConfigurationError(f"needs must name some of {', '.join(CHANNELS)}")
+    if not set(effect.combinations) <= set(COMBINATIONS):
+        raise ConfigurationError(f"combinations must name some of {', '.join(COMBINATIONS)}")
     if effect.members and (len(set(effect.members)) < 2 or effect.name in effect.members):
         raise ConfigurationError("members must name two other effects or more")
 

@@ -12,6 +12,7 @@ class Friction(Effect):
     excited_by = "driving to the limit; nothing shows it below 0.5 g"
     kind, slot = "vehicle parameters", "both axles"
     twins = ("lateral_load_transfer", "front_stiffness", "rear_stiffness")
+    at_peak_force = True
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameters = (
         Parameter("factor", "1", null=1.0, initial=0.8, bounds=(0.1, 1.6), meaning="true friction over the tyre data's",

@@ -12,6 +12,8 @@ class FrontStiffness(Effect):
     excited_by = "cornering at two speeds, or transients; one steady speed makes it a steering gain"
     kind, slot = "vehicle parameters", "front axle"
     twins = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
+    combinations = ("front cornering stiffness over mass", "understeer gradient K", "steady-state yaw gain at 20 m/s")
+    ratio_to = "mass"
     parameters = (
         Parameter("factor", "1", null=1.0, initial=0.9, bounds=(0.3, 3.0), meaning="true stiffness over the file's",
                   source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together",

@@ -12,6 +12,8 @@ class RearStiffness(Effect):
     excited_by = "cornering with the sideslip measured, and sweeps; it sets the damping in yaw"
     kind, slot = "vehicle parameters", "rear axle"
     twins = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
+    combinations = ("rear cornering stiffness over mass", "understeer gradient K", "steady-state yaw gain at 20 m/s")
+    ratio_to = "mass"
     parameters = (
         Parameter("factor", "1", null=1.0, initial=0.85, bounds=(0.3, 3.0), meaning="true stiffness over the file's",
                   source="tyres of one size spread by 2; openpilot learns 0.2-5 for both axles together",

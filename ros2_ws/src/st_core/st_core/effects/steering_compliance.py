@@ -14,6 +14,7 @@ class SteeringCompliance(Effect):
     excited_by = "cornering near the limit; an exact twin of a softer front axle below 0.4 g"
     kind, slot = "physics", "front axle"
     twins = ("front_stiffness", "roll_steer", "steering_ratio")
+    combinations = ("front cornering stiffness over mass",)
     costly = True
     order = 83  # inside steered_drive_force: the force of the tyres alone bends the suspension
     parameters = (

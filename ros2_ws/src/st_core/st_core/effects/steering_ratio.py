@@ -12,6 +12,7 @@ class SteeringRatio(Effect):
     excited_by = "transients or two speeds; at one steady speed it is a change of front stiffness"
     kind, slot = "vehicle parameters", "steering"
     twins = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale", "steering_map")
+    combinations = ("steady-state yaw gain at 20 m/s",)
     applies_to = ANY
     order = 40
     parameters = (

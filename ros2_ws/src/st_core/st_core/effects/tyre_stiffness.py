@@ -12,6 +12,7 @@ class TyreStiffness(Effect):
     excited_by = "cornering with the sideslip measured, and sweeps; next to mass and yaw_inertia only their ratio shows"
     kind, slot = "vehicle parameters", "both axles"
     twins = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
+    ratio_to = "mass"
     members = ("front_stiffness", "rear_stiffness")
     parameters = (
         Parameter("factor", "1", null=1.0, initial=0.85, bounds=(0.3, 3.0), meaning="true stiffness over the file's",

@@ -23,8 +23,6 @@ from st_recordings.output import new_folder
 from st_recordings.plain_json import as_text, finite
 from st_recordings.runs import find_runs
 
-from ..checking.check_document import findings_in
-from ..checking.check_report import print_findings
 from ..evaluation.drawing import Drawn, Place, check_formats
 from ..terminal import progress_bars
 from . import answers
@@ -68,11 +66,9 @@ def run_command(request: Request, console: Console) -> int:
         report = (relation_report(relations, found, request.vehicle, command_line(request, folder)) if relations
                   else None)
         files = write_results(found, request, update, folder, drawn, seconds, relations, report)
-    for drive in (*drives, *healthy):
-        print_findings(drive.name, findings_in(drive.about), console)
-    failed = [d for d in (*drives, *healthy) if d.problem]
-    show(found, update, failed, files, earlier, console, report)
-    return 1 if failed else 0
+    recordings = (*drives, *healthy)
+    show(found, update, recordings, files, earlier, console, report)
+    return 1 if any(d.problem for d in recordings) else 0
 
 
 def command_line(request: Request, folder: Path) -> CommandLine:

@@ -31,7 +31,6 @@ LEAST = 0.005  # m; a step that changes the position by less is told by the chan
 MOST_WORST = 2
 MOST_TIMES = 1000.0  # the expected error: beyond that predictions diverge
 SURE = 1.96
-OVER_MASS = ("front_stiffness", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
 SHOWN = Limits().shown
 
 
@@ -140,11 +139,10 @@ def what(found: Discovery) -> list[str]:
 
 
 def condition_of(found: Discovery, effect: FoundEffect) -> str:
-    """Which quantity of the vehicle file a value rests on: stiffness and inertia act over the mass only."""
-    mass = next((a for a in found.assumed if a.key == "mass"), None)
-    if mass is None or effect.name not in OVER_MASS:
-        return ""
-    return f", if the mass is {mass.value:.4g} ± {mass.deviation:.2g} kg"
+    """The vehicle file's quantity on which a value depends, as stiffness and inertia on the mass; empty without one."""
+    key = EFFECTS[effect.name].ratio_to if effect.name in EFFECTS else ""
+    known = next((a for a in found.assumed if a.key == key), None)
+    return f", if the {key} is {known.value:.4g} ± {known.deviation:.2g} {known.unit}" if known else ""
 
 
 def clearest(values_of: Sequence[Value], most: int) -> list[Value]:
@@ -227,7 +225,7 @@ def blind(found: Discovery) -> list[str]:
     sentences = [visible(found)] if visible(found) else []
     if found.not_testable:
         largest = {p.effect: p for p in sorted(found.certificate.powers, key=lambda p: abs(p.size))}
-        ranked = sorted(found.not_testable, key=lambda n: _rank(n.name))
+        ranked = sorted(found.not_testable, key=lambda n: rank(n.name))
         names = ", ".join(plain(n.name) + (f" of {change(largest[n.name].size, largest[n.name].unit)}"
                                            if n.name in largest else "") for n in ranked[:MOST_BLIND])
         more = len(found.not_testable) - MOST_BLIND
@@ -241,12 +239,12 @@ def visible(found: Discovery) -> str:
     for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
         if power.found >= SHOWN:
             best.setdefault(power.effect, power)
-    ranked = sorted(best.values(), key=lambda p: _rank(p.effect))
+    ranked = sorted(best.values(), key=lambda p: rank(p.effect))
     sentences = [f"{plain(p.effect)} of {change(p.size, p.unit)}" for p in ranked[:MOST_BLIND]]
     return f"would show {', '.join(sentences)}{', …' if len(ranked) > MOST_BLIND else ''}" if sentences else ""
 
 
-def _rank(name: str) -> tuple[bool, int]:
+def rank(name: str) -> tuple[bool, int]:
     """Vehicle parameters first, then by part."""
     kind = EFFECTS[name].kind if name in EFFECTS else ""
     return kind != "vehicle parameters", PARTS.index(kind) if kind in PARTS else len(PARTS)
@@ -329,10 +327,6 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     others = [plain(e.name) for e in rest if e.kind != "sensors" and (update is None or e.name not in update.kept)]
     if others:
         sentences.append(f"predict with model.yaml, which adds {', '.join(others)}")
-    if found.minor and found.effects:
-        kept = ", ".join(by_any_name(found, e) for e in found.minor)
-        sentences.append(f"model.yaml also contains {kept}: part of the fit, but too small compared with what remains; "
-                    "do not take it for a property of the car")
     if found.signature and found.effects:
         sentences.append("more is missing than is named, and a name may be a part of it: compare the values with what "
                          "you know of the car")
@@ -343,6 +337,10 @@ def to_do(found: Discovery, update: VehicleUpdate | None) -> list[str]:
         sentences.append(f"drive more{': ' + ', '.join(shows) if shows else ''}, and add it to the runs")
     if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
         sentences.append("do the next drive and add it to the runs")
+    if found.minor and found.effects:
+        kept = ", ".join(by_any_name(found, e) for e in found.minor)
+        sentences.append(f"model.yaml also contains {kept}: part of the fit, but too small compared with what remains; "
+                    "do not take it for a property of the car")
     return sentences or ["nothing"]
 
 
