@@ -161,7 +161,7 @@ def test_more_effects_on_a_model_that_has_some(leaf):
     assert both.base is MODELS["linear"] and dict(both.values["mass"]) == {"factor": 1.2}
     expected = augment("linear", {"mass": {"factor": 1.2}, "yaw_inertia": {"factor": 0.9}})
     np.testing.assert_array_equal(predict(both, leaf, STATE, HELD).states, predict(expected, leaf, STATE, HELD).states)
-    with pytest.raises(ConfigurationError, match="effect mass: in the model already"):
+    with pytest.raises(ConfigurationError, match="effect mass: already in the model"):
         augment(first, ["mass"])
 
 
