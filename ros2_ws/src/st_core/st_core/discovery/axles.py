@@ -50,7 +50,7 @@ class Axles:
             self.draws = drawn_models(self.model, covariance, vehicle, DRAWS)
 
     def _regressions(self) -> tuple[AxleRegression, AxleRegression]:
-        """Slip and force of both axles with steering and sensors corrected as the answer says, body as in the file."""
+        """Slip and force of both axles with steering and sensors corrected by the answer, body as in the file."""
         model, logs = self.model, []
         around = model.only(e for e in model.effects if e.kind == "sensors" or e.slot == "steering")
         car = around.effective_vehicle(self.vehicle)
@@ -98,8 +98,8 @@ class Axles:
                                                            self.vehicle, axle, slip) / force - 1.0).max() > ACTS)
 
     def worse(self, base: AugmentedModel, left_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
-        """Axles whose measured forces the answer describes less well than the file does, each run with the values found
-        without it; none where sideslip was not measured or the driving is too thin."""
+        """Axles with measured forces that the answer describes less well than the file does, each run with the values
+        found without it; none where sideslip was not measured or the driving is too thin."""
         found = []
         for one in self.regressions if self.sideslip else ():
             if not one.usable:

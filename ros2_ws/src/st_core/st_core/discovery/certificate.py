@@ -1,7 +1,7 @@
 """What these drives can show: known effects put into them, and nothing put into them.
 
 Drives are imitated on the errors themselves: those the answer leaves, with the signs of whole blocks drawn by chance,
-plus what the effect would change. The same tests then say whether it is found.
+plus what the effect would change. The same tests then decide whether it is found.
 """
 
 from collections.abc import Callable, Sequence

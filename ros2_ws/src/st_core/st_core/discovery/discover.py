@@ -66,9 +66,9 @@ from .windows import MARGIN_NS, Windows
 Progress = Callable[[str, int, int], None]
 Sensors = Mapping[str, tuple[float, float, float]]
 ALREADY_GIVEN = {
-    "drag": "the measured forward acceleration is an input and holds it already",
-    "rolling_resistance": "the measured forward acceleration is an input and holds it already",
-    "grade": "the measured forward acceleration is an input and holds it already; pitch is not measured",
+    "drag": "the measured forward acceleration is an input and contains it already",
+    "rolling_resistance": "the measured forward acceleration is an input and contains it already",
+    "grade": "the measured forward acceleration is an input and contains it already; pitch is not measured",
 }
 
 
@@ -79,8 +79,8 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
 
     runs: suspect drives. vehicle: as in its file; the search starts there. reference: drives of the healthy car; the
     search then starts from the fit to them, and what is found is what has changed since. identities: (value, low, high)
-    by the name of an estimate of `st_core.checks`: what the sensors say among themselves. parallel: threads.
-    progress(stage, done, total): called as the work goes on.
+    by the name of an estimate of `st_core.checks`: what the sensors measure among themselves. parallel: threads.
+    progress(stage, done, total): called during the work.
 
     Raises StCoreError for runs in which nothing can be predicted, ConfigurationError for settings that do not fit the
     base. Checked by: test_discovery*.py, bench/discovery.
@@ -91,7 +91,7 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
 
 def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model, names: Sequence[str],
                 settings: DiscoverySettings | None = None) -> Model:
-    """The base with some effects fitted jointly to the runs: what the search would find if it knew their names."""
+    """The base with some effects fitted jointly to the runs: what the search would find given their names."""
     settings = settings or DiscoverySettings()
     space = Space(base, settings)
     windows = Windows(runs, vehicle, settings)
@@ -214,7 +214,7 @@ class _Work:
                              [e for e, *_ in found.refused.values()], left, seen, bound), self.limits)
 
     def _corrected(self, found: Found, parts: Mapping[str, Level]) -> tuple[Problem, Fit]:
-        """What predicts best with the answer in it, whatever the vehicle file says, and the problem it is of; the
+        """What predicts best with the answer in it, whatever the vehicle file states, and the problem it is of; the
         answer itself where that gains too little. With a reference all that its drives show is free already."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
@@ -238,7 +238,7 @@ class _Work:
         if self.reference:
             healthy = learn(self.reference, self.vehicle, space, settings, self.threads, self._tick("reference"))
             start, prior, between = healthy.vector, healthy.prior, healthy.gain
-            # What nothing describes in the healthy car either is no change of it.
+            # Errors that no effect describes in the healthy car either are not a change of it.
             by_column = {c: max(by_column[c], float(v))
                          for c, v in zip(self.windows.columns, healthy.left, strict=True)}
             by_column["position_5s"] = healthy.position
@@ -270,11 +270,11 @@ class _Work:
 
     def _warn_if_thin(self, problem: Problem) -> None:
         if len(self.runs) < 3:
-            self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'}: whether runs agree cannot be "
-                                 "said; stretches of them are compared instead")
+            self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'}: whether runs agree "
+                                 "cannot be said; stretches of them are compared instead")
         if not sites(self.windows).any():
             self.warnings.append("all of it is at one site: what belongs to the place, as its banks and its wind, "
-                                 "cannot be told from what belongs to the car")
+                                 "cannot be separated from what belongs to the car")
         if problem.blocks < 10:
             self.warnings.append(f"only {problem.blocks} blocks of {self.settings.block:g} s: tests are weak, little "
                                  "can be said")
@@ -312,7 +312,7 @@ class _Work:
     def _axles(self, found: Found, all_free: Joint | None,
                unexplained: float) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[Combination, ...]]:
         """(forces of the axles under the answer, their curves, what acts together); nothing for a base without tyres,
-        driving without slip, or values so uncertain that they are no car."""
+        driving without slip, or values so uncertain that they are outside those of cars."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, found.fit, all_free, self.runs, self.vehicle, unexplained)
@@ -475,7 +475,7 @@ def _values(evidence: Evidence) -> dict[str, tuple[Value, ...]]:
 
 
 def crossing(effect: FoundEffect) -> str:
-    """Parameter whose interval crosses a bound that is neither its null, nor what theory says, nor one of a curve."""
+    """Parameter whose interval crosses a bound that is neither its null, its theoretical value, nor one of a curve."""
     for p in get_effect(effect.name).parameters:
         fitted = effect.parameters.get(p.name)
         if fitted is not None and not p.shape and any(
@@ -490,8 +490,8 @@ def null_excluded(effect: FoundEffect) -> bool:
 
 
 def by_sensors(fitted: FittedParameter, known: tuple[float, float, float] | None) -> FittedParameter:
-    """With an interval as wide as that of what the sensors say among themselves, (value, low, high), where they agree
-    with the value and deny the null that its own interval holds."""
+    """With an interval as wide as that measured by the sensors among themselves, (value, low, high), where they agree
+    with the value and deny the null that its own interval contains."""
     _, low, high = known or (0.0, -np.inf, np.inf)
     open_ = fitted.interval[0] <= fitted.null <= fitted.interval[1]
     if not open_ or not low <= fitted.value <= high or low <= fitted.null <= high:

@@ -1,4 +1,4 @@
-"""What the drives say of one effect in a set: figures only. What follows from them: `decision`."""
+"""Evidence of the drives for one effect in a set, in figures; `decision` draws the conclusions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,12 +13,12 @@ from .levels import Level
 from .loss import Quadratic
 from .space import Space
 
-FLIPS = 400  # of the signs of blocks: enough to tell a chance of 0.01
+FLIPS = 400  # of the signs of blocks: enough to resolve a p-value of 0.01
 TWO_SIDED = float(stats.norm.ppf(0.975))
 FLATTEST = 0.3  # of the curvature of the reweighted squares: errors far out may bend the loss down by no more
-HELD = 0.05  # of the whole curvature: a part of the driving need not show everything else by itself
+HELD = 0.05  # of the whole curvature: a part of the driving need not show everything else alone
 UNNAMED = 0.5  # usual sizes: standard deviation of an effect that is not in the set, for intervals of those that are
-LEAST_OF_A_PART = 0.02  # of the information; a part with less has no say
+LEAST_OF_A_PART = 0.02  # of the information; a part with less is ignored
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class Evidence:
     chance [1]: that anything of the library gains so much where nothing is. null [1]: of values at least as far from
     their null, were that the truth. shares: by column of the errors, (what it takes away of the size of the errors of
     the start, size without it over the noise) [1]. position [m]: fall of the mean held-out position error at
-    the end of the horizon; position_somewhere: the largest in one driving condition, surely (95 %). left [1]: size of
-    the errors with it over the noise, in the column where that is most. bound [1]: distance to the nearest bound in
+    the end of the horizon; position_somewhere: the largest in one driving condition (lower 95 % bound). left [1]: size
+    of the errors with it over the noise, in the column where that is most. bound [1]: distance to the nearest bound in
     usual sizes. size [1]: distance of a value from its null, in usual sizes. sensors [1]: chance of the fitted value by
-    what the sensors say among themselves, and sensors_null of the null; None where they say nothing. against_file: the
-    quantity of the vehicle file whose value is furthest from the file's; None where the file does not know it.
-    agreement: by level.
+    what the sensors measure among themselves, and sensors_null of the null; None where they measure nothing.
+    against_file: the quantity of the vehicle file with the value furthest from the file's; None where the file does not
+    have it. agreement: by level.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Evidence:
 
     @property
     def share(self) -> float:
-        """Of the size of the errors that is gone when the loss falls by the gain for each of them: 1 - exp(-gain)."""
+        """Share of the size of the errors removed when the loss falls by the gain for each of them: 1 - exp(-gain)."""
         return share_of(self.gain)
 
 
@@ -150,7 +150,7 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
 
 
 def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
-    """That something of the library does as well where nothing is: the smaller of what two tests say.
+    """That something of the library does as well where nothing is: the smaller p-value of two tests.
 
     Signs of blocks: the score beyond the largest of the library with signs drawn by chance, and a gain that is above
     zero over the blocks. Likelihood ratio: twice the gain over the design effect, for all of the library; needed for
@@ -169,7 +169,7 @@ def chance(own: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> f
 def evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores, levels: Mapping[str, Level],
              sensors: Mapping[str, tuple[float, float, float]]) -> Evidence:
     """Of an effect of `fit`, against `without` it. scores: of the library, on about that. sensors: parameters of the
-    effect as the sensors say among themselves, (value, low, high)."""
+    effect as the sensors measure it among themselves, (value, low, high)."""
     gain = without.held_out - fit.held_out
     by_run = float((problem.held_out_apart(without) - problem.held_out_apart(fit)).sum())
     own = scores.own.get(effect)
@@ -263,8 +263,8 @@ def against_file(problem: Problem, fit: Fit, effect: str) -> AgainstFile | None:
 
 
 def by_sensors(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tuple[float | None, float | None]:
-    """Chance of a value at least as far from what the sensors say among themselves, and of the null by that; None where
-    they say nothing."""
+    """Chance of a value at least as far from what the sensors measure among themselves, and of the null by that; None
+    where they measure nothing."""
     own = dict(zip(problem.space.indices(effect), deviation(problem, fit, effect), strict=True))
     agree = [_as_far(fit.vector[i] - value, np.hypot(spread, own[i]))
              for i, value, spread in _measured(problem.space, effect, sensors)]
@@ -274,7 +274,7 @@ def by_sensors(problem: Problem, fit: Fit, effect: str, sensors: Mapping) -> tup
 
 
 def null_by_sensors(space: Space, effect: str, sensors: Mapping) -> float | None:
-    """Chance of what the sensors say among themselves were the effect not there; None where they say nothing."""
+    """p-value of what the sensors measure among themselves without the effect; None where they measure nothing."""
     return min((_as_far(space.free[i].null - value, spread) for i, value, spread in _measured(space, effect, sensors)),
                default=None)
 
@@ -307,7 +307,7 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     h = inverse(_no_flatter(bent, q.hessian.sum(axis=0)) + problem.held(fit.names, fit.which))
     off = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum is what the prior pulls
     scatter = off.T @ off * problem.blocks / max(problem.blocks - 1, 1)
-    if problem.prior is None:  # what the file says is known to its deviation: (curvature deviation)^2 of the pull
+    if problem.prior is None:  # a value of the file is known to its deviation: (curvature deviation)^2 of the pull
         scatter = scatter + np.diag(0.5 * problem.design * problem.known[fit.which])
     return h @ scatter @ h
 
@@ -328,8 +328,8 @@ class Joint:
 
 
 def joint(problem: Problem, fit: Fit) -> Joint:
-    """What a fit leaves open when the quantities of the vehicle file are as uncertain as it says, and every effect that
-    was not chosen may be there with a standard deviation of UNNAMED.
+    """What a fit leaves open when the quantities of the vehicle file are as uncertain as it declares, and every effect
+    that was not chosen may be there with a standard deviation of UNNAMED.
 
         covariance = (D / 2) (H + K)^-1,   K: curvature of the priors,   D: the design effect
 

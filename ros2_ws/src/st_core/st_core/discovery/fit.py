@@ -22,7 +22,7 @@ RIDGE = 1e-6  # of the mean curvature: keeps solutions finite where driving show
 
 
 def bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Minimum of x'Ax - 2 b'x with low <= x <= high (low <= 0 <= high), by an active set that lets go one at a time."""
+    """Minimum of x'Ax - 2 b'x with low <= x <= high (low <= 0 <= high), by an active set, one released at a time."""
     x = np.linalg.solve(a, b)
     if ((x >= low) & (x <= high)).all():
         return x
@@ -66,11 +66,11 @@ class Slopes:
         if square == 0.0:
             return self
         missed = taken - np.tensordot(step, self.values, 1)
-        missed[~np.isfinite(missed)] = 0.0  # a window that has just diverged, or come back, says nothing of slopes
+        missed[~np.isfinite(missed)] = 0.0  # a window that has just diverged, or recovered, gives no slopes
         return Slopes(vector, self.which, self.values + (step / square)[:, None, None] * missed)
 
     def renewed(self, which: np.ndarray, values: np.ndarray) -> "Slopes":
-        """With those of some parameters known anew."""
+        """With those of some parameters replaced."""
         new = self.values.copy()
         new[np.searchsorted(self.which, which)] = values
         return Slopes(self.vector, self.which, new)
@@ -91,7 +91,7 @@ class Fit:
 
 
 def freed(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """A curvature (p, p) that says nothing of some parameters, and of the others what it says whatever those are."""
+    """A curvature (p, p) without some parameters, and of the others their marginal curvature (Schur complement)."""
     rest = np.setdiff1d(np.arange(len(prior)), free)
     held = np.zeros_like(prior)
     cross = prior[np.ix_(rest, free)]
@@ -110,7 +110,7 @@ class Problem:
 
     quantities: (p,) what of the vehicle file each number changes, see `known`. Its standard deviation s enters the loss
     as a Gaussian prior, 0.5 design (x / s)^2. design [1]: how many scored errors count as one independent error, see
-    `design_effect`; renewed as the search goes on.
+    `design_effect`; renewed as the search proceeds.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
@@ -154,7 +154,7 @@ class Problem:
         return of_block if len(np.unique(run)) > 3 else self.fold
 
     def without_file(self) -> "Problem":
-        """The same problem where the vehicle file holds nothing: what predicts best, whatever it means."""
+        """The same problem without the values of the vehicle file: what predicts best, whatever it means."""
         other = copy(self)
         other.set_quantities((None,) * len(self.space))
         return other
@@ -172,8 +172,8 @@ class Problem:
         return self.space.indices(*names, *always)
 
     def held(self, names: Iterable[str], which: np.ndarray) -> np.ndarray:
-        """(a, a) curvature that holds parameters to the start: what the vehicle file knows of each; with a reference
-        what its drives say of those that are not of the effects `names`."""
+        """(a, a) curvature of the prior about the start: that of the vehicle file for each; with a reference
+        that of its drives for those that are not of the effects `names`."""
         if self.prior is None:
             return np.diag(self.known[which])
         return freed(self.prior, self.space.indices(*names))
@@ -233,7 +233,7 @@ class Problem:
         return self.loss.total(vector) + float(away @ self.held(names, which) @ away)
 
     def everything(self, vector: np.ndarray) -> Slopes:
-        """Slopes of the whole library: those of a point near by, if there is one, that follow the step; else anew."""
+        """Slopes of the whole library: those of a nearby point that follow the step, else recomputed."""
         for known in reversed(self._whole):
             if np.abs((vector - known.vector) / self.space.scale).max() < NEAR:
                 return self._follow(known, vector, np.zeros(0, int))
@@ -248,7 +248,7 @@ class Problem:
         return self.space.inside(there)
 
     def begin(self, names: Iterable[str], vector: np.ndarray) -> np.ndarray:
-        """The vector with what is not of the effects `names`, nor moves beside them, back at the start."""
+        """The vector with what is not of the effects `names`, nor moves with them, back at the start."""
         names = tuple(names)
         keep = np.union1d(self.space.indices(*names), self.which(names))
         there = self.start.copy()
@@ -264,7 +264,7 @@ class Problem:
     def fit(self, names: Iterable[str], slopes: Slopes, vector: np.ndarray | None = None, fresh: Iterable[str] = (),
             iterations: int = ITERATIONS) -> Fit:
         """Robust Gauss-Newton. slopes: known ones, of all that moves at least, about a point near by; they follow the
-        steps. vector: where to begin, there if not given. fresh: effects whose slopes are computed anew at each step.
+        steps. vector: where to begin, there if not given. fresh: effects with slopes recomputed at each step.
         """
         names = tuple(names)
         which, new = self.which(names), self.space.indices(*fresh)
@@ -288,7 +288,7 @@ class Problem:
         return self.about(names, vector, which, slopes)
 
     def renewed(self, fit: Fit, iterations: int = 2) -> Fit:
-        """A fit with its slopes computed anew, and gone on with."""
+        """The fit continued with recomputed slopes."""
         own = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
         fresh = Slopes(fit.vector, fit.slopes.which, fit.slopes.values)
         if len(own):

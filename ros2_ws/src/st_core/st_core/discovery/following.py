@@ -1,4 +1,4 @@
-"""The drive to do next: which of the catalogue would tell the names of an answer apart, or show an effect at all."""
+"""The drive to do next: which of the catalogue would separate the names of an answer, or show an effect at all."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,10 +18,10 @@ from .result import FoundEffect, NextManoeuvre, Separability
 from .suggested_drive import drive
 from .windows import Windows
 
-TIMES = 3  # each manoeuvre is driven, as ISO 7401 asks for at least
+TIMES = 3  # each manoeuvre is driven, the minimum of ISO 7401
 MIN_SEPARATION = 3.0  # standard deviations a pair must be put apart
-FASTER = 1.15  # times the speed driven: further off nobody has seen how large errors are
-MOST_LATERAL = 9.0  # m/s^2: beyond that the simulation of the base says little
+FASTER = 1.15  # times the speed driven: the size of errors further off is unknown
+MOST_LATERAL = 9.0  # m/s^2: beyond that the simulation of the base is unreliable
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def simulated(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Window
 
 
 def catalogue(problem: Problem, fit: Fit) -> Catalogue:
-    """What every manoeuvre would tell."""
+    """What every manoeuvre would show."""
     space, result = problem.space, {}
     for manoeuvre, driven in simulated(problem.errors.windows, space.model.base):
         loss = Loss(Errors(driven, space, problem.errors.threads), fit.vector)
@@ -122,7 +122,7 @@ def following(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], driven
 
 
 def shows(problem: Problem, effect: str, driven: Catalogue) -> str:
-    """The manoeuvre in which a usual size of an effect stands out most; "" without any."""
+    """The manoeuvre in which a usual size of an effect is clearest; "" without any."""
     own = problem.space.indices(effect)
     strength = {}
     for name, h in driven.curvature.items():

@@ -1,4 +1,4 @@
-"""How well the vehicle file knows what an effect changes: standard deviations of its quantities, by parameter."""
+"""How well the vehicle file fixes what an effect changes: standard deviations of its quantities, by parameter."""
 
 from dataclasses import dataclass
 
@@ -44,7 +44,7 @@ Quantities = tuple[Known | None, ...]
 
 
 def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
-    """(p,) for each number of the space, the quantity that the file knows best of those it changes; None for none."""
+    """(p,) for each number of the space, the quantity that the file fixes best of those it changes; None for none."""
     return (*(_known(space, vehicle, i) for i in range(len(space.free))), None)
 
 

@@ -128,7 +128,7 @@ class Loss:
         far = FURTHEST / BEND
         j = np.where(self.known, np.clip(np.nan_to_num(slopes / self.scale, nan=0.0, posinf=0.0, neginf=0.0),
                                          -far, far), 0.0)
-        j = np.where(np.abs(z) < FURTHEST, j, 0.0)  # a window that is lost says nothing of small changes
+        j = np.where(np.abs(z) < FURTHEST, j, 0.0)  # a diverged window does not respond to small changes
         w = weight(z)
         jw = np.moveaxis(j * w, 1, 0)  # (n, p, m)
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))

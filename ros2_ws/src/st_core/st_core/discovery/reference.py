@@ -18,8 +18,8 @@ from .settings import DiscoverySettings
 from .space import Space
 from .windows import Windows
 
-LOOSE = 3.0  # usual sizes: how far from the vehicle file a healthy car may be before its drives are heard
-ROUNDS, SETTLED = 8, 0.02  # fits, and the step in usual sizes after which there is no other
+LOOSE = 3.0  # usual sizes: how far from the vehicle file a healthy car may be before its drives are used
+ROUNDS, SETTLED = 8, 0.02  # fits, and the step in usual sizes that ends the fit
 FIXED = 1e6  # curvature of what stays
 
 
@@ -41,13 +41,14 @@ def learn(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, se
           threads: int, tick: Callable[[], None]) -> "Healthy":
     """A healthy car from its drives.
 
-    The curvature is what reference drives say of a new drive of the same car: their own, over what windows that depend
-    on each other and drives that differ make of the variance of each value, once for them and once for the new drive.
+    The curvature is what reference drives predict of a new drive of the same car: their own, over what windows that
+    depend on each other and drives that differ make of the variance of each value, once for them and once for the new
+    drive.
     """
     windows = Windows(runs, vehicle, settings)
     held = np.eye(len(space)) / LOOSE**2
     composite = space.indices(*(n for n in space.hypotheses if get_effect(n).members))
-    held[composite, composite] = FIXED  # its members say the same
+    held[composite, composite] = FIXED  # its members describe the same
     quantities = known_quantities(space, vehicle)
     fits = []
     for start in (space.null, textbook(space)):
@@ -87,7 +88,7 @@ def _between_runs(q: Quadratic, space: Space, windows: Windows, spread: np.ndarr
 
 
 def _least(h: np.ndarray, g: np.ndarray, there: np.ndarray, prior: np.ndarray) -> float:
-    """Of x'Hx - 2 g'x and what a prior about `there` says against x."""
+    """Of x'Hx - 2 g'x and the penalty of a prior about `there`."""
     x = np.linalg.solve(h + prior + 1e-9 * np.eye(len(h)), g + prior @ there)
     return float(x @ h @ x - 2.0 * g @ x + (x - there) @ prior @ (x - there))
 
@@ -106,7 +107,7 @@ def _design(q: Quadratic, curvature: np.ndarray, windows: Windows) -> np.ndarray
 
 
 def textbook(space: Space) -> np.ndarray:
-    """(p,) what theory says of any car; the base stays of the kind that was asked for."""
+    """(p,) values by theory for any car; the base stays of the requested kind."""
     vector = space.null.copy()
     for i, free in enumerate(space.free):
         if free.theory is not None and not get_effect(free.effect).lifts:
@@ -117,7 +118,7 @@ def textbook(space: Space) -> np.ndarray:
 def _fitted(loss: Loss, windows: Windows, held: np.ndarray, quantities: Quantities, vector: np.ndarray,
             tick: Callable[[], None]) -> tuple[np.ndarray, np.ndarray]:
     """((p,) everything at once from a vector, the scale of the loss renewed, until nothing moves; (p, p) curvature that
-    held it: `held` and what the vehicle file knows)."""
+    held it: `held` and the prior of the vehicle file)."""
     space = loss.space
     file = Problem(loss, space.null, windows.block, quantities=quantities)
     for _ in range(ROUNDS):

@@ -1,4 +1,4 @@
-"""What a discovery says. Plain data; `Discovery.document` is the body of discovery.json."""
+"""Result of a discovery. Plain data; `Discovery.document` is the body of discovery.json."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
@@ -68,7 +68,8 @@ class Value:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """One effect of the answer. kind: one of PARTS[:4]. alternatives: names the data cannot tell from it, best first.
+    """One effect of the answer. kind: one of PARTS[:4]. alternatives: names the data cannot separate,
+    best first.
 
     joint: other effects of the answer whose part it cancels, so that these values are known only together.
     position_5s [m]: by how much the mean error after 5 s grows without it (added last). agreement: by level (run,
@@ -98,7 +99,7 @@ class Assumed:
 @dataclass(frozen=True)
 class Combination:
     """Quantities that act together [unit]: value, 95 % interval, and by the vehicle file. effects: names of what acts
-    on it alike; single ones of them are known only as far as the vehicle file knows the others."""
+    on it alike; single ones of them are known only as far as the vehicle file fixes the others."""
 
     name: str
     unit: str
@@ -234,8 +235,8 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class NextManoeuvre:
-    """The drive that would tell most. name: in the catalogue and of the virtual car's scenario. separates: the pair
-    least well told apart by it. strength: of that pair, in standard deviations, once it has been driven `times` times
+    """The drive that would separate most. name: in the catalogue and of the virtual car's scenario. separates: the pair
+    least well separated by it. strength: of that pair, in standard deviations, once it has been driven `times` times
     and added to the runs. options: strength of every manoeuvre tried."""
 
     name: str

@@ -18,7 +18,7 @@ from .result import Reason
 CONTENDERS = 4  # refitted through the simulator in a step
 NEAR = 0.5  # of the best one's gain: contenders below that are not looked at
 LOOSE, FIXED = 3.0, 1e9  # usual sizes: how far everything at once may go; curvature of what may not
-JOINT, SETTLED = 4, 0.1  # fits of many effects at once, and the step in usual sizes after which there is no other
+JOINT, SETTLED = 4, 0.1  # fits of many effects at once, and the step in usual sizes that ends the fit
 EXCHANGES = 3  # rounds
 
 Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
@@ -26,7 +26,7 @@ Near = tuple[tuple[str, ...], np.ndarray]  # names of a set, vector of its fit
 
 @dataclass
 class Found:
-    """fit: the answer. order: names as they came in. evidence, without: of each of them, the fit without it. refused:
+    """fit: the answer. order: names in order of selection. evidence, without: of each, the fit without it. refused:
     what was tried on top of it, with the verdict. rivals: in the place of each. known: scores of the library on top of
     it. near: other sets that are worse by less than what no effect describes."""
 
@@ -46,8 +46,8 @@ class Found:
 
 
 class Search:
-    """levels: ways to divide the driving. sensors: what the sensors say among themselves, (value, low, high) by
-    "effect.parameter". tick: called now and then as the search goes on. judge: the
+    """levels: ways to divide the driving. sensors: what the sensors measure among themselves, (value, low, high) by
+    "effect.parameter". tick: called now and then during the search. judge: the
     verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, levels: Mapping[str, Level], sensors: Mapping,
@@ -183,7 +183,7 @@ class Search:
         return self._by_sensors(found, without, [n for n in gains if n not in fits])
 
     def _by_sensors(self, found: Found, without: Fit, names: list[str]) -> Fit | None:
-        """The first effect more that the sensors show among themselves, however little the errors say of it."""
+        """The first effect more that the sensors show among themselves, however little the errors show of it."""
         for effect in names:
             shown = null_by_sensors(self.problem.space, effect, self.sensors)
             if self.problem.prior is not None or shown is None or shown > self.limits.false_alarm:
@@ -206,7 +206,7 @@ class Search:
         return float((without.held_out - fit.held_out).sum())
 
     def _in_turn(self, fits: Mapping[str, Fit], without: Fit) -> list[str]:
-        """Best first; a member goes before its composite unless that is clearly better."""
+        """Best first; a member precedes its composite unless that is clearly better."""
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
         for name in [e for e in order if get_effect(e).members]:
@@ -289,7 +289,7 @@ class Search:
         return self._renewed(p.fit(tuple(names), everything, iterations=2))
 
     def _settled(self, found: Found) -> Found:
-        """Exchanges where that is better, and without what the test says no to, until all hold."""
+        """Exchanges where that is better, and without what the test rejects, until all are accepted."""
         for _ in range(EXCHANGES):
             found = self._held(found)
             better = self._exchanged(found)
@@ -379,6 +379,6 @@ def _held_at(problem: Problem, q: Quadratic, vector: np.ndarray, which: np.ndarr
 
 
 def no_worse(difference: np.ndarray) -> float:
-    """Chance that a loss is no higher, from its differences by block."""
+    """p-value of a loss not being higher, from its differences by block."""
     spread = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
     return float(stats.norm.sf(difference.sum() / max(spread, 1e-12)))

@@ -22,7 +22,7 @@ LEAD = 4.0
 def drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
     """What sensors without noise would record if the car were the model: `duration` seconds at 1 / PERIOD.
 
-    Hands as the understeer of the vehicle file wants them, so that the lateral acceleration aimed at is reached.
+    Hands as the understeer of the vehicle file requires, so that the lateral acceleration aimed at is reached.
     """
     lead, steps = round(LEAD / PERIOD), round(manoeuvre.duration / PERIOD)
     times = 0.5 * PERIOD * np.arange(-2 * lead, 2 * steps + 1)

@@ -73,7 +73,7 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
     """Values with 95 % intervals: the widest of blocks taken as independent, of what the parts of any level differ by,
     and of a fit with `everything` else free; and from there to the values in `near`, sets of effects that are nearly as
     good: so that what the equations of the model are not those of the car is in it too. unexplained: errors that are
-    left over those of noise, which widens what the fit alone says (Birge, Phys. Rev. 40, 1932)."""
+    left over those of noise, which widens the interval of the fit alone (Birge, Phys. Rev. 40, 1932)."""
     space, result = problem.space, {}
     own = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
@@ -103,7 +103,7 @@ def parameters(problem: Problem, fit: Fit, effect: str, levels: Mapping[str, Lev
 
 
 def _over_parts(collected: Mapping[str, tuple[float, float]]) -> float:
-    """Half width of the interval that holds the value of the next part in 95 %, in shares of the value: where parts
+    """Half width of the interval that contains the value of the next part in 95 %, in shares of the value: where parts
     differ, the equations of the model are not those of the car. 0 where two parts or less speak."""
     if len(collected) < 3:
         return 0.0

@@ -21,7 +21,7 @@ FORWARD_ACCELERATION = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
 TURNING = 0.5  # m/s^2; below that a stretch is straight
 FEWEST_BLOCKS = 4  # for an interval to mean something
 FALSE_DISCOVERIES = 0.05  # share among the bins called significant
-RELEVANT = 1.25  # times the floor; less is nobody's problem, however sure
+RELEVANT = 1.25  # times the floor; less is not relevant, however significant
 
 EVERYWHERE = "everywhere"
 
@@ -69,7 +69,7 @@ class BinExcess:
 
 
 def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
-    """All ranges and which rows are in them, (n, ranges); the first holds every row."""
+    """All ranges and which rows are in them, (n, ranges); the first contains every row."""
     c = samples.conditions
     lateral = c["lateral_acceleration"]
     ranges, columns = [Range(EVERYWHERE, EVERYWHERE)], [np.ones(len(lateral), bool)]
@@ -90,7 +90,7 @@ def membership(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
 
 
 def words(quantity: str, unit: str, low: float, high: float) -> str:
-    """A range as a reader wants it: "speed above 12 m/s"."""
+    """A range as text: "speed above 12 m/s"."""
     if math.isinf(high):
         return f"{quantity} above {low:g} {unit}"
     if low in (0.0, -math.inf):

@@ -21,7 +21,7 @@ SHORTEST = 8.0  # s, of a part between change points
 LARGEST_P = 0.01
 RELEVANT_STEP = 1.5  # times, of root mean squares
 MOST_CHANGES = 3
-SHUFFLES = 299  # enough to tell a p of 0.01
+SHUFFLES = 299  # enough to resolve a p of 0.01
 
 
 @dataclass(frozen=True)

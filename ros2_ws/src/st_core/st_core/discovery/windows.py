@@ -32,7 +32,7 @@ from .settings import DiscoverySettings
 STEP = 0.05  # s, of the integration
 SIDESLIP_SETTLING_TIME = 0.75  # s until a guessed sideslip is forgotten
 MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is known there too
-SLOWEST = 1.5  # m/s. Slower windows say nothing of lateral motion
+SLOWEST = 1.5  # m/s. Slower windows show no lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
 RECORDING_CACHE_SIZE = 4  # recordings as the last models correct them, and what follows from them
 LOOKUP_CACHE_SIZE = 8  # sets of instants remembered, with where they lie between the samples
@@ -41,7 +41,7 @@ SHARES = (0.1, 0.25, 0.5, 1.0)  # of the horizon: where it is scored
 
 class Signals(LogSignals):
     """A drive whose forward acceleration is the slope of the forward speed over 2 STEP, without delay. Where the last
-    instants asked for lie between the samples is kept: a fit asks for the same ones thousands of times."""
+    requested instants lie between the samples is kept: a fit requests the same ones thousands of times."""
 
     def __init__(self, log: DriveLog, maximum_gap: float):
         self.log, self.maximum_gap = log, maximum_gap
@@ -251,7 +251,7 @@ class Windows:
 def added_acceleration(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
                        acceleration: np.ndarray) -> np.ndarray | float:
     """a_y an accelerometer at the CG shows on top of the motion [m/s^2]; states: the six, arrays as the inputs."""
-    # Only those effects that are felt, and what changes the inputs they look at.
+    # Only those effects that act on an accelerometer, and what changes the inputs they look at.
     model = model.only(e for e in model.effects if e.lifts or (e in model.active and (e.specific_force or e.inputs)))
     added = compose(model.base, model.effects).specific_force
     if added is None:
