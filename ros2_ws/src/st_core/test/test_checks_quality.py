@@ -69,7 +69,7 @@ def test_runs_that_agree_are_alike_and_know_the_mean_better():
     assert one.alike and (one.runs, one.reported) == (8, 8)
     assert one.mean == pytest.approx(0.004, abs=0.0005) and one.interval[0] < 0.004 < one.interval[1]
     assert one.interval[1] - one.interval[0] < 0.002
-    assert "alike in all 8 runs" in one.text and "rad/s" in one.text
+    assert "consistent across all 8 runs" in one.text and "rad/s" in one.text
 
 
 def test_runs_that_differ_say_so_and_by_how_much():
