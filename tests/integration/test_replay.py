@@ -120,7 +120,7 @@ def test_a_recording_of_another_make_goes_through_the_nodes(foreign, tmp_path):
     assert refused.returncode == 2 and "--steering-topic" in refused.stderr, refused.stderr
     played = in_process("replay", foreign, "--steering-topic", "/steer", "--rate", "2", "--output", tmp_path / "yes")
     assert played.returncode == 0, played.stdout + played.stderr
-    assert "not known and not played: /chatter (std_msgs/msg/String)" in played.stdout
+    assert "of unknown type and not played: /chatter (std_msgs/msg/String)" in played.stdout
     evaluated = in_process("evaluate", foreign, "--steering-topic", "/steer", "--figures", "", "--output",
                            tmp_path / "evaluated")
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr

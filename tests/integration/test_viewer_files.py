@@ -20,7 +20,7 @@ from ros_processes import Processes
 from st_core.palette import MODEL_COLOUR, rgb
 from support import ROOT
 
-from tools.reference import MODELS, TOPICS
+from tools.reference import MODELS, NODES, TOPICS
 
 pytestmark = [
     pytest.mark.ros, pytest.mark.slow,
@@ -68,8 +68,9 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tu
 
 
 def table_of_topics() -> dict[str, str]:
-    """Type by name, with the settings of config/nodes.yaml: no raw frames, markers also for a fourth model."""
-    table = {t.replace("<model>", model): kind for t, kind, *_ in TOPICS for model in MODELS}
+    """Type by name of what the nodes publish with config/nodes.yaml: no raw frames, markers also for a fourth model."""
+    table = {t.replace("<model>", model): kind for t, kind, publisher, _ in TOPICS for model in MODELS
+             if publisher in (*NODES, "all")}
     return {t: kind for t, kind in table.items() if t != "/can/frames"} | {
         "/view/augmented/error": table["/view/linear/error"]}
 
