@@ -24,7 +24,7 @@ UNESTIMATED, ESTIMATED = 0, 1
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory):
-    """A winding road of 80 s, then the same vehicle file with another ratio."""
+    """A winding road of 140 s, then the same vehicle file with another ratio."""
     folder = tmp_path_factory.mktemp("identifier")
     vehicle = folder / "car.yaml"
     vehicle.write_text(LEAF.read_text())
@@ -34,7 +34,8 @@ def run(tmp_path_factory: pytest.TempPathFactory):
                  processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}")]
         wait_for(lambda: "tracks" in processes.log("identifier") and "[recorder]" in processes.log("recorder"),
                  what="nodes up")
-        feeder = processes.start([sys.executable, str(ROOT / "tests" / "winding_feeder.py"), "--vehicle", str(vehicle)],
+        feeder = processes.start([sys.executable, str(ROOT / "tests" / "winding_feeder.py"), "--vehicle", str(vehicle),
+                                  "--seconds", "140"],
                                  "feeder")
         assert feeder.wait(120) == 0, processes.log("feeder")
         wait_for(lambda: "stiffness_scale estimated" in processes.log("identifier"), what="estimates")
@@ -57,7 +58,7 @@ def estimates(message) -> dict:
 def test_the_last_word_before_the_change_is_the_truth(run):
     messages = [m for m in run[1]["/identifier/parameters"] if not m.resets]
     last = estimates(messages[-1])
-    assert messages[-1].seconds_used > 75.0
+    assert messages[-1].seconds_used > 130.0
     for name, truth in TRUTH.items():
         assert last[name].status == ESTIMATED, last[name].reason
         assert abs(last[name].value - truth) < 3.0 * last[name].standard_deviation, name
