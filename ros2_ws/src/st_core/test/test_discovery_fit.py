@@ -13,6 +13,7 @@ from st_core.discovery.fit import FOLDS, Problem, Slopes, bounded
 from st_core.discovery.loss import FURTHEST, NU, Errors, Loss, rho, weight
 from st_core.discovery.space import GAIN, Space
 from st_core.discovery.windows import LOOKUP_CACHE_SIZE, Signals, Windows
+from st_core.log import INS_SIGNALS
 from st_core.log_signals import LogSignals
 
 FEW = ("steering_offset", "mass", "yaw_inertia")
@@ -41,6 +42,24 @@ def test_roll_of_the_body_adds_to_what_is_felt_and_not_to_the_bias_of_the_sensor
     size = {g: np.sqrt(np.nanmean(np.square(errors))) for g, errors in left.items()}
     assert size[gain] < 0.2 * size[0.0]
     assert abs(np.nanmean(left[gain])) < 0.005
+
+
+@pytest.mark.parametrize(("time", "values"), [("steering_time_ns", ("road_wheel_angle",)),
+                                              ("ins_time_ns", (*INS_SIGNALS, "acceleration_x", "acceleration_y"))])
+def test_a_gap_of_a_second_is_no_error_of_the_model(leaf, time, values):
+    (log,) = recorded(leaf, {}, 1, ["slalom"], noise=0.0)
+    middle = (int(getattr(log, time)[0]) + int(getattr(log, time)[-1])) // 2
+    kept = np.abs(getattr(log, time) - middle) > 500_000_000
+    cut = replace(log, **{name: getattr(log, name)[kept] for name in (time, *values)})
+    space = Space("nonlinear", DiscoverySettings())
+    losses = []
+    for one in (log, cut):
+        windows = Windows([one], leaf, DiscoverySettings())
+        losses.append(Loss(Errors(windows, space), space.null))
+    whole, rest = losses
+    assert 0.3 * whole.number < rest.number < 0.95 * whole.number
+    assert np.isfinite(rest.errors.at(space.null)[rest.known]).all()
+    assert rest.total(space.null) / rest.number < 1.5 * whole.total(space.null) / whole.number
 
 
 # The loss

@@ -32,6 +32,7 @@ from .settings import DiscoverySettings
 STEP = 0.05  # s, of the integration
 SIDESLIP_SETTLING_TIME = 0.75  # s until a guessed sideslip is forgotten
 MARGIN_NS = 600_000_000  # at both ends of a run: a delayed or early steering is known there too
+LONGEST_GAP = 0.1  # s: nothing is interpolated across a longer one, as in PredictionSettings.maximum_gap
 SLOWEST = 1.5  # m/s. Slower windows show no lateral motion
 PAUSE_NS = 5_000_000_000  # between runs laid out on one clock
 RECORDING_CACHE_SIZE = 4  # recordings as the last models correct them, and what follows from them
@@ -161,7 +162,7 @@ class Windows:
         starts, run, seconds = _starts(runs, offsets, horizon * STEP, settings)
         around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
-        signals = Signals(prepared(joined, vehicle, settings), 0.1)
+        signals = Signals(prepared(joined, vehicle, settings), LONGEST_GAP)
         self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._readings(times)
@@ -183,7 +184,7 @@ class Windows:
 
     def _readings(self, times: np.ndarray) -> dict[str, np.ndarray]:
         log, width = self.joined, round(2 * STEP / NANOSECOND)
-        signals = Signals(log, 0.1)
+        signals = Signals(log, LONGEST_GAP)
         names = {"x": False, "y": False, "yaw": False, "velocity_x": False} | {
             name: channel.smoothed for channel in self.channels for name in channel.signals}
         result = {}
@@ -196,10 +197,21 @@ class Windows:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) which errors of a window, all points and columns in a row, have a measurement."""
+        """(n, m) which errors of a window, all points and columns in a row, have a measurement, and inputs up to it."""
         there = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                  for channel in self.channels for _ in channel.columns]
-        return np.stack(there, axis=-1).reshape(len(self), -1)
+        return (np.stack(there, axis=-1) & self._with_inputs[..., None]).reshape(len(self), -1)
+
+    @cached_property
+    def _with_inputs(self) -> np.ndarray:
+        """(n, k) points of a window before the first gap of steering or INS: beyond it no prediction can be made, which
+        says nothing about the model. MARGIN_NS around a gap, as at the ends of a run."""
+        until = np.full(len(self), np.iinfo(np.int64).max)
+        for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
+            gaps = np.flatnonzero(np.diff(time_ns) > LONGEST_GAP / NANOSECOND)
+            first = np.searchsorted(time_ns[gaps + 1], self.starts_ns - MARGIN_NS, side="right")
+            until = np.minimum(until, np.append(time_ns[gaps], until.max())[first] - MARGIN_NS // 2)
+        return self._times <= until[:, None]
 
     @cached_property
     def driven(self) -> dict[str, np.ndarray]:
