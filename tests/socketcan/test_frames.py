@@ -110,7 +110,7 @@ def test_remote_frames_and_every_length(interface, start_receiver, decoder):
     wait_for(lambda: receiver.status().opened == 1)
     interface.send(REMOTE_FLAG | STEERING)
     for size in range(9):
-        interface.send(STEERING, bytes.fromhex("1D000007B0AAAAAA")[:size])
+        interface.send(STEERING, bytes.fromhex("1D000007B0123456")[:size])
     wait_for(lambda: len(decoded) == 10)
     assert [d is not None for d in decoded] == [size == 5 for size in range(-1, 9)]
     assert decoder.frames.remote == 1
